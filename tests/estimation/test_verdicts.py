@@ -311,8 +311,8 @@ def test_autocorrelated_residuals_are_a_lack_of_fit(result: Result, runs: list[R
         slow.append(replace(run, command=run.command + 0.1 * np.sin(phase)))
     lacking = identify(FIVE_BAR, slow)
     assert lacking.statistics["lack_of_fit"] > INFLATED
-    assert "the model lacks something" in " ".join(lacking.summary().split())
-    assert "the model lacks something" not in " ".join(result.summary().split())
+    assert "the model lacks an effect" in " ".join(lacking.summary().split())
+    assert "the model lacks an effect" not in " ".join(result.summary().split())
     for joint in JOINTS:
         assert (lacking.drive_gains[joint].std or 0.0) > (result.drive_gains[joint].std or 0.0)
 

@@ -373,7 +373,7 @@ BAD_FILES: list[tuple[str, str | bytes, str]] = [
     (
         "robot of two lines",
         good("robot: r", 'robot: "r\\nx"'),
-        ": robot: the name 'r\\nx' holds U+000A, a character",
+        ": robot: the name 'r\\nx' holds U+000A, a non-printing character",
     ),
     ("no joints", "robot: r\n", ": the key 'joints' is missing; add it."),
     ("joints empty", "robot: r\njoints: {}\n", ": robot 'r': it has no joints; list at least one under 'joints'."),

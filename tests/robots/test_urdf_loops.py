@@ -217,7 +217,7 @@ def test_bad_loops(text: str, sentence: str, tmp_path: Path) -> None:
 
 
 def test_a_loop_that_closes_nowhere(tmp_path: Path) -> None:
-    with pytest.raises(GtauError, match=r"nor in any other pose that was tried, at best closure 1 .* open by .* mm"):
+    with pytest.raises(GtauError, match=r"nor in any other pose tried, at best closure 1 .* open by .* mm"):
         load_robot(written(tmp_path, urdf=URDF.replace("0.35 0 0.02", "3.5 0 0.02")))
 
 

@@ -1,1 +1,1 @@
-"""Read, check and refuse files that people write."""
+"""Read and validate files written by users."""

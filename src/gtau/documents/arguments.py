@@ -27,7 +27,7 @@ FUNCTION: Accepted = ("a function", (Callable,))  # type: ignore[assignment]
 
 
 def takes(**accepted: Accepted) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Check the types of a function's arguments before it runs; a default is accepted as it is.
+    """Check the types of a function's arguments before it runs; defaults are always accepted.
 
     The function raises GtauError where an argument has another type.
     """

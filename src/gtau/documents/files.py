@@ -19,7 +19,7 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
     Raises
     ------
     GtauError
-        Where the folder does not exist or cannot be written to.
+        The folder does not exist or cannot be written to.
     """
     path = Path(path)
     data = content.encode() if isinstance(content, str) else content
@@ -74,7 +74,7 @@ def read_at_most(size: int, path: Path, larger: str) -> bytes:
     Raises
     ------
     GtauError
-        Where the file cannot be read, or with the sentence ``larger`` where it is longer. The caller names the file.
+        The file cannot be read, or is longer (message ``larger``). The caller names the file.
     """
     try:
         with path.open("rb") as file:
@@ -89,7 +89,7 @@ def read_at_most(size: int, path: Path, larger: str) -> bytes:
 
 
 def in_order(paths: Iterable[Path]) -> list[Path]:
-    """Sort paths as people number them: ``part_2`` before ``part_10``."""
+    """Sort paths in natural order: ``part_2`` before ``part_10``."""
 
     def key(path: Path) -> list[tuple[bool, int, str]]:
         return [(not number, int(number or 0), text) for number, text in re.findall(r"(\d+)|(\D+)", str(path))]
@@ -110,7 +110,7 @@ LOG_LINES = 40  # of nothing but numbers make a table a log; tables of MDH param
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of file: what a person calls it, and which command takes it."""
+    """A kind of file: its name in messages, and the command that accepts it."""
 
     name: str
     advice: str
@@ -142,7 +142,7 @@ _KEYS = (
 
 
 def kind_of(path: str | Path) -> Kind | None:
-    """Recognise a file by its content, or None where it is none of these kinds, or cannot be read."""
+    """Recognise a file by its content; None if it is of no known kind or cannot be read."""
     path = Path(path)
     if path.is_dir():
         return FOLDER
@@ -170,12 +170,12 @@ def kind_of(path: str | Path) -> Kind | None:
 
 
 def refuse_other_kind(path: str | Path, wanted: Kind) -> None:
-    """Refuse a file that is recognised as one of another kind, and name the command that takes it.
+    """Refuse a file recognised as another kind, and name the command that accepts it.
 
     Raises
     ------
     GtauError
-        Where it is of another kind; a file that is not recognised is left to its reader.
+        The file is of another kind; a file that is not recognised is left to its reader.
     """
     found = kind_of(path)
     if found is None or found == wanted:

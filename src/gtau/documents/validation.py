@@ -22,12 +22,12 @@ Positive = Annotated[FiniteFloat, Field(gt=0)]
 
 
 class Keys(BaseModel):
-    """A group of a file: a key that it does not know is an error."""
+    """A group of a file; unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
-        """List what is written, and leave out what has its default."""
+        """List the fields that differ from their defaults."""
         yield from ((name, getattr(self, name)) for name in type(self).model_fields if name in self.model_fields_set)
 
 
@@ -37,9 +37,9 @@ def validate(model_class: type[Model], document: Document, context: Any = None) 
     Parameters
     ----------
     model_class : type of pydantic.BaseModel
-        Its validators may raise ValueError with a text that says what to write instead, without a full stop.
+        Its validators may raise ValueError with the correct form as text, without a full stop.
     document : Document
-        What `read_yaml` returned.
+        From `read_yaml`.
     context : object, optional
         Handed to the model's validators as ``info.context``.
 
@@ -51,13 +51,13 @@ def validate(model_class: type[Model], document: Document, context: Any = None) 
     Raises
     ------
     GtauError
-        One sentence on the first thing wrong, unknown keys before all else, with file, line and dotted key.
+        One sentence on the first error, unknown keys first, with file, line and dotted key.
     """
     try:
         return model_class.model_validate(document.data, context=context)
     except ValidationError as failure:
         errors = failure.errors()
-    # A misspelt key also leaves the right one missing: the spelling is the thing to say.
+    # A misspelt key also leaves the right one missing: report the spelling.
     error = min(errors, key=lambda error: error["type"] != "extra_forbidden")
     keys = _written(error["loc"], document.data)
     if error["type"] == "extra_forbidden":
@@ -71,7 +71,7 @@ def validate(model_class: type[Model], document: Document, context: Any = None) 
 
 
 def name_problem(name: str) -> str | None:
-    """Say why a name cannot appear in tables, files and generated code, or return None."""
+    """Explain why a name cannot appear in tables, files and generated code, or return None."""
     if len(name) > LONGEST_NAME:
         return f"the name {name[:20]!r}... has {len(name)} characters; write {LONGEST_NAME} at most"
     for character in name:
@@ -88,7 +88,7 @@ def unknown(what: str, name: str, choices: typing.Iterable[str]) -> str:
 
 
 def _written(location: KeyPath, data: Any) -> KeyPath:
-    """Drop from pydantic's location what is not in the file: names of union members and of missing keys."""
+    """Drop names of union members and of missing keys, which are not in the file, from pydantic's location."""
     keys: list[str | int] = []
     for key in location:
         if key in (data if isinstance(data, dict) else range(len(data)) if isinstance(data, list) else ()):
@@ -119,7 +119,7 @@ def _fields(annotation: Any, keys: KeyPath) -> set[str]:
 
 
 def _sentence(error: ErrorDetails) -> str:
-    """Say in our words what pydantic found."""
+    """Translate pydantic's error into a sentence of gtau."""
     value, context = error["input"], error.get("ctx", {})
     written = "null" if value is None else f"'{shorten(str(value), 60)}'"
     written = "a list" if isinstance(value, list) else "a group of keys" if isinstance(value, dict) else written

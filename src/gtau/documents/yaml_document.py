@@ -38,7 +38,7 @@ class Document:
         return self.lines.get(keys) if keys else None
 
     def error(self, keys: KeyPath, problem: str) -> GtauError:
-        """Make an error that names the file, the line and the dotted key; `problem` says what to write instead."""
+        """Make an error that names the file, the line and the dotted key; `problem` states the correct form."""
         place = [str(self.path)]
         if (line := self.line(keys)) is not None:
             place.append(f"line {line}")
@@ -145,7 +145,7 @@ class _Composer:
             if key.value in mapping:
                 raise self.error(key, f"the key '{key.value}' is written twice; keep one of them")
             mapping[key.value] = self.value(next(self.events), (*keys, key.value))
-            # The key's line is where a person looks, also when its value begins below it.
+            # Users look at the key's line, even if its value begins below it.
             self.lines[(*keys, key.value)] = key.start_mark.line + 1
         return mapping
 
@@ -182,7 +182,7 @@ def _syntax(error: yaml.MarkedYAMLError) -> str:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Safe, and with joints called ``11`` as they are written by hand, without quotes."""
+    """Safe YAML dumper that writes joints called ``11`` without quotes, as by hand."""
 
 
 def _text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
@@ -203,7 +203,7 @@ def yaml_text(data: Any, flow: bool | None = None, width: float = 120) -> str:
     flow : bool, optional
         Whether all of it is in braces and brackets; if left out, only the innermost groups do.
     width : float
-        Characters after which a line is broken.
+        Maximum line length in characters.
     """
     text: str = yaml.dump(
         data, Dumper=_Dumper, default_flow_style=flow, sort_keys=False, width=width, allow_unicode=True

@@ -1,4 +1,4 @@
-"""Check the logs of an experiment before an identification: their contents and all their faults."""
+"""Check the logs of an experiment before identification: list their contents and all faults."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class WrenchCheck:
 
 @dataclass(frozen=True, eq=False)
 class LogCheck:
-    """One log: its joints, and at its decimated samples positions (K, n), what is used of them, and distances.
+    """One log: its joints, and positions (K, n), usable samples and distances at the decimated instants.
 
     ``rows`` is the number of decimated samples, ``validation`` whether the file lists the run under that key.
     """
@@ -262,7 +262,7 @@ def few_rows(logs: Sequence[LogCheck]) -> list[Note]:
 
 
 def _together(dataset: Dataset, estimator: Estimator, gains: np.ndarray | None, chosen: bool) -> list[Note]:
-    """Note what only all runs together show: the scale of the gains, the payload's effect, inseparable parameters."""
+    """Note findings that need all runs: the scale of the gains, the payload's effect, inseparable parameters."""
     system = dataset.system(Friction())
     notes = [*map(note, command_lag(dataset, system)), *not_separated(system.unexcited)]
     try:

@@ -1,4 +1,4 @@
-"""What is to be identified: a robot, its runs and what is known, from an experiment file or given in Python."""
+"""Subject of an identification: a robot, its runs and priors, from an experiment file or given in Python."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ OF_RUNS = "the runs of a robot are a list of runs; read each log with gtau.read_
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A robot with its runs, and what is known: ``priors`` with those of data sheets, and ``stated`` without.
+    """A robot with its runs and prior knowledge: ``priors`` with those of data sheets, and ``stated`` without.
 
-    ``gain_stds`` are the standard deviations of the gains expected, where they are known; ``experiment`` is None where
+    ``gain_stds`` are the standard deviations of the prior gains, where stated; ``experiment`` is None where
     robot and runs were given in Python. ``prior_inertias`` is the relative standard deviation of the inertias of the
     robot's file where these are among the priors, else 0.
     """
@@ -63,12 +63,12 @@ def subject_of(
     progress: Progress = silent,
     prior_inertias: float | None = None,
 ) -> Subject:
-    """Read an experiment, or take a robot with its runs; what is given beside an experiment replaces what it says.
+    """Read an experiment, or take a robot with its runs; arguments replace the experiment's own entries.
 
     Raises
     ------
     GtauError
-        Where a file is wrong, or a robot has no runs, an experiment other ones, or something is of another type.
+        If a file is wrong, a robot comes without runs, an experiment with runs, or an argument has a wrong type.
     """
     found = describe(source, runs, prior_gains, priors, prior_inertias)
     if found.experiment is None:
@@ -154,7 +154,7 @@ def read_runs(experiment: Experiment, runs: Sequence[LoggedRun], progress: Progr
 def geometry_of(
     experiment: Experiment, runs: Sequence[LoggedRun], model: InverseDynamics, progress: Progress = silent
 ) -> GeometryTest | None:
-    """Test the robot's geometry by the poses logged in runs; None where the experiment has none. Raises GtauError."""
+    """Test the robot's geometry against the logged poses; None if no pose is logged. Raises GtauError."""
     signals = experiment.signals
     if signals.pose is None:
         return None
@@ -237,6 +237,6 @@ def require_same(model: IdentifiedModel, robot: Robot, kind: str, where: str) ->
 
 
 def _mechanism(robot: Robot) -> Robot:
-    """Take from a robot what its equations of motion do not depend on."""
+    """Reduce a robot to its mechanism: drop the parts that do not enter its equations of motion."""
     joints = tuple(replace(joint, limits=Limits()) for joint in robot.joints)
     return replace(robot, name="", source="", notes=(), joints=joints)

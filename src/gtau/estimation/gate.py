@@ -31,7 +31,7 @@ def require_inputs(
     priors: Mapping[str, Prior],
     consistent: bool = False,
 ) -> np.ndarray | None:
-    """Check that an estimator can take what is known, and return the gains (n,) given to it; None if it finds them.
+    """Check that an estimator accepts the priors, and return its given gains (n,); None if it estimates them.
 
     Raises
     ------
@@ -51,7 +51,7 @@ def require_identifiable(
     chosen: bool = True,
     prior_gains: Mapping[str, float] | None = None,
 ) -> tuple[Estimator, np.ndarray | None]:
-    """Check that the runs fix the scale of the gains, unless these are given; return what is to be done about them.
+    """Check that the runs fix the scale of the gains, unless these are given; return the estimator and its gains.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def require_identifiable(
     Raises
     ------
     GtauError
-        Where nothing gives the scale of currents, or what the estimator chosen needs.
+        If nothing fixes the scale of the currents, or the chosen estimator lacks an input.
     """
     if gains is not None:
         return estimator, gains
@@ -100,7 +100,7 @@ def tests_torques(system: System) -> bool:
 def _require_priors_taken(
     estimator: Estimator, robot: Robot, runs: Sequence[Run], priors: Mapping[str, Prior], consistent: bool = False
 ) -> None:
-    """Check that an estimator can take what is known beside currents and payloads.
+    """Check that an estimator accepts torque sensors and known parameters.
 
     Raises
     ------
@@ -127,14 +127,14 @@ def _require_priors_taken(
 
 
 def usable(estimator: Estimator, priors: Mapping[str, Prior]) -> Mapping[str, Prior]:
-    """Return the priors that join the currents in an estimator; others use them only for consistent parameters."""
+    """Return the priors that an estimator uses as equations; others use them only for consistent parameters."""
     return priors if estimator.takes_priors else {}
 
 
 def _gains_for(
     estimator: Estimator, robot: Robot, runs: Sequence[Run], prior_gains: Mapping[str, float] | None
 ) -> np.ndarray | None:
-    """Return the gains (n,) that an estimator takes: prior ones, 1 of torques; None where it may estimate them.
+    """Return the given gains (n,) of an estimator: prior ones, 1 for torques; None if it estimates them.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""How much each finding matters to an identification: the one place that grades notes."""
+"""Severity of findings: the one place that grades notes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gtau.signals.notes import Kind, Note
 
 
 class Grade(StrEnum):
-    """How much a finding matters, the worst first."""
+    """Severity of a finding, the worst first."""
 
     ERROR = "error"
     WARNING = "warning"
@@ -49,7 +49,7 @@ EXIT_CODES: Mapping[Grade, int] = {Grade.ERROR: 2, Grade.WARNING: 3, Grade.INFOR
 
 
 def grade_of(note: Note) -> Grade:
-    """Grade a note: by its kind, and repairs by the share of the samples that they cost."""
+    """Grade a note by its kind, and repairs by the share of samples lost."""
     if note.kind == Kind.REPAIR and (note.share or 0.0) > COSTLY_REPAIR:
         return Grade.WARNING
     return GRADES[note.kind]

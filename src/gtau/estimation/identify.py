@@ -1,4 +1,4 @@
-"""From an experiment to a result: what is to be identified, from which runs, and how."""
+"""Identify a robot: from an experiment to a result."""
 
 from __future__ import annotations
 
@@ -69,11 +69,11 @@ def identify(
     Parameters
     ----------
     source : path, Experiment or Robot
-        An experiment file, or what was read of it; or a robot, together with ``runs``.
+        An experiment file or the experiment read from it; or a robot, together with ``runs``.
     runs : sequence of Run, optional
         From :func:`gtau.read_run`; only with a robot.
     method : str, optional
-        A name of :data:`gtau.estimation.estimators.registry.NAMES`; docs/lookup/verdicts.md says what each is, and when
+        A name of :data:`gtau.estimation.estimators.registry.NAMES`; docs/lookup/verdicts.md describes each, and when
         to choose it. If left out, maximum likelihood ("ml"), or least squares with given gains ("wls") where logs hold
         torques and nothing tests their scale; with ``as_paper`` the paper's total least squares ("tls"), "wls" of
         torques.
@@ -90,7 +90,7 @@ def identify(
         Also find standard parameters that rigid bodies can have (see
         :mod:`gtau.estimation.estimators.physical_consistency`).
     priors : mapping, optional
-        What is known of standard and base parameters, by name, as :class:`gtau.Prior` or as a mapping like those of
+        Priors on standard and base parameters, by name, as :class:`gtau.Prior` or as a mapping like those of
         the experiment file (``{"value": 1.2, "std": 0.4}``); the experiment file's if left out.
     accuracy : float
         Half the relative width of the 95 % interval up to which a gain is good, 0.03 for 3 %.
@@ -108,7 +108,7 @@ def identify(
     Raises
     ------
     GtauError
-        Where a file is wrong, the data cannot be used, or they cannot give what the method asks for.
+        If a file is wrong, the data cannot be used, or they lack an input of the method.
     """
     options = AS_PAPER if as_paper else DEFAULT
     if method is not None:

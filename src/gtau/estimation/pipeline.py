@@ -1,4 +1,4 @@
-"""The identification itself: from the reduced runs to a result, the same for every estimator."""
+"""Identify from reduced runs: the steps from factors to a result, the same for every estimator."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from gtau.estimation.thresholds.estimates import ACCURACY
 
 @dataclass(frozen=True)
 class Options:
-    """What is done beside the estimator.
+    """Options of an identification beside the estimator.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ def estimate(
     prior_gains: Mapping[str, float] | None = None,
     consistent: bool = False,
 ) -> Result:
-    """Estimate parameters, drive gains and their uncertainties from reduced runs, and say what to believe.
+    """Estimate parameters, drive gains and their uncertainties from reduced runs, with verdicts.
 
     Parameters
     ----------
@@ -90,9 +90,9 @@ def estimate(
     given : Given
         Gains, where the estimator takes them, and priors.
     options : Options
-        What is done beside the estimator.
+        Options beside the estimator.
     prior_gains : mapping, optional
-        Gains expected, N m/A or N/A, by joint, to hold the estimates against.
+        Expected gains, N m/A or N/A, by joint, to compare the estimates with.
     consistent : bool
         Also find physically consistent standard parameters.
 

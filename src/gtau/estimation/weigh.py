@@ -1,4 +1,4 @@
-"""Weighing payloads: what an identified robot can say of an unknown load (paper, section 5.2)."""
+"""Weighing payloads: unknown loads estimated with an identified robot (paper, section 5.2)."""
 
 from __future__ import annotations
 
@@ -41,16 +41,16 @@ def weigh(
 ) -> tuple[PayloadEstimate, ...]:
     """Weigh the unknown payloads of an experiment by WLS, the robot re-identified from its runs without payload.
 
-    Runs with a known payload are left out, as a known mass would weigh the others by itself, whatever the gains; only
-    where no run is without payload are they what the unknown ones are compared with.
+    Runs with a known payload are left out, since a known mass would fix the scale whatever the gains; they are the
+    reference for the unknown payloads only if no run is without payload.
 
     Parameters
     ----------
     model : Result
         Identified model: its gains, their uncertainty, and its preparation of the signals.
     source : path, Experiment or Robot
-        An experiment file, or what was read of it; or the robot, together with ``runs``. At least one run is of unknown
-        payload and one of another load.
+        An experiment file or the experiment read from it; or the robot, together with ``runs``. At least one run
+        carries an unknown payload and one another load.
     runs : sequence of Run, optional
         From :func:`gtau.read_run`; only with a robot.
     gains : {"identified", "prior"}
@@ -64,8 +64,8 @@ def weigh(
     Returns
     -------
     tuple of PayloadEstimate
-        One for each run with an unknown payload. The standard deviations include what the gains' own uncertainty does,
-        of prior gains as far as their standard deviations are given (see :func:`gtau.estimation.weigh.exact_gains`).
+        One for each run with an unknown payload. The standard deviations include the uncertainty of the gains,
+        for prior gains only where their standard deviations are given (see :func:`gtau.estimation.weigh.exact_gains`).
 
     Raises
     ------
@@ -116,7 +116,7 @@ def weigh(
 
 
 def exact_gains(experiment: Experiment, gains: str) -> tuple[str, ...]:
-    """List the joints whose gain weighing takes for exact, as no standard deviation of it is known."""
+    """List the joints whose gain is treated as exact, because its standard deviation is unknown."""
     if gains != "prior":
         return ()
     return tuple(joint for joint in experiment.signals.joints if joint not in experiment.gain_stds)

@@ -144,7 +144,7 @@ def hull(path: Path, scale: float, pose: Pose) -> Shape:
         mesh = coal.MeshLoader().load(str(path), np.full(3, scale))
         mesh.buildConvexHull(False, "Qt")
     except (ValueError, RuntimeError) as error:
-        raise GtauError(f"{path} is no mesh that can be read ({str(error).splitlines()[0]}); correct it.") from None
+        raise GtauError(f"{path} cannot be read as a mesh ({str(error).splitlines()[0]}); correct it.") from None
     return mesh.convex, pose.rotation, pose.position
 
 

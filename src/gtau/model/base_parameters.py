@@ -26,7 +26,7 @@ DRAWS = 12  # after which the rank must have settled
 
 @dataclass(frozen=True, repr=False)
 class BaseParameters:
-    """A set of base parameters, each with the standard parameters that it regroups.
+    """Base parameters, each with the standard parameters that it regroups.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class BaseParameters:
     matrix : ndarray
         (count, n_st): base parameters from standard ones, ``chi = matrix @ chi_st``.
     without_effect : tuple of str
-        Standard parameters that act on no actuated joint.
+        Standard parameters without effect on any actuated joint.
     inertial_count : int
         Number of base parameters without rotor inertia, friction and offset.
     """
@@ -64,7 +64,7 @@ class BaseParameters:
 def symmetric_order(robot: Robot, names: Sequence[str]) -> list[str]:
     """Order ``names`` as eq. (23): platforms first, then parameter by parameter over like legs.
 
-    Joints on the way to a motor stand before the others, so that no coupling bar takes up what belongs to a motor.
+    Joints between the ground and a motor precede the others, so that coupling bars take up no motor's parameters.
     """
     order = [Parameter(kind, platform.name).name for platform in robot.platforms for kind in INERTIAL]
     kinds = list(dict.fromkeys(parameter_of(name).kind for name in names))
@@ -81,13 +81,13 @@ def symmetric_order(robot: Robot, names: Sequence[str]) -> list[str]:
 
 
 def of_drive(name: str, joint: str) -> bool:
-    """Decide whether a standard parameter belongs to the drive of a joint."""
+    """Return whether a standard parameter is a drive parameter."""
     kind, body, _ = parameter_of(name)
     return kind in DRIVE and body == joint
 
 
 def seen_by_sensor(names: Sequence[str], joint: str) -> np.ndarray:
-    """Mark with 1 the standard parameters that the sensor of a joint measures in its row, with 0 those of the drive."""
+    """Mark the standard parameters measured by a joint torque sensor with 1, those of the drive with 0."""
     return np.array([not of_drive(name, joint) for name in names], dtype=float)
 
 
@@ -100,24 +100,24 @@ def base_parameters(
 
     The regressor of random feasible states is factorised by QR without pivoting, its columns
     normalised and in the symmetric order of eq. (23); a column that depends on those kept before it is
-    skipped, and its parameter regrouped with theirs (eq. 22). States are drawn until as many again change no rank.
+    skipped, and its parameter regrouped with theirs (eq. 22). States are drawn until one more draw keeps the rank.
 
     Parameters
     ----------
     idm : InverseDynamics
         Model of the robot.
     seed : int
-        Of the random states.
+        Seed of the random states.
     sensors : sequence of str
         Joints with a torque sensor: their rows without the drive's parameters are added to the others, and separate the
         inertia of a rotor from that of the link.
     progress : callable
-        Called as the work goes on.
+        Progress callback.
 
     Raises
     ------
     GtauError
-        Where the robot's limits leave no feasible states, or more states keep adding base parameters.
+        No state within the robot's limits is feasible, or the rank keeps growing with more states.
     """
     if unknown := [joint for joint in sensors if joint not in idm.actuated]:
         raise GtauError(f"'sensors' names {unknown[0]!r}, but the actuated joints are {', '.join(idm.actuated)}.")
@@ -215,7 +215,7 @@ def _term(coefficient: float, name: str) -> str:
 
 
 def whole_mass(base: BaseParameters, standard: Sequence[str]) -> str:
-    """Return the name of the base parameter that is the mass (kg) of all bodies of a floating robot, or an empty one.
+    """Return the name of the base parameter equal to the total mass (kg) of a floating robot, or an empty one.
 
     ``standard`` are the names of the standard parameters, the columns of ``base.matrix``.
     """

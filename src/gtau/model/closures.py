@@ -1,7 +1,7 @@
 """Loop-closure equations derived from the geometry (paper, eqs. 3 to 10).
 
-A closure ties two frames; its residual is how far their origins (and, for a weld, their axes) are
-apart in base axes. A coupling ties joint coordinates by a linear equation. Differentiated once both
+A closure ties two frames; its residual is the offset of their origins (and, for a weld, the misalignment of
+their axes) in base axes. A coupling ties joint coordinates by a linear equation. Differentiated once both
 give ``G yd = 0``, in which the columns of the passive coordinates are J_k and J_tk of the paper and
 those of the actuated ones B_p; differentiated twice, ``G ydd + gamma = 0``.
 """
@@ -33,7 +33,7 @@ from gtau.robots.robot import Attachment
 
 @dataclass(frozen=True)
 class ClosureEquations:
-    """The closures of a robot, ready to be evaluated for many samples.
+    """Closure equations of a robot, compiled for evaluation at many samples.
 
     ``columns`` maps c to the residual (rows,), ``G`` of the passive coordinates (rows, n_passive) and of the
     actuated ones (rows, n). ``step`` maps c to the configuration after a step of Newton's method, the largest
@@ -66,7 +66,7 @@ def _acceleration(
 
 
 def assembly_errors(layout: Coordinates, c: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Compute the errors of closures and couplings at any distance from a closed pose.
+    """Compute the errors of closures and couplings at arbitrary configurations, closed or not.
 
     Near one it is the residual of :func:`closure_expressions`. That of a weld whose frames are turned by an angle is
     its sine, zero again at half a turn; here it is twice the sine of half the angle.
@@ -181,7 +181,7 @@ def closure_maps(layout: Coordinates) -> ClosureMaps:
     J = ca.SX(layout.n_y, len(actuated))
     J[actuated, :] = ca.SX.eye(len(actuated))
     J[passive, :] = constant(np.diag(unit[passive])) @ solve(G_p, -G_a, refine=True)[0]  # J_p and J_t of the paper
-    yd_all, ydd_all = J @ qd, J @ qdd  # eqs. (5) and (7); eqs. (6) and (8) but for what the speeds add
+    yd_all, ydd_all = J @ qd, J @ qdd  # eqs. (5) and (7); eqs. (6) and (8) without the velocity terms
     drift, _ = solve(G_p, -ca.substitute(gamma, yd, yd_all), refine=True)
     ydd_all[passive] += drift * unit[passive]  # eqs. (6) and (8)
     return ClosureMaps(
@@ -264,7 +264,7 @@ def solve(a: ca.SX, b: ca.SX, refine: bool) -> tuple[ca.SX, ca.SX]:
     b : SX
         (m, k).
     refine : bool
-        Whether to refine.
+        True for one step of iterative refinement.
 
     Returns
     -------

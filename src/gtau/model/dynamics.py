@@ -59,7 +59,7 @@ def _wrench(chi: dict[str, ca.SX], body: str, twist: Twist, acceleration: Twist)
 
 
 def spring_length(spring: Spring, frame: dict[str, Frame]) -> tuple[ca.SX, ca.SX]:
-    """Express the distance of a spring's points and the unit vector (3,) from its first to its second, in base axes."""
+    """Express the length of a spring and the unit vector (3,) from its first to its second attachment, in base axes."""
     line = attached_frame(spring.b, frame)[1] - attached_frame(spring.a, frame)[1]
     length = ca.sqrt(ca.sumsqr(line) + TOUCHING**2)
     return length, line / length
@@ -93,9 +93,9 @@ def torques(
     J : SX
         ``dy/dq`` (n_y, n): the identity in the actuated rows, J_t and J_p in the others.
     chi : dict
-        Standard parameters by name; drive parameters that are missing do not act.
+        Standard parameters by name; missing drive parameters are zero.
     gravity : SX, optional
-        In base axes (3,), m/s2; the robot's if left out.
+        In base axes (3,), m/s2; the robot's if omitted.
     """
     robot = layout.robot
     frame = frames(layout, c)
@@ -136,7 +136,7 @@ def torques(
 
 
 def wrench_torques(layout: Coordinates, c: ca.SX, J: ca.SX, frames_of: Sequence[WrenchFrame], wrenches: ca.SX) -> ca.SX:
-    """Express what wrenches on bodies from outside add to the torques of the actuated joints, ``J^T w`` (n,).
+    """Express the generalised forces of external wrenches on bodies, ``J^T w`` (n,), at the actuated joints.
 
     By the principle of virtual power (eq. 14), as in :func:`torques`: the motors' torques are less by these.
 

@@ -1,7 +1,7 @@
-"""Closing a robot's home: the configuration in which its loops hold, from the model's own closure equations.
+"""Solve for the home configuration in which a robot's loops close, from the model's own closure equations.
 
-Readers take home from a file as it stands there, if it stands there at all. Here it is solved, by Levenberg-Marquardt,
-and whatever moves by more than rounding is said in a note of the robot.
+Readers return home as written in the file, if it is given. Here it is solved by Levenberg-Marquardt,
+and every displacement above rounding is reported in a note of the robot.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ from gtau.robots.readers.read import read_robot
 from gtau.robots.readers.source import RobotSource
 from gtau.robots.robot import Joint, Pose, Robot
 
-# Lengths in what follows are counted in characteristic lengths of the robot, angles in rad.
-KEPT = 1e-9  # a home that the solution leaves by less than this stays as it is written
-POOR = 100.0  # a home that was searched for and is worse than this is moved on, away from singular poses
+# Below, lengths are in characteristic lengths of the robot, angles in rad.
+KEPT = 1e-9  # a home displaced by less than this by the solution is kept as written
+POOR = 100.0  # a home found by the search and worse than this is moved further away from singular poses
 SINGULAR = 1e3  # any home is: the model accepts no pose beyond it
 DECIMALS = 12  # of a solved home: beyond them processors may differ
 NAMED = 4  # coordinates that a note lists
@@ -80,12 +80,12 @@ def load_robot(
     Returns
     -------
     Robot
-        Its ``notes`` say what a reader found odd or decided, and how far home was moved to close the loops.
+        Its ``notes`` list anomalies in the file, decisions of the reader, and the displacement of home.
 
     Raises
     ------
     GtauError
-        There is no such robot, its file is not accepted, or its loops close nowhere.
+        The robot does not exist, its file is invalid, or its loops close nowhere.
     """
     if isinstance(source, Robot):
         return source
@@ -167,7 +167,7 @@ def close_home(robot: Robot) -> Robot:
 
 
 def _roughly_closed(errors: LoopErrors, given: np.ndarray) -> np.ndarray:
-    """Find the closed configuration (n_c,) nearest to the one given, or one as nearly closed as a file's digits let."""
+    """Find the closed configuration (n_c,) nearest to the one given, or one closed up to the digits of the file."""
     rough = replace(errors, tolerance=DRAWN)
     held = closed(errors, given, errors.passive)
     if is_closed(rough, held) and not is_closed(errors, held):
@@ -193,7 +193,7 @@ def _within_limits(robot: Robot, looped: set[int]) -> Robot:
 
 
 def _at(robot: Robot, layout: Coordinates, c: np.ndarray) -> Robot:
-    """Return the robot with home at ``c`` (n_c,), up to what the processor's rounding leaves alone."""
+    """Return the robot with home at ``c`` (n_c,), rounded to digits that do not depend on the processor."""
     c = np.round(c, DECIMALS) + 0.0
     platforms = []
     for slots in layout.platforms:
@@ -211,7 +211,7 @@ def _at(robot: Robot, layout: Coordinates, c: np.ndarray) -> Robot:
 
 
 def _displacements(errors: LoopErrors, given: np.ndarray, found: np.ndarray) -> str:
-    """List what moved, and by how much, the largest displacements first."""
+    """List the displacements of joints and platforms, the largest first."""
     layout, apart = errors.layout, errors.apart(given, found)
     parts = []
     for k, joint in enumerate(layout.robot.joints):

@@ -44,12 +44,12 @@ class Regressor:
 
     @cached_property
     def program(self) -> Program:
-        """Program from the inputs of a sample to its entries."""
+        """Program that maps the inputs of a sample to its entries."""
         return self.compiled or compile_program(self.inputs, [self.matrix.nz[:]])
 
     @cached_property
     def summed(self) -> Program:
-        """Program from the inputs to torques; every entry is used as soon as it is computed."""
+        """Program that maps the inputs to torques; every entry is used as soon as it is computed."""
         chi = ca.SX.sym("chi", len(self.names))
         return compile_program(self.inputs, [self.matrix @ chi], [chi])
 
@@ -126,7 +126,7 @@ class InverseDynamics:
         self._wrenches: dict[tuple[WrenchFrame, ...], Regressor] = {}
 
     def __reduce__(self) -> tuple[type[InverseDynamics], tuple[Robot, str]]:
-        """Pickle what the model is made of: compiled programs hold symbols of CasADi, which cannot be pickled."""
+        """Pickle the arguments of the model: compiled programs hold CasADi symbols, which cannot be pickled."""
         return InverseDynamics, (self.robot, self._kind)
 
     def __repr__(self) -> str:
@@ -148,7 +148,7 @@ class InverseDynamics:
     ) -> Motion:
         """Compute the state of the whole virtual tree along a path of actuated samples (n, N).
 
-        ``labels[k]`` is what messages call sample k; the path begins from the closed configuration
+        ``labels[k]`` is the name of sample k in messages; the path begins at the closed configuration
         ``start`` (n_c,), home if left out.
         """
         return self.rates(self.path(q, labels, start), qd, qdd, labels)
@@ -176,7 +176,7 @@ class InverseDynamics:
         return self._regressors[names]
 
     def adopt(self, regressor: Regressor) -> None:
-        """Adopt a regressor, derived for several robots at once, for its ``names``."""
+        """Use a regressor derived for several robots at once for the parameters in its ``names``."""
         self._regressors[regressor.names] = regressor
 
     def wrenches(self, frames: Sequence[WrenchFrame]) -> Regressor:
@@ -215,7 +215,7 @@ class InverseDynamics:
 
     @cached_property
     def _symbolic(self) -> tuple[list[ca.SX], ca.SX]:
-        """The inputs, and the regressor (n, n_st)."""
+        """Inputs, and the regressor (n, n_st)."""
         inputs, J = self._inputs
         chi = {name: ca.SX.sym(name) for name in self.parameter_names}
         c, yd, ydd, _ = inputs
@@ -237,7 +237,7 @@ class InverseDynamics:
 
     @property
     def full(self) -> Regressor:
-        """All standard columns."""
+        """Regressor of all standard parameters."""
         return self.columns(self.parameter_names)
 
     def regressor(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
@@ -252,10 +252,10 @@ class InverseDynamics:
         Raises
         ------
         GtauError
-            Where the loops cannot be closed, or a pose is too close to a singularity.
+            The loops cannot be closed, or a pose is too close to a singularity.
         """
         W, full = np.zeros((len(q), len(self.actuated), len(self.parameter_names))), self.full
-        _ = full.program  # compiled before threads want it
+        _ = full.program  # compiled before threads need it
         self._for_blocks(q, qd, qdd, lambda block, motion: full.fill(self.layout, motion, W[block]))
         return W
 

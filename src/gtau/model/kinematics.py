@@ -21,7 +21,7 @@ from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint
 
 @dataclass(frozen=True)
 class PlatformSlots:
-    """Where a platform's numbers are in ``c`` and ``yd``."""
+    """Indices of a platform's coordinates in ``c`` and ``yd``."""
 
     platform: Platform
     position: slice
@@ -62,7 +62,7 @@ class Coordinates:
 
     @property
     def home(self) -> np.ndarray:
-        """The configuration that the robot's file gives, (n_c,)."""
+        """Configuration given in the robot's file, (n_c,)."""
         c = np.zeros(self.n_c)
         c[: len(self.robot.joints)] = [joint.home for joint in self.robot.joints]
         for slots in self.platforms:
@@ -138,7 +138,7 @@ class Twist:
 
     @property
     def moves(self) -> bool:
-        """Whether it is other than zero by its structure."""
+        """Return whether it is structurally non-zero."""
         return bool(self.angular.nnz() or self.linear.nnz())
 
 

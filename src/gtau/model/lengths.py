@@ -1,7 +1,7 @@
-"""The constants of a robot's geometry: its lengths and encoder zeros, and how the pose of a body moves with them.
+"""Geometric constants of a robot, lengths and encoder zeros, and the sensitivity of a body's pose to them.
 
-With another length the closures hold at other passive coordinates (eqs. 3 and 4); differentiated, they say how a pose
-depends on each length while the motors stand still.
+With another length the loops close at other passive coordinates (eqs. 3 and 4); differentiated, they give the
+derivative of a pose by each length at constant motor positions.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from gtau.model.kinematics import Coordinates, Shifted, coordinates, frames, twi
 from gtau.robots.geometry import characteristic_length, pose_of
 from gtau.robots.robot import Mdh, Placement, Pose, Robot
 
-# Measured on 17 robots, those of the catalog and of robot files of other people: the shortest length is 0.046 of the
+# Measured on 17 robots, those of the catalog and of third-party robot files: the shortest length is 0.046 of the
 # characteristic length and the closest two differ by 0.0013, while rounding parts equal ones by 1e-13 at most.
-SHORT = 1e-4  # of the characteristic length: what is shorter was not meant to be a length
-SAME = 1e-6  # relative difference of lengths that are meant to be the same
-HOLDING = 1e-6  # of a length's change: how far closures may be from following it
+SHORT = 1e-4  # of the characteristic length: anything shorter is not intended as a length
+SAME = 1e-6  # relative difference of lengths intended to be equal
+HOLDING = 1e-6  # of a length's change: largest closure error with which the closures still follow it
 CLOSED = 1e-11  # last correction of the passive coordinates, rad or characteristic lengths
 STEPS = 20
 
@@ -33,7 +33,7 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Constant:
-    """A constant of the geometry: a length in m that stands at one place or several, or the zero of an encoder.
+    """A geometric constant: a length in m used in one or several placements, or the zero of an encoder.
 
     ``value`` is 0 for a zero. ``directions`` are its places with the unit vectors along which it is laid off, and
     ``joint`` the number of the actuated joint whose zero it is.
@@ -62,7 +62,7 @@ class BodyPose:
 
 @dataclass(frozen=True, eq=False)
 class VariableGeometry:
-    """A robot whose ``constants`` may have other values, and the pose of one of its bodies.
+    """A robot with variable geometric ``constants``, and the pose of one of its bodies.
 
     ``program`` maps c and, for all samples alike, the shifts of all places to the residual of the closures, their
     derivatives by the scaled passive coordinates, the actuated ones and the shifts, and to the pose of the body with
@@ -146,7 +146,7 @@ class VariableGeometry:
 
 
 def variable_geometry(robot: Robot, body: str) -> VariableGeometry:
-    """Derive how the pose of a ``body`` depends on the constants of the robot's geometry.
+    """Derive the pose of a ``body`` as a function of the robot's geometric constants.
 
     The constants are the lengths of all placements (a distance and, where it is oblique, its components; d, r and b
     of MDH placements), each by itself and those that are the same together, and the zeros of the actuated joints.
@@ -175,7 +175,7 @@ def variable_geometry(robot: Robot, body: str) -> VariableGeometry:
 
 
 def models_alike(robots: Sequence[Robot], standard: Sequence[str]) -> list[InverseDynamics]:
-    """Make models of robots that differ in lengths alone; their regressors of the ``standard`` parameters are one.
+    """Make models of robots that differ only in lengths, with one shared regressor of the ``standard`` parameters.
 
     It is derived once, with the shifts of places as parameters of its program: to derive it for each robot takes most
     of the time in which several lengths are tried.
@@ -197,7 +197,7 @@ def models_alike(robots: Sequence[Robot], standard: Sequence[str]) -> list[Inver
 
 
 def _places(robot: Robot, springs: bool = False) -> Iterator[tuple[str, Placement]]:
-    """Iterate over all placements, with the words for where they are; those of ``springs`` come last."""
+    """Iterate over all placements with their descriptions; those of ``springs`` come last."""
     for joint in robot.joints:
         yield f"'{joint.name}'", joint.placement
     for number, closure in enumerate(robot.closures, start=1):
@@ -256,7 +256,7 @@ def _constants(robot: Robot, places: Sequence[tuple[str, Placement]]) -> Iterato
 
 
 def _lengths(placement: Placement) -> Iterator[tuple[str, float, Vector]]:
-    """Iterate over the lengths of a placement, with the directions in which it moves as they grow."""
+    """Iterate over the lengths of a placement, with its directions of displacement as they grow."""
     if isinstance(placement, Mdh):
         before = replace(placement, d=0.0, b=0.0, r=0.0)
         for name in ("d", "r", "b"):

@@ -13,9 +13,9 @@ from gtau.model.kinematics import Coordinates
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import Joint
 
-# Lengths are counted in characteristic lengths of the robot, angles in rad.
+# Lengths are in characteristic lengths of the robot, angles in rad.
 CLOSED = 1e-11  # largest error of a loop that is closed
-STALLED = 15  # steps that hardly help, after which a start is given up
+STALLED = 15  # steps with little improvement, after which a start is abandoned
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,7 @@ class LoopErrors:
     length : float
         Its characteristic length, m.
     unit : ndarray
-        (n_y,): what one unit of a scaled coordinate is, in rad or m.
+        (n_y,): size of one unit of a scaled coordinate, in rad or m.
     looped : ndarray
         Indices into yd of the coordinates that a closure or coupling depends on.
     function : casadi.Function
@@ -66,7 +66,7 @@ class LoopErrors:
         return float(sigma[0] / max(sigma[-1], 1e-12)) if sigma.size else 1.0
 
     def gap(self, c: np.ndarray) -> str:
-        """Find the loop that is furthest from closing at ``c`` (n_c,), and its error."""
+        """Find the loop with the largest closure error at ``c`` (n_c,), and that error."""
         robot, start, gaps = self.layout.robot, 0, []
         welds = sum(closure.kind == "weld" for closure in robot.closures)
         both = self(c)[0]
@@ -86,7 +86,7 @@ class LoopErrors:
         return max(gaps)[1]
 
     def apart(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-        """Compute the distance between the scaled coordinates (n_y,) of two configurations, full turns left out."""
+        """Compute the distance between the scaled coordinates (n_y,) of two configurations, modulo full turns."""
         layout, n_t = self.layout, len(self.layout.robot.joints)
         found = np.zeros(layout.n_y)
         change = after[:n_t] - before[:n_t]
@@ -112,7 +112,7 @@ def loop_errors(layout: Coordinates) -> LoopErrors:
 
 
 def closed(errors: LoopErrors, c: np.ndarray, moving: np.ndarray) -> np.ndarray:
-    """Close the loops by Levenberg-Marquardt, as well as that goes.
+    """Minimise the loop errors by Levenberg-Marquardt.
 
     Parameters
     ----------
@@ -160,11 +160,11 @@ def is_closed(errors: LoopErrors, c: np.ndarray) -> bool:
     return bool(np.abs(errors(c)[0]).max(initial=0.0) < errors.tolerance)
 
 
-# Lengths in what follows are counted in characteristic lengths of the robot, angles in rad.
-NEAR = 1e-3  # a home that the solution leaves by less than this is the one meant: no note
-FAR = 1.0  # what a home that the file gives may be wrong by
+# Below, lengths are in characteristic lengths of the robot, angles in rad.
+NEAR = 1e-3  # a home displaced by less than this by the solution is the intended one: no note
+FAR = 1.0  # largest admissible error of a home given in the file
 LIMITS = 1e-4  # rad or m: files round homes and limits, so one beyond a limit by less than this is within it
-WELL_CONDITIONED = 30.0  # of the scaled passive columns, where a home that is searched for is moved to
+WELL_CONDITIONED = 30.0  # condition number of the scaled passive columns that the home search aims for
 STEP = 0.1
 STARTS = 40
 MOTOR_DECIMALS = 6  # of the motors' positions in a home that was searched for: beyond them processors may differ
@@ -200,7 +200,7 @@ def nearest_closed(errors: LoopErrors, given: np.ndarray) -> np.ndarray:
 
 
 def _unwound(errors: LoopErrors, given: np.ndarray, found: np.ndarray) -> np.ndarray:
-    """Remove full turns from a configuration, which the couplings do not forgive."""
+    """Remove full turns from a configuration, except for coupled joints, whose couplings would no longer hold."""
     coupled = {name for each in errors.layout.robot.couplings for name in (each.joint, *dict(each.ratios))}
     unwound = found.copy()
     for k, joint in enumerate(errors.layout.robot.joints):
@@ -256,7 +256,7 @@ def well_conditioned(errors: LoopErrors, c: np.ndarray) -> np.ndarray:
 
 
 def with_round_motors(errors: LoopErrors, c: np.ndarray) -> np.ndarray:
-    """Find the closed configuration (n_c,) next to ``c`` whose motors stand at rounded positions, if there is one."""
+    """Find the closed configuration (n_c,) near ``c`` with rounded motor positions, if there is one."""
     rounded = c.copy()
     rounded[errors.layout.actuated] = np.round(c[errors.layout.actuated], MOTOR_DECIMALS)
     found = closed(errors, rounded, errors.passive)

@@ -1,4 +1,4 @@
-"""Closing the loops numerically, for all samples, in one assembly mode (paper, eqs. 3 and 4).
+"""Close the loops numerically, for all samples, in one assembly mode (paper, eqs. 3 and 4).
 
 Every sample is reached along a path from the home configuration: steps are halved until Newton's
 corrections shrink fast, so a solution never jumps to another assembly mode unseen. Many paths are
@@ -22,14 +22,14 @@ from gtau.model.loops import Labels, Loops, Numbers, pose_words
 RESIDUAL = 1e-12  # of a closed loop: rad, or lengths over the characteristic length
 CONTRACTION = 0.3  # a step is too long if Newton's second correction is not this much smaller
 REACH = 0.5  # or if it leads this share of the way to a singular pose, where assembly modes meet
-SHORTEST = 2.0**-14  # of the way between two samples: shorter steps mean that there is no way
+SHORTEST = 2.0**-14  # of the way between two samples: if shorter steps are needed, there is no path
 SEGMENTS = 128  # of a path, followed in parallel, each of at least SEGMENT samples
 SEGMENT = 16
 
 
-@lru_cache(maxsize=16)  # short paths, as hypotheses look at, are many
+@lru_cache(maxsize=16)  # hypotheses evaluate many short paths
 def _follower(loops: Loops, shortest: float, thread: int) -> tuple[np.ndarray, list[object]]:
-    """Make what the compiled loops work with, and what it points to; memory of its own for each thread."""
+    """Make the working memory of the compiled loops, one per thread, and the arrays that it points to."""
     equations, n_c, n = loops.equations, loops.layout.n_c, len(loops.layout.actuated)
     trial, made = aligned(n_c), aligned(n_c + 3)  # made: the configuration, then size, condition and gap
     trial[:], made[:] = 0.0, 0.0
@@ -50,7 +50,7 @@ def _follower(loops: Loops, shortest: float, thread: int) -> tuple[np.ndarray, l
 
 
 def advance(loops: Loops, c: np.ndarray, q: np.ndarray, shortest: float = SHORTEST) -> tuple[np.ndarray, np.ndarray]:
-    """Move from closed configurations ``c`` (n_c, N) straight towards ``q`` (n, N), each as far as it gets.
+    """Move from closed configurations ``c`` (n_c, N) straight towards ``q`` (n, N), each as far as the loops close.
 
     A step below the share ``shortest`` of the way is not tried.
 
@@ -84,16 +84,16 @@ def follow(
     q : ndarray
         Actuated positions (n, N), rad or m.
     labels : Labels, optional
-        What a message calls the samples; ``"sample 17"`` if left out.
+        Names of the samples in messages; ``"sample 17"`` if omitted.
     start : ndarray, optional
-        Closed configuration (n_c,) that the path begins from; home if left out.
+        Closed configuration (n_c,) at the start of the path; home if omitted.
     segments : int
         Parts of the path that are followed in parallel, at most.
 
     Raises
     ------
     GtauError
-        Where a sample cannot be reached, or not without leaving the assembly mode.
+        A sample cannot be reached within the assembly mode.
     """
     q, samples = np.ascontiguousarray(q, dtype=float), q.shape[1]
     labels = labels or Numbers()
@@ -113,7 +113,7 @@ def follow(
         c[:, starts[heads]], reached[heads] = advance(loops, c[:, starts[heads - half]], q[:, starts[heads]])
     begun = np.flatnonzero(reached)
     lost = _follow_segments(loops, q, c, starts[begun], length)
-    # a segment must begin where the one before it leads
+    # a segment must begin where the previous one ends
     led, joined = advance(loops, c[:, starts[1:] - 1], q[:, starts[1:]])
     redone = False
     for k in range(1, starts.size):

@@ -20,7 +20,7 @@ CLOSER = "correct the placements or give the passive joints a 'home' closer to t
 
 
 class Labels(Protocol):
-    """What messages call the samples."""
+    """Names of the samples in messages."""
 
     def __getitem__(self, sample: int) -> str: ...
 
@@ -37,7 +37,7 @@ class Numbers:
 
 @dataclass(frozen=True)
 class Motion:
-    """What the closures give for samples along the last axis.
+    """State of the whole virtual tree, from the closures, with samples along the last axis.
 
     ``c`` (n_c, N), ``yd`` and ``ydd`` (n_y, N), ``J = dy/dq`` (n_y, n, N), ``condition`` (N,) of the
     passive columns, lengths scaled by the characteristic length.
@@ -62,7 +62,7 @@ def joined(parts: Sequence[Motion]) -> Motion:
 
 @dataclass(frozen=True, eq=False)
 class Loops:
-    """The closures of a robot and its solved home configuration ``home`` (n_c,)."""
+    """Closures of a robot with its solved home configuration ``home`` (n_c,)."""
 
     layout: Coordinates
     equations: ClosureEquations
@@ -71,7 +71,7 @@ class Loops:
 
     @property
     def unit(self) -> np.ndarray:
-        """What one unit of a scaled passive coordinate is, in rad or m, (n_passive,)."""
+        """Size of one unit of each scaled passive coordinate, rad or m, (n_passive,)."""
         return np.where(self.layout.angular[self.layout.passive], 1.0, self.equations.length)
 
     def condition(self, c: np.ndarray) -> np.ndarray:
@@ -97,8 +97,8 @@ def close_loops(robot: Robot) -> Loops:
     Raises
     ------
     GtauError
-        Where the loops do not close near the home of the robot's file, where actuation is redundant,
-        or where passive coordinates stay free.
+        The loops do not close near the home of the robot's file, actuation is redundant,
+        or passive coordinates remain free.
     """
     layout = coordinates(robot)
     errors = loop_errors(layout)
@@ -127,7 +127,7 @@ def close_loops(robot: Robot) -> Loops:
 
 
 def _refuse_free(robot: Robot, layout: Coordinates, G_p: np.ndarray, rank: int) -> None:
-    """Refuse passive coordinates that the columns ``G_p`` of the loop equations, of a lower rank, leave free."""
+    """Refuse passive coordinates left free by rank-deficient columns ``G_p`` of the loop equations."""
     free = np.abs(np.linalg.svd(G_p)[2][rank:]).max(axis=0) > 1e-6
     held = np.abs(G_p).max(axis=0, initial=0.0) > 1e-7  # a turret under a loop turns, and closes none
     names = [layout.names[k] for k in layout.passive[free]]
@@ -152,7 +152,7 @@ def _refuse_redundant(robot: Robot, G: np.ndarray, rank: int, excess: int) -> No
     """Refuse actuated joints that the loop equations tie to each other: the last columns of ``G``, of this rank."""
     n = len(robot.actuated)
     free = np.linalg.svd(G)[2][rank:, G.shape[1] - n :]  # how the motors can move
-    ties = np.linalg.svd(free)[2][n - excess :]  # and, at right angles to it, what they cannot do
+    ties = np.linalg.svd(free)[2][n - excess :]  # and its orthogonal complement, which they cannot move
     stuck = np.abs(free).max(axis=0, initial=0.0) < 1e-9
     tied = np.abs(ties).max(axis=0) > 1e-6
     fixed, apart = (
@@ -195,7 +195,7 @@ def differentiate(
     qd, qdd : ndarray
         Actuated velocities and accelerations (n, N).
     labels : Labels, optional
-        What a message calls the samples.
+        Names of the samples in messages.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Draw random feasible states of a robot, which show the structure of its model."""
+"""Draw random feasible states of a robot, to find the structure of its model."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gtau.robots.robot import Joint
 
 FEASIBLE = 0.02  # share of random poses: where fewer are, they are drawn nearer to home
 ENOUGH = 500  # poses that show the share
-MOVED = 0.1  # of the way from home to a pose: one that stops before shows no more than home does
+MOVED = 0.1  # of the way from home to a pose: one that stops earlier adds no information to home
 SMALLEST = 2.0**-8  # share of the range about home in which poses are drawn
 REGULAR = CONDITION / 10  # condition number of regular poses
 
@@ -32,7 +32,7 @@ def random_motion(idm: InverseDynamics, samples: int, rng: np.random.Generator, 
     Speeds and accelerations are normally distributed with a third of their limits (1 rad/s or m/s and
     ten times that per second where there are none) as standard deviation. A pose that cannot be
     reached in the assembly mode of home is replaced by the last one on the way to it; one that hardly left home, is
-    nearly singular or beyond the limits is drawn anew. Where few others are left, all are drawn nearer to home.
+    nearly singular or beyond the limits is redrawn. If few feasible poses remain, all are drawn closer to home.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def random_motion(idm: InverseDynamics, samples: int, rng: np.random.Generator, 
     samples : int
         States wanted.
     rng : Generator
-        Of the random numbers.
+        Random number generator.
     condition : float
         Condition number of the scaled passive columns below which a pose is regular.
 
@@ -53,7 +53,7 @@ def random_motion(idm: InverseDynamics, samples: int, rng: np.random.Generator, 
     Raises
     ------
     GtauError
-        Where hardly any pose about home is feasible.
+        Hardly any pose around home is feasible.
     """
     joints = [idm.robot.joint(name) for name in idm.actuated]
     length = idm.loops.equations.length if idm.loops else 1.0
@@ -89,7 +89,7 @@ def _regular(
     if idm.loops is None:
         return idm.motion(q, qd, qdd)
     home = idm.loops.home[:, None]
-    # no shorter steps: poses well before a singularity serve better than those as near to it as can be
+    # no shorter steps: poses well before a singularity are better than those very close to it
     c, _ = advance(idm.loops, np.repeat(home, q.shape[1], axis=1), q, shortest=2.0**-7)
     arrived, start = c[idm.layout.actuated], home[idm.layout.actuated]
     inside = ((bounds[:, :1] <= arrived) & (arrived <= bounds[:, 1:])).all(axis=0)  # home may lie outside

@@ -1,4 +1,4 @@
-"""Loops that close only up to the digits of their file: the placements in them are moved so that they close exactly.
+"""Adjust the placements in loops that close only up to the digits of their file, so that they close exactly.
 
 A planar loop has more closure equations than it needs, since none of its bars leaves the plane. With rounded numbers
 its pins are no longer parallel, and taken literally no joint of it could move. The placements nearest to the written
@@ -17,10 +17,10 @@ from gtau.model.loop_closure import CLOSED, LoopErrors, closed, loop_errors
 from gtau.robots.geometry import angles_of, turn
 from gtau.robots.robot import GROUND, Attachment, Closure, Joint, Placement, Pose, Robot
 
-# Lengths are counted in characteristic lengths of the robot, angles in rad.
-DRAWN = 1e-2  # at three decimals, the worst of 40 planar loops: gap 3e-3, placements moved by 1.3e-3
+# Lengths are in characteristic lengths of the robot, angles in rad.
+DRAWN = 1e-2  # with three decimals, the worst of 40 planar loops: gap 3e-3, placements moved by 1.3e-3
 LITERAL = 1e-13  # gap of loops that close as they are written: on all robots of the catalog 8e-16 at most
-POSES = 12  # in which loops have to close: more than a placement has coordinates
+POSES = 12  # number of poses in which loops must close: more than the coordinates of a placement
 SPREAD = 0.3  # of the motors around home
 STEPS = 12
 EXACT = 1e-14  # gap at which the placements are final
@@ -36,7 +36,7 @@ def with_exact_loops(robot: Robot, errors: LoopErrors, home: np.ndarray) -> Robo
     errors : LoopErrors
         Of the robot.
     home : ndarray
-        Configuration (n_c,) in which the loops close as well as they do.
+        Configuration (n_c,) that minimises the loop errors.
 
     Returns
     -------
@@ -64,7 +64,7 @@ def with_exact_loops(robot: Robot, errors: LoopErrors, home: np.ndarray) -> Robo
 
 
 def _moving(errors: LoopErrors, home: np.ndarray) -> np.ndarray | None:
-    """Select the coordinates (indices into yd) that close the loops, motors that are one too many among them.
+    """Select the coordinates (indices into yd) that close the loops, redundant motors included.
 
     None where there are no more equations than such coordinates.
     """
@@ -86,7 +86,7 @@ def _moving(errors: LoopErrors, home: np.ndarray) -> np.ndarray | None:
 
 
 def _around(errors: LoopErrors, home: np.ndarray, moving: np.ndarray) -> Iterator[np.ndarray]:
-    """Iterate over home and configurations around it, in which the motors that move the loops stand elsewhere."""
+    """Iterate over home and configurations around it, with other positions of the motors in the loops."""
     rng, motors = np.random.default_rng(0), np.setdiff1d(errors.looped, moving)
     yield home
     for _ in range(POSES - 1):

@@ -36,7 +36,7 @@ NO_MOTION = 1e-7  # share of the largest singular value of J_t: rounding
 
 @dataclass(frozen=True, eq=False)
 class Singularities:
-    """The singularities of a robot.
+    """Singularities of a robot, prepared for evaluation along motions.
 
     ``J_t`` maps c and the passive rows of J to the tool's Jacobian, lengths in characteristic lengths; ``rank`` is the
     one that it has at most poses, ``largest`` its largest singular value there.
@@ -56,7 +56,7 @@ class Singularities:
     def distances(self, motion: Motion) -> np.ndarray:
         """Compute the distances (2, N) to singularities of type 1 and 2; NaN for type 2 without closures."""
         s = np.linalg.svd(self.jacobian(motion), compute_uv=False)[:, : self.rank]
-        if self.rank == 1:  # nothing to compare with in the pose itself
+        if self.rank == 1:  # a single singular value has no reference in the pose itself
             type_1 = np.minimum(s[:, 0] / self.largest, 1.0)
         else:
             share = s / np.hypot(1.0, s)
@@ -78,7 +78,7 @@ def singularities(idm: InverseDynamics) -> Singularities:
     Raises
     ------
     GtauError
-        Where the loops cannot be closed, or hardly any pose is regular.
+        The loops cannot be closed, or hardly any pose is regular.
     """
     program = compile_program(*_tool_jacobian(idm.layout))
     found = Singularities(idm.layout, program, 0, 0.0)

@@ -1,4 +1,4 @@
-"""Floating bases: a free body that carries the rest of a robot, written as joints of the one tree.
+"""Floating bases: a free body that carries the rest of a robot, modelled as six joints of the tree.
 
 The base moves in the world by three slides and three turns without motors, about x, the turned y, and z of the base.
 The last of these six joints has the name of the base, and its link is the base. Their rows of the model are the six
@@ -23,7 +23,7 @@ WRENCH = ("moment_x", "moment_y", "moment_z", "force_x", "force_y", "force_z")
 
 
 class WrenchFrame(NamedTuple):
-    """The body on which a wrench acts, and whether its axes and origin are those of the world, or of the body."""
+    """Frame of a wrench: the body on which it acts, and whether axes and origin are the world's or the body's."""
 
     body: str
     of_world: bool = False
@@ -49,14 +49,14 @@ def base_joints(name: str) -> tuple[Joint, ...]:
 
 
 def float_base(robot: Robot, name: str = "base") -> Robot:
-    """Let the ground of a robot float: what stood on it is then carried by a body ``name``.
+    """Let the base of a robot float: everything mounted on the ground is then carried by a body ``name``.
 
     Parameters
     ----------
     robot : Robot
         Its joints keep their motors; those of the base have none.
     name : str
-        Of the base, and of its parameters.
+        Name of the base and of its parameters.
 
     Returns
     -------
@@ -86,9 +86,9 @@ def float_base(robot: Robot, name: str = "base") -> Robot:
 
 
 def drawn_base(robot: Robot) -> tuple[str, ...]:
-    """Find six joints without motors and ties, three slides and three turns, by which a file draws a floating base.
+    """Find six unactuated, untied joints, three slides and three turns, that represent a floating base in a file.
 
-    They follow each other from the ground and carry all others; without such, none.
+    They form a chain from the ground and carry all others; none if there is no such chain.
     """
     before, found = GROUND, list[Joint]()
     while len(found) < 6:
@@ -106,7 +106,7 @@ def drawn_base(robot: Robot) -> tuple[str, ...]:
 
 
 def refuse_floating(robot: Robot, what: str) -> None:
-    """Refuse a robot whose base floats, where ``what`` ("exciting trajectories are") wants a fixed one."""
+    """Refuse a robot with a floating base where ``what`` ("exciting trajectories are") requires a fixed one."""
     if robot.floating:
         raise GtauError(
             f"robot '{robot.name}': its base '{robot.floating}' floats, and {what} not supported there; if the base "

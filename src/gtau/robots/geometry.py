@@ -1,4 +1,4 @@
-"""Compose poses and frames, read angles written short, and find legs of the same geometry."""
+"""Compose poses and frames, restore angles written short, and find legs of identical geometry."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Frame = tuple[np.ndarray, np.ndarray]
 
 
 def rounded(number: float, unit: float = 1.0) -> float:
-    """Round a number that only rounding keeps from a multiple of `unit`."""
+    """Round a number that equals a multiple of `unit` up to rounding."""
     multiple = round(number / unit) * unit
     return multiple if abs(number - multiple) < ROUNDING else float(number)
 
@@ -77,20 +77,20 @@ def exact_rotation(rotation: np.ndarray) -> np.ndarray:
 
 
 def written_pose(xyz: Iterable[float], rpy: Iterable[float]) -> tuple[Pose, float]:
-    """Return the pose that a file gives, and by how much (rad) an angle in it was changed (see :func:`exact_angle`)."""
+    """Return the pose that a file gives, and the largest change (rad) of an angle in it (see :func:`exact_angle`)."""
     given = tuple(rpy)
     angles = tuple(map(exact_angle, given))
     return rounded_pose(xyz, angles), largest_change(given, angles)
 
 
 def largest_change(given: Iterable[float], taken: Iterable[float]) -> float:
-    """Return the largest difference of angles, zero where it is but rounding in double precision."""
+    """Return the largest difference of angles, zero if within double-precision rounding."""
     change = max((abs(a - b) for a, b in zip(given, taken, strict=True)), default=0.0)
     return change if change > ROUNDING else 0.0
 
 
 def short_angles_note(changes: Mapping[str, float]) -> tuple[str, ...]:
-    """Note the places whose angles a file writes short, with the largest change, rad; none where there are no such."""
+    """Note the places of angles written short, with the largest change, rad; no note without such angles."""
     if not (listed := [name for name, change in changes.items() if change]):
         return ()
     shown = ", ".join(f"'{name}'" for name in listed[:6]) + (f" and {len(listed) - 6} more" if len(listed) > 6 else "")
@@ -191,8 +191,8 @@ def legs(robot: Robot) -> list[tuple[str, ...]]:
 def identical_legs(robot: Robot) -> list[list[tuple[str, ...]]]:
     """Group legs by their geometry, each seen in the frame of its own first link.
 
-    Legs are alike whose joints have the same kinds, axes, parameters and placements, and are tied by the same closures
-    and springs at the same places. Where a leg stands, its home and its limits do not count.
+    Legs are identical if their joints have the same kinds, axes, parameters and placements, and the same closures
+    and springs at the same places. Mounting pose, home and limits of a leg are ignored.
     """
     groups: dict[tuple, list[tuple[str, ...]]] = {}
     for leg in legs(robot):

@@ -1,4 +1,4 @@
-"""Fingers of a gripper, which carry no payload by themselves."""
+"""Detect the fingers of a gripper, which carry no payload by themselves."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping
 
 
 def palm(carriers: Mapping[str, str], last: str, links: Collection[str], base: Collection[str]) -> str:
-    """Find the link that carries the fingers of which ``last`` is one; without such ``last`` itself.
+    """Find the link that carries the fingers if ``last`` is one of them; else ``last`` itself.
 
     Fingers are branches of an arm: another has as many joints, or three others are alike as beside a thumb, and none
     has more joints than there are before them. So the arms of a torso, and legs, are none.
@@ -15,13 +15,13 @@ def palm(carriers: Mapping[str, str], last: str, links: Collection[str], base: C
     Parameters
     ----------
     carriers : mapping
-        What carries each joint, joints in an order in which every carrier precedes its followers.
+        Carrier of each joint; every carrier precedes its followers.
     last : str
         A joint.
     links : collection of str
         Joints whose link has a mass.
     base : collection of str
-        Joints of a floating base, which are none of an arm.
+        Joints of a floating base, which do not belong to an arm.
     """
     before: dict[str, tuple[str, ...]] = {}  # from the ground to each joint
     for joint, carrier in carriers.items():

@@ -1,4 +1,4 @@
-"""Hold some joints of a robot, so that one leg, one arm of two, or an arm without its gripper is a robot of its own."""
+"""Hold some joints of a robot, to isolate one leg, one arm of two, or an arm without its gripper."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ def select_joints(robot: Robot, patterns: Sequence[str], held: Mapping[str, floa
     ----------
     robot : Robot
     patterns : sequence of str
-        Names of the joints that move, with ``*`` and ``?``; without any all move that are not in ``held``.
+        Names of the joints that move, with ``*`` and ``?``; if empty, all joints not in ``held`` move.
     held : mapping of str to float
-        Positions of joints that do not move, rad or m; the others that do not are held at home.
+        Positions of held joints, rad or m; those not named are held at home.
 
     Returns
     -------
@@ -37,7 +37,7 @@ def select_joints(robot: Robot, patterns: Sequence[str], held: Mapping[str, floa
     Raises
     ------
     GtauError
-        A pattern matches no joint, or a joint is both to move and to be held.
+        A pattern matches no joint, or a joint is both selected and held.
     """
     names = [joint.name for joint in robot.joints if joint.name not in robot.base]
     for name in held:
@@ -63,7 +63,7 @@ def select_joints(robot: Robot, patterns: Sequence[str], held: Mapping[str, floa
 def hold_joints(robot: Robot, positions: Mapping[str, float], why: str) -> Robot:
     """Hold joints at ``positions``, rad or m, and note which and ``why``.
 
-    Joints that couplings give from those held are held too.
+    Joints determined from them through couplings are held too.
     """
     positions = _with_coupled(robot, positions)
     shown = [f"'{name}' at {position:.4g}" for name, position in positions.items()]
@@ -72,14 +72,14 @@ def hold_joints(robot: Robot, positions: Mapping[str, float], why: str) -> Robot
 
 
 def lock_joints(robot: Robot, positions: Mapping[str, float]) -> Robot:
-    """Make the links of joints, at ``positions``, parts of the links that carry them, which have a mass if they had.
+    """Merge the links of joints, at ``positions``, into their carriers, which then have a mass if the links had.
 
-    A closure or a spring whose ends are then on one body is dropped.
+    Closures and springs with both ends on one body are dropped.
 
     Raises
     ------
     GtauError
-        No joint is left to move.
+        No moving joint remains.
     """
     carried = {GROUND: Attachment(GROUND)} | {platform.name: Attachment(platform.name) for platform in robot.platforms}
     joints: list[Joint] = []
@@ -144,7 +144,7 @@ def _heavy(joint: Joint) -> Joint:
 
 
 def _with_coupled(robot: Robot, positions: Mapping[str, float]) -> dict[str, float]:
-    """Complete the positions of held joints by those that couplings then determine."""
+    """Complete the positions of held joints by those determined through couplings."""
     found = dict(positions)
     settled = False
     while not settled:

@@ -10,13 +10,13 @@ import numpy as np
 from gtau.robots.parameter import parameter_of
 from gtau.robots.robot import INERTIAL, Joint, Placement, Robot
 
-TURNS = 2  # a link that turns further either way has its limits in degrees, perhaps
-FAR = 20.0  # m; a longer link is written in mm, perhaps
+TURNS = 2  # a wider range either way suggests limits in degrees
+FAR = 20.0  # m; a longer link suggests mm
 REACHED = 1e-9  # rad or m; a home on a limit is within it
 
 
 def oddities(robot: Robot) -> tuple[str, ...]:
-    """Note what is hardly meant: links of 350 m, limits of 130 rad, a home outside the limits.
+    """Note implausible entries: links of 350 m, limits of 130 rad, a home outside the limits.
 
     Parameters
     ----------
@@ -25,13 +25,13 @@ def oddities(robot: Robot) -> tuple[str, ...]:
     Returns
     -------
     tuple of str
-        A sentence each, without a full stop; empty for most robots.
+        One sentence each, without a full stop; empty for most robots.
     """
     return (*_lengths(robot), *_angles(robot), *_homes(robot))
 
 
 def tool_note(robot: Robot) -> tuple[str, ...]:
-    """Note that the payload's body is only assumed, where the file names none and several are possible."""
+    """Note that the payload's body is assumed if the file names none and several are possible."""
     antecedents = {joint.antecedent for joint in robot.joints}
     ends = [joint for joint in robot.joints if joint.has_mass and joint.name not in antecedents]
     if robot.named_tool or robot.platforms or not (robot.closures or len(ends) > 1):
@@ -45,7 +45,7 @@ def tool_note(robot: Robot) -> tuple[str, ...]:
 
 
 def massless(robot: Robot, parameters: Iterable[str]) -> tuple[str, ...]:
-    """List links and platforms of which ``parameters`` names no mass, moment or inertia, so that they have none."""
+    """List links and platforms without a mass, moment or inertia in ``parameters``, which are massless."""
     named = {parameter_of(name).body for name in parameters if parameter_of(name).kind in INERTIAL}
     links = [joint.name for joint in robot.joints if joint.has_mass]
     return tuple(body for body in (*links, *(each.name for each in robot.platforms)) if body not in named)

@@ -1,4 +1,4 @@
-"""A rigid body's ten inertial parameters as other programs write them: mass, centre of mass, inertia about it."""
+"""Ten inertial parameters of a rigid body as other programs write them: mass, centre of mass, inertia about it."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def inertial_parameters(body: RigidBody) -> dict[str, float]:
 
 
 def lumped(parts: Iterable[tuple[Attachment, RigidBody]]) -> dict[str, float]:
-    """Add up rigid bodies by the body that each is attached to: standard parameters by name, in the order of parts."""
+    """Sum rigid bodies by the body that each is attached to: standard parameters by name, in the order of parts."""
     found: dict[str, float] = {}
     for at, part in parts:
         rotation = at.placement.rotation

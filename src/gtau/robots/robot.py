@@ -97,7 +97,7 @@ Placement = Mdh | Pose
 
 @dataclass(frozen=True)
 class Limits:
-    """What an actuated joint may do; SI units, ``None`` where nothing is known."""
+    """Limits of an actuated joint; SI units, ``None`` where unknown."""
 
     position: tuple[float, float] | None = None
     velocity: float | None = None
@@ -129,7 +129,7 @@ class Joint:
 
     @property
     def has_mass(self) -> bool:
-        """Whether its link has inertial parameters."""
+        """True if its link has inertial parameters."""
         return self.parameters in ("all", "inertial")
 
 
@@ -262,9 +262,9 @@ class Robot:
 
     @property
     def tool(self) -> str:
-        """The body that carries a payload: the one named, else the last platform, else the last link with a mass.
+        """Body that carries a payload: the one named, else the last platform, else the last link with a mass.
 
-        Where this is a finger, it is what carries the fingers.
+        If this is a finger, the link that carries the fingers.
         """
         if self.named_tool:
             return self.named_tool
@@ -276,7 +276,7 @@ class Robot:
 
     @property
     def ends(self) -> tuple[Attachment, ...]:
-        """Where closures and springs are attached, both ends of each in turn."""
+        """Attachments of closures and springs, both ends of each in turn."""
         closures = (end for closure in self.closures for end in (closure.a, closure.b))
         return (*closures, *(end for spring in self.springs for end in (spring.a, spring.b)))
 
@@ -287,7 +287,7 @@ class Robot:
         return frozenset(coupled.union(self.actuated))
 
     def joint(self, name: str) -> Joint:
-        """Return the joint of that name; raises GtauError where there is none."""
+        """Return the joint with this name; raises GtauError if there is none."""
         for joint in self.joints:
             if joint.name == name:
                 return joint

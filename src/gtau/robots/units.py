@@ -1,4 +1,4 @@
-"""SI units of parameters and torques, and angles that are not in them."""
+"""SI units of parameters and torques, and detection of angles in degrees."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def position_unit(robot: Robot, joint: str) -> str:
 
 
 def command_unit(robot: Robot, joint: str, kind: str) -> str:
-    """Return the unit of what is logged of a joint: A for the ``current`` of a motor, else that of its torque."""
+    """Return the unit of a joint's logged command: A for the ``current`` of a motor, else that of its torque."""
     return "A" if kind == "current" and joint in robot.motors else torque_unit(robot, joint)
 
 

@@ -1,8 +1,8 @@
-"""Bandwidth of a motion, from the spectra of positions that hold noise of any colour.
+"""Bandwidth of a motion, from the spectra of positions with noise of any colour.
 
-In the acceleration's spectrum a motion falls with the frequency, and noise of the position rises: white noise,
-rounding and jitter with its fourth power. The valley between them is where the signal ends, whatever the level of the
-noise. The speed's power below the valley is the motion's; what lies above it is noise.
+In the acceleration spectrum the motion falls with frequency while position noise rises: white noise, rounding and
+jitter with the fourth power. The valley between them is the end of the signal, whatever the noise level. Velocity power
+below the valley belongs to the motion, power above it is noise.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from gtau.signals.samples import extremes
 from gtau.signals.storage import block
 
 SPEED_POWER = 0.999  # share of a joint's speed power below its bandwidth
-SEGMENT = 1 << 17  # samples of a periodogram, at most: those of a longer log are averaged
+SEGMENT = 1 << 17  # maximum samples per periodogram: periodograms of a longer log are averaged
 BANDS = 6  # an octave, each a third of an octave wide
 CLOSING = 5  # bands of a gap that is filled: one between two harmonics of a motion is an octave wide, less a band
 # A valley is real where the spectrum rises from it on both sides by a factor that the mean of few exponentially
@@ -25,7 +25,7 @@ PROMINENCE = 4.0
 # Polling jitter, beats and resonances make humps above the motion's valley. On a da Vinci arm polled at 200 Hz one
 # above 40 Hz holds 0.3 % of the speed's power; the weakest harmonic of the exciting motions in the shared logs, 4 %.
 HUMP = 0.02
-TOP = 0.45  # of the sampling rate: highest frequency that is looked at
+TOP = 0.45  # of the sampling rate: highest frequency evaluated
 NOISE = 0.25  # of the sampling rate: the noise of a position is measured above
 # Least range of a motion in standard deviations of the position's noise. In the shared logs joints at rest, shaken by
 # others, have 3 to 90, those that move 1900 (a da Vinci arm polled at 200 Hz) to 2e5.
@@ -55,12 +55,12 @@ class JointSpectrum:
 
     @property
     def moves(self) -> bool:
-        """True where the joint's motion stands out from the noise of its position."""
+        """True where the joint's motion exceeds its position noise."""
         return bool(np.isfinite(self.bandwidth))
 
 
 def spectra(run: Run) -> tuple[JointSpectrum, ...]:
-    """Estimate the spectra, the end of the signal and the bandwidth of every joint.
+    """Estimate spectra, end of the signal and bandwidth of every joint.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def _judge(frequency: np.ndarray, density: np.ndarray, gain: np.ndarray, moves: 
     if not density.any():
         return JointSpectrum(centre, of_band, of_band, np.nan, np.nan, 0.0)
     level = -np.log(np.maximum(grey_closing(of_band, size=CLOSING, mode="nearest"), 1e-30 * of_band.max()))
-    bottom = level.min() - 2 * np.log(PROMINENCE)  # a spectrum that falls as far as it goes ends there
+    bottom = level.min() - 2 * np.log(PROMINENCE)  # a spectrum that falls throughout ends at its last frequency
     valleys = find_peaks(np.r_[bottom, level, bottom], prominence=np.log(PROMINENCE))[0] - 1
     speed = density / gain
     held = np.cumsum(speed)
@@ -142,7 +142,7 @@ def _judge(frequency: np.ndarray, density: np.ndarray, gain: np.ndarray, moves: 
 def _is_white(frequency: np.ndarray, position: np.ndarray, valley: int, end: int) -> bool:
     """Decide whether the spectrum between a valley and the ``end`` is white noise of the position, low-passed.
 
-    It is as strong as in the valley, and far below the motion's ``position`` density.
+    Its level equals that of the valley and is far below the motion's ``position`` density.
     """
     hump = position[valley : end + 1]
     top = int(np.argmax(hump * frequency[valley : end + 1] ** 4))

@@ -1,7 +1,7 @@
 """Columns of a log on bodies: wrenches, the motion of a floating base, and a pose that tests the geometry.
 
 The pose of a base becomes positions of the six joints by which it moves (see :mod:`gtau.robots.floating`), row by row,
-so that all that follows treats them as any joint's; the wrenches on it are wrenches on a body.
+so that later stages treat them like any other joint; wrenches on the base are wrenches on a body.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class WrenchUnits(Keys):
 
 
 class Wrench(Keys):
-    """Columns of a force (N) and a moment (N m) from outside.
+    """Columns of an external force (N) and moment (N m).
 
     The moment is that about the point ``at`` (m), in the axes of the wrench: the origin of a force plate, or of a
     sensor on the body. Without columns of the moment it is zero there.
@@ -54,25 +54,25 @@ class Wrench(Keys):
 
 
 class BaseWrench(Wrench):
-    """A wrench that acts on a floating base, along the axes of the world or of the base."""
+    """External wrench on a floating base, in world or base axes."""
 
     axes: Literal["world", "base"] = "world"
 
 
 class BodyWrench(Wrench):
-    """A wrench that acts on another ``body``, along the axes of the world or of the body."""
+    """External wrench on another ``body``, in world or body axes."""
 
     body: str
     axes: Literal["world", "body"] = "world"
 
     @property
     def frame(self) -> WrenchFrame:
-        """Frame in which it acts."""
+        """Frame in which it is expressed."""
         return WrenchFrame(self.body, self.axes == "world")
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Columns behind the components of the wrench, for messages, (6,)."""
+        """Column labels of the wrench components, for messages, (6,)."""
         return (*(self.moment or (", ".join(self.force),) * 3), *self.force)
 
 
@@ -92,7 +92,7 @@ def at_origins(wrenches: Sequence[BodyWrench], values: np.ndarray, yaw: float = 
 
 
 STEEPEST = np.radians(80.0)  # pitch at which the angles' accelerations are 1 / cos = 6 times those of the base
-UNIT = 0.01  # by which the length of a quaternion may differ from 1: logs round to 2 digits and more
+UNIT = 0.01  # tolerance of a quaternion's norm: logs round to 2 digits and more
 
 
 class BaseUnits(Keys):
@@ -104,7 +104,7 @@ class BaseUnits(Keys):
 class BaseColumns(Keys):
     """Columns of the pose of a floating ``body`` in a world whose z axis points up, and of the wrenches on it.
 
-    ``position`` are x, y and z, ``quaternion`` w, x, y and z of its orientation; left out, it does not move so.
+    ``position`` are x, y and z, ``quaternion`` w, x, y and z of its orientation; an omitted one is constant.
     ``yaw`` (rad) turns the world about the vertical.
     """
 
@@ -136,7 +136,7 @@ class BaseColumns(Keys):
 
     @property
     def acting(self) -> tuple[BodyWrench, ...]:
-        """The wrenches on the base, as those on any body."""
+        """Wrenches on the base, in the form used for any body."""
         return tuple(
             BodyWrench(
                 force=each.force,
@@ -160,7 +160,7 @@ class BaseColumns(Keys):
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Columns behind the positions of the six joints, for messages."""
+        """Column labels of the six joint positions, for messages."""
         places = self.position or ("no column",) * 3
         turned = "quaternion" if self.quaternion is None else ", ".join(self.quaternion)
         return (*places, *(turned,) * 3)
@@ -211,10 +211,10 @@ AXES = "xyz"
 
 
 class Angles(Keys):
-    """Columns of angles about the axes of a ``sequence``, one for each.
+    """Columns of Euler angles, one for each axis of a ``sequence``.
 
-    Capitals turn about axes that turn with the body (``YZ`` is Ry(first) Rz(second)), small letters about fixed ones
-    (``xyz`` is roll, pitch and yaw). Of fewer than three the further ones are not logged.
+    Capitals denote intrinsic (body-fixed) axes (``YZ`` is Ry(first) Rz(second)), small letters extrinsic (fixed) ones
+    (``xyz`` is roll, pitch and yaw). With fewer than three columns the remaining angles are not logged.
     """
 
     sequence: str = Field(pattern="^([XYZ]{1,3}|[xyz]{1,3})$")
@@ -233,7 +233,7 @@ class Angles(Keys):
 
     @property
     def turning(self) -> tuple[str, tuple[str, ...]]:
-        """Three axes that turn with the body, and the columns of the first of them."""
+        """Three intrinsic axes, and the columns of the first angles."""
         fixed = self.sequence.islower()
         sequence = self.sequence[::-1].upper() if fixed else self.sequence
         for axis in "ZYX":
@@ -245,9 +245,9 @@ class Angles(Keys):
 class PoseColumns(Keys):
     """The logged components of the pose of a ``body`` (the tool, if left out).
 
-    ``source`` says whose pose it is: of the body in the base (``controller``), of a tool whose place on the body is
-    not known in the base (``tool``), or of a marker on the body in the frame of a tracker (``tracker``), which both
-    stand where nobody measured.
+    ``source`` gives its origin: of the body in the base (``controller``), of a tool with unknown mounting
+    on the body, in the base (``tool``), or of a marker on the body in the frame of a tracker (``tracker``), both with
+    unknown placement.
     """
 
     source: Literal["controller", "tool", "tracker"]

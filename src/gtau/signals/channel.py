@@ -1,4 +1,4 @@
-"""A channel: one signal in A, N m or N that the model explains or takes as given."""
+"""Measured channels: signals in A, N m or N that the model predicts or takes as given."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ class Channel:
     Attributes
     ----------
     name : str
-        As it ends the names of the channel's own parameters (``off_2_sensor``).
+        Suffix of the channel's own parameters (``off_2_sensor``).
     kind : str
-        What it is.
+        Kind of the channel.
     joint : str
-        Joint whose torque it shows; of a wrench the body.
+        Joint whose torque it measures; for a wrench the body.
     row : int
-        Row of the model with that torque, the number of the joint; of a wrench that of its component.
+        Row of the model with that torque (number of the joint); for a wrench the number of its component.
     """
 
     name: str
@@ -35,12 +35,12 @@ class Channel:
 
     @property
     def free(self) -> bool:
-        """Whether its gain may be unknown; what is measured in N m or N has the gain 1."""
+        """True where the gain may be unknown; signals in N m or N have gain 1."""
         return self.kind == "motor"
 
 
 def channels_of_model(robot: Robot, sensors: Sequence[str]) -> tuple[Channel, ...]:
-    """List the channels that have equations, (c,): the actuated joints, then the torque ``sensors``, given by joint."""
+    """List the channels with model equations, (c,): actuated joints, then torque ``sensors``, given by joint."""
     joints = robot.actuated
     return (
         *(Channel(joint, "base" if joint in robot.base else "motor", joint, row) for row, joint in enumerate(joints)),

@@ -1,7 +1,7 @@
-"""Check a log: make safe repairs and report them, refuse the rest.
+"""Log checks: report safe repairs, refuse other faults.
 
-A sample that is missing, for whatever reason, is interpolated, so that filters have a uniform grid to
-work on, and marked as not valid, so that no row of an identification rests on it. The log is read in blocks.
+Missing samples are interpolated, so that filters have a uniform grid, and marked as not valid, so that no
+regression row uses them. The log is read in blocks.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from gtau.signals.storage import block, spans, store
 
 LEAST_RATE, LARGEST_RATE = 10.0, 5e4  # Hz; of drives that are logged
 FINER = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # units of time in a second
-# s; by which stamps of packets or messages are late at most. In the shared logs it is 5 ms (a Panda that was polled).
+# s; maximum lateness of the stamps of packets or messages. In the shared logs it is 5 ms (a polled Panda).
 LATEST = 0.25
-LARGEST_VALUE = 1e9  # of anything logged; even counts of encoders and converters are smaller
+LARGEST_VALUE = 1e9  # of any logged value; even encoder and converter counts are smaller
 
 
 def check(
@@ -45,9 +45,9 @@ def check(
     blocks : iterable of ndarray
         Its samples (M, n + c + 1) in order: positions, commands, torque sensors and time in SI units.
     settings : PreparationSettings
-        What is given of the clock and of the commands' delay.
+        User-specified clock and command delay.
     part : Part
-        Which part of the log is used.
+        Part of the log to use.
 
     Returns
     -------
@@ -127,7 +127,7 @@ def _quoted(names: Sequence[str]) -> str:
 def _without_repeated(samples: Samples, notes: list[Note], clock: Literal["stamps", "regular"] | None) -> Samples:
     """Drop samples with the time and values of the one before.
 
-    Where samples with the same time have different values they are kept, all of them: their stamps are late.
+    Samples with the same time but different values are all kept: their stamps are late.
 
     Raises
     ------
@@ -177,7 +177,7 @@ def _without_repeated(samples: Samples, notes: list[Note], clock: Literal["stamp
 
 
 def _wraps(samples: Samples, notes: list[Note]) -> np.ndarray:
-    """Decide whether each joint's angle jumps by a turn, (n,)."""
+    """Decide for each joint whether its angle jumps by a full turn, (n,)."""
     position, source = samples.position, samples.source
     wraps = np.zeros(len(source.joints), dtype=bool)
     for span in ahead(len(position)):
@@ -207,7 +207,7 @@ def _unwrapped(samples: Samples, wraps: np.ndarray) -> Samples:
 
 
 def _refuse_late(samples: Samples, clock: Clock) -> None:
-    """Refuse a time column that stands still or jumps, so that a regular clock runs far away from it."""
+    """Refuse a time column that freezes or jumps, so that a regular clock drifts far from it."""
     if clock.late > max(LATEST, 3 * clock.period):
         raise GtauError(
             f"{samples.source.name}, column '{samples.source.columns[-1]}': by a regular clock of {clock.rate:.4g} Hz "

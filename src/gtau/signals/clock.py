@@ -1,8 +1,8 @@
-"""The clock behind a time column.
+"""Sampling clock of a time column.
 
-Time stamps are true, and samples were taken at irregular instants; or samples were taken at a regular rate, and their
-stamps are late, as those of messages are that were received, polled or came in packets. The positions decide: they
-are smooth in true time. So do they, or the stamps around it, where a regular clock lacks samples.
+Either the time stamps are true and sampling was irregular, or sampling was regular and the stamps are late (received
+or polled messages, packets). The positions decide: they are smooth in true time. Missing samples of a regular clock are
+located by the positions too, or by the surrounding stamps.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ DECIMALS = 10.0 ** np.arange(6)
 
 @dataclass(frozen=True)
 class Clock:
-    """When the samples of a log were taken.
+    """Sampling instants of a log.
 
     Attributes
     ----------
@@ -44,11 +44,11 @@ class Clock:
     before_longest : int
         Sample before the longest step.
     whole : float
-        Longest step, s, that lacks no sample.
+        Longest step without a missing sample, s.
     gaps : tuple
-        Of a regular clock: pairs of a sample and how many are missing before it; -1 where it repeats the one before.
+        For a regular clock, pairs of a sample and the number missing before it; -1 where it repeats the previous one.
     late : float
-        How late stamps of a regular clock are at most, compared with the earliest, s; 0 where only rounded.
+        Maximum lateness of a regular clock's stamps relative to the earliest, s; 0 if only rounded.
     packets : bool
         Samples came in packets with the same stamps, or nearly so.
     """
@@ -68,34 +68,34 @@ class Clock:
 
     @property
     def rate(self) -> float:
-        """Samples a second, Hz."""
+        """Sampling rate, Hz."""
         return 1 / self.period
 
     def time(self, first: int, stop: int) -> np.ndarray:
-        """Compute times of samples, s, by their numbers from the start."""
+        """Compute times of samples, s, from their numbers."""
         return self.start + self.period * np.arange(first, stop)
 
     def instants(self, time: np.ndarray, first: int = 0) -> np.ndarray:
-        """Compute the instants (N,), s, of samples by this clock from their times; ``first`` numbers the first."""
+        """Correct the times of samples by this clock, (N,), s; ``first`` is the number of the first sample."""
         if not self.regular:
             return time
         return store(self.start + self.period * self._numbers(first + a, first + b) for a, b in spans(len(time)))
 
     def _numbers(self, first: int, stop: int) -> np.ndarray:
-        """Enumerate samples in the clock, missing ones counted."""
+        """Enumerate samples by the clock, missing ones included."""
         samples, missing = self._sums
         number = np.arange(first, stop)
         return np.asarray(number + missing[np.searchsorted(samples, number, side="right")], dtype=float)
 
     @cached_property
     def _sums(self) -> tuple[np.ndarray, np.ndarray]:
-        """Samples behind gaps, and the cumulative number of missing samples before each and at the end."""
+        """Samples after gaps, and the cumulative number of missing samples before each and at the end."""
         pairs = np.array(self.gaps, dtype=int).reshape(-1, 2)
         return pairs[:, 0], np.concatenate([[0], np.cumsum(pairs[:, 1])])
 
 
 def clock_of(time: np.ndarray, position: np.ndarray, given: Literal["stamps", "regular"] | None = None) -> Clock:
-    """Find the clock of a time column (N,) in s that never goes back, and of the positions (N, n) at these times.
+    """Identify the clock of a nondecreasing time column (N,), s, from the positions (N, n) at these times.
 
     Where the stamps differ from a straight line by the rounding of the time column at most, the clock is regular.
     Otherwise the positions decide between the stamps and a regular clock, unless it is ``given``.
@@ -104,7 +104,7 @@ def clock_of(time: np.ndarray, position: np.ndarray, given: Literal["stamps", "r
     mean = _mean_step(steps)
     packets = bool(np.mean(steps < 0.1 * mean) > PACKET)
     usual = float(mean if packets else np.median(steps))
-    for _ in range(PASSES):  # the usual step of stamps that are late is not the period
+    for _ in range(PASSES):  # the median step of late stamps is not the period
         gaps = find_gaps(time, position, usual, packets)
         if gaps and (without := find_gaps(time, None, usual, packets)) != gaps:
             # Steps of the motion that grow and shrink within some samples look like gaps: the stamps then run away.
@@ -177,7 +177,7 @@ def _mean_step(steps: np.ndarray) -> float:
 
 
 def _line(time: np.ndarray, usual: float, gaps: tuple[tuple[int, int], ...]) -> tuple[float, float, float, bool]:
-    """Fit period and offset (s) of the stamps by least squares; say how late they are, and if by rounding."""
+    """Fit period and offset (s) of the stamps by least squares; return their lateness, and whether it is rounding."""
     numbered = Clock(usual, True, not gaps, 0.0, 0, 0.0, 0.0, 0, 0.0, gaps)
     sums, samples = np.zeros(4), len(time)
     for start, stop in spans(samples):
@@ -209,7 +209,7 @@ def _last_decimal(off: np.ndarray) -> float:
 
 
 def _roughness(time: np.ndarray, position: np.ndarray, clock: Clock) -> float:
-    """Measure how far positions usually are from cubics through their neighbours by a clock, where joints are fast.
+    """Compute the typical residual of positions from cubics through their neighbours by a clock, where joints are fast.
 
     The geometric mean over the joints, in m or rad; of a long log in parts spread over it.
     """
@@ -240,7 +240,7 @@ NEIGHBOURS = 21  # steps whose median is the usual one; where motions change fas
 CLEAR = 8.0  # standard deviations of a step of the joints' motion, where it separates one step from two
 LONGEST_BY_MOTION = 5.5  # steps over which the speed is taken to be constant
 DOUBT = 0.7  # of a step: stamps that move by less have lost no sample
-LOOKED_AT = 16, 4096  # parts of a log, and samples in each, that are looked at
+LOOKED_AT = 16, 4096  # parts of a log to evaluate, and samples in each
 
 
 def sampled_steps(time: np.ndarray) -> np.ndarray:
@@ -250,7 +250,7 @@ def sampled_steps(time: np.ndarray) -> np.ndarray:
 
 
 def parts_of(samples: int) -> list[tuple[int, int]]:
-    """Choose the parts of a log that are looked at: all of a short one, parts spread over a long one."""
+    """Choose the parts of a log to evaluate: all of a short one, parts spread over a long one."""
     parts, size = LOOKED_AT
     if samples <= parts * size:
         return [(0, samples)]
@@ -260,7 +260,7 @@ def parts_of(samples: int) -> list[tuple[int, int]]:
 def find_gaps(
     time: np.ndarray, position: np.ndarray | None, usual: float, packets: bool
 ) -> tuple[tuple[int, int], ...]:
-    """Find samples before which others are missing, and how many, if samples are regular and stamps late.
+    """Find missing samples and their number, for regular sampling with late stamps.
 
     Where joints are fast enough, the positions count: a step twice as long as its neighbours has lost a sample, and one
     of length zero repeats it. Elsewhere the stamps do: a late one makes a long step and a short one after it, but a
@@ -287,7 +287,7 @@ def find_gaps(
             moved = np.median(part[k : k + around]) - np.median(part[max(k - around, 0) : k])
             missing = int(moved / usual + 1 - DOUBT)
             steps[k - 1] = 1 + max(missing, 0)
-            part[k:] -= max(missing, 0) * usual  # what follows is judged without this gap
+            part[k:] -= max(missing, 0) * usual  # later samples are evaluated with this gap closed
         changed = np.flatnonzero(np.nan_to_num(steps, nan=1.0) != 1) + 1
         changed = changed[(begin + changed >= start) & (begin + changed < stop)]
         found += [(begin + int(k), int(steps[k - 1]) - 1) for k in changed]
@@ -312,7 +312,7 @@ def _usual_steps(moved: np.ndarray) -> np.ndarray:
 
 
 def _steps_by_motion(position: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """Count steps of a regular clock (M - 1,) between samples by how far the joints moved; NaN where ambiguous."""
+    """Estimate the clock steps between samples (M - 1,) from the joint motion; NaN where ambiguous."""
     moved = np.diff(position, axis=0)
     usual = _usual_steps(moved)
     speed = ((usual / noise) ** 2).sum(axis=1)
@@ -329,7 +329,7 @@ def _scatter(time: np.ndarray, usual: float) -> float:
 
 
 def _packet(time: np.ndarray, usual: float) -> int:
-    """Count the samples of a usual packet."""
+    """Estimate the typical number of samples per packet."""
     edges = np.flatnonzero(sampled_steps(time) > LATE * usual)
     return int(np.median(np.diff(edges))) if len(edges) > 2 else 1
 
@@ -341,7 +341,7 @@ WHITE = 1.394
 
 
 def cubic_residuals(instants: np.ndarray, position: np.ndarray, period: float) -> np.ndarray:
-    """Compute how far positions are from the cubics through two neighbours on either side.
+    """Compute the residuals of positions from the cubics through two neighbours on either side.
 
     Parameters
     ----------
@@ -359,7 +359,7 @@ def cubic_residuals(instants: np.ndarray, position: np.ndarray, period: float) -
     """
     around = [slice(k, len(position) - 2 * REACH + k) for k in (0, 1, 3, 4)]
     apart = np.array([instants[each] for each in around]) - instants[REACH:-REACH]
-    apart += 1e-9 * period * np.array([-2, -1, 1, 2])[:, None]  # stamps that are the same
+    apart += 1e-9 * period * np.array([-2, -1, 1, 2])[:, None]  # equal stamps
     predicted = np.zeros_like(position[REACH:-REACH])
     for a, at in enumerate(around):
         weight = np.prod([apart[b] / (apart[b] - apart[a]) for b in range(4) if b != a], axis=0)

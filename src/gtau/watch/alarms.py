@@ -1,4 +1,4 @@
-"""Derive an alarm from the evidence of the charts: since when, and which explanations fit."""
+"""Derive an alarm from the evidence of the charts: its onset and the explanations that fit."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def alarm_of(
     log: LogStatistics,
     uneven: Mapping[str, float],
 ) -> Alarm:
-    """Explain the change that the charts show.
+    """Explain the change indicated by the charts.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def alarm_of(
     charts, evidences : mapping
         By name.
     log : LogStatistics
-        Of the newest log.
+        Statistics of the newest log.
     uneven : mapping
         Joint to the largest unevenness of its residual in healthy logs.
     """
@@ -45,7 +45,7 @@ def alarm_of(
     of = evidences[leading]
 
     def at(number: int | None) -> int:
-        """Find the place among the entries of the log with this number in the leading chart."""
+        """Find the index among the entries of the log with this number in the leading chart."""
         return max(shown[min(max((number or 0) - first, 0), len(shown) - 1)], 1)
 
     start, names = at(of.start), [chart.name for chart in log.charts]
@@ -88,7 +88,7 @@ def _explanations(
 
 
 def _stated(each: Explanation, model: IdentifiedModel, factor: float) -> Explained:
-    """State an explanation with its interval, and what part of the model's friction it is."""
+    """State an explanation with its interval, and its share of the model's friction."""
     relative = None
     if each.kind == "friction":
         friction = model.friction_parameters

@@ -1,6 +1,6 @@
 """Baseline of healthy logs: bands of each chart, and the covariance of all charts.
 
-Healthy days differ by more than the interval of one day's log says, so what is normal comes from the scatter between
+Healthy days differ by more than the interval of one day's log, so the bands come from the scatter between
 logs. With some ten logs and forty charts the empirical covariance has no full rank; it is shrunk towards the standard
 deviations of the logs with the correlations that independent residuals would give (``formula``).
 """
@@ -23,7 +23,7 @@ class Baseline:
     count: np.ndarray
 
     def bands(self, probability: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
-        """Return where one more healthy log lies with this probability, (k,) each, by Student's t."""
+        """Compute the prediction interval of one more healthy log at this probability, (k,) each, by Student's t."""
         from scipy.stats import t
 
         factor = t.ppf((1 + probability) / 2, np.maximum(self.count - 1, 1)) * np.sqrt(
@@ -34,7 +34,7 @@ class Baseline:
 
 
 def baseline_of(values: np.ndarray) -> Baseline:
-    """Describe healthy logs, ``values`` (logs, k), NaN where a log does not show a chart."""
+    """Compute the baseline of healthy logs, ``values`` (logs, k), NaN where a chart is not observable in a log."""
     there = np.isfinite(values)
     count = there.sum(axis=0)
     filled = np.where(there, values, 0.0)

@@ -1,7 +1,7 @@
 """Sequential detection of a change of one chart, with a stated time between false alarms.
 
-A chart is a quantity from log to log, ``x_i = mu + sigma sqrt(w_i) u_i``, where mu and sigma are not known, ``w_i``
-says how much less than others the motion of log i shows of it, and u is Gaussian with the correlation ``memory``
+A chart is a quantity from log to log, ``x_i = mu + sigma sqrt(w_i) u_i``, with unknown mu and sigma; ``w_i``
+is the relative variance due to the motion of log i, and u is Gaussian with the correlation ``memory``
 between one log and the next, as friction follows the weather. From log j on the mean may have moved by ``delta sigma``.
 For each j the likelihood ratio of all logs so far, with the scale-invariant priors on mu and sigma (the right Haar
 measure) and ``delta`` Gaussian with the standard deviation ``KAPPA``, has a closed form (the Bayes factor of the t-test
@@ -16,7 +16,7 @@ e-detector of the kind Shiryaev-Roberts (Shin, Ramdas and Rinaldo, E-detectors, 
 ``E[M_T] <= E[T]`` for every stopping time T, so that an alarm at ``M >= A`` comes after at least A logs on average, and
 so does one of the mean of several charts' detectors, however these depend on each other.
 
-Beside it stands a classic CUSUM of the normal scores of recursive residuals, which are independent and standard normal
+A classic CUSUM accompanies it, of the normal scores of recursive residuals, which are independent and standard normal
 without a change (Quesenberry, Journal of Quality Technology 23, 1991), with the limit by Siegmund's formula.
 """
 
@@ -27,7 +27,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import ndtri, stdtr
 
-MEMORY = 0.7  # correlation from log to log that counts as healthy; a smaller one makes alarms rarer
+MEMORY = 0.7  # correlation from log to log of a healthy robot; a smaller one makes alarms rarer
 OF_FRICTION = 0.9  # the same for friction and residuals, which follow weather and seasons
 KAPPA = 4.0  # standard deviation of a change, in those between logs
 WINDOW = 400  # logs at which a change may have begun; older ones are condensed
@@ -42,8 +42,8 @@ class Chart:
     ``x`` and ``w`` (m,) are values and relative variances of the last logs, after ``count`` others with the sums
     ``hh``, ``hy`` and ``yy`` of whitened constants and values; ``before`` are value and weight of the last of these.
     ``cusum`` are the upper and the lower sum, and ``learning`` how many of the first logs are the baseline. Of a chart
-    that is ``rising`` only growth counts: a residual that becomes smaller is no fault. ``memory`` is the
-    correlation from log to log that counts as healthy.
+    that is ``rising`` only growth counts: a decreasing residual is not a fault. ``memory`` is the
+    correlation from log to log of a healthy robot.
     """
 
     learning: int
@@ -117,7 +117,7 @@ def evidence(chart: Chart) -> Evidence:
     shrink = r * KAPPA**2 / (1 + r * KAPPA**2)
     left = np.maximum(S0 - b2 * shrink, 1e-12 * S0)
     ratios = -0.5 * np.log1p(r * KAPPA**2) + (n - 1) / 2 * np.log(S0 / left)
-    if chart.rising:  # leaving out what falls makes the sum smaller, so that the statement holds all the more
+    if chart.rising:  # omitting decreases makes the sum smaller, so the bound still holds
         ratios = np.where((cy - ch * hy / hh)[first:] > 0, ratios, -np.inf)
     top = float(ratios.max())
     if not np.isfinite(top):
@@ -147,7 +147,7 @@ def run_length(limit: float, reference: float = REFERENCE, shift: float = 0.0) -
     Parameters
     ----------
     limit, reference : float
-        At which it alarms, and what is taken off each score.
+        Alarm limit, and reference value subtracted from each score.
     shift : float
         Mean of the scores.
     """
@@ -158,7 +158,7 @@ def run_length(limit: float, reference: float = REFERENCE, shift: float = 0.0) -
 
 
 def cusum_limit(logs: float) -> float:
-    """Find the limit at which a two-sided CUSUM alarms once in so many logs on average."""
+    """Find the limit of a two-sided CUSUM for a given average number of logs between false alarms."""
     from scipy.optimize import brentq
 
     return float(brentq(lambda limit: run_length(limit) / 2 - logs, 0.0, 60.0))
@@ -178,7 +178,7 @@ def _whitened(chart: Chart) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _condensed(chart: Chart) -> Chart:
-    """Move all but the last logs into the sums."""
+    """Condense all but the last logs into the sums."""
     h, y = _whitened(chart)
     old = len(chart.x) - WINDOW
     h, y = h[:old], y[:old]

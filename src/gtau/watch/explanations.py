@@ -17,15 +17,15 @@ from gtau.watch.quantities import Quantity
 from gtau.watch.statistics import RESIDUAL, LogStatistics
 
 CLOSE = 9.2  # 2 log(100): of two explanations one is a hundred times as likely
-PER_PARAMETER = 2.0  # what a further parameter must improve the misfit by, as Akaike's criterion has it
-UNEVEN = 2.0  # times as uneven as any healthy log: forces that come and go, such as contacts
-CERTAIN = 3.0  # standard deviations from zero of what is stated first: mass, Coulomb friction
-EXPLAINED = 0.5  # of the squared change: an explanation of less is none
+PER_PARAMETER = 2.0  # minimum improvement of the misfit per additional parameter, by Akaike's criterion
+UNEVEN = 2.0  # times as uneven as any healthy log: intermittent forces, such as contacts
+CERTAIN = 3.0  # standard deviations from zero of the parameter stated first: mass, Coulomb friction
+EXPLAINED = 0.5  # minimum explained share of the squared change
 
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """A hypothesis fitted to a change: ``size`` and ``std`` in ``unit``, and what it leaves of the change.
+    """A hypothesis fitted to a change: ``size`` and ``std`` in ``unit``, and its misfit.
 
     ``kind`` is gain, load, friction, zero, delay, clock or contact, ``quantity`` what is stated of it, as ``fs`` of
     friction; ``misfit`` the squared standard deviations that are left, with what its parameters cost.
@@ -43,7 +43,7 @@ class Explanation:
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """Difference of the charts (k,) after and before, of so many logs each; ``latest``, that of the last log alone."""
+    """Difference of the charts (k,) after and before, with the numbers of logs; ``latest``, that of the last log."""
 
     difference: np.ndarray
     latest: np.ndarray
@@ -72,9 +72,9 @@ def explain(change: Change, log: LogStatistics, kept: np.ndarray, healthy: Healt
     Parameters
     ----------
     change : Change
-        Of the charts ``kept``.
+        Change of the charts ``kept``.
     log : LogStatistics
-        Of the last log, whose motion says what each change looks like.
+        Statistics of the last log, whose motion determines the signature of each change.
     kept : ndarray
         Numbers of the charts that all logs show.
     healthy : Healthy
@@ -109,14 +109,14 @@ def explain(change: Change, log: LogStatistics, kept: np.ndarray, healthy: Healt
         left = float(np.sum((y - S @ x) ** 2))
         cause = columns @ (np.linalg.lstsq(S, latest, rcond=1e-6)[0] / norms)
         if excess > EXPLAINED * before and cause @ log.information @ cause < (1 - EXPLAINED) * excess:
-            continue  # the residual has grown by far more than this would make it
+            continue  # the residual has grown far more than this hypothesis predicts
         freedom = max(len(y) - int(rank), 1)
         spread = np.sqrt(np.diag(np.linalg.pinv(S.T @ S, rcond=1e-8)) * max(1.0, left / freedom))
         places = np.cumsum(there) - 1
         at = _stated([int(places[k]) for k in stated if there[k]], np.abs(x) / np.maximum(spread, 1e-300))
         of = log.quantities[int(np.argmax(np.abs(columns[:, at])))]
         size, std = float(x[at] / norms[at]), float(spread[at] / norms[at])
-        if kind == "gain":  # the torque that the current seems to make is that of the model over 1 + delta
+        if kind == "gain":  # the apparent torque of the current is that of the model over 1 + delta
             size, std = size / (1 - size), std / (1 - size) ** 2
         misfit = left + PER_PARAMETER * int(rank)
         found.append(Explanation(kind, joint, of.kind, size, std, of.unit, misfit, freedom))
@@ -124,12 +124,12 @@ def explain(change: Change, log: LogStatistics, kept: np.ndarray, healthy: Healt
     if not found or found[0].misfit - PER_PARAMETER > (1 - EXPLAINED) * total:
         return _contacts(log, healthy)
     best = found[0]
-    scale = max(1.0, (best.misfit - PER_PARAMETER) / best.freedom)  # large changes are not linear to the last digit
+    scale = max(1.0, (best.misfit - PER_PARAMETER) / best.freedom)  # large changes are not exactly linear
     return tuple(each for each in found if each.misfit - best.misfit < CLOSE * scale)
 
 
 def _stated(candidates: list[int], t: np.ndarray) -> int:
-    """Choose which parameter of a hypothesis is stated: the first one, unless it may be zero and another is not."""
+    """Choose the reported parameter of a hypothesis: the first one, unless it may be zero and another is not."""
     return candidates[0] if t[candidates[0]] > CERTAIN else max(candidates, key=lambda k: t[k])
 
 
@@ -156,7 +156,7 @@ def _hypotheses(quantities: tuple[Quantity, ...]) -> Iterator[tuple[str, str, np
 
 
 def _power(log: LogStatistics) -> np.ndarray:
-    """Return the mean squared residual of each joint (n,), in those of the identification."""
+    """Return the mean squared residual of each joint (n,), relative to that of the identification."""
     named = {chart.joint: value for chart, value in zip(log.charts, log.values, strict=True) if chart.kind == RESIDUAL}
     logarithms = np.array([named.get(joint, np.nan) for joint in log.joints])
     return np.where(np.isfinite(logarithms), np.exp(2 * np.nan_to_num(logarithms)), 0.0)

@@ -21,8 +21,8 @@ from gtau.watch.logs import date_of, logs_of
 from gtau.watch.state import digest_of
 from gtau.watch.watch import Status, Watch, now
 
-SETTLED = 1.0  # s for which a log of a folder has not changed before it counts as finished
-POLL = 0.5  # s between looks
+SETTLED = 1.0  # s without changes after which a log of a folder counts as finished
+POLL = 0.5  # s between polls
 FIRST_LINES = 500  # of a log that grows, from which its rate is found
 HEADED = 250  # lines, among which the table has begun
 CHUNK = 1 << 20  # bytes read at once
@@ -32,7 +32,7 @@ Read = Callable[[Path], Run]
 
 @dataclass(frozen=True)
 class Skipped:
-    """A block without information, such as of a robot at rest, and why."""
+    """A block without information, such as that of a robot at rest, and the reason."""
 
     log: str
     why: str
@@ -46,7 +46,7 @@ def follow(
     Parameters
     ----------
     watch : Watch
-        What is fed.
+        Watch to be updated.
     source : path
         The folder, or the log.
     read : callable
@@ -54,12 +54,12 @@ def follow(
     seconds : float
         Length of the blocks of a growing log.
     ended : callable
-        Says, where nothing new is there, whether nothing more will come.
+        Called when there is nothing new; returns whether the source has ended.
 
     Raises
     ------
     GtauError
-        Where the source is not there or becomes shorter, or cannot be read.
+        The source does not exist, becomes shorter, or cannot be read.
     """
     if source.is_dir():
         yield from _folder(watch, source, read, ended)
@@ -134,7 +134,7 @@ def _lines_of(log: Path) -> int:
 
 
 class _Lines:
-    """Whole lines of a text that comes in pieces."""
+    """Whole lines of a text received in pieces."""
 
     def __init__(self) -> None:
         self._whole: list[bytes] = []

@@ -38,7 +38,7 @@ def logs_of(paths: Iterable[Path]) -> list[Path]:
 
 
 def date_of(log: Path) -> str:
-    """Find when a log was recorded, ISO 8601: the date in its name, else when its file was last changed."""
+    """Find the recording date of a log, ISO 8601: the date in its name, else the last change of its file."""
     for match in reversed(list(_DATE.finditer(log.name))):
         year, month, day = (int(each) for each in match.groups() if each is not None)
         try:

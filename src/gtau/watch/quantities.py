@@ -1,8 +1,8 @@
-"""Possible changes since the identification, as torque columns along a log, and their normal equations.
+"""Torque columns of possible changes since the identification along a log, and their normal equations.
 
 The residual of the identified model along a log, ``y = g v(t - d) - tau_model`` (eq. 16), is held against one column a
 quantity: the torque that one unit of its change adds. The rows are those of the identification: the same filters,
-decimation and rows left out at reversals, behind the friction law with which the model predicts.
+decimation and exclusion of reversals, after subtraction of the model's friction law.
 
 ======  ===========================================  ==============================
 kind    change                                       column
@@ -45,7 +45,7 @@ ZERO_UNITS = {"revolute": ("deg", np.pi / 180), "prismatic": ("mm", 1e-3)}
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity that may change: its kind (that of a payload's parameter for the load), joint and unit."""
+    """A watched quantity: its kind (that of a payload's parameter for the load), joint and unit."""
 
     kind: str
     joint: str
@@ -53,7 +53,7 @@ class Quantity:
 
     @property
     def name(self) -> str:
-        """Its name in tables and files, such as ``gain_elbow``."""
+        """Name in tables and files, such as ``gain_elbow``."""
         return Parameter(self.kind, self.joint or "load").name
 
     @property
@@ -101,12 +101,12 @@ def quantities_of(model: IdentifiedModel) -> tuple[Quantity, ...]:
 
 
 def normal_equations(model: IdentifiedModel, run: Run) -> NormalEquations:
-    """Reduce a log to the normal equations of what may have changed.
+    """Reduce a log to the normal equations of the watched quantities.
 
     Raises
     ------
     GtauError
-        Where the log does not suit the model, no joint of it moves, or the model refuses a sample.
+        The log does not fit the model, no joint moves in it, or the model refuses a sample.
     """
     if model.robot.floating:
         raise GtauError(f"the base of robot '{model.robot.name}' floats; only robots with a fixed base are watched.")
@@ -164,7 +164,7 @@ def _sigma(model: IdentifiedModel) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class _Places:
-    """Where the columns stand: of the load (n_b, k) in base columns, and by kind and joint."""
+    """Positions of the columns: of the load (n_b, k) in base columns, and by kind and joint."""
 
     load: np.ndarray
     own: tuple[tuple[int, str, int], ...]
@@ -212,7 +212,7 @@ def _columns(
 
 
 def _of_zeros(model: IdentifiedModel, part: Rows, load: np.ndarray, run: str) -> np.ndarray:
-    """Differentiate the torques (n, K) with respect to each encoder zero, (n, n, K), a degree or a millimetre."""
+    """Differentiate the torques (n, K) with respect to each encoder zero, (n, n, K), per degree or millimetre."""
     idm = model.model
     n, actuated = len(idm.actuated), idm.layout.actuated
     regressor, motion, labels = idm.columns(model.base.standard), part.motion, Labels(run, part.time)
@@ -225,14 +225,14 @@ def _of_zeros(model: IdentifiedModel, part: Rows, load: np.ndarray, run: str) ->
         try:
             c = idm.path(moved, labels, motion.c[:, 0])
         except GtauError:
-            continue  # the loops do not close there: nothing is said of this zero
+            continue  # the loops do not close there: this zero is not watched
         along = regressor.torques_along(idm.layout, idm.rates(c, qd, qdd, labels), load)
         columns[j] = (along - before) / STEP * ZERO_UNITS[model.robot.joint(joint).kind][1]
     return columns
 
 
 def without_inertia(quantities: tuple[Quantity, ...]) -> tuple[int, ...]:
-    """List the quantities that are charted: all but inertia of the load and offsets, which go along with the others."""
+    """List the charted quantities: all but inertia of the load and offsets, which are estimated with the others."""
     return tuple(
         k
         for k, each in enumerate(quantities)

@@ -1,4 +1,4 @@
-"""The history of a watched robot: one line of JSON per log, from which all else is computed.
+"""The history of a watched robot: one line of JSON per log, from which the charts are recomputed.
 
 A line is added whole and forced to the disk before anything is said of its log, and a line that was cut off by a power
 failure or a kill is dropped when the file is next opened; so whatever happens, the next run goes on with the same
@@ -27,7 +27,7 @@ class _Line(BaseModel):
 
 
 class Settings(_Line):
-    """Head of a history: the model, and the settings behind the stated time between false alarms.
+    """Head of a history: the model, and the settings that determine the time between false alarms.
 
     ``baseline`` logs set what is normal; of ``robots`` that send ``logs_per_year`` each there are ``false_alarms`` a
     year.
@@ -43,7 +43,7 @@ class Settings(_Line):
 
     @property
     def limit(self) -> float:
-        """What the mean of a robot's e-detectors may reach: the average number of logs between its false alarms."""
+        """Alarm limit of the mean of a robot's e-detectors: the average number of logs between its false alarms."""
         return max(self.robots * self.logs_per_year / self.false_alarms, 1.0)
 
 
@@ -95,7 +95,7 @@ class Entry(_Line):
 
 
 def digest_of(path: str | Path) -> str:
-    """Compute the SHA-256 of a log, of all files in it where it is a folder; raises GtauError."""
+    """Compute the SHA-256 of a log, or of all files in a folder; raises GtauError."""
     path = Path(path)
     found = hashlib.sha256()
     try:
@@ -110,12 +110,12 @@ def digest_of(path: str | Path) -> str:
 
 
 def open_history(folder: Path, settings: Settings) -> Iterator[Entry]:
-    """Read the entries of a history; begin one where there is none.
+    """Read the entries of a history, or create it.
 
     Raises
     ------
     GtauError
-        Where the history is damaged, or of another model or other settings.
+        The history is damaged, or belongs to another model or other settings.
     """
     path = folder / HISTORY
     if not path.exists():
@@ -137,7 +137,7 @@ def open_history(folder: Path, settings: Settings) -> Iterator[Entry]:
 
 
 def append(folder: Path, entry: Entry) -> None:
-    """Add an entry, on the disk when this returns; raises GtauError."""
+    """Append an entry and force it to disk; raises GtauError."""
     path = folder / HISTORY
     try:
         with path.open("ab") as file:
@@ -149,7 +149,7 @@ def append(folder: Path, entry: Entry) -> None:
 
 
 def _drop_unfinished(path: Path) -> None:
-    """Cut off a last line without its end, which was being written when the program was killed."""
+    """Remove an incomplete last line, left by a program killed while writing."""
     with path.open("rb+") as file:
         size = file.seek(0, os.SEEK_END)
         at, tail = size, b""

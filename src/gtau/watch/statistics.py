@@ -1,9 +1,9 @@
-"""Statistics of a log: the size of each change, estimated alone beside friction, and its standard deviation.
+"""Statistics of a log: the size of each change, estimated one at a time with friction, and its standard deviation.
 
 Friction of a healthy robot differs from day to day, so friction and offsets of all joints are always free. Beside them
 one change is estimated at a time: a drive gain at fixed inertia, an encoder zero, a delay, or the load. By the theorem
 of Frisch and Waugh each is a fixed linear combination ``x = C A^T y`` of the log's residual; the same combinations of
-the columns, ``C A^T A``, say what a change of each kind looks like in all of them, by which explanations are compared.
+the columns, ``C A^T A``, are the signature of each kind of change in all of them, by which explanations are compared.
 
 Standard deviations are those of the block jackknife over stretches of the log, as residuals are autocorrelated.
 """
@@ -26,9 +26,9 @@ from gtau.watch.quantities import (
     without_inertia,
 )
 
-SPANNED = 1e-6  # of the square of a column: less is left by the others
+SPANNED = 1e-6  # of the square of a column: a smaller residual is linear dependence on the others
 SHOWN = 0.03  # of a joint's rms torque, by which a change of one standard deviation may at most move it
-LARGEST_ZERO = 1.0  # deg or mm: an encoder zero less certain than this is not shown
+LARGEST_ZERO = 1.0  # deg or mm: an encoder zero with a larger standard deviation is not observable
 RESIDUAL = "rms"  # kind of the residual's charts
 
 
@@ -39,23 +39,23 @@ class LogStatistics:
     Attributes
     ----------
     name : str
-        Of the run.
+        Name of the run.
     charts : tuple of Quantity
-        What is charted: quantities, then the residual of each joint (logarithm of its rms over that of the model).
+        The charts: quantities, then the residual of each joint (logarithm of its rms over that of the model).
     values, std : ndarray
         (k,) in the units of ``charts``; NaN where this motion does not show a change.
     covariance : ndarray
-        (k, k) by the jackknife, 0 for what is not shown.
+        (k, k) by the jackknife, 0 for charts that are not observable.
     quantities : tuple of Quantity
         All columns.
     response : ndarray
-        (k, p): what a unit of each quantity moves each chart by.
+        (k, p): change of each chart per unit of each quantity.
     formula : ndarray
         (k, k) covariance for independent residuals of unit variance, which has the full rank that the jackknife lacks.
     uneven : ndarray
         (n,) largest rms residual of a stretch over the median one, of each joint: contacts are brief.
     joints : tuple of str
-        Of the n joints.
+        Names of the n joints.
     information : ndarray
         (p, p): the squared residual, friction free, that changes x of the quantities add is ``x^T information x``.
     rows : ndarray
@@ -77,12 +77,12 @@ class LogStatistics:
 
     @property
     def shown(self) -> np.ndarray:
-        """Whether this motion shows each of the charts, (k,)."""
+        """Mask (k,) of the charts that are observable in this motion."""
         return np.isfinite(self.values)
 
     @property
     def not_shown(self) -> tuple[str, ...]:
-        """Names of the charts that this motion does not show."""
+        """Names of the charts that are not observable in this motion."""
         return tuple(chart.name for chart, there in zip(self.charts, self.shown, strict=True) if not there)
 
 
@@ -99,7 +99,7 @@ def statistics_of(model: IdentifiedModel, run: Run) -> LogStatistics:
     Raises
     ------
     GtauError
-        Where the log does not suit the model, or holds too few usable rows.
+        The log does not fit the model, or contains too few usable rows.
     """
     normal = normal_equations(model, run)
     columns = _Columns.of(normal.quantities)
@@ -192,7 +192,7 @@ def _place(
     group: list[int],
     usable: np.ndarray,
 ) -> None:
-    """Put the combinations of a group of columns, estimated together beside friction, into ``every``."""
+    """Put the combinations of a group of columns, estimated jointly with friction, into ``every``."""
     M = left[np.ix_(group, group)]
     inverse = _inverse(M)
     usable[group] &= (np.diag(M) > SPANNED) & (np.diag(inverse) < 1 / SPANNED)
@@ -218,7 +218,7 @@ def _beside_friction(G: np.ndarray, columns: _Columns) -> np.ndarray:
 
 
 def _residuals(normal: NormalEquations, columns: _Columns, without: int | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Compute of each joint the logarithm of the rms residual over the model's, friction free, and how uneven it is."""
+    """Compute for each joint the log ratio of the rms residual to the model's, friction free, and its unevenness."""
     p, friction = len(normal.quantities), list(columns.friction)
     left_in = [s for s in range(len(normal.G)) if s != without]
     rms, uneven = [], []
@@ -238,7 +238,7 @@ def _residuals(normal: NormalEquations, columns: _Columns, without: int | None =
 
 
 def _limits(normal: NormalEquations, columns: _Columns) -> np.ndarray:
-    """Find the largest standard deviation of what is shown: it moves no joint's torque by more than SHOWN.
+    """Find the largest standard deviation of an observable chart: it moves no joint's torque by more than SHOWN.
 
     It depends on the motion and the model's residual alone, so that a fault does not hide what the motion shows.
     """

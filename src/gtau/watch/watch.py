@@ -42,7 +42,7 @@ class Status:
 
     @property
     def healthy(self) -> bool:
-        """Whether there is no alarm."""
+        """True without an alarm."""
         return self.entry.alarm is None
 
 
@@ -60,16 +60,16 @@ class Watch:
     baseline : int
         Number of healthy logs that form the baseline.
     false_alarms_per_year : float
-        Of the whole fleet.
+        False alarms of the whole fleet per year.
     robots : int
-        Of the fleet.
+        Number of robots in the fleet.
     logs_per_year : float
-        Of each robot.
+        Logs of each robot per year.
 
     Raises
     ------
     GtauError
-        Where the history is of another model or other settings.
+        The history belongs to another model or other settings.
     """
 
     @takes(
@@ -103,7 +103,7 @@ class Watch:
         )
         self.folder = None if out is None else folder_of(out)
         self.seen: set[str] = set()
-        self.began = self.maintained = ""  # dates of the last maintenance, and of one whose first log is still to come
+        self.began = self.maintained = ""  # dates of the last maintenance, and of one still without a log
         self.alarm: Alarm | None = None
         self._clear()
         for entry in () if self.folder is None else open_history(self.folder, self.settings):
@@ -113,7 +113,7 @@ class Watch:
         """Begin a baseline."""
         self.names: tuple[str, ...] = ()
         self.charts: dict[str, Chart] = {}
-        self.reference: dict[str, float] = {}  # variance by the formula of the first log that shows a chart
+        self.reference: dict[str, float] = {}  # variance by the formula of the first log in which a chart is observable
         self.first: list[dict[str, float]] = []  # values of the baseline
         self.recent: deque[Entry] = deque(maxlen=WINDOW)
         self.count = 0
@@ -148,7 +148,7 @@ class Watch:
         Raises
         ------
         GtauError
-            Where that is no date.
+            It is not a date.
         """
         date = reset_date(date)
         self.maintained = date if date > self.began else ""
@@ -162,14 +162,14 @@ class Watch:
         run : Run
             From :func:`gtau.read_run`. Its payload, if any, is part of what is expected.
         digest : str
-            By which the log is known again; that of its samples if left out.
+            Identifies the log; that of its samples if omitted.
         date : str
-            When it was recorded, ISO 8601; now if left out.
+            Time of recording, ISO 8601; now if omitted.
 
         Returns
         -------
         Status
-            What is known now.
+            State after the log.
 
         Raises
         ------

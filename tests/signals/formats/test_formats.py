@@ -178,16 +178,16 @@ def test_the_panda_bag_is_what_others_decoded(shared: Path) -> None:
 
 
 DAMAGED: list[tuple[str, bytes, str]] = [
-    ("log.npz", b"no archive", "log.npz is not a NumPy archive that can be read ("),
-    ("log.mat", b"MATLAB 5.0 MAT-file, but cut" * 9, "log.mat is not a MAT file that can be read ("),
+    ("log.npz", b"no archive", "log.npz cannot be read as a NumPy archive ("),
+    ("log.mat", b"MATLAB 5.0 MAT-file, but cut" * 9, "log.mat cannot be read as a MAT file ("),
     (
         "log.mat",
         b"\0" * 512 + b"\x89HDF\r\n\x1a\n and no more",
-        "log.mat is not a MAT file of version 7.3 that can be read",
+        "log.mat cannot be read as a MAT file of version 7.3",
     ),
-    ("log.h5", b"\x89HDF\r\n\x1a\n cut", "log.h5 is not an HDF5 file that can be read ("),
-    ("log.db3", b"SQLite format 3\0 cut", "log.db3 is not a ROS bag that can be read ("),
-    ("log.mcap", b"\x89MCAP0\r\n cut", "log.mcap is not a ROS bag that can be read ("),
+    ("log.h5", b"\x89HDF\r\n\x1a\n cut", "log.h5 cannot be read as an HDF5 file ("),
+    ("log.db3", b"SQLite format 3\0 cut", "log.db3 cannot be read as a ROS bag ("),
+    ("log.mcap", b"\x89MCAP0\r\n cut", "log.mcap cannot be read as a ROS bag ("),
     ("log.feather", b"ARROW1 cut", "log.feather is not a readable Feather file ("),
 ]
 

@@ -1,8 +1,8 @@
 """DIDIM: parameters from the currents alone, the motion being simulated (Gautier, Janot and Vandanjon).
 
-The regressor is taken along the motion that the robot, simulated in closed loop with the current estimate, makes of its
-reference. No measured position enters it, so nothing is differentiated and no noise is amplified; what is estimated
-next is simulated again, until the gains settle. Choose it where encoders are coarse or noisy, beside ``iv``.
+The regressor is taken along the motion of the robot simulated in closed loop with the current estimate. No measured
+position enters it, so nothing is differentiated and no noise is amplified; the next estimate is simulated again, until
+the gains converge. Choose it where encoders are coarse or noisy, beside ``iv``.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ SWITCHING = 1.0  # and of every parameter: Coulomb friction of a passive joint s
 def along_simulated_motion(
     dataset: Dataset, system: System, solve: Callable[[Problem], Solution], progress: Progress
 ) -> tuple[Dataset, System]:
-    """Iterate between simulated motion and the estimates of ``solve`` until they settle; return data and problem.
+    """Iterate between simulated motion and the estimates of ``solve`` until they converge; return data and problem.
 
     Raises
     ------
     GtauError
-        Where the robot cannot be simulated with what was found, or simulation and estimate do not converge.
+        If the robot cannot be simulated with the estimates, or simulation and estimate do not converge.
     """
     loaded = any(term.startswith("fl_") for term in system.friction.terms)
     before, solution = None, solve(system.problem)
@@ -53,7 +53,7 @@ def along_simulated_motion(
                     load,
                     edges=edges,
                 ),
-                distances=logged.distances,  # to singularities: of what the robot did
+                distances=logged.distances,  # to singularities: of the measured motion
             )
             for run, load, logged, edges in simulated
         )

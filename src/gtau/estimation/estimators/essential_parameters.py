@@ -20,8 +20,8 @@ def essential_parameters(
     """Cancel the parameter of largest relative standard deviation, repeatedly.
 
     With a ``ratio`` until the paper's rule ``max(rel) / min(rel) < ratio`` holds over ``candidates``. As
-    kept parameters absorb what the cancelled ones did, that over-prunes where the best parameter is
-    very well known; so without one, until the Bayesian information criterion keeps every parameter: it
+    kept parameters absorb the cancelled ones, that over-prunes if the best parameter is
+    very accurate; so without one, until the Bayesian information criterion keeps every parameter: it
     must be ``sqrt(log r)`` standard deviations (about 3) away from zero. (At two, groups of nearly
     dependent parameters stay with absurd values that cancel each other.)
 
@@ -36,14 +36,14 @@ def essential_parameters(
     ratio : float, optional
         The paper's r_sigma, 10 to 30.
     correlated : bool
-        Allow for errors correlated in time, by how much the jackknife exceeds the formula at first.
+        Allow for autocorrelated errors, by the initial ratio of the jackknife to the formula.
 
     Returns
     -------
     Problem, Solution
-        Of the parameters that are left.
+        Of the remaining parameters.
     std : ndarray
-        Their standard deviations (n_theta,) as the rule saw them, with the cancelled ones zero.
+        Their standard deviations (n_theta,) in the rule's last step, zero for cancelled ones.
     """
     solution = solve(problem)
     formula = np.maximum(np.diag(solution.covariance), 1e-300)
@@ -67,7 +67,7 @@ def essential_parameters(
 class Essential:
     """The essential parameters: the reduced problem, its solution, and their standard deviations (n_theta,).
 
-    ``loss`` is by how much the residual of the worst joint grows without the cancelled ones, per cent.
+    ``loss`` is the growth of the worst joint's residual without the cancelled ones, per cent.
     """
 
     problem: Problem
@@ -95,6 +95,6 @@ def reduce_fit(fit: Fit, covariance: np.ndarray, ratio: float | None, correlated
     solve = fit.solve if joint else fit.solve_fixed
     kept, reduced, std = essential_parameters(problem, candidates, solve, ratio, correlated)
     if ratio is None:
-        # a kept parameter absorbs what the cancelled ones did: only the standard deviation with all of them holds
+        # kept parameters absorb the cancelled ones: only the standard deviation with all of them is valid
         std = np.sqrt(np.diag(covariance))[[problem.parameters.index(name) for name in kept.parameters]]
     return Essential(kept, reduced, std, 100 * float(np.max(reduced.sigma / fit.solution.sigma) - 1))

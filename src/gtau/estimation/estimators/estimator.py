@@ -1,4 +1,4 @@
-"""What an estimator is, what it is given, and what it returns."""
+"""Interface of the estimators: their inputs and their results."""
 
 from __future__ import annotations
 
@@ -38,17 +38,17 @@ class Solution:
     sigma : ndarray
         Standard deviation of each channel's residual, (c,), A, of torque sensors N m or N.
     covariance : ndarray
-        Of (theta, gains, delays) by the method's formula, which takes errors for independent; zero
+        Of (theta, gains, delays) by the method's formula, which assumes independent errors; zero
         where a value is given and not estimated.
     replicates : callable
-        What leaving out one unit after another adds to the estimates of (theta, gains, delays), (U, k);
-        called when the jackknife is asked for.
+        Changes of the estimates of (theta, gains, delays) when one unit after another is left out, (U, k);
+        called for the jackknife.
     statistics : Mapping
         Further figures that the method offers, such as ``singular_ratio``.
     of_prior : ndarray or float
-        The share of priors in the covariance, which no unit of the data shows.
+        Contribution of priors to the covariance, which no unit of the data contains.
     settled : bool
-        Whether the iteration came to an end.
+        Whether the iteration converged.
     """
 
     theta: np.ndarray
@@ -88,7 +88,7 @@ Solve = Callable[[Problem], Solution]
 
 
 class Gains(Enum):
-    """What an estimator does about the drive gains."""
+    """Treatment of the drive gains by an estimator."""
 
     ESTIMATED = "estimated"
     GIVEN = "given"
@@ -97,14 +97,14 @@ class Gains(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Given:
-    """What is known before the data.
+    """Prior knowledge.
 
     Attributes
     ----------
     gains : ndarray, optional
-        Drive gains (n,), N m/A or N/A, of torques true ones over those logged; None where they are to be estimated.
+        Drive gains (n,), N m/A or N/A, for torques the ratio of true to logged ones; None if they are to be estimated.
     priors : Mapping
-        Parameter to what is known of it, as in the equations of the dataset; with its bounds.
+        Parameter to its prior, as in the equations of the dataset; with its bounds.
     progress : Progress
         Called as the work goes on.
     """
@@ -116,7 +116,7 @@ class Given:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """What an estimator makes of the data.
+    """A fit of an estimator to the data.
 
     Attributes
     ----------
@@ -127,13 +127,13 @@ class Fit:
     solve : callable
         Solves the same equations with other known payload values, for sensitivities.
     unrefined : Solution
-        What ``solve`` gives for ``system``; it differs from ``solution`` where the estimator goes on from there.
+        The result of ``solve`` for ``system``; it differs from ``solution`` if the estimator refines it.
     solve_fixed : callable
         Solves for fewer parameters with the gains of ``solution``.
     free_gains : bool
         Whether the gains were estimated.
     noise_free : bool
-        Whether the noise of the positions is kept from biasing the estimates.
+        Whether the estimates are free of bias from position noise.
     """
 
     dataset: Dataset
@@ -164,7 +164,7 @@ class Estimator:
     gains : Gains
         Whether it estimates the gains or takes them.
     solver : callable
-        From what is given to the function that solves a problem: used to select friction terms, and for sensitivities.
+        Maps the prior knowledge to the function that solves a problem: for friction selection and sensitivities.
     fit : callable
         Fits a system. Raises GtauError where the data do not suit the method.
     in_paper : bool
@@ -172,7 +172,7 @@ class Estimator:
     least_squares : bool
         Whether it minimises squares, so that constraints can be added to it.
     takes_priors : bool
-        Whether it takes equations beside those of the currents: known parameters, torque sensors and a floating base.
+        Whether it accepts further equations: known parameters, torque sensors and a floating base.
     """
 
     name: str

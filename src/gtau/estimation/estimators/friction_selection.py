@@ -1,4 +1,4 @@
-"""Which friction terms the data ask for, beyond the paper's viscous and Coulomb friction."""
+"""Select friction terms from the data, beyond the paper's viscous and Coulomb friction."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from gtau.estimation.thresholds.estimates import FRICTION_TERM_GAIN, FRICTION_TE
 from gtau.progress import Progress
 from gtau.robots.parameter import Parameter
 
-LOAD_PASSES = 6  # of the logs, at most, for friction that depends on the torques transmitted
-LOAD_SETTLED = 1e-4  # relative change of the gains that ends them
+LOAD_PASSES = 6  # at most, over the logs, for load-dependent friction
+LOAD_SETTLED = 1e-4  # relative change of the gains at convergence
 
 
 def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> tuple[Dataset, System]:
     """Choose the friction terms from the data; load-dependent ones need the torques, and so a fit, first.
 
-    Terms that the joints' own equations ask for, but that all equations together do not identify, are left out.
+    Terms supported by the joints' own equations, but not identifiable from all equations, are left out.
     Returns the data, streamed again where a joint has load-dependent friction, and its problem.
     """
     joints, channels, per_run = dataset.robot.motors, dataset.runs[0].channels, len(dataset.runs) > 1
     warm = () if dataset.temperatures is None else tuple(dataset.temperatures.reference)
     offered = (*all_terms(joints), *temperature_terms(warm), *bearing_terms(channels))
     terms, criterion = select_friction_terms(dataset.system(Friction(offered, per_run)).problem)
-    if warm and per_run:  # what differs between runs may be the temperature's alone
+    if warm and per_run:  # differences between runs may come from temperature alone
         alone, less = select_friction_terms(dataset.system(Friction(offered)).problem)
         if less < criterion and set(alone) & set(temperature_terms(warm)):
             terms, per_run = alone, False
@@ -68,8 +68,8 @@ def select_friction_terms(problem: Problem) -> tuple[tuple[str, ...], float]:
     """Select friction terms joint by joint by the Bayesian information criterion.
 
     Each joint's current, or sensor's torque, is fitted by its own regressor alone, with every subset of its terms in
-    ``problem``; the subset of least ``r log(sigma^2) + k log(r)`` is taken. As the criterion believes in
-    independent errors, and real ones are correlated, a term must also lessen the error by 2 per cent.
+    ``problem``; the subset of least ``r log(sigma^2) + k log(r)`` is taken. As the criterion assumes
+    independent errors, and real ones are autocorrelated, a term must also reduce the error by 2 per cent.
     """
     chosen: list[str] = []
     total = 0.0
@@ -85,7 +85,7 @@ def select_friction_terms(problem: Problem) -> tuple[tuple[str, ...], float]:
 
         price = max(np.log(rows), -2 * rows * np.log(1 - FRICTION_TERM_GAIN))
 
-        # all that is always there is eliminated once; what it leaves of the terms and the current has few columns
+        # the columns common to all subsets are eliminated once; the remainder has few columns
         columns = problem.triangles[j][:, [*rest, *(position[name] for name in offered)]]
         few = triangle(np.column_stack([columns, current]))[len(rest) :, len(rest) :]
 

@@ -31,7 +31,7 @@ MAD = 1.4826  # median absolute deviation to standard deviation
 def reweighted(
     dataset: Dataset, system: System, solve: Callable[[Problem], Solution], progress: Progress
 ) -> tuple[Dataset, System]:
-    """Iterate between Huber's weights on the rows and the estimates of ``solve`` until they settle."""
+    """Iterate between Huber's weights on the rows and the estimates of ``solve`` until they converge."""
     loaded = any(term.startswith("fl_") for term in system.friction.terms)
     sigma, gains = None, None
     for _ in range(PASSES):
@@ -69,7 +69,7 @@ def _medians(factors: Sequence[Factors]) -> np.ndarray:
 
 
 def sandwich_factor(factors: Sequence[Factors]) -> float:
-    """Compute how much larger the steps of the jackknife are than those with the weights held fixed.
+    """Compute the ratio of the jackknife's steps to those with fixed weights.
 
     Leaving out a row changes the weights of the others as well: the curvature of Huber's loss is 1 for the rows below
     the limit and 0 above it, on average ``E[psi'] < E[w]``.

@@ -1,14 +1,14 @@
 """Instrumental variables (IDIM-IV): the equations as measured, weighed along a motion without noise.
 
-Encoders are noisy too, and their noise grows twice on the way to accelerations. It stands in the regressor, so least
-squares and maximum likelihood take every parameter for smaller than it is, the more the poorer the filter. The
-method of Janot et al. multiplies the equations not with the Jacobian J of the errors e, but with the same Jacobian
-along a motion simulated with the current estimate, whose errors have nothing to do with those of the equations:
+Encoder noise is amplified twice by differentiation to accelerations. It enters the regressor, so least squares and
+maximum likelihood underestimate every parameter, the more so the poorer the filter. The method of Janot et al.
+multiplies the equations not by the Jacobian J of the errors e, but by the same Jacobian along a motion simulated with
+the current estimate, whose errors are uncorrelated with those of the equations:
 
     J_s^T e = 0    instead of    J^T e = 0 ,
 
-solved by Newton's method, simulated again with what is found, and so on. Choose it where encoders are coarse or noisy,
-or the filter is poor.
+solved by Newton's method and simulated again with the new estimate until convergence. Choose it where encoders are
+coarse or noisy, or the filter is poor.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Pair:
     whole: tuple[np.ndarray, np.ndarray]
 
     def of(self, parameters: Sequence[str]) -> Pair:
-        """Keep some parameters only, the others taken for zero."""
+        """Keep some parameters only, the others set to zero."""
         gone = [name for name in self.measured.parameters if name not in set(parameters)]
         kept = [k for k, name in enumerate(self.measured.parameters) if name in set(parameters)]
         columns = [*kept, *range(self.measured.n_theta, self.measured.n_theta + FIXED)]
@@ -71,14 +71,14 @@ def instrumental(
     Parameters
     ----------
     dataset, system, solution : Dataset, System, Solution
-        What was identified without instruments, where the simulations begin.
+        The identification without instruments, where the simulations begin.
     free_gains : bool
         Estimate the gains, or take those of ``solution``.
 
     Raises
     ------
     GtauError
-        Where the robot cannot be simulated with what was found, or the iteration does not converge.
+        If the robot cannot be simulated with the estimates, or the iteration does not converge.
     """
     for k in range(PASSES):
         progress("simulation", k, PASSES)
@@ -92,7 +92,7 @@ def instrumental(
 
 
 def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
-    """Solve the equations measured with the Jacobian of those simulated, from the gains and delays of ``start``.
+    """Solve the measured equations with the Jacobian of the simulated ones, from the gains and delays of ``start``.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
     state = Iterate(np.zeros(n_theta), 1 / start.gains, start.delays)
 
     def linear(blocks: np.ndarray, instruments: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Compute errors (., n p), their Jacobian (., n p, k) and that of the instruments, weighted."""
+        """Linearise: weighted errors (., n p), their Jacobian (., n p, k) and that of the instruments."""
         e = residuals(blocks, state) * weights[:, None]
         J, Z = (jacobian(each, state, problem, free) * weights[:, None, None] for each in (blocks, instruments))
         axes = (*e.shape[:-2], -1)
@@ -144,7 +144,7 @@ def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
 
 
 def paired(dataset: Dataset, system: System, solution: Solution) -> Pair:
-    """Build the problem along the motion measured, and along the one simulated."""
+    """Build the problem along the measured motion and along the simulated one."""
     simulated = resimulated_runs(dataset, system, solution)
     loaded = any(term.startswith("fl_") for term in system.friction.terms)
     loads = [system.load(k, solution.theta) if loaded else None for k in range(len(simulated))]
@@ -174,10 +174,11 @@ def _reduced(
     load: np.ndarray | None,
     edges: np.ndarray,
 ) -> tuple[Factors, Factors]:
-    """Reduce a run along the motion measured and along the one simulated, with the same rows behind each row.
+    """Reduce a run along the measured and the simulated motion, with the same instants row by row.
 
-    The sign of a noisy speed is not that of the speed plus noise, so columns of Coulomb friction are those simulated.
-    The rows ``[W_s terms_s | W terms | v v' v'']`` are reduced together, and the triangle cut by columns.
+    The sign of a noisy speed is not that of the speed plus noise, so the columns of Coulomb friction are the
+    simulated ones. The rows ``[W_s terms_s | W terms | v v' v'']`` are reduced together, and the triangle cut by
+    columns.
     """
     regressor = idm.columns(columns)
     stretches = stretch_of(edges, decimator.outputs(len(measured)))

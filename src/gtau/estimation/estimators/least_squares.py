@@ -1,8 +1,8 @@
 """Ordinary and weighted least squares with given drive gains (eqs. 24 to 28).
 
-Choose ``wls`` for logs of torques that are true, or where the gains are known better than a payload can show: each
-joint counts by its own residual standard deviation (eq. 28). ``ols`` (eq. 24) lets every joint's torque error count
-alike; it is there to compare with. All noise is the current's, of its own standard deviation in every joint,
+Choose ``wls`` for logs of true torques, or if the gains are known better than a payload can determine them: each
+joint is weighted by its own residual standard deviation (eq. 28). ``ols`` (eq. 24) weights all torque errors
+alike; it is there for comparison. All noise is the current's, of its own standard deviation in every joint,
 
     e_j = v(t - d_j) - (W_theta theta + known) / g_j .
 """
@@ -23,14 +23,14 @@ from gtau.estimation.regression.system import System
 
 
 def ols(problem: Problem, gains: np.ndarray) -> Solution:
-    """Solve ordinary least squares with given ``gains`` (n,): every torque error counts alike (eq. 24)."""
+    """Solve ordinary least squares with given ``gains`` (n,): all torque errors weighted alike (eq. 24)."""
     return _with_given(problem, gains, lambda state, errors: np.abs(1 / state.b), "ordinary")
 
 
 def wls(problem: Problem, gains: np.ndarray, delays: np.ndarray | None = None) -> Solution:
     """Solve weighted least squares with given ``gains`` (n,): joints weighted by their own error level (eq. 28).
 
-    The iteration starts from ``delays`` (c,), where these are known from a like problem.
+    The iteration starts from ``delays`` (c,), if these are known from a similar problem.
     """
     own, silent = problem.own_sigma, problem.silent
 
@@ -61,7 +61,7 @@ def _with_given(
 
 
 def scarcity(problem: Problem) -> str:
-    """Count equations and unknowns, and advise what gives more of the former."""
+    """Count equations and unknowns, and advise how to get more equations."""
     rows, unknowns = int(problem.total_rows.sum()), problem.n_theta + 2 * len(problem.joints)
     return f"after filtering there are {rows} equations for {unknowns} unknowns; log longer runs, at a higher rate, "
 

@@ -1,6 +1,6 @@
 """Maximum likelihood of parameters, drive gains and delays in the domain of the current references.
 
-The default, and the estimator to choose unless something speaks for another. All noise is taken to be the current's,
+The default, and the estimator to choose unless there is a reason for another. All noise is taken to be the current's,
 
     e_j = v(t - d_j) - (W_theta theta + known) / g_j ,
 
@@ -39,7 +39,7 @@ def ml(problem: Problem) -> Solution:
     ------
     GtauError
         Where the iteration does not converge though the model explains the currents (where it does not explain them,
-        the verdicts say so), or as nothing but known parameters that hardly act gives the scale.
+        the verdicts say so), or if only known parameters with little effect fix the scale.
     """
     first = two_stage(problem)
     start = Iterate(first.theta, 1 / first.gains, first.delays)
@@ -71,9 +71,9 @@ def ml(problem: Problem) -> Solution:
 
 
 def own_share(problem: Problem) -> float:
-    """Compute the least torque that the known parameters leave, whatever the unknown ones are, over their torque alone.
+    """Compute the share of the known parameters' torque that no unknown parameters can reproduce.
 
-    A share near zero says that the motions do not show what is known, so that any scale of the gains agrees with it.
+    With a share near zero the motions do not excite the known parameters, and any scale of the gains fits them.
     """
     from scipy.linalg import null_space
 
@@ -81,7 +81,7 @@ def own_share(problem: Problem) -> float:
     known, values = problem.known[:, :-1], problem.known[:, -1]
     alone, members = np.zeros(problem.n_theta), known.any(axis=0)
     alone[members] = np.linalg.lstsq(known[:, members], values, rcond=None)[0]
-    unknown = W @ null_space(known)  # directions of theta of which nothing is known
+    unknown = W @ null_space(known)  # directions of theta without a prior
     norms = np.linalg.norm(unknown, axis=0)
     unknown = unknown[:, norms > 0] / norms[norms > 0]
     torque = W @ alone

@@ -1,4 +1,4 @@
-"""Newton's method for currents that are bilinear in the parameters and 1/g, and the covariances of what it finds.
+"""Newton's method for currents that are bilinear in the parameters and 1/g, and covariances of the estimates.
 
 The errors are ``e_j = v(t - d_j) - (W_theta theta + known) / g_j``, the unknowns theta, ``b = 1 / g`` and the delays d.
 """
@@ -26,7 +26,7 @@ STEPS = 200
 SETTLED = 1e-9  # of a standard deviation: a smaller step ends the iteration
 ROUNDING = 1e-14  # of the terms that make up the residuals: steps below this are rounding
 RANK = 1e-13  # of the largest singular value: less is rounding
-FLATTEST = 0.05  # least curvature that is believed, as a share of that of Gauss and Newton
+FLATTEST = 0.05  # least curvature accepted, as a share of the Gauss-Newton curvature
 LARGEST_STEP = 1e8  # of leaving a block out, in standard deviations: more, and only that block identifies it
 
 
@@ -78,7 +78,7 @@ def solve(
 ) -> Solution:
     """Iterate Newton's method with re-estimated weights, then compute the covariances.
 
-    The solution says whether it settled within ``steps``.
+    ``settled`` of the solution is whether it converged within ``steps``.
     """
     n, n_theta = len(problem.channels), problem.n_theta
     triangles = stacked(problem)
@@ -124,8 +124,8 @@ def solve(
 def curvature_of_delays(blocks: np.ndarray, state: Iterate, problem: Problem, weights: np.ndarray) -> np.ndarray:
     """Compute what ``e e'' `` adds to the curvature of the cost in each joint's delay, (..., n).
 
-    Where motions are slow and the current's noise white, ``v'`` is mostly noise; Gauss and Newton then see a curvature
-    that is not there, and their steps in the delays are a hundred times too short.
+    Where motions are slow and the current's noise white, ``v'`` is mostly noise; the Gauss-Newton approximation then
+    overestimates the curvature, and its steps in the delays are a hundred times too short.
     """
     e = residuals(blocks, state)
     second = np.einsum("...jp,...jp->...j", e, blocks[..., -1])
@@ -135,8 +135,7 @@ def curvature_of_delays(blocks: np.ndarray, state: Iterate, problem: Problem, we
 def whitening(rows: np.ndarray, curvature: np.ndarray) -> np.ndarray:
     """Compute ``B`` (k, .) with ``B B^T = (rows^T rows)^-1``, its last diagonal entries raised by ``curvature``.
 
-    Directions without any effect are left out, and those in which the curvature is hardly there count as a little
-    curved.
+    Directions without any effect are left out, and those of almost no curvature are given a small one.
     """
     norms = np.linalg.norm(rows, axis=0)
     norms[norms == 0] = 1.0
@@ -253,15 +252,15 @@ def one_step(blocks: Iterable[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
             if np.abs(inverse).max() > LARGEST_STEP:
                 raise np.linalg.LinAlgError
             steps.append(inverse @ side)
-        except np.linalg.LinAlgError:  # what only this block identifies stays as it is
+        except np.linalg.LinAlgError:  # directions identified by this block alone stay unchanged
             steps.append(np.linalg.lstsq(left, side, rcond=1e-10)[0])
     return np.array(steps)
 
 
 def degrees_of_freedom(problem: Problem, solution: Solution, free_gains: bool) -> np.ndarray:
-    """Find the degrees of freedom of the jackknife standard deviations, for intervals by the t distribution.
+    """Compute the degrees of freedom of the jackknife standard deviations, for intervals by the t distribution.
 
-    As many as there are blocks, less one, if all blocks carry as much information on a parameter. Often a few carry
+    As many as there are blocks, less one, if all blocks carry the same information on a parameter. Often a few carry
     nearly all: Coulomb friction of a passive joint shows where that joint reverses, and its standard deviation rests on
     these few alone. The information of each block follows from the motions (Satterthwaite's rule, as Bell and
     McCaffrey use it): ``(sum s_u^2)^2 / sum s_u^4`` with s_u^2 the variance that leaving out block u contributes, for
@@ -270,7 +269,7 @@ def degrees_of_freedom(problem: Problem, solution: Solution, free_gains: bool) -
     Parameters
     ----------
     problem, solution : Problem, Solution
-        What was solved.
+        The solved problem.
     free_gains : bool
         Whether the gains are estimated, or given.
 
@@ -296,7 +295,7 @@ def degrees_of_freedom(problem: Problem, solution: Solution, free_gains: bool) -
         left = np.eye(J.shape[1]) - J.T @ J
         try:
             of_rows = np.linalg.solve(left, J.T)
-        except np.linalg.LinAlgError:  # what only this block identifies
+        except np.linalg.LinAlgError:  # identified by this block alone
             of_rows = np.linalg.pinv(left, rcond=1e-10, hermitian=True) @ J.T
         variances.append(np.sum((named @ of_rows) ** 2, axis=1))
     total, squares = np.sum(variances, axis=0), np.sum(np.square(variances), axis=0)

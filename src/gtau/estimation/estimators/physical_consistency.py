@@ -1,13 +1,13 @@
-"""Standard parameters that rigid bodies can have, behind the identified base parameters.
+"""Physically consistent standard parameters behind the identified base parameters.
 
-The data fix sums of standard parameters and say nothing of the rest. Simulation and control want every
-one of them, and a mass matrix that is positive: so the fit is repeated over the standard parameters, with
+The data determine sums of standard parameters only. Simulation and control need every one of
+them, and a positive definite mass matrix: so the fit is repeated over the standard parameters, with
 a positive definite pseudo-inertia for every link, platform and payload, the mass of every body within reach
 of its joints, friction and rotor inertia not negative, and the bounds and priors that are given. With the
 gains free it is a sequence of convex programmes, each one Gauss-Newton step of the maximum likelihood in
 the current domain.
 
-What the data leave open is taken close to a plausible robot: solid links of equal masses, no friction.
+Unidentifiable directions are taken close to a plausible robot: solid links of equal masses, no friction.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ SETTLED = 1e-3  # of a standard deviation
 
 @dataclass(frozen=True)
 class Move:
-    """What consistency did to a number: its value without and with it, and by how many standard deviations it moved."""
+    """Shift of a number by consistency: its value without and with it, and the shift in standard deviations."""
 
     name: str
     free: float
@@ -63,7 +63,7 @@ class Consistency:
     loss : dict
         Joint to the growth of its residual, per cent.
     open : tuple of str
-        Standard parameters that act on no actuated joint, chosen and not identified.
+        Standard parameters without effect on actuated joints, chosen and not identified.
     """
 
     standard: Mapping[str, float]
@@ -83,9 +83,9 @@ def consistent(
     Parameters
     ----------
     dataset, system, solution : Dataset, System, Solution
-        What was identified without regard to consistency.
+        The identification without constraints.
     priors : mapping
-        Standard parameter to what is known of it.
+        Standard parameter to its prior.
     free_gains : bool
         Estimate the gains again, under the constraints.
 
@@ -123,7 +123,7 @@ def consistent(
             "the data leave open, or identify without --consistent."
         )
     gain_std = _gain_std(problem, state, weights, unknowns, stated) if free_gains else np.zeros(n)
-    if free_gains and np.ndim(solution.of_prior):  # leaving out data does not show what known parameters leave open
+    if free_gains and np.ndim(solution.of_prior):  # leaving out data does not show the uncertainty of priors
         gain_std = np.sqrt(gain_std**2 + np.diag(np.asarray(solution.of_prior))[system.problem.gain_rows])
     std = dict(zip(system.problem.parameters, np.sqrt(np.diag(solution.jackknife)), strict=False))
     gains, free_std = 1 / state.b[:n], np.sqrt(np.diag(solution.jackknife))[len(values) : len(values) + n]
@@ -168,7 +168,7 @@ def _linear(blocks: np.ndarray, state: Iterate, problem: Problem, weights: np.nd
 def _programme(R: np.ndarray, unknowns: StandardUnknowns) -> tuple[np.ndarray, np.ndarray]:
     """Solve one convex programme for unknowns x, and steps of 1/g and of the delays."""
     n_theta, c = unknowns.S.shape
-    R, y = R[:-1, :-1], R[:-1, -1]  # the last row is what no unknown can explain
+    R, y = R[:-1, :-1], R[:-1, -1]  # the last row is the residual of the unconstrained fit
     rest = R.shape[1] - n_theta
     A = np.zeros((len(R) + c, c + rest))
     A[: len(R), :c], A[: len(R), c:] = R[:, :n_theta] @ unknowns.S, R[:, n_theta:]

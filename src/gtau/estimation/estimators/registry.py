@@ -1,7 +1,6 @@
 """The estimators by name; a new one is a file and a line here.
 
-Names cost nothing to import, which the command line needs for its help; the estimators themselves are imported when
-they are asked for.
+Names are cheap to import, for the help of the command line; the estimators themselves are imported on first use.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ def _all() -> dict[str, Estimator]:
 
 
 def __getattr__(name: str) -> Any:
-    """Import the estimators when ``ESTIMATORS`` is first asked for."""
+    """Import the estimators at the first access to ``ESTIMATORS``."""
     if name == "ESTIMATORS":
         return _all()
     raise AttributeError(name)

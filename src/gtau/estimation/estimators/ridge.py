@@ -1,8 +1,8 @@
-"""Maximum likelihood with priors on all standard parameters: those that are stated, and natural sizes of the others.
+"""Maximum likelihood with priors on all standard parameters: stated ones, and natural sizes of the others.
 
-Every estimator that minimises squares takes the stated priors; choose this one where motions leave parameters open and
-values close to plausible ones are wanted. With natural sizes alone it is a mild ridge regression, which draws only
-those estimates towards plausible values that the data leave open.
+Every estimator that minimises squares takes the stated priors; choose this one if some parameters are poorly excited
+and plausible values are wanted for them. With natural sizes alone it is a mild ridge regression, which draws only
+poorly determined estimates towards plausible values.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ def prior_equations(dataset: Dataset, system: System, solution: Solution, priors
     Parameters
     ----------
     dataset, system, solution : Dataset, System, Solution
-        What was identified without natural sizes.
+        The identification without natural sizes.
     priors : mapping
-        Parameter to what is known of it; bounds are not used here.
+        Parameter to its prior; bounds are not used here.
     """
     unknowns, names = standard_unknowns(dataset, system, solution, priors), system.whole.parameters
     kept = [k for k, name in enumerate(names) if name in system.problem.parameters]

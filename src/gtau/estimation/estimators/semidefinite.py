@@ -2,7 +2,7 @@
 
 A body of positive density has a positive definite pseudo-inertia ``[[Sigma, ms], [ms^T, m]]``, where
 ``Sigma`` is the second moment of its mass, and every such matrix belongs to some body. The
-convex programme is handed to the interior-point solver Clarabel as it is.
+convex programme is solved by the interior-point solver Clarabel.
 """
 
 from __future__ import annotations
@@ -81,14 +81,14 @@ def constrained_least_squares(
     length: float,
     within: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Minimise ``|R x - y|`` over unknowns that are possible for rigid bodies.
+    """Minimise ``|R x - y|`` over unknowns that are consistent with rigid bodies.
 
     Parameters
     ----------
     R, y : ndarray
-        (r, c) and (r,); every unknown must show in ``R``.
+        (r, c) and (r,); every unknown must enter ``R``.
     bodies : sequence of Body
-        Whose pseudo-inertias are held above the share MARGIN of ``mass`` (kg), in lengths of ``length`` (m).
+        Bodies whose pseudo-inertias are held above the share MARGIN of ``mass`` (kg), in lengths of ``length`` (m).
     lower, upper : ndarray
         Bounds of the unknowns (c,), infinite where there are none.
     unit : ndarray
@@ -104,7 +104,7 @@ def constrained_least_squares(
     Raises
     ------
     GtauError
-        Where bounds and known values leave nothing, or the solver is not installed.
+        If no unknowns satisfy bounds and known values, or the solver is not installed.
     """
     try:
         import clarabel

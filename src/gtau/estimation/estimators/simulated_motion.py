@@ -1,17 +1,17 @@
 """Motion simulated in closed loop with the current estimate, free of the noise of the encoders.
 
 The estimators with instruments (:mod:`gtau.estimation.estimators.instrumental_variables`) and DIDIM
-(:mod:`gtau.estimation.estimators.didim`) take the regressor along a simulated motion. A log does not say by which law
-its robot was controlled, so the one simulated is the usual stand-in: PID through the inertia of the model itself, the
+(:mod:`gtau.estimation.estimators.didim`) take the regressor along a simulated motion. The control law of a logged
+robot is unknown, so the simulated one is the usual substitute: PID through the inertia of the model itself, the
 acceleration of the reference fed forward,
 
     M(q) (qdd_r + kd ed + kp e + ki int e) = M(q) qdd + h(q, qd),      e = q_r - q
 
-with all three poles at ``-pole``. The measured motion, smoothed to what the equations hold of it, is the reference.
-What the model has besides inertia then acts as a disturbance: ``e = s / (s + pole)^3  M^-1 h``. This is solved for the
-whole run, block by block, by filtering ``M^-1 h`` along the motion of the pass before, until the motion stays: the loop
-forgets in a few ``1 / pole``, so two or three passes do, each as fast as the model is along a log. (Integrated step
-by step, the Orthoglide takes a thousand times as long.)
+with all three poles at ``-pole``. The measured motion, low-passed to the band of the equations, is the reference.
+All terms of the model besides inertia then act as a disturbance: ``e = s / (s + pole)^3  M^-1 h``. This is solved for
+the whole run, block by block, by filtering ``M^-1 h`` along the motion of the previous pass, until the motion
+converges: the loop forgets in a few ``1 / pole``, so two or three passes suffice, each as fast as the model along a
+log. (Integrated step by step, the Orthoglide takes a thousand times as long.)
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ MEASURED = ("command", "command_d", "command_dd", "usable")
 
 
 def resimulated_runs(dataset: Dataset, system: System, solution: Solution) -> tuple[InMemoryRun, ...]:
-    """Replace the motion of all runs by that of the simulated loop; see :func:`resimulated`."""
+    """Replace the motions of all runs by those of the simulated loop; see :func:`resimulated`."""
     if dataset.robot.floating:
         raise GtauError(
             f"motion is simulated from the currents of motors, and the base '{dataset.robot.floating}' has none; use "
@@ -83,7 +83,7 @@ def resimulated(
     Raises
     ------
     GtauError
-        Where the estimated inertia is not positive, so nothing can be simulated, or the loop does not converge.
+        If the estimated inertia is not positive definite, or the simulated loop does not converge.
     """
     run, kept, (samples, n) = prepared.run, prepared.kept, (len(prepared), len(prepared.run.joints))
     rate = run.rate
@@ -124,7 +124,7 @@ def resimulated(
 
 
 def reference_cutoff(preparation: Preparation, run: Run) -> float | None:
-    """Choose the cut-off of a run's reference, Hz, not above the end of the signal, beyond which noise is stronger."""
+    """Choose the cut-off of a run's reference, Hz, at most the frequency above which noise exceeds the signal."""
     end = max((each.end for each in spectra(run) if each.moves), default=np.inf)
     rows = min(ROWS * preparation.decimator.cutoff(run.rate), end)
     return below_nyquist(max(SMOOTH * preparation.bandwidth, rows), run.rate)
@@ -139,7 +139,7 @@ def _disturbance(
     here: Labels,
     before: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute ``M^-1 h`` (M, n) along some samples of a motion, three of (M, n), and the last configuration.
+    """Compute ``M^-1 h`` (M, n) along samples of a motion, three arrays (M, n), and the last configuration.
 
     Coulomb friction opposes the speeds of ``direction`` (M, n), those of the reference, so that a joint needs no
     stiction; rows where the two differ in sign are next to a reversal, and masked. ``before`` is the configuration
@@ -171,9 +171,9 @@ def _disturbance(
 
 
 class Loop:
-    """The loop's error and its first two derivatives as a disturbance goes by, block by block.
+    """The loop's error and its first two derivatives under a disturbance, block by block.
 
-    At the beginning it is as if the first disturbance had always been there.
+    It starts in the steady state under the first disturbance.
     """
 
     def __init__(self, rate: float, pole: float):

@@ -1,4 +1,4 @@
-"""The standard parameters behind the base parameters, and what is known of them before the data.
+"""The standard parameters behind the base parameters, and their priors.
 
 Their natural sizes follow from the robot's size and torques; the user may state values and bounds.
 """
@@ -22,7 +22,7 @@ from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import DAMPING, INERTIAL, STANDARD_GRAVITY, STIFFNESS, Robot
 from gtau.signals.experiment import Prior
 
-LOOSE = 10.0  # natural sizes: standard deviation of the prior on what nobody has stated
+LOOSE = 10.0  # natural sizes: standard deviation of the prior on parameters without a stated one
 SLENDER = 0.2  # radius of gyration of a plausible link, in lengths of the robot
 
 
@@ -46,7 +46,7 @@ class StandardUnknowns:
 def standard_unknowns(
     dataset: Dataset, system: System, solution: Solution, priors: Mapping[str, Prior]
 ) -> StandardUnknowns:
-    """List the standard parameters behind the problem's, and what is known of them."""
+    """List the standard parameters behind the problem's, with their priors."""
     robot, problem = dataset.robot, system.whole
     names = list(dataset.model.parameter_names)
     position = {name: k for k, name in enumerate(names)}

@@ -1,10 +1,10 @@
-"""The paper's total least squares (eqs. 33 to 39), which takes every column of ``W_tot`` for equally noisy.
+"""The paper's total least squares (eqs. 33 to 39), which assumes equal noise in every column of ``W_tot``.
 
 Choose it to follow the paper, or to compare with published results. On real logs its assumption seldom holds, and
-gains may come out absurd where maximum likelihood finds them.
+gains may be absurd where those of maximum likelihood are accurate.
 
-``W_tot = [-W_theta  V_tau  -known]`` and ``chi_tot = [theta g 1]``: all unknowns stand on one side, and the known
-payload sets the scale.
+``W_tot = [-W_theta  V_tau  -known]`` and ``chi_tot = [theta g 1]``: all unknowns are on one side, and the known
+payload fixes the scale.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def tls(problem: Problem) -> Solution:
     Raises
     ------
     GtauError
-        Where the known payload does not show in the currents, so that nothing sets the scale.
+        If the known payload has no effect on the currents, so that nothing fixes the scale.
     """
     r, joints = problem.total_rows.sum(), range(len(problem.joints))
     weights = 1 / np.array([_own_sigma_W(problem, j) for j in joints])
@@ -58,13 +58,13 @@ def total_rows_of(problem: Problem, block: np.ndarray, j: int, weight: float) ->
     n_theta = problem.n_theta
     rows = np.zeros((len(block), n_theta + len(problem.joints) + 1))
     rows[:, :n_theta], rows[:, -1] = -block[:, MODEL], -block[:, KNOWN]
-    # a gain that is known stands with the known payload
+    # a known gain goes with the known payload
     rows[:, n_theta + j if problem.free[j] else -1] += delayed_signal(block, problem.own_delays[j])
     return weight * rows
 
 
 def _scaled(direction: np.ndarray) -> np.ndarray:
-    """Scale a solution so that its last entry is 1, by which the known payload sets the scale."""
+    """Scale a solution to a last entry of 1: the known payload fixes the scale."""
     if abs(direction[-1]) < 1e-12 * np.linalg.norm(direction):
         raise GtauError(
             "the data do not determine the scale of the drive gains: the known payload does not show in the currents; "

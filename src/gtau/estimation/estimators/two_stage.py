@@ -1,6 +1,6 @@
-"""Two-stage least squares (2SLS): currents are replaced by what their own joint's regressor explains of them.
+"""Two-stage least squares (2SLS): currents are replaced by their projections on their own joint's regressor.
 
-The start of maximum likelihood. Choose it to cross-check: it is consistent where currents are noisy, needs no
+The start of maximum likelihood. Choose it for a cross-check: it is consistent with noisy currents, needs no
 iteration, and shares no weights with the others.
 """
 
@@ -25,8 +25,8 @@ EXPLAINED = 1e-10  # of the largest singular value: directions of the parameters
 def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
     """Solve two-stage least squares (2SLS).
 
-    The currents are first projected on their own joint's regressor columns, which frees them of noise
-    uncorrelated with the motion; the known payload then stands alone on the right-hand side.
+    The currents are first projected on their own joint's regressor columns, which removes noise
+    uncorrelated with the motion; the known payload is then alone on the right-hand side.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
 
 @dataclass(frozen=True, eq=False)
 class FirstStage:
-    """How well the motion explains the currents.
+    """Strength of the first stage: explanation of the currents by the motion.
 
     Attributes
     ----------
@@ -94,9 +94,9 @@ class FirstStage:
 
 
 def first_stage(problem: Problem, solution: Solution, lack: float) -> FirstStage:
-    """Measure how strong the instruments of two-stage least squares are, and the bias that is left.
+    """Measure the strength of the instruments of two-stage least squares, and the remaining bias.
 
-    The projected currents keep of their noise what the instruments can mimic, by which gains come out too small,
+    The projected currents keep the part of their noise in the span of the instruments, which biases gains low,
     and the standard deviation does not show it: with weak instruments most of the bias of least squares (Stock and
     Yogo 2005).
 
@@ -106,7 +106,7 @@ def first_stage(problem: Problem, solution: Solution, lack: float) -> FirstStage
         The equations; the gains and delays at which they are weighed.
     lack : float
         Standard deviations over those for independent residuals, 1 at least, see
-        :func:`gtau.estimation.diagnostics.log_checks.lack_of_fit`: as few independent rows as that leaves.
+        :func:`gtau.estimation.diagnostics.log_checks.lack_of_fit`: it reduces the number of independent rows.
     """
     n_theta, free = problem.n_theta, problem.free
     parts = []
@@ -138,7 +138,7 @@ def _rows(problem: Problem, j: int, block: np.ndarray, coefficients: np.ndarray)
     n_theta = problem.n_theta
     rows = np.zeros((len(block), n_theta + len(problem.channels) + 1))
     rows[:, :n_theta], rows[:, -1] = block[:, MODEL], block[:, KNOWN]
-    # the torque of a sensor, whose gain is known, stands on the known side
+    # the torque of a sensor, whose gain is known, goes to the known side
     rows[:, n_theta + j if problem.free[j] else -1] -= block[:, problem.own_columns[j]] @ coefficients
     return rows
 

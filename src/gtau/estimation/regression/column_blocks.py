@@ -1,8 +1,9 @@
-"""Blocks of columns: what each effect adds to the equations of every channel (eqs. 29 to 33).
+"""Blocks of columns: contribution of each effect to the equations of every channel (eqs. 29 to 33).
 
-All runs have the same base columns. What an effect adds (a payload, friction that drifts or changes with temperature,
-the offset of a torque sensor) are combinations of them: so the factors of each channel and run become a block of the
-problem by one product with a small matrix. An effect is a :class:`ColumnBlock`; :func:`column_blocks` lists them.
+All runs have the same base columns. The columns of an effect (a payload, friction that drifts or changes with
+temperature, the offset of a torque sensor) are combinations of them: so the factors of each channel and run become a
+block of the problem by one product with a small matrix. An effect is a :class:`ColumnBlock`; :func:`column_blocks`
+lists them.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ class CarriedPayload:
     """The payload of one run.
 
     ``unknown`` maps the name in the problem of each unknown parameter that acts on some actuated joint
-    to its kind, and ``regroupings`` the kind to the formula of what it stands for: ``sums`` (unknown, free)
+    to its kind, and ``regroupings`` the kind to its regrouping formula: ``sums`` (unknown, free)
     of the kinds ``free`` that are not known. ``columns`` (n_b, k) are those of the unknown and then of the known
     parameters, in base columns.
     """
@@ -62,7 +63,7 @@ class CarriedPayload:
 
     @property
     def acts(self) -> bool:
-        """Whether what is known of it acts on some actuated joint."""
+        """Whether its known parameters act on some actuated joint."""
         return bool(self.columns[:, len(self.unknown) :].any())
 
 
@@ -133,7 +134,7 @@ def column_blocks(
 
 
 def _felt(base: BaseParameters, channel: Channel, columns: np.ndarray) -> np.ndarray:
-    """Place columns (n_b, k) in those of the factors, (p, k); a sensor does not feel those of its joint's drive."""
+    """Place columns (n_b, k) in those of the factors, (p, k); a sensor does not measure those of its joint's drive."""
     felt = columns * seen_by_sensor(base.standard, channel.joint)[:, None] if channel.kind == "sensor" else columns
     return np.concatenate([felt, np.zeros((EXTRA, columns.shape[1]))])
 
@@ -148,7 +149,7 @@ def _payload_block(base: BaseParameters, carried: CarriedPayload) -> ColumnBlock
 
 
 def _drift_block(base: BaseParameters, joints: Sequence[str], runs: int) -> ColumnBlock:
-    """Let friction differ from its mean in every run; the differences of all runs add up to zero."""
+    """Build the block of friction's differences from its mean in every run; they add up to zero."""
     kinds = {Parameter(kind, joint).name for kind in DRIFTING for joint in joints}
     drifting = [k for k, name in enumerate(base.names) if name in kinds] if runs > 1 else []
     units = np.eye(base.count)[:, drifting]
@@ -161,7 +162,7 @@ def _drift_block(base: BaseParameters, joints: Sequence[str], runs: int) -> Colu
 
 
 def _own_block(base: BaseParameters, names: tuple[str, ...]) -> ColumnBlock:
-    """Let parameters act in the equations of the one channel whose name they end in.
+    """Build the block of parameters that act only in the equations of the channel whose name they end in.
 
     They are further friction of a drive, or friction and offset of a sensor, whose columns are those of its joint's.
     """

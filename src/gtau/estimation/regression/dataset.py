@@ -33,13 +33,13 @@ from gtau.signals.run import Run, arrange
 
 @lru_cache(maxsize=8)
 def model_of(robot: Robot) -> InverseDynamics:
-    """Make the model of a robot, once."""
+    """Return the model of a robot, built once."""
     return InverseDynamics(robot)
 
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """All runs of an experiment, read and reduced, before any estimation, and what is known beside them.
+    """All runs of an experiment, read and reduced, with the priors, before any estimation.
 
     ``priors`` are those of standard or base parameters, by name; with the inertias of the robot's file among them,
     ``prior_inertias`` is their relative standard deviation, else 0.
@@ -67,22 +67,22 @@ class Dataset:
 
     @cached_property
     def temperatures(self) -> Temperatures | None:
-        """How far joints were from their mean temperatures, where these are logged."""
+        """Differences of the joints from their mean temperatures, where these are logged."""
         return temperatures_of(self.prepared, self.edges)
 
     @cached_property
     def places(self) -> tuple[Place, ...]:
-        """Where each run stands among those that repeat its motion."""
+        """Place of each run among those that repeat its motion."""
         return find_places(self.prepared)
 
     @cached_property
     def edges(self) -> tuple[np.ndarray, ...]:
-        """Where the stretches of each run begin and end, as shares of its samples, (STRETCHES + 1,)."""
+        """Edges of the stretches of each run, as shares of its samples, (STRETCHES + 1,)."""
         return edges_in_step(self.prepared, self.places)
 
     @property
     def notes(self) -> tuple[Note, ...]:
-        """What is odd in the robot, and what was repaired or left out of each run."""
+        """Notes on implausible parts of the robot, and on repairs and omissions in each run."""
         runs = (note.of(each.run.name) for each in self.prepared for note in (*each.run.notes, *each.notes))
         of_robot = robot_notes(self.robot, loaded=any(run.payload for run in self.runs))
         heavy = doubtful_payloads(self.robot, (run.payload for run in self.runs))
@@ -164,13 +164,13 @@ def reduce_runs(
 ) -> Dataset:
     """Prepare all runs and reduce them to triangular factors.
 
-    ``priors`` are what is known of parameters; see :class:`Dataset`.
+    ``priors`` are those of parameters; see :class:`Dataset`.
 
     Raises
     ------
     GtauError
         Where a run does not suit the robot, or the robot's loops cannot be closed along it; where runs have wrenches on
-        different bodies, or one that the robot lacks, or a payload beyond a sensor that feels it already.
+        different bodies, or one that the robot lacks, or a payload beyond a sensor that already measures it.
     """
     model = model_of(robot)
     runs = tuple(arrange(run, model.actuated) for run in runs)
@@ -191,7 +191,7 @@ def reduce_runs(
 def sensors_of(robot: Robot, runs: Sequence[Run]) -> tuple[str, ...]:
     """List the joints with a torque sensor, the same in all runs, in the order of the robot's motors.
 
-    What the sensor of joint j measures is the torque of row j of the model without what belongs to its drive: rotor
+    The sensor of joint j measures the torque of row j of the model without the terms of its drive: rotor
     inertia, friction of motor and gear, and the offset of the current. It has an offset of its own. The parameters of
     the links are the same, so they carry the scale of the sensor to all drive gains.
 
@@ -221,7 +221,7 @@ def sensors_of(robot: Robot, runs: Sequence[Run]) -> tuple[str, ...]:
 
 
 def check_wrenches(robot: Robot, run: Run) -> None:
-    """Check that the wrenches of a run act on bodies of the robot, and feel no payload that is stated too.
+    """Check that the wrenches of a run act on bodies of the robot, and include no stated payload.
 
     Raises
     ------
@@ -260,7 +260,7 @@ def prepare_runs(model: InverseDynamics, runs: Sequence[Run], preparation: Prepa
 def motor_to_joint_speed(model: InverseDynamics) -> np.ndarray:
     """Compute speeds (n_y, n) of the joints that each motor drives, through couplings too, for their friction.
 
-    The ratios do not change along a run. Where closures drive the joints, a motor's own joint is all.
+    The ratios do not change along a run. With closures each motor drives only its own joint.
     """
     n, robot = len(model.actuated), model.robot
     without_friction = [robot.actuated.index(joint) for joint in robot.base]

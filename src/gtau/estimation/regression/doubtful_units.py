@@ -1,4 +1,4 @@
-"""Currents that no drive of the robot has, and payloads that it does not carry, so that another unit is likely."""
+"""Implausible currents and payloads, which suggest a wrong unit."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from gtau.signals.storage import block, spans
 
 
 def doubtful_currents(runs: Sequence[Run], base: Collection[str] = ()) -> list[Note]:
-    """Note currents that are too large, or of joints that are far apart.
+    """Note currents that are too large, or of very different size between joints.
 
     Parameters
     ----------
     runs : sequence of Run
         All runs, their joints in the same order.
     base : collection of str
-        Joints of a base that floats, on which no current acts.
+        Joints of a floating base, without currents.
     """
     if runs[0].kind != "current":
         return []
@@ -55,7 +55,7 @@ def doubtful_currents(runs: Sequence[Run], base: Collection[str] = ()) -> list[N
 
 
 def doubtful_payloads(robot: Robot, payloads: Iterable[Payload | None]) -> Iterator[Note]:
-    """Note masses that no arm of this reach carries; robots with closures, and floating ones, carry more."""
+    """Note masses too large for an arm of this reach; robots with closures, and floating ones, carry more."""
     reach = None if robot.closures or robot.floating else _reach(robot)
     if not reach:
         return

@@ -5,7 +5,7 @@ Rows of runs, their factors and the blocks of the problem all end in the same fo
     [ model | known | v  v'  v'' ]
 
 behind those of the model: of standard parameters and friction terms along a run, of the unknown ``theta`` in the
-problem. ``known`` is what is added to the torque of the model; v is the signal with two time
+problem. ``known`` is the known torque added to that of the model; v is the signal with two time
 derivatives.
 """
 
@@ -33,7 +33,7 @@ def delayed_signal(rows: np.ndarray, d: float | np.ndarray) -> np.ndarray:
 
 
 def modelled(rows: np.ndarray, theta: np.ndarray) -> np.ndarray:
-    """Compute the torques that parameters give rows (..., p, columns), what is known included, (..., p)."""
+    """Compute the torques of parameters in rows (..., p, columns), the known part included, (..., p)."""
     return np.asarray(rows[..., MODEL] @ theta + rows[..., KNOWN])
 
 

@@ -1,4 +1,4 @@
-"""Triangular factors: all that the estimators need to know of a run, however long.
+"""Triangular factors: a run of any length, reduced to the data that the estimators need.
 
 Each channel's decimated rows ``[W_j  terms_j  known_j  v_j  v_j'  v_j'']`` are reduced by QR to a small triangle, one
 for each of the stretches that the jackknife leaves out in turn. Factors of more runs merge by one more QR.
@@ -29,7 +29,7 @@ EXTRA = len(TERMS) + FIXED  # columns behind those of standard parameters
 
 @dataclass(frozen=True, eq=False)
 class HuberWeights:
-    """Huber's weights: rows whose residual is above ``limit`` (c,) count less, in proportion.
+    """Huber's weights: rows with residuals above ``limit`` (c,) are weighted in inverse proportion.
 
     Residuals of channel j are ``rows @ coefficients[j]``, of ``[W_j terms_j known_j v_j v_j' v_j'']``, (c, p).
     """
@@ -47,13 +47,13 @@ class Factors:
     R : ndarray
         (stretches, c, p, p) triangles of ``[W_j terms_j known_j v_j v_j' v_j'']``, p = columns + 6, of the joints and
         then of the torque sensors: these have the regressor's row of their joint, and no further friction. Known is
-        what measured wrenches add to the torque of the joint, less.
+        minus the contribution of measured wrenches to the torque of the joint.
     rows : ndarray
         (stretches, c) number of rows behind each.
     distances : ndarray
         (K, 2) to singularities of type 1 and 2 at the decimated samples, in single precision; of logs only.
     residuals : ndarray
-        (K, c) of weighed rows before they are weighed, NaN where the row is not kept; (0, c) of others.
+        (K, c) of weighted runs, before weighting, NaN where the row is not kept; (0, c) of others.
     speeds : ndarray
         (stretches, n) largest speed of each actuated joint among its rows, rad/s or m/s; of logs only.
     """

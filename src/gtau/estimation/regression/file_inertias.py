@@ -1,4 +1,4 @@
-"""Inertias that the robot's file states: as standard parameters, and as priors."""
+"""Inertias stated in the robot's file: as standard parameters, and as priors."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from gtau.signals.experiment import Prior
 
 
 def stated_inertias(robot: Robot) -> dict[str, float]:
-    """Return the standard parameters that the file states of bodies and motors of the model, by name, SI units.
+    """Return the file's standard parameters of bodies and motors of the model, by name, SI units.
 
-    A body of which the file says nothing, beside others of which it does, has no mass there.
+    A body without inertia in a file that states those of others has no mass there.
     """
     stated = dict(robot.inertias)
     if not stated:
@@ -26,7 +26,7 @@ def stated_inertias(robot: Robot) -> dict[str, float]:
 
 
 def sizes_of(stated: dict[str, float], body: str) -> dict[str, float] | None:
-    """Return what a change of 100 % is of each inertial parameter of a body, by kind: m, m r and m r^2.
+    """Return the size of each inertial parameter of a body (a change of 100 %), by kind: m, m r and m r^2.
 
     The radius r is the root mean square distance of its mass from the frame's origin, ``m r^2 = tr(I) / 2``: so a
     centre of mass that the file puts at the origin may move too. None for a body without mass or extent.

@@ -1,7 +1,7 @@
-"""Friction beyond the paper's: which terms an actuated joint needs, and how friction drifts between runs.
+"""Friction beyond the paper's: further terms of an actuated joint, and drift between runs.
 
-The paper's friction, viscous and Coulomb, is among the standard parameters of the model. Two terms are
-offered on top of it to every actuated joint, and taken where its own equations ask for them:
+The paper's friction, viscous and Coulomb, is among the standard parameters of the model. Two more
+terms are candidates for every actuated joint, and selected if its own equations support them:
 
 - ``f3``: cubic in speed, ``f3 qd^3``;
 - ``fl``: proportional to the torque that the joint transmits, ``fl |tau_load| sign(qd)``.
@@ -10,13 +10,13 @@ Where temperatures of the joints are logged, two more are:
 
 - ``fvt``, ``fst``: viscous and Coulomb friction per degree above the mean temperature, ``fvt (T - T_mean) qd`` and
   ``fst (T - T_mean) sign(qd)``. Temperature changes so slowly that its mean over a stretch, a twentieth of a run,
-  stands for it there: these columns are then those of viscous and Coulomb friction in each stretch, times a number,
+  replaces it there: these columns are then those of viscous and Coulomb friction in each stretch, times a number,
   and nothing has to be streamed again for them.
 
 The bearing of a joint's torque sensor may have friction of its own, viscous and Coulomb (``fv_2_sensor``).
 
-Warm-up makes friction drift between runs by per cents, which no single run shows and which ruins the
-drive gains; so viscous and Coulomb friction may take a value of their own in every run.
+Warm-up makes friction drift between runs by per cents, which is invisible in a single run and ruins the
+drive gains; so viscous and Coulomb friction may have different values in every run.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Whether a log can be of this robot: its motion against the limits of the robot's joints."""
+"""Check the motion of a log against the limits of the robot's joints."""
 
 from __future__ import annotations
 
@@ -54,8 +54,8 @@ def within_limits(robot: Robot, prepared: PreparedRun) -> PreparedRun:
 
 
 def _check_units(robot: Robot, run: Run, span: np.ndarray, speeds: np.ndarray) -> None:
-    """Refuse motions that no robot of this size makes, and name the unit or clock behind them; (n,) rad or m, s."""
-    # Motors behind gears turn as often as they like, and floating bases go where they like.
+    """Refuse motions impossible for a robot of this size, and name the wrong unit or clock; (n,) rad or m, s."""
+    # Motors behind gears make any number of turns, and floating bases move without limits.
     geared = {name for each in robot.couplings for name in (each.joint, *dict(each.ratios))}.union(robot.base)
     for kind, (basic, other) in UNITS.items():
         joints = [j for j, name in enumerate(run.joints) if robot.joint(name).kind == kind and name not in geared]
@@ -86,12 +86,12 @@ def _check_units(robot: Robot, run: Run, span: np.ndarray, speeds: np.ndarray) -
 
 
 def write_limits(joint: str) -> str:
-    """Advise how to write the limits of a joint that its file has wrong."""
+    """Advise how to correct wrong limits of a joint in its file."""
     return f"state the real one under 'robot' in the experiment file ({{file: ..., limits: {{{joint}: ...}}}})"
 
 
 def stated_rate(run: Run) -> float | None:
-    """Return the sampling rate (Hz) that a log's signals state; None where the log has a time."""
+    """Return the sampling rate (Hz) stated for a log's signals; None if the log has time stamps."""
     stated = run.log is not None and isinstance(run.log.signals.time, SampleRate)
     return run.log.signals.time.rate if stated else None  # type: ignore[union-attr]
 
@@ -123,7 +123,7 @@ def _judge(run: str, joint: Joint, low: float, high: float, speed: float) -> Ite
     if joint.limits.velocity is not None and speed > joint.limits.velocity:
         moved = f"joint '{joint.name}' moves at {speed:.4g} {unit}/s (rms), {speed / joint.limits.velocity:.3g} times"
         limit = (
-            f"its limit of {joint.limits.velocity:.4g} {unit}/s"  # in many files a placeholder, which refuses no log
+            f"its limit of {joint.limits.velocity:.4g} {unit}/s"  # in many files a placeholder, so no log is refused
         )
         action = f"check columns and units; if the limit is a placeholder, {write_limits(joint.name)}"
         yield Note(Kind.LIMITS, f"{moved} {limit}", action, joint=joint.name)

@@ -2,9 +2,9 @@
 
 Row block (u, j) holds the equations of channel j in unit u, a stretch of one run, with the columns of
 :mod:`gtau.estimation.regression.equations`: those of the model act on the unknown parameters ``theta`` (base
-parameters, then what every other effect adds), ``known`` is ``W_kl chi_kl`` less what measured wrenches do, and v is a
-current reference, or the torque of a channel with the gain 1. The rows may be those of the decimated system, or their
-triangular factor: all estimators see them only through ``A^T A`` and give the same for both.
+parameters, then what every other effect adds), ``known`` is ``W_kl chi_kl`` minus the torques of measured wrenches, and
+v is a current reference, or the torque of a channel with the gain 1. The rows may be those of the decimated system, or
+their triangular factor: all estimators depend on them only through ``A^T A`` and give the same for both.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Problem:
         (k, n_theta + 1) further equations ``[P | y]``, of known parameters: ``P theta = y`` with errors of unit
         variance.
     wrenches : tuple of str
-        Bodies on which measured wrenches act; what they add to the motors' torques is in the column ``known``, less.
+        Bodies on which measured wrenches act; the column ``known`` holds minus their joint torques.
     in_step : ndarray, optional
         (U,) the same number for blocks that the jackknife leaves out together, of runs that repeat a motion.
     """
@@ -77,12 +77,12 @@ class Problem:
 
     @cached_property
     def free(self) -> np.ndarray:
-        """Whether the gain of a channel is to be found, (c,)."""
+        """Whether the gain of a channel is to be estimated, (c,)."""
         return np.array([each.free for each in self.channels])
 
     @property
     def scaled(self) -> bool:
-        """Whether torque sensors, measured wrenches or known parameters say how large gains are, beside payloads."""
+        """Whether torque sensors, measured wrenches or known parameters fix the scale of the gains, beside payloads."""
         return not self.free.all() or bool(self.wrenches) or len(self.known) > 0
 
     @property
@@ -92,13 +92,13 @@ class Problem:
 
     @cached_property
     def units(self) -> tuple[np.ndarray, ...]:
-        """Return what the jackknife leaves out in turn, (c, ., n_theta + 4): a block, or all that are in step."""
+        """Return the units of the jackknife in turn, (c, ., n_theta + 4): a block, or all blocks in step."""
         together = [self.blocks[self.block_numbers == number] for number in np.unique(self.block_numbers)]
         return tuple(each[0] if len(each) == 1 else np.concatenate(each, axis=1) for each in together)
 
     @property
     def gain_rows(self) -> slice:
-        """Where the joints' gains stand in (theta, gains, delays)."""
+        """Indices of the joints' gains in (theta, gains, delays)."""
         return slice(self.n_theta, self.n_theta + len(self.joints))
 
     @property
@@ -118,7 +118,7 @@ class Problem:
 
     @cached_property
     def own_currents(self) -> tuple[np.ndarray, ...]:
-        """What each channel's own model leaves of v, v', v'': (3, 3) triangles, one a channel."""
+        """Residuals of v, v', v'' from each channel's own model: (3, 3) triangles, one a channel."""
         left = []
         for R, columns in zip(self.triangles, self.own_columns, strict=True):
             full = select_columns(R, [*columns, *range(self.n_theta + 1, self.n_theta + FIXED)])
@@ -132,9 +132,9 @@ class Problem:
 
     @cached_property
     def own_delays(self) -> np.ndarray:
-        """Delay of each channel (s), (c,), that its own model explains best.
+        """Delay of each channel (s), (c,), with the best fit of its own model.
 
-        Minimises what is left of ``v - d v' + d^2/2 v''`` outside the joint's regressor, from the
+        Minimises the residual of ``v - d v' + d^2/2 v''`` outside the joint's regressor, from the
         (3, 3) triangles alone. Zero where the minimum lies outside +-``slowest``.
         """
         found = np.zeros(len(self.channels))
@@ -160,7 +160,7 @@ class Problem:
             free = max(self.total_rows[j] - len(self.own_columns[j]), 1)
             sigma[j] = np.sqrt(rest @ rest / free)
         found = np.maximum(sigma, self.smallest_sigma)
-        # where nothing is measured, its own model says nothing: no channel weighs less to begin with
+        # without a signal its own model gives no error level: start with that of the least weight
         return np.where(self.silent, found.max() or 1.0, found)
 
     @property
@@ -171,7 +171,7 @@ class Problem:
 
     @property
     def silent(self) -> np.ndarray:
-        """Whether nothing is measured in a channel, (c,), such as a direction in which nothing acts on a base."""
+        """Whether a channel has no signal, (c,), such as a direction without external forces on a base."""
         return self.signal == 0.0
 
     def balance(self, theta: np.ndarray) -> np.ndarray:
@@ -185,7 +185,7 @@ class Problem:
 
     @property
     def smallest_sigma(self) -> np.ndarray:
-        """What rounding leaves of each channel: no error level is taken to be below it, (c,)."""
+        """Rounding error of each channel, (c,): the lower limit of its error level."""
         return 1e-10 * self.signal
 
     def without(self, names: Sequence[str]) -> Problem:
@@ -198,7 +198,7 @@ class Problem:
             blocks=self.blocks[..., columns],
             known=self.known[:, [*keep, -1]],
         )
-        # the triangles of fewer columns follow from those of all: the units need not be looked at again
+        # the triangles of fewer columns follow from those of all: no pass over the units
         less.__dict__["triangles"] = tuple(select_columns(R, columns) for R in self.triangles)
         # columns that depended on others still do if these are all there, or if there are none
         now = {old: new for new, old in enumerate(columns)}

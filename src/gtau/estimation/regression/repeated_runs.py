@@ -1,9 +1,9 @@
 """Runs that repeat a motion, whose stretches the jackknife leaves out together.
 
-What the model lacks mostly depends on the motion. Runs without and with a payload that repeat one motion hold it both,
-and it cancels in the gains, which rest on the difference of the currents. A jackknife that leaves out stretches of one
-run alone takes it for an error of the difference. So runs that repeat a motion are cut at the same positions, and
-their stretches are left out together: what is common then cancels in each unit, and what differs shows.
+Model errors depend mostly on the motion. Runs without and with a payload that repeat one motion share them, and they
+cancel in the gains, which depend on the difference of the currents. A jackknife that leaves out stretches of one run
+alone counts them as errors of the difference. So runs that repeat a motion are cut at the same positions, and their
+stretches are left out together: common errors then cancel in each unit, and differences remain.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ LONGEST = 1 << 16  # positions of a run that are compared, at most
 
 @dataclass(frozen=True)
 class Place:
-    """Where a run stands in the motion of its group: the ``group``'s number, and its ``begin`` and ``end``.
+    """Place of a run in the motion of its group: the ``group``'s number, and its ``begin`` and ``end``.
 
     They are the instants (s), by the clock of the run, at which the first run of the group begins to move and the last
     one ends. ``repeated`` says whether the group has more than one run.
@@ -57,7 +57,7 @@ def find_places(prepared: Sequence[PreparedRun]) -> tuple[Place, ...]:
 
     Runs belong together where the rms difference of their positions after a shift in time, over those of the motion,
     is below ``REPEATED``, of ``REPEATED_PART`` of the longer one at least. Each is compared with the first of every
-    group. Runs in memory, which were made, stand alone.
+    group. Runs in memory, which are synthetic, form groups of one.
     """
     if not all(isinstance(each, PreparedRun) for each in prepared):
         return tuple(Place(k, 0.0, 0.0, False) for k in range(len(prepared)))
@@ -103,7 +103,7 @@ def _paths(prepared: Sequence[PreparedRun]) -> _Paths:
 
 
 def _shift(paths: _Paths, one: int, other: int) -> float | None:
-    """Find by how much the clock of a run is ahead of another's in the same motion, s; None where motions differ."""
+    """Find the lead of a run's clock over another's in the same motion, s; None if the motions differ."""
     from scipy.fft import irfft, next_fast_len, rfft
 
     a, b = paths.q[one], paths.q[other]

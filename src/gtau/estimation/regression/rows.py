@@ -27,9 +27,9 @@ class Rows:
     """Rows of all channels, the joints' and then the torque sensors', at K output instants.
 
     ``time`` (K,) in s; ``keep`` (c, K); ``entries`` of the regressor (entries, K); ``currents``
-    (3, c, K): the command and its first two time derivatives, of a base all that acts on it from outside; ``terms``
-    (2, n, K), the columns of further friction of the joints; ``external`` (n, K), what wrenches on bodies add
-    to the motors' torques, 0 for a base; ``outputs`` their numbers in the run; ``motion`` of the whole tree
+    (3, c, K): the command and its first two time derivatives, for a base its external forces; ``terms``
+    (2, n, K), the columns of further friction of the joints; ``external`` (n, K), the joint torques of
+    wrenches on bodies, 0 for a base; ``outputs`` their numbers in the run; ``motion`` of the whole tree
     at these instants; ``friction`` (n, K), where a law of it is given.
     """
 
@@ -62,16 +62,16 @@ def stream_rows(
     Parameters
     ----------
     idm, regressor : InverseDynamics, Regressor
-        The model, and the columns wanted of it.
+        The model, and its required columns.
     prepared, decimator : PreparedRun or InMemoryRun, Decimator
         The run, and its filter.
     load : ndarray, optional
         Values of the columns (columns,) that give the torques transmitted by the joints, for friction
-        that depends on them; without it the command stands in for the torque, up to the drive gain.
+        that depends on them; without it the command replaces the torque, up to the drive gain.
     fast : int
         Samples of a block before decimation.
     friction : callable, optional
-        Torques that are no sum of columns, to be decimated too.
+        Torques outside the linear model, to be decimated too.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def stream_rows(
         currents = measured[:, : of.usable.shape[1]]
         entries = regressor(idm.layout, motion)
         external = external_torques(idm, prepared.run, motion, measured)
-        # all that acts on a base is one signal there, wherever it acts
+        # all external forces on a base are one signal, wherever applied
         base = [idm.actuated.index(joint) for joint in idm.robot.base]
         currents[:, base] += external[:, base]
         external[:, base] = 0.0
@@ -133,9 +133,9 @@ def stream_torques(
     values: np.ndarray,
     friction: Law,
 ) -> Iterator[Torques]:
-    """Compute the torques that columns of ``values`` and ``friction`` make at every sample of a run.
+    """Compute the torques of columns with ``values``, and of ``friction``, at every sample of a run.
 
-    They and the commands pass the low-pass of the decimation, but all samples stay.
+    Torques and commands pass the low-pass of the decimation, but are not decimated.
 
     Raises
     ------
@@ -171,10 +171,10 @@ def stream_motions(idm: InverseDynamics, prepared: PreparedRun) -> Iterator[tupl
 
 
 def external_torques(idm: InverseDynamics, run: Run, motion: Motion, measured: np.ndarray) -> np.ndarray:
-    """Compute what the wrenches of a run add to the torques of the actuated joints, ``J^T w`` (3, n, M).
+    """Compute the torques of a run's wrenches at the actuated joints, ``J^T w`` (3, n, M).
 
     ``measured`` (3, ., M) are the columns of the run's commands and their time derivatives, those of the wrenches last;
-    ``motion`` is that of the same M samples. A wrench that is late is late in the robot's pose of now, so that the
+    ``motion`` is that of the same M samples. A delayed wrench is mapped at the current pose, so that the
     columns of its delay are ``J^T w'`` and ``J^T w''``.
     """
     torques = np.zeros((len(measured), len(idm.actuated), measured.shape[-1]))
@@ -235,7 +235,7 @@ def _along(
 
 @dataclass(frozen=True)
 class Labels:
-    """What messages call the samples of a run: its name and the time."""
+    """Labels of a run's samples in messages: its name and the time."""
 
     run: str
     time: np.ndarray

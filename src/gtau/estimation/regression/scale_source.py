@@ -1,4 +1,4 @@
-"""What fixes the scale of the drive gains: payloads, sensors, wrenches or known parameters (section 3.3)."""
+"""Sources of the scale of the drive gains: payloads, sensors, wrenches or known parameters (section 3.3)."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | Non
     Raises
     ------
     GtauError
-        Without any of them, with one payload in all runs, or where what is known acts on no joint in a way of its own;
-        a wrench does not that comes of one tool in all runs.
+        Without any of them, with one payload in all runs, or if the effect of the known quantities is linearly
+        dependent on unknown parameters, as with the wrench of one tool in all runs.
     """
     problem = system.problem
     other = "or use --method wls with prior_gains"
@@ -91,8 +91,8 @@ def _hidden(stated: Sequence[str], other: str) -> GtauError:
 def unexplained_wrench_share(problem: Problem) -> tuple[float, float]:
     """Compute the share of the torque of wrenches that no parameter explains, and the share of that in the currents.
 
-    What a tool that is always carried does to its sensor is what unknown inertia of the body would do. That leaves
-    noise, to which no current answers; of another load the currents show all that the wrench does, over the gain. The
+    The wrench of a tool carried in all runs is explained by unknown inertia of the body. The remainder is then noise,
+    without an effect on the currents; for another load the currents contain the whole wrench torque over the gain. The
     second share is that of squares; both are of rows weighted by each joint's noise, and of a base that is fixed.
     """
     n, joints, rows = problem.n_theta, len(problem.joints), []

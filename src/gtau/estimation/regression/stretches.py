@@ -14,9 +14,9 @@ REST = 0.5  # of a stretch: shorter rests leave rows in it, and longer ones may 
 
 
 def stretch_edges(prepared: PreparedRun | InMemoryRun) -> np.ndarray:
-    """Find where the stretches of a run begin and end, as shares of its samples, (STRETCHES + 1,).
+    """Find the edges of the stretches of a run, as shares of its samples, (STRETCHES + 1,).
 
-    Equal ones where the robot does not rest for long. Where it does, such blocks would hold all rows in a few of them.
+    Stretches are equal if the robot does not rest for long; if it does, equal ones would leave all rows to a few.
     """
     at, awake = prepared.awake()
     weight = np.ones(len(awake))

@@ -30,18 +30,18 @@ from gtau.signals.experiment import Prior
 from gtau.signals.payload import Payload
 
 FEWEST_ROWS = 50  # of a joint, in all runs together
-RANK = 1e-9  # of the largest singular value: a combination to which unknown parameters add no more
+RANK = 1e-9  # of the largest singular value: below it a combination is free of unknown parameters
 
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """The problem, and what its parameters are.
+    """The problem, and the meaning of its parameters.
 
     ``unexcited`` are base parameters that these motions cannot separate from those before them; they are
-    not part of the problem, but of ``whole``. ``block_positions`` (U, 2) say where the problem's units stand: the
+    not part of the problem, but of ``whole``. ``block_positions`` (U, 2) are the positions of the problem's units: the
     number of the run, and the time from its beginning (0) to its end (1). ``effects`` are the column blocks, and
-    ``above`` (runs, n) how far the joints were above their mean temperatures. ``stated`` are the parameters with a
-    prior value. ``of_wrenches`` (U, c, p) is what measured wrenches contribute to the problem's column ``known``; None
+    ``above`` (runs, n) the joints' temperatures above their means. ``stated`` are the parameters with a
+    prior value. ``of_wrenches`` (U, c, p) is the part of measured wrenches in the problem's column ``known``; None
     without wrenches.
     """
 
@@ -71,7 +71,7 @@ class System:
         return [self.map(run, above) for run, above in enumerate(self.above)]
 
     def full(self, theta: np.ndarray) -> np.ndarray:
-        """Fill up parameters of the problem to those of ``whole`` and a 1 for what is known, (n_theta + 1,)."""
+        """Extend parameters of the problem to those of ``whole`` and a 1 for the known column, (n_theta + 1,)."""
         values = dict(zip(self.problem.parameters, theta, strict=True))
         return np.array([*(values.get(name, 0.0) for name in self.whole.parameters), 1.0])
 
@@ -82,7 +82,7 @@ class System:
 
     @cached_property
     def _rows(self) -> list[int]:
-        """For each base column the joint whose own friction it may be."""
+        """Joint of each base column that may be that joint's friction."""
         joints, bodies = self.whole.joints, [parameter_of(name).body for name in self.base.standard]
         return [joints.index(body) if body in joints else 0 for body in bodies]
 
@@ -127,7 +127,7 @@ def assemble_system(
     sensors : sequence of str
         Joints with a torque sensor, whose factors follow those of the joints.
     priors : mapping, optional
-        What is known of parameters, by name.
+        Priors on parameters, by name.
     temperatures : sequence of ndarray, optional
         Differences (stretches, n) of the joints' temperatures from their means, for each run.
     wrenches : sequence of str
@@ -230,8 +230,8 @@ def known_equations(
 ) -> np.ndarray:
     """Write normal priors as equations ``[P | y]`` (k, n_theta + 1) for ``P theta = y`` with errors of unit variance.
 
-    A base parameter is a sum of standard ones, ``chi = S x``. Of these some are known, with standard deviations, and of
-    the others nothing: so the priors speak of those combinations of base parameters to which no unknown one adds.
+    A base parameter is a sum of standard ones, ``chi = S x``. Some of these have priors, with standard deviations,
+    the others have none: so the equations are those of base-parameter combinations free of the latter.
 
     Parameters
     ----------
@@ -242,7 +242,7 @@ def known_equations(
     parameters : sequence of str
         Names of theta, (n_theta,).
     priors : mapping
-        Standard or base parameter, or another of theta, to what is known of it; bounds are not used here.
+        Standard or base parameter, or another of theta, to its prior; bounds are not used here.
 
     Raises
     ------

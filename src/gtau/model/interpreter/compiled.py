@@ -1,4 +1,4 @@
-"""Machine code of the compiled loops: made once on a machine, by Numba, kept on disk, and linked by LLVM.
+"""Machine code of the compiled loops: compiled once per machine by Numba, cached on disk, and linked by LLVM.
 
 Numba takes half a second to import, so it is imported only to compile. The file's name has a digest of all that the
 code depends on: the sources, the versions of Numba and of the code generator, and the processor. A file that is lost,
@@ -69,7 +69,7 @@ def is_compiled() -> bool:
 
 @cache
 def edition() -> str:
-    """Return the digest of all that the machine code depends on."""
+    """Return the digest of the sources, versions and processor that the machine code depends on."""
     import llvmlite.binding as llvm
 
     features = sorted(llvm.get_host_cpu_features().items())
@@ -78,7 +78,7 @@ def edition() -> str:
 
 
 def _places() -> Iterator[Path]:
-    """Yield where the file may be: beside the bytecode, or in the user's cache where that is not writable."""
+    """Yield the candidate locations of the file: beside the bytecode, or the user's cache if that is not writable."""
     elsewhere = os.environ.get("NUMBA_CACHE_DIR")
     if elsewhere:
         yield Path(elsewhere)
@@ -91,7 +91,7 @@ def _places() -> Iterator[Path]:
 
 
 def _kept() -> bytes | None:
-    """Return the machine code that was kept, or None where there is none, or it is damaged."""
+    """Return the cached machine code, or None if it is missing or damaged."""
     for folder in _places():
         try:
             content = (folder / f"loops-{edition()}.o").read_bytes()
@@ -103,7 +103,7 @@ def _kept() -> bytes | None:
 
 
 def _made() -> bytes:
-    """Compile the loops, keep the machine code on disk, and return it."""
+    """Compile the loops, cache the machine code on disk, and return it."""
     import llvmlite.binding as llvm
     from numba import cfunc, types
 

@@ -156,7 +156,7 @@ def _multiplied(listing: list[Instruction], constants: dict[int, float]) -> list
 
 
 def _fused(listing: list[Instruction], outputs: list[int]) -> list[Instruction]:
-    """Fuse products and changes of sign that are used once, in a sum, with that sum."""
+    """Fuse products and negations used only once, in a sum, with that sum."""
     uses: dict[int, int] = {}
     for value in outputs + [operand for each in listing for operand in each.operands]:
         uses[value] = uses.get(value, 0) + 1

@@ -1,6 +1,6 @@
 """Compute with lanes of LANES doubles, each a few vector registers of the processor.
 
-Lanes are loaded from addresses, so an operand may stand anywhere, in a row of the interpreter as in the
+Lanes are loaded from addresses, so an operand may be anywhere, in a row of the interpreter or in the
 caller's arrays, and nothing is copied; whole-lane vectors need no checks for overlap.
 """
 

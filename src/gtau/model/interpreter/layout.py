@@ -1,4 +1,4 @@
-"""What the compiled loops and their callers agree on: operations, and how numbers lie in memory."""
+"""Operation codes and memory layout shared by the compiled loops and their callers."""
 
 from __future__ import annotations
 

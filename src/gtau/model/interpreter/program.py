@@ -46,7 +46,7 @@ class Program:
         *inputs : ndarray
             Arrays (., N) that together have as many rows as the program has inputs.
         parameters : ndarray
-            Values (parameters,) that are the same for all samples.
+            Values (parameters,) common to all samples.
 
         Returns
         -------
@@ -66,7 +66,7 @@ class Program:
         return result[:, :samples]
 
     def at(self, parameters: np.ndarray) -> Program:
-        """Return the program whose ``parameters`` (parameters,) have these values for ever: they become constants."""
+        """Return the program with its ``parameters`` (parameters,) fixed at these values, as constants."""
         return replace(self, constants=np.concatenate([self.constants, parameters]), parameters=0)
 
     def fill(self, table: np.ndarray, order: np.ndarray, places: np.ndarray, *inputs: np.ndarray) -> None:
@@ -124,7 +124,7 @@ class Bound:
         self.rows = np.concatenate([addresses(self.memory), inputs, outputs])
 
     def run(self) -> tuple[int, int, int, int, int]:
-        """Return what the compiled loops run the program with: they know addresses and sizes alone."""
+        """Return the addresses and sizes with which the compiled loops run the program."""
         return loops().machine, address(self.code), len(self.code), address(self.rows), self.rows.size
 
 
@@ -166,7 +166,7 @@ def compile_program(inputs: list[ca.SX], outputs: list[ca.SX], parameters: Seque
     outputs : list of SX
         Expressions; their entries, structural zeros included, are stacked column by column.
     parameters : sequence of SX
-        Symbols whose values are the same for all samples.
+        Symbols with values common to all samples.
 
     Returns
     -------
@@ -176,7 +176,7 @@ def compile_program(inputs: list[ca.SX], outputs: list[ca.SX], parameters: Seque
     Raises
     ------
     ValueError
-        Where an expression has an operation that the interpreter does not support.
+        An expression has an operation that the interpreter does not support.
     """
     x, p, y = ca.veccat(*inputs), ca.veccat(*parameters), ca.densify(ca.veccat(*outputs))
     function = ca.Function("program", [ca.vertcat(x, p)], [ca.cse(y)])

@@ -1,4 +1,4 @@
-"""Threads: samples are shared among them, while the compiled loops release Python's lock; BLAS runs in one."""
+"""Share samples among threads, since the compiled loops release Python's lock; run BLAS in one."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from gtau.model.interpreter.layout import LANES
 
 _inside = threading.local()
-SHARE = 16 * LANES  # samples that are worth a thread
+SHARE = 16 * LANES  # minimum number of samples per thread
 
 
 def threads() -> int:
@@ -45,7 +45,7 @@ def share(work: Callable[[int, int], None], samples: int, worth: int = SHARE) ->
 
 @cache
 def _pool(process: int, workers: int) -> ThreadPoolExecutor:
-    """Return the threads, made once in a process; a forked process needs its own."""
+    """Return the thread pool, created once per process; a forked process needs its own."""
     return ThreadPoolExecutor(workers, "gtau", lambda: setattr(_inside, "pool", True))
 
 
@@ -53,7 +53,7 @@ def _pool(process: int, workers: int) -> ThreadPoolExecutor:
 def single_threaded_blas() -> Iterator[None]:
     """Run BLAS and OpenMP in one thread, as a context or a decorator.
 
-    On matrices as small as here, and on busy cores, threads only wait for each other (a QR takes 100 times longer).
+    On small matrices and busy cores, threads mainly wait for each other (a QR takes 100 times longer).
     """
     with threadpool_limits(limits=1):
         yield

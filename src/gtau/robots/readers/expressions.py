@@ -1,4 +1,4 @@
-"""Arithmetic in the numbers of a robot file, such as ``pi/2``, ``-(a + d4)/2`` or ``q - a``.
+"""Evaluate arithmetic in the numbers of a robot file, such as ``pi/2``, ``-(a + d4)/2`` or ``q - a``.
 
 The text is parsed by Python's own grammar and walked over a white list; nothing is executed.
 """
@@ -52,7 +52,7 @@ def evaluate(text: str, names: Mapping[str, float] | None = None) -> float:
     Raises
     ------
     ValueError
-        The text is no such expression or has no finite value; the message says what to write.
+        The text is not such an expression or has no finite value; the message states the correct form.
     """
     coefficient, constant = linear(text, names)
     if coefficient != 0.0:

@@ -1,4 +1,4 @@
-"""Frames on a body as people name them: a link of a URDF, or a pose."""
+"""Find frames on a body by the user's specification: a link of a URDF, or a pose."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from gtau.robots.robot import Placement, Pose
 
 
 def frame_on(body: str, frame: str | Pose, file: str | Path | None) -> tuple[str, Placement]:
-    """Find a frame fixed to a ``body``: what it is called, and its pose in the body's own frame.
+    """Find a frame fixed to a ``body``: its name, and its pose in the body's own frame.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ def frame_on(body: str, frame: str | Pose, file: str | Path | None) -> tuple[str
     Raises
     ------
     GtauError
-        Where there is no such frame, or it is on another body.
+        The frame does not exist, or is on another body.
     """
     own = f"the frame of '{body}'"
     if isinstance(frame, Pose):

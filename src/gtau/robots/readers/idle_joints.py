@@ -1,8 +1,8 @@
 """Lock pins that move nothing but themselves, with a note.
 
-Drawing programs put a hinge on both parts that a loop joins. The closure then ties two coaxial pins, and the piece
+CAD exporters put a hinge on both parts that a loop joins. The closure then ties two coaxial pins, and the piece
 between them can turn freely; likewise a pin through the centre of a ball, and a rod or a leg between two balls about
-itself. Such a freedom is none of the robot's.
+itself. Such a degree of freedom does not belong to the robot.
 """
 
 from __future__ import annotations

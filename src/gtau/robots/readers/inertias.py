@@ -20,13 +20,13 @@ TENSOR = [[0, 3, 4], [3, 1, 5], [4, 5, 2]]  # places of xx yy zz xy xz yz in a t
 
 
 def urdf_inertias(root: Element, frames: Mapping[str, Attachment]) -> tuple[tuple[str, float], ...]:
-    """Read the inertial parameters of a URDF by the body that carries each link; none where no link has a mass.
+    """Read the inertial parameters of a URDF by the body that carries each link; none if no link has a mass.
 
     Parameters
     ----------
     root : Element
     frames : mapping
-        Where the frame of each link is fixed.
+        Attachment of each link's frame.
     """
     return _stated(lumped((frames[name], body) for name, body in _urdf_bodies(root) if name in frames))
 
@@ -53,7 +53,7 @@ def _urdf_bodies(root: Element) -> Iterator[tuple[str, RigidBody]]:
 def mjcf_bodies(spec: mujoco.MjSpec) -> list[tuple[mujoco.MjsBody, RigidBody]]:
     """List the bodies of an MJCF file whose inertia it states, in the frames of the bodies.
 
-    What MuJoCo would make of shapes is no statement of the file, nor is an orientation other than a quaternion read.
+    Inertias that MuJoCo would infer from shapes are ignored, as are orientations other than quaternions.
     """
     import mujoco
 
@@ -76,7 +76,7 @@ def _mjcf_body(body: mujoco.MjsBody) -> RigidBody:
 def mjcf_inertias(
     bodies: Mapping[int, RigidBody], carried: Mapping[int, Attachment], armatures: Mapping[str, float]
 ) -> tuple[tuple[str, float], ...]:
-    """Add up the bodies of an MJCF file by what carries them, with armatures of joints as rotor inertias."""
+    """Sum the bodies of an MJCF file by their carriers, with armatures of joints as rotor inertias."""
     found = _stated(lumped((carried[number], body) for number, body in bodies.items() if number in carried))
     rotors = ((Parameter("ia", joint).name, armature) for joint, armature in armatures.items() if armature)
     return (*found, *rotors) if found else ()

@@ -40,7 +40,7 @@ def moving_parameter(name: str, sigma: float) -> str | None:
     Raises
     ------
     GtauError
-        sigma is none of 0, 1 and 2.
+        sigma is not 0, 1 or 2.
     """
     if sigma not in (0, 1, 2):
         raise GtauError(f"sigma of joint '{name}' is {sigma:g}; write 0 (revolute), 1 (prismatic) or 2 (fixed frame).")
@@ -73,7 +73,7 @@ def table_joints(rows: Sequence[MdhRow]) -> tuple[tuple[Joint, ...], dict[str, A
     Raises
     ------
     GtauError
-        A row's antecedent is in none of the rows before it.
+        A row's antecedent is not in an earlier row.
     """
     frames = {GROUND: Attachment(GROUND)}
     joints = []
@@ -119,7 +119,7 @@ def read_mdh_csv(path: str | Path) -> Robot:
     Raises
     ------
     GtauError
-        The file cannot be read or is no such table; names the line and the column.
+        The file cannot be read or is not an MDH table; names the line and the column.
     """
     path = Path(path)
     try:
@@ -149,7 +149,7 @@ def _lines(path: Path) -> list[tuple[int, list[str]]]:
 
 
 def _constants(lines: list[tuple[int, list[str]]]) -> tuple[dict[str, float], list[str]]:
-    """Take the constants and the header off `lines`."""
+    """Remove the constants and the header from `lines`."""
     constants: dict[str, float] = {}
     while lines:
         number, cells = lines.pop(0)

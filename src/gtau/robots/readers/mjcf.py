@@ -1,6 +1,6 @@
 """MJCF files, through MuJoCo's own compiler: geometry, limits, loops and which joints are driven.
 
-Masses, shapes and meshes are left aside; a model reads without the files of its meshes. Joints with an actuator have
+Masses, shapes and meshes are ignored; mesh files need not exist. Joints with an actuator have
 motors, and in a gripper alone the shafts that pull tendons; joints that no motor moves are held: those of scenery, of
 bases that roll, and of grippers that tendons pull.
 """
@@ -53,12 +53,12 @@ def read_mjcf(path: str | Path, base: BaseChoice = None) -> Robot:
     Returns
     -------
     Robot
-        Joint coordinates are MuJoCo's ``qpos``. Notes say what was left out or acts in the simulator alone.
+        Joint coordinates are MuJoCo's ``qpos``. Notes list omitted elements and effects of the simulator alone.
 
     Raises
     ------
     GtauError
-        MuJoCo is not installed or refuses the file, or it holds what a robot of gtau cannot be.
+        MuJoCo is not installed or refuses the file, or the file contains elements that gtau does not support.
     """
     path = Path(path)
     try:
@@ -109,7 +109,7 @@ def _robot(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
 
 
 def _home(file: MjcfFile) -> tuple[np.ndarray, bool, list[str]]:
-    """Take the positions of the keyframe ``home``, if it fits, else the reference; say which, and what was left out."""
+    """Take the positions of the keyframe ``home``, if it fits, else the reference; note the choice and omissions."""
     given, needed = file.keys.get(HOME), file.model.nq
     if given is None:
         return file.model.qpos0, False, file.notes
@@ -147,7 +147,7 @@ def _left_out(loose: Sequence[str]) -> Iterator[str]:
 
 
 def _without_idle_joints(robot: Robot, held: Mapping[str, float], pulled: AbstractSet[str], base: BaseChoice) -> Robot:
-    """Hold the joints that nothing moves, or nothing that is modelled."""
+    """Hold the joints that no modelled element moves."""
     for names, why in (
         (held.keys(), "by an equality with a constant"),
         (with_linkages(robot, pulled), "since a tendon pulls them, which is not modelled"),
@@ -179,7 +179,7 @@ def _simulated_alone(file: MjcfFile, floating: str) -> Iterator[str]:
 
 
 def _braked(model: mujoco.MjModel, free: int) -> bool:
-    """Say whether damping and the like act on a free joint, as they do by the defaults of its class."""
+    """Decide whether damping and similar effects act on a free joint, as set by the defaults of its class."""
     six = slice(int(model.jnt_dofadr[free]), int(model.jnt_dofadr[free]) + 6)
     acting = (model.dof_damping[six], model.dof_frictionloss[six], model.dof_armature[six], model.jnt_stiffness[free])
     return any(np.any(each) for each in acting)
@@ -190,7 +190,7 @@ Kind = Literal["revolute", "prismatic"]
 
 @dataclass(frozen=True)
 class Motors:
-    """What the actuators of a file drive.
+    """Joints and tendons driven by the actuators of a file.
 
     Attributes
     ----------
@@ -314,7 +314,7 @@ def _carrying(robot: Robot) -> dict[str, set[str]]:
 
 
 def _trees(robot: Robot) -> Iterator[set[str]]:
-    """Group the joints by the trees that stand on the ground."""
+    """Group the joints by the trees rooted at the ground."""
     before = _carrying(robot)
     for root in (joint.name for joint in robot.joints if joint.antecedent == GROUND):
         yield {root} | {name for name, carriers in before.items() if root in carriers}

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class Bodies:
-    """What the bodies of a file are made of, filled along the tree.
+    """Joints, platforms and floating base of a file, filled along the tree.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ def _carriers(model: mujoco.MjModel) -> set[int]:
 
 
 def _freed(found: Bodies, name: str, pose: Pose, carries: bool, base: BaseChoice) -> Attachment:
-    """Make a free body a platform, a floating base or a part of the ground; and say where its frame is then."""
+    """Make a free body a platform, a floating base or a part of the ground; return the attachment of its frame."""
     if not carries:
         found.platforms.append(Platform(name, TRANSLATIONS + ROTATIONS, pose))
         return Attachment(name)
@@ -119,7 +119,7 @@ def _freed(found: Bodies, name: str, pose: Pose, carries: bool, base: BaseChoice
 def _joints(
     model: mujoco.MjModel, number: int, at: Attachment, qpos: np.ndarray, last: bool
 ) -> tuple[list[Joint], Attachment]:
-    """Make the joint of a body whose frame, not yet moved by it, is at `at`; and where the frame is after it."""
+    """Make the joint of a body whose frame is at `at` before its motion; return the frame's attachment after it."""
     import mujoco
 
     name, start = name_in(model, "joint", number), int(model.jnt_qposadr[number])
@@ -257,7 +257,7 @@ def _attached_site(model: mujoco.MjModel, site: int, carried: Mapping[int, Attac
 
 
 def fixed_tendons(file: MjcfFile) -> dict[str, dict[str, float]]:
-    """Read the joints of the fixed tendons and what a tendon's length gains by a unit of each."""
+    """Read the joints of the fixed tendons and their coefficients in the tendon's length."""
     return {
         tendon.get("name", ""): {
             joint.get("joint", ""): numbers(joint.get("coef", ""), 1, "coef of a fixed tendon")[0]

@@ -1,4 +1,4 @@
-"""Compile an MJCF file by MuJoCo without what does not matter to a robot's geometry, and check its angles."""
+"""Compile an MJCF file by MuJoCo without elements irrelevant to a robot's geometry, and check its angles."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def _check_copies(roots: Iterable[Element]) -> None:
             try:
                 own = float(np.prod([float(word) for word in element.get("count", "1").split()]))
             except ValueError:
-                return 0.0  # MuJoCo says what is wrong with it
+                return 0.0  # MuJoCo reports the error
         return own * max([1.0, sum(copies(child) for child in element if child.tag in NESTED)])
 
     for root in roots:
@@ -77,7 +77,7 @@ NUMBERS = (*GEOMETRY, *FORCES, *MASSES, "range", "qpos", "gravity", "polycoef", 
 
 
 def _check_numbers(roots: Iterable[Element]) -> None:
-    """Refuse numbers that no robot has, before MuJoCo takes some of them and warns of others."""
+    """Refuse implausible numbers before MuJoCo accepts some of them and warns of others."""
     for element in (each for root in roots for each in root.iter() if each.tag != "flag"):  # its gravity is a word
         for key in NUMBERS:
             if decimals(element.get(key, ""), endless=key == "range") is None:
@@ -118,7 +118,7 @@ class SiteSpring:
 
 @dataclass(frozen=True)
 class MjcfFile:
-    """A file's compiled model, and what was taken off before: it need not even compile.
+    """Compiled model of a file, and the elements removed before compilation.
 
     Attributes
     ----------
@@ -134,7 +134,7 @@ class MjcfFile:
     limited_tendons : list of LimitedTendon
     springs : list of SiteSpring
     notes : list of str
-        What was left out.
+        Omitted elements.
     inertias : dict
         Bodies whose inertia the file states, by number.
     armatures : dict
@@ -177,14 +177,14 @@ def _straight(elements: list[Element]) -> dict[str, tuple[str, str]]:
 
 @dataclass(frozen=True)
 class _Force:
-    """What actuators without gain add to a tendon: their numbers, and a force that may grow with length and speed."""
+    """Force of actuators without gain on a tendon: their numbers, and a force affine in length and speed."""
 
     actuators: tuple[int, ...]
     terms: np.ndarray  # (3,)
 
 
 def _biased(spec: mujoco.MjSpec, elements: list[Element]) -> dict[str, _Force]:
-    """Find the forces without control along straight tendons, by tendon."""
+    """Find the control-independent forces along straight tendons, by tendon."""
     import mujoco
 
     straight = _straight(elements)
@@ -230,7 +230,7 @@ def _is_limited(spec: mujoco.MjSpec, tendon: mujoco.MjsTendon) -> bool:
 
 
 def _with_exact_orientations(spec: mujoco.MjSpec) -> tuple[str, ...]:
-    """Take orientations that are written short as those they stand for, in ``spec``, and note it."""
+    """Replace orientations written short by the exact ones in ``spec``, and note it."""
     import mujoco
 
     def exact(element: Any) -> float:
@@ -330,7 +330,7 @@ def name_in(model: mujoco.MjModel, kind: str, number: int) -> str:
 
 
 def rotation_in(quaternion: np.ndarray) -> Rotation:
-    """Make the rotation of a quaternion (4,), w first; of zeros no rotation, as MuJoCo takes it in a keyframe."""
+    """Make the rotation of a quaternion (4,), w first; zeros give the identity, as in keyframes of MuJoCo."""
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_quat(quaternion, scalar_first=True) if np.any(quaternion) else Rotation.identity()
@@ -381,7 +381,7 @@ def _in_radians(angle: float) -> bool:
 
 
 def _angles(roots: Iterable[Element], tags: tuple[str, ...]) -> Iterator[tuple[Element, str, float]]:
-    """Iterate over the angles of orientations and of hinge limits, with their element and what they are."""
+    """Iterate over the angles of orientations and of hinge limits, with their element and a description."""
     for element in (each for root in roots for tag in tags for each in root.iter(tag)):
         name = f"{element.tag} '{element.get('name', element.get('class', ''))}'"
         key = "range" if element.tag == "joint" else "euler"

@@ -203,7 +203,7 @@ class _RobotEntry(_Entry):
     robot: str = Field(min_length=1)
     source: str = ""
     notes: list[str] = []
-    constants: dict[str, Any] = {}  # evaluated before all else, see _constants
+    constants: dict[str, Any] = {}  # evaluated first, see _constants
     gravity: Annotated[Triple, BeforeValidator(_gravity)] = (0.0, 0.0, -STANDARD_GRAVITY)
     joints: dict[str, _JointEntry]
     platforms: dict[str, _PlatformEntry] = {}
@@ -229,13 +229,13 @@ def read_native(path: str | Path) -> Robot:
     Raises
     ------
     GtauError
-        The file cannot be read or describes no robot; says file, line and key, and what to write instead.
+        The file cannot be read or is invalid; names file, line and key, and the correct form.
     """
     return with_exact_angles(_robot(read_yaml(path)))
 
 
 def parse_native(text: str, path: str | Path) -> Robot:
-    """Read a robot from the text of a robot file; with angles as they stand there; ``path`` is for messages."""
+    """Read a robot from the text of a robot file, with angles as written; ``path`` is for messages."""
     return _robot(parse_yaml(text, path))
 
 

@@ -38,7 +38,7 @@ def native_text(robot: Robot) -> str:
     Raises
     ------
     GtauError
-        A joint has an MDH placement and an axis other than z, for which the format has no words.
+        A joint has an MDH placement and an axis other than z, which the format cannot express.
     """
     passive = bool(robot.closures or robot.couplings)
     lines = [_flow({"robot": robot.name})]
@@ -74,7 +74,7 @@ def native_text(robot: Robot) -> str:
 
 
 def write_native(robot: Robot, path: str | Path) -> None:
-    """Write a robot file; it appears whole or not at all.
+    """Write a robot file atomically.
 
     Parameters
     ----------
@@ -150,5 +150,5 @@ def _pose_data(placement: Pose) -> dict[str, Any]:
 def _attachment_data(attachment: Attachment) -> dict[str, Any]:
     if isinstance(attachment.placement, Pose):
         return {"body": attachment.body} | _pose_data(attachment.placement)
-    # An MDH placement that moves nothing still says that it is one.
+    # An identity MDH placement is still written as MDH.
     return {"body": attachment.body} | (_mdh_data(attachment.placement) or {"r": 0.0})

@@ -41,12 +41,12 @@ def read_robot(source: str | Path | RobotSource) -> Robot:
     Returns
     -------
     Robot
-        Its ``notes`` say what a reader found odd or decided.
+        Its ``notes`` list anomalies in the file and decisions of the reader.
 
     Raises
     ------
     GtauError
-        There is no such robot, or its file is not accepted.
+        The robot does not exist, or its file is invalid.
     """
     if not isinstance(source, RobotSource):
         source = RobotSource(file=str(source))
@@ -91,7 +91,7 @@ def _limited(robot: Robot, given: Mapping[str, GivenLimits]) -> Robot:
 
 
 def _mounted(robot: Robot, rpy: tuple[float, float, float]) -> Robot:
-    """Turn the base of a robot in a world in which its gravity points down."""
+    """Rotate the base of a robot in a world in which its gravity points down."""
     x, y, z = Pose(rpy=rpy).rotation.T @ [0.0, 0.0, -float(np.linalg.norm(robot.gravity))]
     return replace(robot, gravity=(rounded(x), rounded(y), rounded(z)))
 

@@ -1,6 +1,6 @@
 """Robots of the package robot_descriptions, where it is installed and has their files on disk.
 
-Importing one of its modules may clone a repository. So they are read instead, as data: the paths that they join, below
+Importing one of its modules may clone a repository. So they are parsed as data instead: the paths that they join, below
 the folder in which the package keeps its repositories. Nothing is executed, and nothing is fetched.
 """
 
@@ -20,7 +20,7 @@ Value = Path | str | None
 
 
 def described_file(name: str) -> Path | None:
-    """Find the file of a robot by its name there, such as ``panda_description`` or ``panda``; None without such.
+    """Find the file of a robot by its name there, such as ``panda_description`` or ``panda``; None if unknown.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Source of a robot: its file, the pose of its base, and its moving joints."""
+"""Source of a robot: its file, the pose of its base, and its selected joints."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ Angle = Annotated[FiniteFloat, BeforeValidator(angle)]
 
 
 class Base(BaseModel):
-    """A base that does not move: ``rpy`` turns it in a world whose z axis points up, else it stands as in the file."""
+    """A fixed base: ``rpy`` turns it in a world whose z axis points up, else its pose is that of the file."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 

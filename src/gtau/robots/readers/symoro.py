@@ -53,7 +53,7 @@ def read_par(path: str | Path) -> Robot:
 def _text(path: Path) -> str:
     larger = "the file is larger than 64 KiB; a parameter file is a few kilobytes, so check the path."
     content = read_at_most(MAX_BYTES, path, larger)
-    return content.decode("latin-1")  # older programs wrote accents in it; what is read is ASCII
+    return content.decode("latin-1")  # older programs wrote accents in it; the entries read are ASCII
 
 
 def _robot(text: str, path: Path) -> Robot:
@@ -122,7 +122,7 @@ def _integer(entries: Mapping[str, str], key: str) -> int:
 
 
 def _constants(entries: Mapping[str, str]) -> dict[str, float]:
-    """Read values of symbols that stand on lines of their own."""
+    """Read values of symbols defined on separate lines."""
     constants = {}
     for key, text in entries.items():
         if key not in (*LISTS, "nl", "nj", "nf", "type", "is_mobile", "is_floating") and re.fullmatch(

@@ -1,6 +1,6 @@
 """URDF files of serial arms and trees: their geometry and limits.
 
-Masses and inertias in the file are what is to be identified: they are kept beside the robot, to compare with.
+Masses and inertias in the file are kept beside the robot, for comparison with the identified ones.
 """
 
 from __future__ import annotations
@@ -54,13 +54,13 @@ class _Edge:
     parent: str
     child: str
     origin: Pose
-    short: float  # by how much (rad) an angle of its origin was changed
+    short: float  # largest change (rad) of an angle of its origin
     element: Element
 
 
 @dataclass(frozen=True)
 class UrdfTree:
-    """What a URDF file describes.
+    """Tree described by a URDF file.
 
     ``frames`` says where the frame of every joint (after its motion) and of every link is fixed; as in Pinocchio, a
     joint's frame and that of the link it moves are the same. ``carried`` are the links by the moving joint whose link
@@ -193,7 +193,7 @@ def _edge(element: Element, base: BaseChoice) -> _Edge:
 
 
 def _check_floating(ordered: list[_Edge]) -> None:
-    """Refuse a joint that floats elsewhere than between the root link and all the rest."""
+    """Refuse a floating joint anywhere but between the root link and the rest of the tree."""
     root = ordered[0].parent if ordered else ""
     for edge in ordered:
         if edge.element.get("type") in LOOSE and (edge.parent != root or sum(e.parent == root for e in ordered) > 1):
@@ -245,7 +245,7 @@ def _repeated(names: list[str]) -> str | None:
 
 
 def _moving(ordered: list[_Edge], types: Mapping[str, str]) -> tuple[tuple[Joint, ...], dict[str, Attachment]]:
-    """Place each moving joint in the frame of the last one before it that moves, and locate the frames."""
+    """Place each moving joint in the frame of the previous moving one, and locate the frames."""
     joints: list[Joint] = []
     frames: dict[str, Attachment] = {}
     for edge in ordered:
@@ -280,7 +280,7 @@ def turning(name: str, antecedent: str, placement: Placement, axes: str) -> list
 
 
 def _carried(ordered: list[_Edge]) -> dict[str, str]:
-    """Map each link that moves to the moving joint whose link it is a part of."""
+    """Map each moving link to the moving joint that carries it."""
     found: dict[str, str] = {}
     for edge in ordered:
         if edge.kind is not None:
@@ -303,7 +303,7 @@ def _mimic(edge: _Edge) -> Coupling | None:
 
 
 def _check_circles(couplings: Sequence[Coupling]) -> None:
-    """Refuse joints that mimic each other in a circle, of which no one moves the others."""
+    """Refuse circular mimic joints."""
     master = {coupling.joint: coupling.ratios[0][0] for coupling in couplings}
     for first in master:
         circle = [first]
@@ -317,7 +317,7 @@ def _check_circles(couplings: Sequence[Coupling]) -> None:
 
 
 def _reduction_notes(root: Element) -> Iterator[str]:
-    """Note the gear ratios of transmissions, which are not geometry but say what gains to expect."""
+    """Note the gear ratios of transmissions, which are not geometry but predict the gains."""
     ratios = []
     for transmission in root.findall("transmission"):
         joint = transmission.find("joint")
@@ -377,7 +377,7 @@ def _limits(edge: _Edge) -> Limits:
 
 
 def _limit_notes(ordered: list[_Edge]) -> Iterator[str]:
-    """Note position limits that leave no range, which are not taken over."""
+    """Note position limits with an empty range, which are ignored."""
     dropped = []
     for edge in ordered:
         limit = edge.element.find("limit")

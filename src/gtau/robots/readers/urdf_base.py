@@ -12,9 +12,9 @@ from gtau.robots.robot import Robot
 
 
 def without_motors_of_base(robot: Robot, root: Element, carried: Mapping[str, str]) -> Robot:
-    """Take away the motors of six joints that carry all others and draw a floating base.
+    """Remove the motors of six joints that carry all others and represent a floating base.
 
-    A URDF does not say which joints have motors. These six have none where all joints beyond them have what they lack:
+    A URDF does not define which joints have motors. These six have none if all joints beyond them have what they lack:
     a transmission (or ros2_control interface), which decides alone, an effort, or the masses of links in between.
 
     Parameters

@@ -39,7 +39,7 @@ class _Loops(BaseModel):
 
 
 def is_loops_file(path: Path) -> bool:
-    """Decide whether a file exists at `path` and reads like loops beside a URDF."""
+    """Decide whether the file at `path` exists and defines loops beside a URDF."""
     return path.is_file() and any(key in read_yaml(path).data for key in KEYS)
 
 

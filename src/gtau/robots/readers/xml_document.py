@@ -52,7 +52,7 @@ def read_xml(path: Path) -> Element:
 
 
 class _Element(Element):
-    """An element that knows its line."""
+    """An XML element with its line number."""
 
     line = 0
 
@@ -61,7 +61,7 @@ def _parsed(content: bytes) -> Element:
     from defusedxml.ElementTree import DefusedXMLParser
 
     class Parser(DefusedXMLParser):  # type: ignore[misc, unused-ignore]
-        """A parser that keeps the line in which an element begins."""
+        """Parser that records the line in which an element begins."""
 
         def _start(self, tag: str, attributes: list[str]) -> Element:
             element: Element = super()._start(tag, attributes)
@@ -75,7 +75,7 @@ def _parsed(content: bytes) -> Element:
 
 
 def line_of(element: Element) -> int:
-    """Return the line of the file in which an element begins, 0 where it is not known."""
+    """Return the line of the file in which an element begins, 0 if unknown."""
     return int(getattr(element, "line", 0))
 
 
@@ -87,7 +87,7 @@ LARGEST = 1e9  # SI units: no length, angle or mass of a robot comes near; files
 def decimals(text: str, endless: bool = False) -> list[float] | None:
     """Read the numbers of an attribute, in plain decimals that a robot can have; None where one is something else.
 
-    With ``endless`` they are limits, which may be infinite or beyond all that a robot can have.
+    With ``endless`` they are limits, which may be infinite or beyond the physical range of a robot.
     """
     values = []
     for word in text.split():
@@ -108,12 +108,12 @@ def numbers(text: str, count: int, what: str, endless: bool = False) -> list[flo
 
 
 def position_limits(low: float, high: float) -> tuple[float, float] | None:
-    """Return position limits, rad or m; None where they leave no range, or one of them is no limit."""
+    """Return position limits, rad or m; None where their range is empty, or one of them is not a limit."""
     return (low, high) if low < high and max(abs(low), abs(high)) <= LARGEST else None
 
 
 def attribute(element: Element, key: str, what: str) -> str:
-    """Read an attribute that must be there."""
+    """Read a required attribute."""
     value = element.get(key)
     if not value:
         raise GtauError(f'{what} has no {key}; write {key}="...".')

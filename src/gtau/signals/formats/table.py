@@ -55,7 +55,7 @@ def readable(path: Path, kind: str) -> Iterator[None]:
         if isinstance(error, OSError) and error.errno is not None:  # of the system; HDF5's have no number
             raise
         reason = (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")
-        raise GtauError(f"{path} is not {kind} in readable form ({reason}); export the log again.") from None
+        raise GtauError(f"{path} cannot be read as {kind} ({reason}); export the log again.") from None
 
 
 def table_of_arrays(
