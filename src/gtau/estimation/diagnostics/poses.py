@@ -1,4 +1,4 @@
-"""Deviation of logged poses from those computed from the joint positions.
+"""Comparison of logged poses with those computed from the joint positions.
 
 A logged pose is ``T_t(0_T_b(q(t - d))) T_m``: that of the body in the base, after a frame ``T_m`` of a tool or marker
 fixed to the body, in the frame ``T_t`` of a tracker, delayed by ``d`` to the positions. The unknown ones are estimated
