@@ -1,14 +1,13 @@
 """Model uncertainty of the estimates: alternative models, weighted by the data.
 
-Each alternative has one unknown more, of size s. The data find s and its standard deviation; experience allows sizes
-up to a plausible standard deviation. The Bayes factor between the model with it and without it (s = 0) says how well
-the data support it, and what they leave of s moves the estimates by so much (Bayesian model averaging, to first
-order):
+Each alternative has one unknown more, of size s. The data find s and its standard deviation; experience allows sizes up
+to a plausible standard deviation. The Bayes factor between the model with it and without it (s = 0) measures the
+support of the data, and the posterior of s gives the shift of the estimates (Bayesian model averaging, to first order):
 
     E[s^2] = p (m^2 + v),    p the probability of the alternative, m and v mean and variance of s under it.
 
-Where the data refute an alternative it adds nothing, where they say nothing it adds what is plausible, and where they
-ask for it its whole move counts. Alternatives that would explain the residuals of the same joint compete for p.
+An alternative that the data refute adds nothing; where the data are uninformative, it adds its plausible size; where
+they support it, its full shift counts. Alternatives that would explain the residuals of the same joint compete for p.
 """
 
 from __future__ import annotations
@@ -71,7 +70,7 @@ class Alternative:
     moves : ndarray
         By what share of itself each gain moves at that size, (n,).
     description : bool
-        Whether it contradicts what the user states of robot and logs.
+        Whether it contradicts the user's description of robot and logs.
     """
 
     hypothesis: str

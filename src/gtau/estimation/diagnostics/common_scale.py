@@ -1,7 +1,7 @@
 """Find a scale factor common to all joints, which a wrong payload mass explains as well as wrong torques.
 
-Every scale is in proportion to the mass that is stated. Torques of different motors hardly err by one factor; a mass
-that was mistyped, or a gripper that was not weighed with its load, makes them look so.
+Every scale is proportional to the stated mass. Torques of different motors rarely share one scale error; a mistyped
+mass, or a gripper that was not weighed with its load, has that effect.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ class Diagnosis:
 
     Of the drive ``gains`` by joint, the ``delays`` (c,), with those of torque sensors, and the ``payloads`` by name.
     ``accuracy`` is half the relative width of the 95 % interval up to which a gain is good; ``sensors`` are the scales
-    of torque sensors by all else that is known.
+    of torque sensors from the other stated constants.
     """
 
     gains: Mapping[str, Verdict]

@@ -1,14 +1,14 @@
 """Checks of drive gains, as findings: each check stands alone, and :func:`verdict.decide` ranks what they find.
 
-A cross-validated torque says nothing about a wrong gain, as both sides of the equation carry it. What the user must
-know of a gain is how far it may be off: its interval, with a random part and one from what the model may lack. It is
-good where the whole interval lies within the accuracy asked for, and contradictory only where the data refute the
-description of robot and logs and the gain would move by more than that.
+A cross-validated torque says nothing about a wrong gain, as both sides of the equation carry it. The user needs the
+possible error of a gain: its interval, with a random part and one from model deficits. It is good where the whole
+interval lies within the required accuracy, and contradictory only where the data refute the description of robot and
+logs and the gain would move by more than that.
 
-An error of a unit scales all gains, or a payload, and is met by the data as well as the truth; only what is known
-beside the data reveals it: gains from data sheets, and the limits of the joints' effort. Gains and parameters also
-absorb part of a wrench of wrong sign, body or axes, and lengths or single currents look wrong instead: so wherever
-wrenches are measured, the advice names them first.
+An error of a unit scales all gains, or a payload, and fits the data as well as the truth; only other knowledge reveals
+it: gains from data sheets, and the limits of the joints' effort. Gains and parameters also absorb part of a wrench of
+wrong sign, body or axes, and lengths or single currents look wrong instead: so wherever wrenches are measured, the
+advice names them first.
 """
 
 from __future__ import annotations
@@ -213,8 +213,9 @@ def wrench_contradictions(fit: Fit) -> Iterator[Finding]:
 def base_misfit(fit: Fit) -> dict[str, float]:
     """Compute the unexplained shares (rms) of the forces and moments on a floating base, empty for a fixed one.
 
-    They are shares of all that is measured together, of wrenches on bodies too; of forces and moments in three
-    directions each, as what acts in one of them may be small. Where all of it is, of a third of the model's terms.
+    They are shares of everything measured together, wrenches on bodies included; of forces and moments in three
+    directions each, as a single component may be small. Where all are small, they are shares of a third of the model's
+    terms.
     """
     problem, theta = fit.system.problem, fit.solution.theta
     rows = problem.of("base")

@@ -1,8 +1,8 @@
 """Check the robot's geometry against logged poses, and find lengths that explain a mismatch.
 
 Poses computed from the joints' positions are compared with logged ones; a wrong length leaves residuals that depend on
-the pose. Each constant of the geometry is fitted by itself, and the one that explains most is taken; then further ones
-beside it, as long as they explain most of what is left. Torques hardly show a wrong length: a platform 26 mm too large
+the pose. Each constant of the geometry is fitted alone, and the one that explains most is selected; further ones are
+added while they explain most of the remaining residuals. Torques hardly show a wrong length: a platform 26 mm too large
 leaves the torque errors of the UPV robot (docs/evidence/zoo.md) as they are.
 """
 

@@ -1,8 +1,8 @@
 """Audit of the robot file's inertias against the data: their prediction errors and contradictions.
 
-The file's parameters are summed to base parameters, which the motions determine. Where motions leave some of these
-open, the file's are regrouped with the others as the data regroup them. Friction, offsets, payloads and gains are as
-identified on both sides. A rotor inertia that the file does not state may take any value that is not negative.
+The file's parameters are summed to base parameters, which the motions determine. Where the motions do not determine
+some of these, the file's are regrouped with the others as the data regroup them. Friction, offsets, payloads and gains
+are as identified on both sides. A rotor inertia that the file does not state may take any value that is not negative.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """Test whether another length of the robot explains the residuals.
 
-A wrong length leaves residuals that depend on the motion, as unmodelled friction does; their size does not separate
-the two, their shape does. The robot is fitted again with each length a little longer and a little shorter: a parabola
-through the three sums of squares gives the length that fits best, and the share of the residual variance that goes
-with it. (All parameters are fitted anew each time: with a wrong length they are wrong too, so that torques computed
-with them do not have the shape of the residuals.)
+A wrong length leaves residuals that depend on the motion, as unmodelled friction does; the two differ in shape, not in
+size. The robot is fitted again with each length a little longer and a little shorter: a parabola through the three sums
+of squares gives the length that fits best, and the share of the residual variance that goes with it. (All parameters
+are fitted anew each time: with a wrong length they are wrong too, so that torques computed with them do not have the
+shape of the residuals.)
 """
 
 from __future__ import annotations

@@ -49,9 +49,9 @@ class LinearisedWindow:
 def central_windows(dataset: Dataset, pieces: int = 1, cut: Sequence[list[range]] | None = None) -> Windows:
     """Cut the middle of every run into ``pieces`` windows, each with its run's number.
 
-    Long rests, in which no channel has a usable sample, are cut out; what is left of them at either side keeps the
-    filters from reaching across. All windows together have at most ``SAMPLES`` samples; runs too short for a row of
-    each window are left out.
+    Long rests, in which no channel has a usable sample, are cut out; the remainder at either side separates the
+    filters' supports. All windows together have at most ``SAMPLES`` samples; runs too short for a row of each window
+    are left out.
 
     Parameters
     ----------

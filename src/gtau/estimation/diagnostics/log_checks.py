@@ -1,8 +1,8 @@
 """Tests of the logs: lagging commands, swapped channels, currents without the effect of the payload.
 
 Torque causes acceleration, so the command of a drive comes before the motion by its delay. One that comes after the
-motion was filtered or stamped late. A low-pass of first order with time constant T makes ``v + T v'`` of what the
-motion asks for; any other filter and a late stamp do so to first order. T follows from each joint's own equations,
+motion was filtered or stamped late. For a first-order low-pass with time constant T, ``v + T v'`` is the command that
+the motion requires; for any other filter and a late stamp, to first order. T follows from each joint's own equations,
 whether its gain is estimated, given, or 1.
 
 Units of positions are checked against the robot's size before (:mod:`gtau.estimation.regression.motion_limits`).

@@ -1,7 +1,7 @@
 """Test whether the logged torques exclude gravity, as with a driver that compensates it.
 
-Fitted with gravity, such torques ask for links whose centres lie on the axes, and are not explained by what the
-inertia of these does. So a robot whose fit hardly feels gravity is fitted once more without any.
+Fitted with gravity, such torques require links with centres of mass on the axes, whose inertia does not explain them.
+So a robot whose fit has hardly any gravity torque is fitted once more without gravity.
 """
 
 from __future__ import annotations

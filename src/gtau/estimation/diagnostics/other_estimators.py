@@ -1,7 +1,7 @@
 """Hausman's test: other estimators agree with the one used where the model holds and the regressor is exact.
 
-What another estimator finds otherwise is then chance, of a standard deviation that follows from how the difference
-scatters over the windows of the runs. More of it says that the estimates rest on a choice:
+Their difference is then noise, with a standard deviation from its scatter over the windows of the runs. A larger one
+shows that the estimates depend on a choice:
 
 - the cut-off of the position filter and the rate of rows, 0.7 and 1.4 times those chosen;
 - the speed below which a joint's rows are left out, half and twice the one chosen;

@@ -137,7 +137,7 @@ FRICTION = ("fv", "fs", "off")  # these always differ, and the table of paramete
 
 @dataclass(frozen=True)
 class LegDifference:
-    """Deviation of a leg's identified parameters from the mean of the legs of the same geometry.
+    """Differences between a leg's identified parameters and the mean of the legs of the same geometry.
 
     Attributes
     ----------

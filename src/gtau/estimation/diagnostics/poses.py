@@ -1,8 +1,8 @@
-"""Deviation of logged poses from those computed from the joint positions.
+"""Comparison of logged poses with those computed from the joint positions.
 
 A logged pose is ``T_t(0_T_b(q(t - d))) T_m``: that of the body in the base, after a frame ``T_m`` of a tool or marker
-fixed to the body, in the frame ``T_t`` of a tracker, delayed by ``d`` to the positions. What of these nobody knows is
-estimated with whatever else is asked for, and takes away what it explains alike. A tracker may have been moved or
+fixed to the body, in the frame ``T_t`` of a tracker, delayed by ``d`` to the positions. The unknown ones are estimated
+together with any other unknowns, and absorb the residuals that both explain. A tracker may have been moved or
 calibrated anew between runs: it has a frame in each (that of the UPV logs moved by 9 mm before the last run).
 """
 

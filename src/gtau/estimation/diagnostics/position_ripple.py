@@ -1,10 +1,10 @@
 """Residuals that repeat at the same positions: ripple of the motors, cables, springs.
 
-They repeat in every run, so the jackknife cannot detect what they do to the estimates, but cross-validation can: each
-joint is offered a torque that is any function of its own position (piecewise linear, one for each run,
-as encoders may have been set to zero in between), found in the first half of each run and tried in the second, and the
-other way round. Where it takes errors away, the estimates move when the torque is offered in all runs; by so much they
-are uncertain.
+They repeat in every run, so the jackknife cannot detect their effect on the estimates, but cross-validation can: each
+joint is offered a torque that is any function of its own position (piecewise linear, one for each run, as encoders may
+have been set to zero in between), found in the first half of each run and tried in the second, and the other way round.
+Where it reduces the errors, the torque is added in all runs, and the resulting shift of the estimates is their
+uncertainty.
 """
 
 from __future__ import annotations

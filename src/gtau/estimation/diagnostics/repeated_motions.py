@@ -1,7 +1,7 @@
 """Correlate the residuals of runs that repeat a motion with different loads.
 
-What the model lacks of the motion alone stands in both runs, and cancels in the gains. What changes sign between them
-depends on the load, and moves gains as a wrong payload does.
+Model errors that depend on the motion alone are the same in both runs and cancel in the gains. Residuals of opposite
+sign depend on the load, and bias the gains as a wrong payload does.
 """
 
 from __future__ import annotations

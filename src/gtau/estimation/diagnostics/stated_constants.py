@@ -1,10 +1,10 @@
 """Stated constants: known payloads, torque sensors, measured wrenches and priors, and how the estimates depend on them.
 
-Currents alone leave the scale open: gains and parameters may all be twice as large. It comes from what is stated in N m
-or kg. One derivative of the estimates with respect to each constant, at the solution, says what the scale rests on, how
-far the constants' own uncertainty moves the estimates, and by how much a constant contradicts all other data. With all
-constants larger by one per cent, every gain and parameter is larger by one per cent too; so the shares by which a gain
-grows with each source alone add up to one.
+Currents alone leave the scale open: gains and parameters may all be twice as large. It comes from constants stated in
+N m or kg. The derivative of the estimates with respect to each constant, at the solution, gives the sources of the
+scale, the uncertainty that the constants add to the estimates, and the contradiction between a constant and all other
+data. With all constants larger by one per cent, every gain and parameter is larger by one per cent too; so the shares
+by which a gain grows with each source alone add up to one.
 """
 
 from __future__ import annotations

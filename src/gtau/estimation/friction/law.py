@@ -5,9 +5,9 @@ A joint's friction is
     ``fv qd + (fs + fb exp(-|qd| / v_s) + fl |tau_load|) z``,
 
 with ``z = sign(qd)`` where it slides, and where its logs show presliding the state of a stop operator of its width
-(:mod:`gtau.estimation.friction.stop`). ``fb`` is what friction has more at rest than in fast sliding: Stribeck's effect
+(:mod:`gtau.estimation.friction.stop`). ``fb`` is the excess of friction at rest over fast sliding: Stribeck's effect
 where positive, viscous friction that saturates where negative. Both and ``fl`` come from all samples
-(:mod:`gtau.estimation.friction.identify`), with coefficients for which the law takes energy at every speed.
+(:mod:`gtau.estimation.friction.identify`), with coefficients for which the law dissipates energy at every speed.
 
 The plain law of the equations of identification is the same with ``z = sign(qd)`` and a cubic term ``f3 qd^3``. Its
 coefficients may be negative, and a polynomial says nothing beyond the speeds of the logs: with ``f3 < 0`` it turns into
@@ -16,7 +16,7 @@ propulsion there. So
 - beyond the fastest logged speed V of an actuated joint friction goes on along its slope at V, or stays at its value
   where that slope is negative;
 - where some terms still propel, as a negative ``fs`` does near standstill or a negative ``fl`` under a great load, they
-  are scaled down until they give no more power than the others take.
+  are scaled down until they add no more power than the others dissipate.
 
 Powers are those of sliding. They are balanced joint by joint, and together for joints that move each other: of a
 coupling, or of closed loops. Where friction is dissipative, it is not changed. Offsets are constant torques, of the

@@ -186,8 +186,8 @@ def _solved(G: np.ndarray, k: int) -> np.ndarray:
 def gained(before: Trial, after: Trial) -> tuple[float, float]:
     """Compute the improvement of a trial on left-out blocks: in standard errors, and as a share of the error.
 
-    Reversals are few, and the squared errors of blocks so unequal that a mean of theirs has hardly a standard error.
-    The difference of each block and motor counts in units of the errors there, with the mean added, which bounds it.
+    Reversals are few, and the squared errors of blocks too unequal for a reliable standard error of their mean. The
+    difference of each block and motor counts in units of the errors there, with the mean added, which bounds it.
     """
     difference = before.errors - after.errors
     relative = difference / (before.errors + after.errors + before.errors.mean(axis=0))

@@ -117,7 +117,7 @@ class FrictionCurve:
     joint : str
         Its name.
     parameters : dict
-        ``off_J``, ``fv_J``, ``fs_J``, ``fb_J``, ``fl_J``, ``fvt_J``, ``fst_J``, as far as it has them; name to
+        ``off_J``, ``fv_J``, ``fs_J``, ``fb_J``, ``fl_J``, ``fvt_J``, ``fst_J``, those that it has; name to
         :class:`Estimate`. One that would be negative is 0, without a standard deviation.
     width, speed : Estimate, optional
         Of presliding, and v_s, at which friction bends; None where the logs do not show them.
@@ -145,8 +145,8 @@ class FrictionCurve:
 class SensorEstimate:
     """The torque sensor of a joint: its offset and friction by name, its delay (s), and its residual.
 
-    The residual is that of its torque, N m or N, over the rows used. ``ratio`` is the torque by all else that is known
-    over what the sensor reads, to first order; None where nothing else gives a scale.
+    The residual is that of its torque, N m or N, over the rows used. ``ratio`` is the torque from the other stated
+    constants over the sensor reading, to first order; None where nothing else gives a scale.
     """
 
     joint: str

@@ -70,7 +70,7 @@ class IdentifiedModel:
     notes : tuple of Note
         What was repaired, left out, or is not to be trusted; :mod:`gtau.estimation.grades` grades them.
     consistency : Consistency, optional
-        Standard parameters that rigid bodies can have, where they were asked for.
+        Physically consistent standard parameters, if requested.
     alternatives : tuple of AlternativeMoves
         What the model may lack, and by how much that would move the gains.
     temperatures : ReferenceTemperatures, optional

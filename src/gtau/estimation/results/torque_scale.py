@@ -1,7 +1,7 @@
 """Test the scale of the torques that a robot reports: the gains of logs of torques, and their correction as YAML.
 
-The gain of such a joint is its torque scale, the true torque over the one reported; what the arm reports of the torque
-is one over it.
+The gain of such a joint is its torque scale, the true torque over the reported one; the reported share of the torque is
+its inverse.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ class TorqueScale:
 def torque_scales(result: IdentifiedModel) -> tuple[TorqueScale, ...]:
     """List the torque scales of all joints; empty where logs hold currents, or nothing tests the torques.
 
-    A scale is wrong where it differs from 1 by more than the accuracy asked for, and by 3.5 standard deviations: of
-    many joints some are outside their 95 % interval by chance.
+    A scale is wrong where it differs from 1 by more than the required accuracy, and by 3.5 standard deviations: of many
+    joints some are outside their 95 % interval by chance.
     """
     gains = list(result.drive_gains.values())
     if result.kind != "torque" or all(gain.std is None for gain in gains):

@@ -54,12 +54,12 @@ class Hypothesis:
     name : str
         In ``model.json``.
     shared : bool
-        Whether a candidate acts on all joints with one size, or on each joint with a size of its own. What is common to
-        all is of the links, which torque sensors feel too; what is a joint's own is of its drive.
+        Whether a candidate acts on all joints with one size, or on each joint with a size of its own. Common effects
+        are of the links, and reach torque sensors too; those of a single joint are of its drive.
     candidates : callable
-        From a fit to its candidates; None where the hypothesis has nothing to say of this robot.
+        From a fit to its candidates; None where the hypothesis does not apply to this robot.
     description : bool
-        Whether it contradicts what the user states of robot and logs; otherwise it is physics that the model lacks,
+        Whether it contradicts the user's description of robot and logs; otherwise it is physics that the model lacks,
         which widens the intervals.
     """
 
