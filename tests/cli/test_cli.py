@@ -529,7 +529,7 @@ def test_interrupted_as_a_program(here: Path, module: str, function: str) -> Non
 
 
 LONG_COMMANDS = {
-    "robot": ("robot", "delta"),
+    "robot": ("robot", "chain.yaml"),  # longer than the grace after an interruption that an import swallows
     "identify": ("identify", "long.yaml", "--out", "out"),
     "simulate": ("simulate", "simulation.yaml", "--out", "out"),
     "demo": ("demo", "--out", "out"),
@@ -549,6 +549,11 @@ def test_interrupted_at_any_moment(here: Path, command: str) -> None:
     write_log(here / "long.csv", Plant().run("long", seconds=300.0, seed=1))
     (here / "long.yaml").write_text(EXPERIMENT.replace("free.csv", "long.csv"))
     (here / "simulation.yaml").write_text(SIMULATION)
+    joints = "".join(
+        f"  j{k}: {{antecedent: {f'j{k - 1}' if k else 'ground'}, alpha: {k % 2}*pi/2, d: 0.1, theta: q}}\n"
+        for k in range(45)
+    )
+    (here / "chain.yaml").write_text("robot: chain\njoints:\n" + joints)
     whole = min(duration(here, LONG_COMMANDS[command]) for _ in range(2))  # the first one may compile
     for part in (0.1, 0.3, 0.5, 0.7):
         process = interrupted(here, LONG_COMMANDS[command], part * whole)
