@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gtau.cli.console import Json, ModelFile, print_json, progress_bar, refusals
+from gtau.cli.console import CarriedPayload, Columns, Json, ModelFile, print_json, progress_bar, refusals
 from gtau.errors import GtauError
 
 if TYPE_CHECKING:
@@ -67,18 +67,8 @@ def use(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE", help="Table to write: .csv or .parquet, one row per sample.")
     ] = None,
-    experiment: Annotated[
-        Path | None,
-        typer.Option(
-            "--experiment",
-            metavar="EXPERIMENT.yaml",
-            help="Take columns and units from an experiment file.",
-        ),
-    ] = None,
-    payload: Annotated[
-        str | None,
-        typer.Option("--payload", metavar="NAME", help="Payload that the robot carries, by its name in the model."),
-    ] = None,
+    experiment: Columns = None,
+    payload: CarriedPayload = None,
     frame: Annotated[
         str | None,
         typer.Option(

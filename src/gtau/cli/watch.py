@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gtau.cli.console import ModelFile, progress_bar, refusals, show
+from gtau.cli.console import CarriedPayload, Columns, ModelFile, progress_bar, refusals, show
 from gtau.documents.files import folder_of, refuse_as_folder
 from gtau.errors import GtauError
 
@@ -33,14 +33,8 @@ def watch(
         Path,
         typer.Option("--out", metavar="DIR", help="Folder of the history, continued if it exists, and of report.html."),
     ] = Path("history"),
-    experiment: Annotated[
-        Path | None,
-        typer.Option("--experiment", metavar="EXPERIMENT.yaml", help="Take columns and units from an experiment file."),
-    ] = None,
-    payload: Annotated[
-        str | None,
-        typer.Option("--payload", metavar="NAME", help="Payload that the robot carries, by its name in the model."),
-    ] = None,
+    experiment: Columns = None,
+    payload: CarriedPayload = None,
     baseline: Annotated[
         str,
         typer.Option(

@@ -39,7 +39,7 @@ WORDS = {
     "clock": "clock of the log",
     "contact": "contact",
 }
-TODO = {
+REMEDIES = {
     "gain": "check motor, belt and gear, then identify the robot again",
     "load": "compare the mounted load with the payload set in the controller, and weigh it by 'gtau payload'",
     "friction": "check temperature, lubrication, brake and gear",
@@ -97,8 +97,8 @@ def alarm_words(alarm: Alarm) -> tuple[str, tuple[str, ...]]:
         head = f"The robot has changed since {span}: {said[0]}."
     else:
         head = f"The robot has changed since {span}; these explanations cannot be distinguished: {'; or '.join(said)}."
-    todo = dict.fromkeys(TODO[each.kind] for each in alarm.explanations)
-    points = [f"{each[0].upper()}{each[1:]}." for each in todo]
+    remedies = dict.fromkeys(REMEDIES[each.kind] for each in alarm.explanations)
+    points = [f"{each[0].upper()}{each[1:]}." for each in remedies]
     if len(said) > 1:
         points.append("A reference motion from 'gtau excite' distinguishes more causes than this motion.")
     points.append("After maintenance start a new baseline by --reset DATE.")

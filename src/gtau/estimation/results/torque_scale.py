@@ -18,7 +18,6 @@ from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.thresholds.estimates import APART
 
 KNOWN = (Outcome.GOOD, Outcome.WEAK)
-DESCRIPTION = "the description of robot and logs"
 HEAD = """\
 # Torque scale of '{robot}', identified by gtau from {runs}.
 # true torque = factor x reported torque; a command for a wanted torque is the torque divided by the factor.
