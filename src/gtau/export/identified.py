@@ -45,7 +45,7 @@ class Identified:
     payloads : dict
         Name of each identified or known payload to the values of all parameters (n_p,) with it.
     gains : ndarray
-        Drive gains (n,), N m/A or N/A; 1 where the logs hold torques.
+        Drive gains (n,), N m/A or N/A; torque scales where the logs hold torques.
     units : tuple of str
         ``N m`` or ``N`` for each actuated joint.
     """

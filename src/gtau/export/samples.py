@@ -147,7 +147,7 @@ def draw(result: Result, count: int, seed: int = 0) -> Samples:
     """
     consistent_model(result, "samples")
     if not 0 < count <= 100_000:
-        raise GtauError(f"{count} draws cannot be had; ask for 1 to 100000.")
+        raise GtauError(f"the number of samples is {count}; ask for 1 to 100000.")
     changes = _drawn(result, count, seed)
     base, names, joints = result.base, result.model.parameter_names, result.model.actuated
     values = {name: each.value for name, each in result.parameters.items() if each.value is not None}
@@ -241,7 +241,6 @@ class _Projection:
         S[len(values) - rest :, len(names) :] = np.eye(rest)
         order = {name: k for k, name in enumerate(result.covariance_names)}
         rows = [order[name] for name in values if name in order]
-        std = np.ones(len(values))
         C = np.eye(len(values))
         there = np.array([name in order for name in values])
         C[np.ix_(there, there)] = result.covariance[np.ix_(rows, rows)]
