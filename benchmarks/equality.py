@@ -188,7 +188,7 @@ def dump(folder: Path, file: Path, only: str) -> None:
 
     out = {}
     with threadpool_limits(1, "blas"):
-        for each in sorted(path.parent for path in folder.glob(f"*{only}*/experiment.yaml")):
+        for each in sorted(path.parent for path in folder.glob("*/experiment.yaml") if only in path.parent.name):
             out[each.name] = numbers(each)
             print(
                 f"{each.name:28} {len(out[each.name]):4} numbers {out[each.name].get('seconds', 0):6.1f} s", flush=True

@@ -138,6 +138,12 @@ class InverseDynamics:
         layout = self.layout
         return close_loops(self.robot) if self.robot.closures or self.robot.couplings or layout.passive.size else None
 
+    def with_gravity(self, gravity: tuple[float, ...]) -> InverseDynamics:
+        """Return the model of the same robot with another gravity (3,), m/s2; its loops are not solved again."""
+        other = InverseDynamics(replace(self.robot, gravity=gravity), self._kind)
+        other.__dict__["loops"] = self.loops  # of the cached property
+        return other
+
     def motion(
         self,
         q: np.ndarray,

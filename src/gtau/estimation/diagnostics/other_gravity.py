@@ -28,7 +28,7 @@ from gtau.estimation.diagnostics.linearisation import (
 from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
 from gtau.estimation.estimators.estimator import Fit, Given
 from gtau.estimation.estimators.maximum_likelihood import fit_either, ml_or_wls
-from gtau.estimation.regression.dataset import Dataset, model_of
+from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.thresholds.estimates import (
     GRAVITY_ALIKE,
@@ -112,13 +112,14 @@ def other_gravity(fit: Fit, progress: Progress = silent) -> OtherGravity | None:
 
 def fitted(fit: Fit, dataset: Dataset, gravity: np.ndarray) -> Fit | None:
     """Fit with another gravity; None where the data do not determine the gains with it."""
-    robot = replace(dataset.robot, gravity=tuple(gravity.tolist()))
-    model = model_of(robot)
-    base = base_parameters(model, sensors=dataset.runs[0].sensors)
+    model, base = dataset.model, dataset.base
+    if (turned := tuple(gravity.tolist())) != dataset.robot.gravity:
+        model = model.with_gravity(turned)
+        base = base_parameters(model, sensors=dataset.runs[0].sensors)
     friction, given = fit.system.friction, Given(None if fit.free_gains else fit.gains)
     friction = Friction(tuple(each for each in friction.terms if not each.startswith("fl_")), friction.per_run)
     try:
-        other = replace(dataset, robot=robot, model=model, base=base, factors=()).reduced()
+        other = replace(dataset, robot=model.robot, model=model, base=base, factors=()).reduced()
         system = other.system(friction, fit.system.problem.slowest > 0)
         return fit_either(ml_or_wls(given), other, system, given)
     except GtauError:
