@@ -20,7 +20,7 @@ from models_to_export import model_of
 from robots_for_tests import tree
 
 import gtau
-from gtau.documents.csv import in_csv
+from gtau.documents.files import in_csv
 from gtau.estimation.results.result import Result
 from gtau.export.latex import SPACE, TEXT_WIDTH, symbol, width
 from gtau.export.names import identifier, in_latex, in_latex_index, suffixes
@@ -142,7 +142,7 @@ def test_a_spreadsheet_computes_no_name() -> None:
     assert back["value"].to_list() == table["value"].to_list()
     source = Path(gtau.__file__).parent
     writing = [path.relative_to(source) for path in source.rglob("*.py") if ".write_csv(" in path.read_text()]
-    assert writing == [Path("documents/csv.py")], "every CSV is made by in_csv"
+    assert writing == [Path("documents/files.py")], "every CSV is made by in_csv"
 
 
 def test_names_alike_are_different_identifiers() -> None:

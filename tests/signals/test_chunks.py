@@ -15,8 +15,6 @@ import numpy as np
 import polars as pl
 import pytest
 
-import gtau.signals.formats.table
-import gtau.signals.formats.text
 import gtau.signals.storage
 from gtau.errors import GtauError
 from gtau.signals.filters import position_filter

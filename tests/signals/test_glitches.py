@@ -213,7 +213,7 @@ def test_check_shows_them_and_the_gains_stay(value: str, tmp_path: Path) -> None
     checked = CliRunner().invoke(app, ["check", str(experiment)])
     assert checked.exit_code == 0, checked.output
     shown = " ".join(checked.output.split())
-    assert "interpolated 1 outlier in the position of joint 'left': at 4 s (line 2002)" in shown
+    assert "interpolated 1 position of joint 'left' that is an outlier: at 4 s (line 2002)" in shown
     assert f" it is {value} instead of {float(row[1]):.4g} (rad or m)" in shown
     found = identify(experiment)
     for joint, gain in zip(("left", "right"), GAINS, strict=True):

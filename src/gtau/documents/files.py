@@ -9,8 +9,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from glob import glob
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from gtau.errors import GtauError
+
+if TYPE_CHECKING:
+    import polars as pl
+
+FORMULA = r"^(\s*[=+\-@])"  # begins a cell that spreadsheets compute
 
 
 def write_atomically(path: str | Path, content: str | bytes) -> None:
@@ -37,6 +43,13 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
         raise GtauError(
             f"{path} cannot be written ({error.strerror}); choose another folder or free some space."
         ) from None
+
+
+def in_csv(table: pl.DataFrame) -> str:
+    """Write a table as CSV; an apostrophe before ``= + - @`` keeps a spreadsheet from computing texts."""
+    import polars as pl
+
+    return table.with_columns(pl.col(pl.String).str.replace(FORMULA, "'$1")).write_csv()
 
 
 def refuse_as_folder(path: str | Path | None) -> None:

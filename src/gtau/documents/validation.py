@@ -1,22 +1,29 @@
-"""Validate files against pydantic models and report the first error in one sentence."""
+"""Check what users give: files against pydantic models, and arguments of public functions by type, in one sentence."""
 
 from __future__ import annotations
 
 import types
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
+from functools import wraps
+from inspect import signature
+from numbers import Integral, Real
+from pathlib import Path
 from textwrap import shorten
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ParamSpec, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from gtau.documents.yaml_document import Document, KeyPath
+from gtau.errors import GtauError
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
 Model = TypeVar("Model", bound=BaseModel)
+P = ParamSpec("P")
+R = TypeVar("R")
 LONGEST_NAME = 100  # characters: longer ones fit no table, and with a suffix no file name
 Positive = Annotated[FiniteFloat, Field(gt=0)]
 
@@ -157,3 +164,44 @@ def _bound(kind: str, context: Mapping[str, Any]) -> str:
 
 def _count(written: int, needed: str) -> str:
     return f"{written} value{'s are' if written != 1 else ' is'} written; write {needed}"
+
+
+Accepted = tuple[str, tuple[type, ...]]
+"""What to give in words, and its types."""
+
+PATH: Accepted = ("a path", (str, Path))
+TEXT: Accepted = ("a text", (str,))
+NUMBER: Accepted = ("a number", (Real,))
+WHOLE: Accepted = ("a whole number", (Integral,))
+NAMES: Accepted = ("a list of names", (Sequence,))
+TRUTH: Accepted = ("True or False", (bool,))
+MAPPING: Accepted = ("a mapping such as a dict", (Mapping,))
+FUNCTION: Accepted = ("a function", (Callable,))  # type: ignore[assignment]
+
+
+def takes(**accepted: Accepted) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Check the types of a function's arguments before it runs; defaults are always accepted.
+
+    The function raises GtauError where an argument has another type.
+    """
+
+    def decorate(function: Callable[P, R]) -> Callable[P, R]:
+        parameters = signature(function)
+
+        @wraps(function)
+        def checked(*args: P.args, **kwargs: P.kwargs) -> R:
+            for name, value in parameters.bind(*args, **kwargs).arguments.items():
+                if name in accepted and value is not parameters.parameters[name].default:
+                    expect(f"'{name}'", value, accepted[name])
+            return function(*args, **kwargs)
+
+        return checked
+
+    return decorate
+
+
+def expect(what: str, value: object, accepted: Accepted) -> None:
+    """Refuse a value of another type than those accepted; raises GtauError."""
+    words, types = accepted
+    if not isinstance(value, types) or (isinstance(value, bool) and bool not in types):
+        raise GtauError(f"{what} cannot be of type {type(value).__name__}; give {words}.")

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from gtau import display
-from gtau.documents.arguments import FUNCTION, NUMBER, TEXT, takes
+from gtau.documents.validation import FUNCTION, NUMBER, TEXT, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.log_checks import command_lag, require_felt_payload

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau import display
-from gtau.documents.arguments import FUNCTION, NUMBER, takes
+from gtau.documents.validation import FUNCTION, NUMBER, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome, worst
 from gtau.estimation.estimators.estimator import Estimator, Gains, Given

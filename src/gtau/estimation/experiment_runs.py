@@ -8,8 +8,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from gtau.documents.arguments import MAPPING, NUMBER, expect
-from gtau.documents.validation import validate
+from gtau.documents.validation import MAPPING, NUMBER, expect, validate
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.regression.file_inertias import inertia_priors

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from gtau.documents.arguments import FUNCTION, NUMBER, TEXT, TRUTH, takes
+from gtau.documents.validation import FUNCTION, NUMBER, TEXT, TRUTH, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F

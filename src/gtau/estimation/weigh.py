@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gtau.documents.arguments import FUNCTION, TEXT, takes
+from gtau.documents.validation import FUNCTION, TEXT, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
 from gtau.estimation.estimators.estimator import Solution

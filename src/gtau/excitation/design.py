@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gtau.documents.arguments import FUNCTION, TEXT, WHOLE, takes
+from gtau.documents.validation import FUNCTION, TEXT, WHOLE, takes
 from gtau.errors import GtauError
 from gtau.excitation.constraints import ConstraintUsage, constraint_usages, whole_run
 from gtau.excitation.evaluation import Grid, Point, design_grid, evaluate

@@ -10,9 +10,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
-from gtau.documents.arguments import PATH, takes
 from gtau.documents.files import DESIGN, refuse_other_kind
-from gtau.documents.validation import Keys, Positive, validate
+from gtau.documents.validation import PATH, Keys, Positive, takes, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.estimation.results.result import Result

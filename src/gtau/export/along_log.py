@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gtau.documents.csv import in_csv
-from gtau.documents.files import write_atomically
+from gtau.documents.files import in_csv, write_atomically
 from gtau.errors import GtauError
 from gtau.estimation.results.estimate import Prediction
 from gtau.estimation.results.result import Result

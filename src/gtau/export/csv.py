@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from gtau.documents.csv import in_csv
+from gtau.documents.files import in_csv
 from gtau.estimation.results.result import Result
 from gtau.export.exported import Exported, written
 from gtau.export.names import identifier

@@ -15,7 +15,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from gtau.documents.arguments import NUMBER, takes
+from gtau.documents.validation import NUMBER, takes
 from gtau.errors import GtauError
 from gtau.estimation.results.prediction import loaded_parameters, suited
 from gtau.estimation.results.result import Result

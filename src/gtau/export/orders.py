@@ -6,7 +6,7 @@ from pathlib import Path
 
 import polars as pl
 
-from gtau.documents.csv import in_csv
+from gtau.documents.files import in_csv
 from gtau.estimation.results.result import Result
 from gtau.export.consistent import consistent_model
 from gtau.export.exported import Exported, written

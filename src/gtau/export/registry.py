@@ -7,7 +7,7 @@ from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
 
-from gtau.documents.arguments import PATH, TEXT, WHOLE, takes
+from gtau.documents.validation import PATH, TEXT, WHOLE, takes
 from gtau.errors import GtauError
 from gtau.estimation.results.payload_body import PayloadBody
 from gtau.estimation.results.result import Result

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gtau.documents.arguments import FUNCTION, NAMES, WHOLE, takes
+from gtau.documents.validation import FUNCTION, NAMES, WHOLE, takes
 from gtau.errors import GtauError
 from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.model.inverse_dynamics import InverseDynamics

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from gtau.documents.arguments import MAPPING, NAMES, takes
-from gtau.documents.validation import validate
+from gtau.documents.validation import MAPPING, NAMES, takes, validate
 from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError
 from gtau.model.kinematics import Coordinates, coordinates

@@ -10,7 +10,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from gtau.documents.arguments import TEXT, takes
+from gtau.documents.validation import TEXT, takes
 from gtau.errors import GtauError
 from gtau.model.dynamics import parameter_names, torques, wrench_torques
 from gtau.model.interpreter.program import NONE, Program, compile_program

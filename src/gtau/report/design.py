@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from gtau.documents.csv import in_csv
-from gtau.documents.files import write_atomically
+from gtau.documents.files import in_csv, write_atomically
 from gtau.excitation.design import Design, check
 from gtau.excitation.forecast import Expected, Forecast, Weak, forecast, sampled_motions, weak_unknowns
 from gtau.excitation.task import DesignProblem

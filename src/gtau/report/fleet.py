@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from gtau.documents.csv import in_csv
-from gtau.documents.files import write_atomically
+from gtau.documents.files import in_csv, write_atomically
 from gtau.fleet.gains import FleetGain, FleetTable, JointOfFleet, table_rows
 from gtau.report.page import (
     Axis,

@@ -15,9 +15,8 @@ from pydantic import (
     model_validator,
 )
 
-from gtau.documents.arguments import MAPPING, PATH, expect, takes
 from gtau.documents.files import EXPERIMENT, refuse_other_kind
-from gtau.documents.validation import Keys, Positive, validate
+from gtau.documents.validation import MAPPING, PATH, Keys, Positive, expect, takes, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.robots.parameter import Parameter
@@ -27,8 +26,7 @@ from gtau.signals.columns import SampleRate, Signals, Units, document_of
 from gtau.signals.data_sheets import Drive, check_drives
 from gtau.signals.logged_run import Folders, LoggedRun, file_or_name
 from gtau.signals.payload import Payload
-from gtau.signals.requirements import Requirements
-from gtau.signals.settings import CHOSEN, PreparationSettings
+from gtau.signals.settings import CHOSEN, PreparationSettings, Requirements
 
 
 class Prior(Keys):

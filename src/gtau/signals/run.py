@@ -9,8 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gtau.documents.arguments import FUNCTION, takes
-from gtau.documents.validation import name_problem
+from gtau.documents.validation import FUNCTION, name_problem, takes
 from gtau.errors import GtauError
 from gtau.robots.floating import WRENCH, WrenchFrame
 from gtau.robots.robot import base_rows

@@ -10,8 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from gtau.documents.csv import in_csv
-from gtau.documents.files import write_atomically
+from gtau.documents.files import in_csv, write_atomically
 from gtau.signals.payload import Payload
 from gtau.signals.run import Run
 from gtau.simulation.controllers import FILTER, Controller

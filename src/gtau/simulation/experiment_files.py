@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from gtau.documents.arguments import FUNCTION, PATH, takes
 from gtau.documents.files import folder_of, write_atomically
+from gtau.documents.validation import FUNCTION, PATH, takes
 from gtau.documents.yaml_document import yaml_text
 from gtau.errors import GtauError
 from gtau.estimation.friction.law import FrictionLaw, Shape

@@ -9,9 +9,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
-from gtau.documents.arguments import expect
 from gtau.documents.files import SIMULATION, refuse_other_kind
-from gtau.documents.validation import Keys, Positive, validate
+from gtau.documents.validation import Keys, Positive, expect, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.robots.parameter import Parameter, parameter_of

@@ -15,7 +15,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from gtau.errors import GtauError
-from gtau.signals.formats.text_layout import layout_of
+from gtau.signals.formats.text import layout_of
 from gtau.signals.run import Run
 from gtau.watch.logs import date_of, logs_of
 from gtau.watch.state import digest_of

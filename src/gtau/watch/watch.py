@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gtau.documents.arguments import NUMBER, TEXT, WHOLE, takes
 from gtau.documents.files import folder_of
+from gtau.documents.validation import NUMBER, TEXT, WHOLE, takes
 from gtau.errors import GtauError
 from gtau.estimation.results.model_document import to_document
 from gtau.estimation.results.result import Result

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from gtau import display
-from gtau.documents.arguments import PATH, takes
+from gtau.documents.validation import PATH, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict
 from gtau.estimation.results.estimate import Estimate

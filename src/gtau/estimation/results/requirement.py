@@ -8,8 +8,8 @@ from gtau.errors import GtauError
 from gtau.estimation.results.estimate import Requirement, TorqueError
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.prediction import predict, torque_errors
-from gtau.signals.requirements import Requirements
 from gtau.signals.run import Run
+from gtau.signals.settings import Requirements
 
 
 def judge(result: IdentifiedModel, require: Requirements, validation: Sequence[Run]) -> tuple[Requirement, ...]:

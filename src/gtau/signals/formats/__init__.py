@@ -1,15 +1,12 @@
-"""Log formats, one file each. A new one is a file here and a line in ``READERS``."""
+"""Log formats, by family. A new one is a module here, or a function of its family, and a line in ``READERS``."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from gtau.signals.formats.columnar import open_feather, open_parquet
-from gtau.signals.formats.hdf5 import open_hdf5
-from gtau.signals.formats.lerobot import INFO
-from gtau.signals.formats.mat import open_mat
-from gtau.signals.formats.npz import open_npz
+from gtau.signals.formats.arrays import open_hdf5, open_mat, open_npz
+from gtau.signals.formats.columnar import INFO, open_feather, open_parquet
 from gtau.signals.formats.rosbag import open_rosbag
 from gtau.signals.formats.table import Table
 from gtau.signals.formats.text import open_text

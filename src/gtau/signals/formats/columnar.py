@@ -2,18 +2,19 @@
 
 A column of lists of numbers, such as ``observation.state`` of LeRobot, gives columns ``observation.state[1]`` and so
 on; rows of another ``episode_index`` are another episode. ``meta/info.json`` of its data set says which joints these
-are.
+are (https://huggingface.co/docs/lerobot): ``fps``, and by feature its ``names``, a list or lists by their kind
+(``{"motors": [...]}``). Frames are in ``data/chunk-000/file-000.parquet``.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from gtau.documents.files import in_order
 from gtau.errors import GtauError
-from gtau.signals.formats.lerobot import data_set_of
 from gtau.signals.formats.table import WIDEST, Table
 from gtau.signals.storage import sizes
 
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     import polars as pl
 
 EPISODE = "episode_index"
+INFO = "meta/info.json"
+DEPTH = 3  # folders between a file of frames and the data set
 
 
 def open_parquet(path: Path) -> Table:
@@ -77,15 +80,14 @@ def _table(path: Path, parts: Sequence[Path], scan: Callable[[Path], pl.LazyFram
                 yield frame, (first + stop) / sum(lengths)
             first += length
 
-    found = data_set_of(path)
+    rate, features = _data_set(path)
     labels = {
         f"{feature}[{k + 1}]": f"{feature}/{name}"
-        for feature, names in found.names.items()
+        for feature, names in features.items()
         if f"{feature}[{len(names)}]" in columns and f"{feature}[{len(names) + 1}]" not in columns
         for k, name in enumerate(names)
     }
-    unusable = _unusable(schema)
-    return Table(tuple(columns), frames, unusable=unusable, episodes=episodes, labels=labels, rate=found.rate)
+    return Table(tuple(columns), frames, unusable=_unusable(schema), episodes=episodes, labels=labels, rate=rate)
 
 
 def _columns(schema: Mapping[str, pl.DataType], table: pl.LazyFrame) -> dict[str, pl.Expr]:
@@ -134,3 +136,37 @@ def _unusable(schema: Mapping[str, pl.DataType]) -> dict[str, str]:
         elif not (kind.is_numeric() or kind in (pl.String, pl.Boolean)):
             found[name] = f"holds {kind} values; write it as numbers"
     return found
+
+
+def _data_set(log: Path) -> tuple[float | None, Mapping[str, Sequence[str]]]:
+    """Read rate (Hz) and names of the items of each feature from the data set of a file of frames, or their folder.
+
+    None and no names where a log is of no data set.
+
+    Raises
+    ------
+    GtauError
+        Its description is damaged.
+    """
+    folders = [log, *log.absolute().parents[:DEPTH]]
+    file = next((folder / INFO for folder in folders if (folder / INFO).is_file()), None)
+    if file is None:
+        return None, {}
+    try:
+        info = json.loads(file.read_text(encoding="utf-8"))
+        features, rate = info.get("features", {}), info.get("fps")
+        names = {name: _flat(feature.get("names")) for name, feature in features.items()}
+        return None if rate is None else float(rate), names
+    except (OSError, ValueError, TypeError, AttributeError):
+        raise GtauError(
+            f"{file} is not a readable description of a LeRobot data set; correct it, or move {log.name} out of "
+            "its folder."
+        ) from None
+
+
+def _flat(names: Any) -> list[str]:
+    if isinstance(names, Mapping):
+        names = list(names.values())
+    if isinstance(names, list):
+        return [each for of in names for each in _flat(of)]
+    return [names] if isinstance(names, str) else []

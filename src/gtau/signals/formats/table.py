@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from gtau.errors import GtauError
 from gtau.signals.notes import Note
-from gtau.signals.storage import sizes
 
 if TYPE_CHECKING:
     import polars as pl
@@ -58,53 +55,6 @@ def readable(path: Path, kind: str) -> Iterator[None]:
         raise GtauError(f"{path} cannot be read as {kind} ({reason}); export the log again.") from None
 
 
-def table_of_arrays(
-    path: Path,
-    shapes: Mapping[str, tuple[int, ...]],
-    load: Callable[[Collection[str]], AbstractContextManager[Mapping[str, Any]]],
-) -> Table:
-    """Make a table of named arrays, whose longer axis counts the samples.
-
-    A two-dimensional array ``q`` of N samples by n gives the columns ``q[1]`` to ``q[n]``; what is wider than
-    ``WIDEST``, of more axes or a single number is left out.
-
-    Parameters
-    ----------
-    path : Path
-        The log, for messages.
-    shapes : mapping
-        Shapes of the arrays by name.
-    load : callable
-        Opens arrays, given their names, or what can be indexed as such.
-    """
-    found: dict[str, tuple[str, int | None, bool]] = {}  # column: array, its number in it, samples on the last axis
-    rows: dict[str, int] = {}
-    for name, shape in shapes.items():
-        size = int(np.prod(shape))
-        if size < 2 or len(shape) not in (1, 2):
-            continue
-        long = max(shape)
-        if size == long:
-            found[name], rows[name] = (name, None, len(shape) == 2 and shape[1] == long), long
-        elif min(shape) <= WIDEST:
-            for k in range(min(shape)):
-                column = f"{name}[{k + 1}]"
-                found[column], rows[column] = (name, k, shape[1] == long), long
-
-    def frames(names: Sequence[str], wanted: range) -> Iterator[tuple[pl.DataFrame, float]]:
-        import polars as pl
-
-        count = common_length(path, {name: rows[name] for name in names})
-        with readable(path, "a log"), load({found[name][0] for name in names}) as arrays:
-            end = min(wanted.stop, count)
-            for start in range(wanted.start, end, sizes().rows):
-                stop = min(start + sizes().rows, end)
-                frame = {name: _column(arrays, found[name], start, stop) for name in names}
-                yield pl.DataFrame(frame), stop / count
-
-    return Table(tuple(found), frames)
-
-
 def common_length(path: Path, lengths: Mapping[str, int]) -> int:
     """Count the rows of columns that must have as many; raises GtauError."""
     if len(set(lengths.values())) > 1:
@@ -115,11 +65,3 @@ def common_length(path: Path, lengths: Mapping[str, int]) -> int:
             "together, or each topic's own stamps (time: {position: COLUMN, command: COLUMN})."
         )
     return next(iter(lengths.values()))
-
-
-def _column(arrays: Mapping[str, Any], where: tuple[str, int | None, bool], start: int, stop: int) -> np.ndarray:
-    name, k, last = where
-    array = arrays[name]
-    span = slice(start, stop)
-    part = array[span] if array.ndim == 1 else array[k or 0, span] if last else array[span, k or 0]
-    return np.asarray(part, dtype=float)
