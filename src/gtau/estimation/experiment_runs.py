@@ -12,7 +12,7 @@ from gtau.documents.arguments import MAPPING, NUMBER, expect
 from gtau.documents.validation import validate
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
-from gtau.estimation.regression.file_inertias import inertia_priors
+from gtau.estimation.regression.priors import inertia_priors
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
