@@ -27,7 +27,7 @@ from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
 from gtau.estimation.identify import identify
-from gtau.estimation.results.remarks import findings
+from gtau.estimation.results.conclusions import findings
 from gtau.robots.robot import Joint, Limits, Mdh, Robot
 from gtau.signals.run import Run, read_run
 

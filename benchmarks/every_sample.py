@@ -28,7 +28,7 @@ from peers import Pinocchio, base_columns, random_parameters
 from zoo import ENTRIES
 
 from gtau.estimation.experiment_runs import read_runs
-from gtau.estimation.friction.stop import stop
+from gtau.estimation.friction.law import stop
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot

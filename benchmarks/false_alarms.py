@@ -29,7 +29,7 @@ from threadpoolctl import threadpool_limits
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
-from gtau.estimation.results.remarks import findings
+from gtau.estimation.results.conclusions import findings
 from gtau.estimation.results.result import Result
 from gtau.signals.notes import Kind
 

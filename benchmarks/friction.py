@@ -36,10 +36,9 @@ from gtau.estimation.estimators.estimator import Fit, Given
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.friction.identify import FrictionStep, _of_group
-from gtau.estimation.friction.normal_equations import Group
+from gtau.estimation.friction.law import stop
+from gtau.estimation.friction.normal_equations import PLAIN, SPEEDS, WIDTHS, Group, Site
 from gtau.estimation.friction.selection import Chosen, choose
-from gtau.estimation.friction.sites import PLAIN, SPEEDS, WIDTHS, Site
-from gtau.estimation.friction.stop import stop
 from gtau.estimation.identify import identify
 from gtau.estimation.pipeline import DEFAULT, estimate
 from gtau.estimation.regression.dataset import reduce_runs

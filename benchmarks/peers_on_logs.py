@@ -34,7 +34,7 @@ from zoo import ENTRIES, Entry, experiment_file, update
 
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.identify import identify
-from gtau.estimation.results.payload_estimate import PayloadEstimate
+from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.estimation.weigh import weigh
 from gtau.robots.robot import Robot

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from gtau.estimation.compare import EstimatorComparison, compare
     from gtau.estimation.identify import identify
     from gtau.estimation.results.estimate import Estimate, Prediction, TorqueError
-    from gtau.estimation.results.payload_body import PayloadBody
-    from gtau.estimation.results.payload_estimate import PayloadEstimate
+    from gtau.estimation.results.payload import PayloadBody, PayloadEstimate
     from gtau.estimation.results.result import Result
     from gtau.estimation.weigh import weigh
     from gtau.excitation.design import Design
@@ -99,8 +98,8 @@ _HOMES = {
     "InverseDynamics": "model.inverse_dynamics",
     "Part": "signals.samples",
     "Payload": "signals.payload",
-    "PayloadBody": "estimation.results.payload_body",
-    "PayloadEstimate": "estimation.results.payload_estimate",
+    "PayloadBody": "estimation.results.payload",
+    "PayloadEstimate": "estimation.results.payload",
     "Prediction": "estimation.results.estimate",
     "PreparationSettings": "signals.settings",
     "Prior": "signals.experiment",

@@ -17,8 +17,8 @@ from gtau.errors import GtauError
 from gtau.estimation.check_logs import check_logs
 from gtau.estimation.grades import EXIT_CODES, GRADES, Grade, by_grade, grade_of, to_document
 from gtau.estimation.identify import identify
+from gtau.estimation.results.conclusions import findings
 from gtau.estimation.results.model_file import NoteEntry
-from gtau.estimation.results.remarks import findings
 from gtau.report.check import gate_words
 from gtau.report.findings import findings_table
 from gtau.signals.notes import Kind, Note

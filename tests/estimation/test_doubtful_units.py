@@ -10,7 +10,7 @@ from five_bar_logs import Plant
 
 from gtau.estimation.grades import Grade, grade_of
 from gtau.estimation.regression.dataset import reduce_runs
-from gtau.estimation.regression.doubtful_units import doubtful_currents, doubtful_payloads
+from gtau.estimation.regression.plausibility import doubtful_currents, doubtful_payloads
 from gtau.model.home import load_robot
 from gtau.robots.floating import float_base
 from gtau.signals.notes import Kind

@@ -10,7 +10,7 @@ import pytest
 import scipy.optimize
 
 from gtau.estimation.estimators import newton
-from gtau.estimation.estimators.essential_parameters import essential_parameters
+from gtau.estimation.estimators.essential import essential_parameters
 from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.estimators.least_squares import ols, wls
 from gtau.estimation.estimators.maximum_likelihood import ml

@@ -12,7 +12,7 @@ from gtau.errors import GtauError
 from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
-from gtau.estimation.results.headline import headline, reasons
+from gtau.estimation.results.conclusions import headline, reasons
 from gtau.estimation.results.result import Result
 from gtau.signals.run import read_run
 

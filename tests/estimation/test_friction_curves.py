@@ -12,9 +12,8 @@ from five_bar_logs import five_bar
 from friction_logs import PLAIN, experiment, robot, run
 
 import gtau
-from gtau.estimation.friction.law import FrictionLaw, Shape
+from gtau.estimation.friction.law import Follower, FrictionLaw, Shape, stop
 from gtau.estimation.friction.selection import Structure
-from gtau.estimation.friction.stop import Follower, stop
 from gtau.estimation.pipeline import DEFAULT, estimate
 
 SHAPES = {"left": Shape(width=1.5e-3), "right": Shape(speed=0.2)}

@@ -13,7 +13,7 @@ from gtau.errors import GtauError
 from gtau.estimation.diagnostics.finding import FindingKind
 from gtau.estimation.diagnostics.inertia_audit import AuditedParameter
 from gtau.estimation.identify import identify
-from gtau.estimation.regression.file_inertias import inertia_priors
+from gtau.estimation.regression.priors import inertia_priors
 from gtau.estimation.results.result import Result
 from gtau.report.inertias import inertias_section
 from gtau.robots.robot import Robot

@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 
 from gtau.cli.commands import app
 from gtau.estimation.compare import compare, to_document
+from gtau.estimation.estimators.essential import prune_friction_terms
 from gtau.estimation.estimators.estimator import Gains, Given
-from gtau.estimation.estimators.friction_selection import prune_friction_terms
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.newton import one_step
 from gtau.estimation.estimators.registry import ESTIMATORS, estimator_of

@@ -14,9 +14,9 @@ from plausible_parameters import body_parameters, random_parameters
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.identify import identify
+from gtau.estimation.results.conclusions import remarks, sums_with_mass
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.payload_estimate import PayloadEstimate
-from gtau.estimation.results.remarks import remarks, sums_with_mass
+from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.estimation.weigh import exact_gains, weigh
 from gtau.model.inverse_dynamics import InverseDynamics

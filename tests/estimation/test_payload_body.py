@@ -11,10 +11,9 @@ from plausible_parameters import body_parameters, random_parameters
 from scipy.spatial.transform import Rotation
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.semidefinite import pseudo_inertia
+from gtau.estimation.estimators.standard_parameters import pseudo_inertia
 from gtau.estimation.identify import identify
-from gtau.estimation.results.payload_body import QUANTITIES, Weighed, payload_body, quantities
-from gtau.estimation.results.payload_estimate import PayloadEstimate
+from gtau.estimation.results.payload import QUANTITIES, PayloadEstimate, Weighed, payload_body, quantities
 from gtau.estimation.weigh import weigh
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.estimation.estimators.physical_consistency import Consistency
-from gtau.estimation.estimators.semidefinite import (
+from gtau.estimation.estimators.standard_parameters import (
     BASIS,
     MARGIN,
     Body,

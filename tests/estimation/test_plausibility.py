@@ -14,7 +14,7 @@ from gtau.estimation.check_logs import check_logs
 from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.grades import Grade
 from gtau.estimation.identify import identify
-from gtau.estimation.regression.motion_limits import within_limits
+from gtau.estimation.regression.plausibility import within_limits
 from gtau.model.home import load_robot
 from gtau.robots.readers.read import CATALOG
 from gtau.signals.preparation import prepare

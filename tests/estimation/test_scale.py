@@ -26,8 +26,8 @@ from gtau.estimation.diagnostics.stated_constants import (
 )
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators import maximum_likelihood
+from gtau.estimation.estimators.essential import select_friction
 from gtau.estimation.estimators.estimator import Fit, Given, Solution
-from gtau.estimation.estimators.friction_selection import select_friction
 from gtau.estimation.estimators.maximum_likelihood import ML, ml, own_share
 from gtau.estimation.estimators.newton import solve
 from gtau.estimation.estimators.registry import ESTIMATORS

@@ -11,7 +11,7 @@ from five_bar_logs import CHI, GAINS, JOINTS, STEEL, Plant, path
 
 from gtau import identify, load_robot, read_run
 from gtau.errors import GtauError
-from gtau.estimation.results.remarks import without_temperature
+from gtau.estimation.results.conclusions import without_temperature
 from gtau.estimation.results.result import Result
 from gtau.signals.columns import as_signals
 from gtau.signals.payload import Payload

@@ -16,7 +16,7 @@ from gtau.errors import GtauError
 from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
-from gtau.estimation.results.headline import headline
+from gtau.estimation.results.conclusions import headline
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.torque_scale import torque_scale_text, torque_scales
 from gtau.estimation.weigh import weigh

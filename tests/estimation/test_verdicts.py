@@ -31,8 +31,8 @@ from gtau.estimation.diagnostics.sentences import percent_text
 from gtau.estimation.diagnostics.verdict import GOOD, OUTCOMES, Outcome, Verdict, decide, verdict_of, worst
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.equations import STRETCHES
+from gtau.estimation.results.conclusions import Reason, headline, reasons
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.headline import Reason, headline, reasons
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import BASE_MISFIT, INFLATED
 from gtau.model.home import load_robot

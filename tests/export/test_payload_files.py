@@ -17,7 +17,7 @@ import gtau
 from gtau.cli.identification import CONTROLLERS, _exported
 from gtau.errors import GtauError
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.payload_body import QUANTITIES, UNITS, PayloadBody
+from gtau.estimation.results.payload import QUANTITIES, UNITS, PayloadBody
 from gtau.export.payload import WRITERS
 from gtau.export.registry import PAYLOAD_KINDS
 from gtau.robots.rigid_body import RigidBody

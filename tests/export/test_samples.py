@@ -12,7 +12,7 @@ from models_to_export import model_of
 from stated_arm import chi, plant, robot, torque_run
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.semidefinite import pseudo_inertia
+from gtau.estimation.estimators.standard_parameters import pseudo_inertia
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
 from gtau.export.registry import export_model

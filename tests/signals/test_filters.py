@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from gtau.estimation.friction.stop import stop
+from gtau.estimation.friction.law import stop
 from gtau.signals.decimation import Decimator, decimation_factor
 from gtau.signals.filters import (
     cutoff_frequency,

@@ -33,7 +33,7 @@ from gtau.documents.files import folder_of, refuse_as_folder, write_atomically
 from gtau.errors import GtauError, missing_extra
 
 if TYPE_CHECKING:
-    from gtau.estimation.results.payload_body import PayloadBody
+    from gtau.estimation.results.payload import PayloadBody
     from gtau.export.exported import Exported
 
 CONTROLLERS = "ur, franka, kuka, abb, ros"  # the PAYLOAD_KINDS of the registry, which --help need not import
@@ -204,7 +204,7 @@ def validate(
         start = perf_counter()
         with progress_bar() as progress:
             from gtau.estimation.experiment_runs import experiment_of, read_runs
-            from gtau.estimation.results.remarks import without_temperature
+            from gtau.estimation.results.conclusions import without_temperature
             from gtau.estimation.results.result import Result
             from gtau.report.evidence import predicted, settings_of
             from gtau.report.validation import validation_document, validation_page, validation_report, write_torques

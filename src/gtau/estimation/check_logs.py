@@ -22,11 +22,11 @@ from gtau.estimation.experiment_runs import describe, geometry_of, read_runs
 from gtau.estimation.gate import choose_estimator, require_identifiable, require_inputs, usable
 from gtau.estimation.grades import Grade, by_grade, grade_of
 from gtau.estimation.regression.dataset import Dataset, model_of, prepare_runs, reduce_runs, robot_notes
-from gtau.estimation.regression.doubtful_units import doubtful_currents, doubtful_payloads
 from gtau.estimation.regression.friction import Friction
+from gtau.estimation.regression.plausibility import doubtful_currents, doubtful_payloads
 from gtau.estimation.regression.rows import Labels
 from gtau.estimation.regression.system import FEWEST_ROWS
-from gtau.estimation.results.remarks import near_singularities, not_separated
+from gtau.estimation.results.conclusions import near_singularities, not_separated
 from gtau.estimation.results.singularity_distances import Distances, NearestPose, distances_of, nearest_poses
 from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.model.inverse_dynamics import InverseDynamics

@@ -11,7 +11,7 @@ from typing import Any
 from gtau.documents.validation import MAPPING, NUMBER, expect, validate
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
-from gtau.estimation.regression.file_inertias import inertia_priors
+from gtau.estimation.regression.priors import inertia_priors
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics

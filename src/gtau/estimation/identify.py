@@ -29,7 +29,7 @@ from gtau.estimation.gate import (
 from gtau.estimation.pipeline import AS_PAPER, DEFAULT, estimate
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
-from gtau.estimation.results.requirement import judge
+from gtau.estimation.results.prediction import judge
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import ACCURACY
 from gtau.model.interpreter.threads import single_threaded_blas

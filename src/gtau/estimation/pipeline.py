@@ -13,9 +13,8 @@ from gtau.estimation.diagnostics.examine import examine, uncertainty_of
 from gtau.estimation.diagnostics.inertia_audit import audit_inertias, prior_findings, without_file_inertias
 from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.diagnostics.stated_constants import weigh_known
-from gtau.estimation.estimators.essential_parameters import reduce_fit
+from gtau.estimation.estimators.essential import reduce_fit, select_friction
 from gtau.estimation.estimators.estimator import Estimator, Given
-from gtau.estimation.estimators.friction_selection import select_friction
 from gtau.estimation.estimators.physical_consistency import consistent as find_consistent
 from gtau.estimation.friction.identify import FrictionStep, identify_friction
 from gtau.estimation.regression.dataset import Dataset

@@ -10,16 +10,15 @@ import numpy as np
 from gtau.documents.validation import FUNCTION, TEXT, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
+from gtau.estimation.estimators.essential import select_friction
 from gtau.estimation.estimators.estimator import Solution
-from gtau.estimation.estimators.friction_selection import select_friction
 from gtau.estimation.estimators.least_squares import wls
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.experiment_runs import require_same, subject_of
 from gtau.estimation.gate import given_gains
 from gtau.estimation.regression.dataset import at_rate_of, reduce_runs
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.results.payload_estimate import PayloadEstimate
-from gtau.estimation.results.payload_estimates import payload_estimates
+from gtau.estimation.results.payload import PayloadEstimate, payload_estimates
 from gtau.estimation.results.result import Result
 from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.progress import Progress, silent

@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 
 from gtau.errors import GtauError
-from gtau.estimation.results.payload_body import PayloadBody
+from gtau.estimation.results.payload import PayloadBody
 from gtau.export.exported import Exported, written
 from gtau.export.names import identifier
 from gtau.robots.geometry import angles_of

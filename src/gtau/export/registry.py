@@ -9,7 +9,7 @@ from pathlib import Path
 
 from gtau.documents.validation import PATH, TEXT, WHOLE, takes
 from gtau.errors import GtauError
-from gtau.estimation.results.payload_body import PayloadBody
+from gtau.estimation.results.payload import PayloadBody
 from gtau.estimation.results.result import Result
 from gtau.export.exported import Exported, written
 from gtau.robots.floating import refuse_floating

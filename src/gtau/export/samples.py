@@ -15,8 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.semidefinite import Body, constrained_least_squares
-from gtau.estimation.estimators.standard_parameters import natural_size, within_reach
+from gtau.estimation.estimators.standard_parameters import Body, constrained_least_squares, natural_size, within_reach
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.export.consistent import PLAIN, consistent_model

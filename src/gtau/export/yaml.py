@@ -8,7 +8,7 @@ from pathlib import Path
 import yaml
 
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.estimates_table import estimates_table
+from gtau.estimation.results.identified_model import estimates_table
 from gtau.estimation.results.result import Result
 from gtau.export.exported import Exported, written
 from gtau.export.names import identifier

@@ -6,10 +6,10 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from gtau.estimation.diagnostics.sentences import percent_text
 from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.results.conclusions import reasons
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.headline import reasons
 from gtau.estimation.results.identified_model import IdentifiedModel
-from gtau.estimation.results.payload_estimate import PayloadEstimate
+from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.thresholds.estimates import ACCURACY
 from gtau.model.base_parameters import whole_mass
 from gtau.report.page import (

@@ -10,9 +10,8 @@ import numpy as np
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.estimators.registry import ESTIMATORS
-from gtau.estimation.results.headline import headline
+from gtau.estimation.results.conclusions import VISIBLE, findings, headline, remarks
 from gtau.estimation.results.identified_model import IdentifiedModel
-from gtau.estimation.results.remarks import VISIBLE, findings, remarks
 from gtau.estimation.results.result import Result
 from gtau.report.evidence import RunEvidence, body_path, largest
 from gtau.report.findings import findings_section, same_in_several

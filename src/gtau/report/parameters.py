@@ -9,8 +9,7 @@ import numpy as np
 
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.results.estimate import AlternativeMoves, Estimate
-from gtau.estimation.results.estimates_table import Row, estimates_table
-from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.estimation.results.identified_model import IdentifiedModel, Row, estimates_table
 from gtau.report.gains import VALUE, value_cells
 from gtau.report.page import Axis, Chart, Column, Kind, Panel, Section, Series, Text, joint_label, section, table
 from gtau.robots.parameter import parameter_of

@@ -10,8 +10,7 @@ from typing import Any
 
 from gtau.documents.files import write_atomically
 from gtau.estimation.results.model_document import torque_error
-from gtau.estimation.results.payload_body import PayloadBody
-from gtau.estimation.results.payload_estimate import PayloadEstimate
+from gtau.estimation.results.payload import PayloadBody, PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.report.check import unique_names
 from gtau.report.evidence import RunEvidence, largest, worst_stretch

@@ -21,7 +21,7 @@ import numpy as np
 import scipy.linalg
 
 from gtau.errors import GtauError
-from gtau.estimation.friction.sites import PLAIN
+from gtau.estimation.friction.normal_equations import PLAIN
 from gtau.model.closures import closure_expressions
 from gtau.model.dynamics import spring_length, torques
 from gtau.model.inverse_dynamics import InverseDynamics

@@ -19,7 +19,7 @@ from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.estimators.estimator import Fit, Iterate, Solution
 from gtau.estimation.estimators.newton import degrees_of_freedom, residuals, stacked
 from gtau.estimation.regression.equations import MODEL
-from gtau.estimation.regression.file_inertias import inertia_priors, sizes_of, stated_inertias
+from gtau.estimation.regression.priors import inertia_priors, sizes_of, stated_inertias
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.regression.system import System

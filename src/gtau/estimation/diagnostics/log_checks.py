@@ -5,7 +5,7 @@ motion was filtered or stamped late. For a first-order low-pass with time consta
 the motion requires; for any other filter and a late stamp, to first order. T follows from each joint's own equations,
 whether its gain is estimated, given, or 1.
 
-Units of positions are checked against the robot's size before (:mod:`gtau.estimation.regression.motion_limits`).
+Units of positions are checked against the robot's size before (:mod:`gtau.estimation.regression.plausibility`).
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from gtau.estimation.diagnostics.cause_sentences import CAUSES, Sentence, Values
 from gtau.estimation.diagnostics.finding import RELATIVE, Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.note_sentences import IMPOSSIBLE, NOTED, NOTES, PRIOR, SCALE
-from gtau.estimation.regression.motion_limits import clock_advice, write_limits
+from gtau.estimation.regression.plausibility import clock_advice, write_limits
 from gtau.estimation.thresholds.estimates import LOST_GAIN
 from gtau.signals.notes import Kind, Note
 

@@ -20,12 +20,17 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.estimators.estimator import Iterate, Solution, jackknife
 from gtau.estimation.estimators.newton import jacobian, moved, residuals, stacked
-from gtau.estimation.estimators.semidefinite import constrained_least_squares, pseudo_inertia
-from gtau.estimation.estimators.standard_parameters import StandardUnknowns, standard_unknowns
+from gtau.estimation.estimators.standard_parameters import (
+    StandardUnknowns,
+    constrained_least_squares,
+    pseudo_inertia,
+    standard_unknowns,
+)
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.equations import leave_one_out, triangle
+from gtau.estimation.regression.priors import of_theta
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System, of_theta
+from gtau.estimation.regression.system import System
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import INERTIAL
 from gtau.signals.experiment import Prior

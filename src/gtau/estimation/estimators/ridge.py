@@ -18,7 +18,8 @@ from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.standard_parameters import standard_unknowns
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.equations import triangle
-from gtau.estimation.regression.system import System, of_theta
+from gtau.estimation.regression.priors import of_theta
+from gtau.estimation.regression.system import System
 from gtau.signals.experiment import Prior
 
 

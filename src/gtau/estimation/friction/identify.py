@@ -9,9 +9,8 @@ import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit, jackknife
 from gtau.estimation.friction.law import FrictionLaw, Shape
-from gtau.estimation.friction.normal_equations import FINER, Group, normal_equations
+from gtau.estimation.friction.normal_equations import FINER, Group, normal_equations, sites_of
 from gtau.estimation.friction.selection import KINDS, WORDS, Chosen, Trial, choose, shape_values, with_shapes
-from gtau.estimation.friction.sites import sites_of
 
 # Standard deviation of the logarithm of a width or speed between those tried, whose columns are interpolated: over 18
 # widths and 9 speeds of a simulated UR10e and Puma 560 the rms was this where noise gave a fifth of it.

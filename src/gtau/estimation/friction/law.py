@@ -5,8 +5,8 @@ A joint's friction is
     ``fv qd + (fs + fb exp(-|qd| / v_s) + fl |tau_load|) z``,
 
 with ``z = sign(qd)`` where it slides, and where its logs show presliding the state of a stop operator of its width
-(:mod:`gtau.estimation.friction.stop`). ``fb`` is the excess of friction at rest over fast sliding: Stribeck's effect
-where positive, viscous friction that saturates where negative. Both and ``fl`` come from all samples
+(:func:`stop`). ``fb`` is the excess of friction at rest over fast sliding: Stribeck's effect where positive, viscous
+friction that saturates where negative. Both and ``fl`` come from all samples
 (:mod:`gtau.estimation.friction.identify`), with coefficients for which the law dissipates energy at every speed.
 
 The plain law of the equations of identification is the same with ``z = sign(qd)`` and a cubic term ``f3 qd^3``. Its
@@ -33,7 +33,6 @@ from typing import Any
 
 import numpy as np
 
-from gtau.estimation.friction.stop import Follower
 from gtau.estimation.regression.dataset import motor_to_joint_speed
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import Motion
@@ -42,6 +41,66 @@ from gtau.robots.robot import DAMPING
 
 LEAST_POWER = 1e-300  # W: keeps 0/0 out of a joint at rest
 SPEEDS = 200  # at which a straight line is fitted
+
+
+def stop(q: np.ndarray, widths: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Follow positions by elements of some widths: friction before sliding (Prandtl and Ishlinskii; Maxwell slip).
+
+    An element of width ``w`` holds ``z``, between -1 and 1: ``z <- clip(z + dq / w, -1, 1)``. It is a spring as long as
+    the joint stays within ``w`` of where it stopped, and slips beyond, where ``z = sign(dq)``. It does not depend on
+    time, so that neither rate nor noise of the speed matters; a position rounded by an encoder is a path like any
+    other.
+
+    Between its turning points a path is monotone, and ``z`` has a closed form there: only those are visited one by one.
+
+    Parameters
+    ----------
+    q : ndarray (N,)
+        Positions, rad or m.
+    widths : ndarray (w,)
+        Widths, in the same unit.
+    start : ndarray (w,)
+        States at the first position.
+
+    Returns
+    -------
+    ndarray (w, N)
+        States at every position; the first are ``start``.
+    """
+    step = np.sign(np.diff(q))
+    turns = np.flatnonzero(step[1:] * step[:-1] < 0) + 1 if step.all() else _turns(step)
+    edges = np.concatenate([[0], turns, [len(q) - 1]])
+    states = np.empty((len(edges), len(widths)))
+    states[0] = start
+    ways = np.diff(q[edges])[:, None] / widths
+    for k, way in enumerate(ways):
+        states[k + 1] = np.minimum(np.maximum(states[k] + way, -1.0), 1.0)
+    stretch = np.searchsorted(turns, np.arange(len(q)), side="right")
+    way = (q - q[edges[stretch]]) / widths[:, None]
+    return np.clip(states[stretch].T + way, -1.0, 1.0)
+
+
+class Follower:
+    """Elements of some widths along a path in blocks, which may overlap: states continue from block to block.
+
+    They begin at 0: where a joint rests, nothing says which way it came, and one that moves slips after its width.
+    """
+
+    def __init__(self, widths: np.ndarray) -> None:
+        self._widths, self._time, self._states = widths, np.zeros(0), np.zeros((len(widths), 0))
+
+    def __call__(self, time: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """Follow positions (N,) at times (N,), s: states (w, N)."""
+        known = int(np.searchsorted(self._time, time[0]))
+        start = self._states[:, known] if known < len(self._time) else np.zeros(len(self._widths))
+        self._time, self._states = time, stop(q, self._widths, start)
+        return self._states
+
+
+def _turns(step: np.ndarray) -> np.ndarray:
+    """Find the reversals of a path that may rest: at rest it keeps the direction of its last step."""
+    moved = np.flatnonzero(step)
+    return moved[1:][step[moved[1:]] * step[moved[:-1]] < 0]
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gtau.estimation.friction.normal_equations import Group
-from gtau.estimation.friction.sites import Site
+from gtau.estimation.friction.normal_equations import Group, Site
 from gtau.estimation.thresholds.friction import TERM_SHARE, TERM_T
 
 FEWEST_BLOCKS = 6

@@ -11,12 +11,11 @@ from typing import Literal
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.doubtful_units import doubtful_currents, doubtful_payloads
 from gtau.estimation.regression.factors import Factors, HuberWeights, reduce_run
-from gtau.estimation.regression.file_inertias import inertia_priors
 from gtau.estimation.regression.friction import PAPER, Friction, Temperatures, temperatures_of
-from gtau.estimation.regression.motion_limits import within_limits
-from gtau.estimation.regression.repeated_runs import Place, edges_in_step, find_places
+from gtau.estimation.regression.plausibility import doubtful_currents, doubtful_payloads, within_limits
+from gtau.estimation.regression.priors import inertia_priors
+from gtau.estimation.regression.stretches import Place, edges_in_step, find_places
 from gtau.estimation.regression.system import System, assemble_system
 from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import cached_property
 
 import numpy as np
@@ -21,6 +20,7 @@ from gtau.estimation.regression.column_blocks import (
 from gtau.estimation.regression.equations import KNOWN, MODEL, SIGNAL, triangle
 from gtau.estimation.regression.factors import Factors
 from gtau.estimation.regression.friction import Friction, transmitted
+from gtau.estimation.regression.priors import known_equations
 from gtau.estimation.regression.problem import Problem
 from gtau.model.base_parameters import BaseParameters, independent_columns
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -30,7 +30,6 @@ from gtau.signals.experiment import Prior
 from gtau.signals.payload import Payload
 
 FEWEST_ROWS = 50  # of a joint, in all runs together
-RANK = 1e-9  # of the largest singular value: below it a combination is free of unknown parameters
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,74 +222,3 @@ def _unexcited(problem: Problem) -> tuple[str, ...]:
     )
     kept, _, _ = independent_columns(triangle(stacked))
     return tuple(name for k, name in enumerate(problem.parameters) if k not in kept)
-
-
-def known_equations(
-    base: BaseParameters, standard: Sequence[str], parameters: Sequence[str], priors: Mapping[str, Prior]
-) -> np.ndarray:
-    """Write normal priors as equations ``[P | y]`` (k, n_theta + 1) for ``P theta = y`` with errors of unit variance.
-
-    A base parameter is a sum of standard ones, ``chi = S x``. Some of these have priors, with standard deviations,
-    the others have none: so the equations are those of base-parameter combinations free of the latter.
-
-    Parameters
-    ----------
-    base : BaseParameters
-        The first of theta.
-    standard : sequence of str
-        Names of the standard parameters, the columns of ``base.matrix``.
-    parameters : sequence of str
-        Names of theta, (n_theta,).
-    priors : mapping
-        Standard or base parameter, or another of theta, to its prior; bounds are not used here.
-
-    Raises
-    ------
-    GtauError
-        Where a prior names no parameter.
-    """
-    return np.vstack(
-        [_of_standard(base, standard, len(parameters), priors), of_theta(base, standard, parameters, priors)]
-    )
-
-
-def of_theta(
-    base: BaseParameters, standard: Sequence[str], parameters: Sequence[str], priors: Mapping[str, Prior]
-) -> np.ndarray:
-    """Build the equations of priors that name one of theta, no standard parameter; see :func:`known_equations`."""
-    rows = []
-    for name, prior in priors.items():
-        if name in standard:
-            continue
-        if name not in parameters:
-            close = get_close_matches(name, [*standard, *base.names], n=1)
-            raise GtauError(
-                f"'priors' names '{name}', which is no parameter of the robot; "
-                + (f"did you mean '{close[0]}'?" if close else f"write kind and joint, such as '{standard[0]}'.")
-            )
-        if prior.value is not None and prior.std is not None:
-            row = np.zeros(len(parameters) + 1)
-            row[list(parameters).index(name)], row[-1] = 1 / prior.std, prior.value / prior.std
-            rows.append(row)
-    return np.reshape(rows, (-1, len(parameters) + 1))
-
-
-def _of_standard(
-    base: BaseParameters, standard: Sequence[str], n_theta: int, priors: Mapping[str, Prior]
-) -> np.ndarray:
-    stated = {name: prior for name, prior in priors.items() if name in standard and prior.value is not None}
-    known = np.array([name in stated for name in standard])
-    if not known.any():
-        return np.zeros((0, n_theta + 1))
-    values = np.array([stated[name].value for name in standard if name in stated], dtype=float)
-    spread = np.array([stated[name].std for name in standard if name in stated], dtype=float)
-    lengths = np.linalg.norm(base.matrix, axis=0)
-    U = base.matrix[:, ~known & (lengths > 0)]
-    left, sizes, _ = np.linalg.svd(U / np.linalg.norm(U, axis=0))
-    P = left[:, int(np.count_nonzero(sizes > RANK * sizes.max(initial=0.0))) :].T  # P U = 0
-    S = P @ base.matrix[:, known]  # P chi = S x of the known x
-    L = np.linalg.cholesky((S * spread) @ (S * spread).T) if len(P) else np.zeros((0, 0))
-    rows = np.zeros((len(P), n_theta + 1))
-    rows[:, : base.count] = np.linalg.solve(L, P)
-    rows[:, -1] = np.linalg.solve(L, S @ values)
-    return rows

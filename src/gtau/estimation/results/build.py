@@ -13,7 +13,7 @@ from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.diagnostics.parameter_checks import judge_parameter, parameter_verdict
 from gtau.estimation.diagnostics.stated_constants import scale_shares, sensor_verdict
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
-from gtau.estimation.estimators.essential_parameters import Essential
+from gtau.estimation.estimators.essential import Essential
 from gtau.estimation.estimators.estimator import Estimator, Fit
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.estimators.total_least_squares import total_rows_of
@@ -30,7 +30,7 @@ from gtau.estimation.results.estimate import (
     SensorEstimate,
     TorqueError,
 )
-from gtau.estimation.results.payload_estimates import named_freedoms, named_values, payload_estimates
+from gtau.estimation.results.payload import named_freedoms, named_values, payload_estimates
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.singularity_distances import distances_of, nearest_poses
 from gtau.robots.parameter import Parameter, parameter_of

@@ -18,7 +18,7 @@ from gtau.estimation.results.estimate import (
     TorqueError,
 )
 from gtau.estimation.results.identified_model import IdentifiedModel
-from gtau.estimation.results.payload_estimate import PayloadEstimate
+from gtau.estimation.results.payload import PayloadEstimate
 from gtau.robots.parameter import parameter_of
 from gtau.robots.readers.native_text import native_text
 from gtau.robots.robot import Robot

@@ -1,8 +1,8 @@
-"""Torques along a run, predicted by an identified model."""
+"""Torques along a run, predicted by an identified model; their errors, and what the experiment file requires."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +14,7 @@ from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.regression.dataset import at_rate_of, check_wrenches, motor_to_joint_speed
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.regression.rows import stream_torques
-from gtau.estimation.results.estimate import Prediction, TorqueError
+from gtau.estimation.results.estimate import Prediction, Requirement, TorqueError
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter, parameter_of
@@ -22,6 +22,7 @@ from gtau.robots.units import torque_unit
 from gtau.signals.payload import Payload
 from gtau.signals.preparation import PreparedRun, prepare
 from gtau.signals.run import Run, arrange
+from gtau.signals.settings import Requirements
 from gtau.signals.storage import spans
 
 
@@ -186,3 +187,31 @@ def torque_errors(result: IdentifiedModel, prediction: Prediction) -> tuple[Torq
             used, every = ((rms(difference[rows, j]), rms(prediction.measured[rows, j])) for rows in (kept, valid))
             errors.append(TorqueError(joint, *used, torque_unit(result.robot, joint), *every))
     return tuple(errors)
+
+
+def judge(result: IdentifiedModel, require: Requirements, validation: Sequence[Run]) -> tuple[Requirement, ...]:
+    """Compare a result with its requirements, its torque errors also on the runs kept for ``validation``."""
+    return tuple(_judged(result, require, validation))
+
+
+def _judged(result: IdentifiedModel, require: Requirements, validation: Sequence[Run]) -> Iterator[Requirement]:
+    if require.torque_error is not None:
+        yield _of_torques(require.torque_error, result.residuals)
+        for run in validation:
+            try:
+                errors = torque_errors(result, predict(result, run))
+            except GtauError:
+                errors = ()
+            yield _of_torques(require.torque_error, errors, run.name)
+    if require.gain_interval is not None:
+        widths = {joint: gain.half_width for joint, gain in result.drive_gains.items()}
+        unknown = [joint for joint, width in widths.items() if width is None]
+        joint = unknown[0] if unknown else max(widths, key=lambda name: widths[name] or 0.0)
+        yield Requirement("gain_interval", require.gain_interval, widths[joint], joint)
+
+
+def _of_torques(limit: float, errors: Iterable[TorqueError], run: str = "") -> Requirement:
+    worst = max(errors, key=lambda each: each.relative, default=None)
+    if worst is None:
+        return Requirement("torque_error", limit, None, run=run)
+    return Requirement("torque_error", limit, worst.relative, worst.joint, run)

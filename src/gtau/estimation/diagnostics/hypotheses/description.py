@@ -14,7 +14,7 @@ from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Hypothesis, shifted_motion, window_motion
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, at_full_rate
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.regression.motion_limits import stated_rate
+from gtau.estimation.regression.plausibility import stated_rate
 from gtau.estimation.thresholds.estimates import (
     CLOCK_REVERSED,
     CLOCK_SIZE,

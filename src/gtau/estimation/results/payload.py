@@ -1,4 +1,4 @@
-"""The rigid body behind the estimates of a payload: mass, centre of mass, and inertia about it, in any frame.
+"""Payloads: estimates of their parameters, and the rigid body behind them in the frame that a controller needs.
 
 A weighing finds sums of the ten inertial parameters ``chi`` at the frame of the body that carries the payload. The body
 is the one whose sums are nearest to these, in units of their covariance, among those of positive definite
@@ -9,14 +9,28 @@ centre ``mx/m`` has the correlation of mass and first moments.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
-from gtau.estimation.estimators.semidefinite import Body, constrained_least_squares
+from gtau import display
+from gtau.documents.validation import PATH, takes
+from gtau.errors import GtauError
+from gtau.estimation.diagnostics.parameter_checks import parameter_verdict
+from gtau.estimation.diagnostics.verdict import GOOD, Verdict
+from gtau.estimation.estimators.standard_parameters import Body, constrained_least_squares
+from gtau.estimation.regression.column_blocks import CarriedPayload, known_values
+from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.problem import Problem
+from gtau.estimation.regression.system import System
 from gtau.estimation.results.estimate import Estimate
+from gtau.robots.geometry import longest_placement
+from gtau.robots.readers.frames import frame_on
 from gtau.robots.rigid_body import RigidBody, inertial_parameters
-from gtau.robots.robot import INERTIAL, Placement
+from gtau.robots.robot import INERTIAL, Placement, Pose
+from gtau.robots.units import unit_of
+from gtau.signals.payload import FIRST_MOMENTS, PAYLOAD_KINDS
 
 QUANTITIES = ("m", "cx", "cy", "cz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
 UNITS = ("kg", *("m",) * 3, *("kg m2",) * 6)
@@ -162,3 +176,136 @@ def _consistent(weighed: Weighed, mass: float) -> np.ndarray:
     free = np.full(10, np.inf)
     body = Body("payload", np.arange(10), np.zeros(10))
     return constrained_least_squares(R, y, [body], -free, free, unit, mass, length)
+
+
+@dataclass(frozen=True, repr=False)
+class PayloadEstimate:
+    """Inertial parameters of the payload of a run, by kind, in the frame of the body that carries it.
+
+    ``weighed`` is what :meth:`in_frame` needs, None where the mass is known or the estimate was read from a file.
+    """
+
+    name: str
+    run: str
+    parameters: Mapping[str, Estimate]
+    known: frozenset[str]
+    verdict: Verdict = GOOD
+    weighed: Weighed | None = field(default=None, compare=False)
+
+    def __repr__(self) -> str:
+        return (
+            f"PayloadEstimate({self.name!r} of run {self.run!r}: mass {self.parameters.get('m', 'not identifiable')})"
+        )
+
+    def _repr_html_(self) -> str:
+        html: str = display.views().html(self)
+        return html
+
+    @takes(frame=("the name of a link, 'x y z roll pitch yaw', or a pose", (str, Pose)), file=PATH)
+    def in_frame(self, frame: str | Pose = "", file: str | Path | None = None) -> PayloadBody:
+        """Compute mass, centre of mass and inertia about it, of a physically possible body, with intervals.
+
+        Parameters
+        ----------
+        frame : str or Pose
+            A link of the URDF ``file`` that is fixed to the carrier (``tool0``), or the pose ``"x y z roll pitch yaw"``
+            (m, rad) from the carrier's own frame, which it is by default.
+        file : path, optional
+            The robot's URDF.
+
+        Raises
+        ------
+        GtauError
+            Where there is no such frame, or the payload was not weighed.
+        """
+        if self.weighed is None:
+            raise GtauError(f"payload '{self.name}' was not weighed here; take it from gtau.weigh.")
+        called, placement = frame_on(self.weighed.body, frame, file)
+        return payload_body(self.name, self.run, self.weighed, called, placement)
+
+
+def payload_estimates(
+    dataset: Dataset,
+    system: System,
+    theta: np.ndarray,
+    covariance: np.ndarray,
+    masses: Mapping[str, Verdict],
+    freedom: np.ndarray | None,
+) -> tuple[PayloadEstimate, ...]:
+    """Collect the payload of every loaded run, known and unknown parameters together.
+
+    ``theta`` are the problem's parameters, the first that ``covariance`` is of; ``masses`` are verdicts on
+    known payloads, by name; ``freedom`` the degrees of freedom behind each.
+    """
+    robot = dataset.robot
+    found = named_values(system.problem, theta, np.sqrt(np.diag(covariance)))
+    free = named_freedoms(system.problem, freedom)
+    payloads = []
+    for each in system.payloads:
+        known = known_values(each.payload)
+        label = {kind: name for name, kind in each.unknown.items()}
+        estimates = {}
+        for kind in PAYLOAD_KINDS:
+            unit = unit_of(kind, robot, robot.tool)
+            if kind in known:
+                deviation = each.payload.mass_std or None if kind == "m" else None
+                estimates[kind] = Estimate(kind, known[kind], deviation, unit, kind)
+            elif kind in each.regroupings:
+                value, deviation = found.get(label[kind], (None, None))
+                verdict = parameter_verdict(value, deviation)
+                estimates[kind] = Estimate(
+                    kind, value, deviation, unit, each.regroupings[kind], verdict=verdict, freedom=free.get(label[kind])
+                )
+        if "m" in estimates and each.payload.center is not None:
+            unit = unit_of("mx", robot, robot.tool)
+            moments = zip(FIRST_MOMENTS, each.payload.center, strict=True)
+            estimates |= {kind: _of_mass(kind, estimates["m"], at, unit) for kind, at in moments}
+        name, run = each.payload.name, dataset.runs[each.run].name
+        weighed = None if "m" in known else _weighed(dataset, system.problem, each, theta, covariance, free)
+        payloads.append(PayloadEstimate(name, run, estimates, frozenset(known), masses.get(name, GOOD), weighed))
+    return tuple(payloads)
+
+
+def _weighed(
+    dataset: Dataset,
+    problem: Problem,
+    carried: CarriedPayload,
+    theta: np.ndarray,
+    covariance: np.ndarray,
+    freedoms: Mapping[str, float],
+) -> Weighed:
+    """Collect the identified sums of parameters, and the stated values of the others."""
+    found = [k for k, name in enumerate(carried.unknown) if name in problem.parameters]
+    places = [problem.parameters.index(list(carried.unknown)[k]) for k in found]
+    sums = np.zeros((len(found), len(INERTIAL)))
+    sums[:, [INERTIAL.index(kind) for kind in carried.free]] = carried.sums[found]
+    unit = dict(zip(INERTIAL, np.eye(len(INERTIAL)), strict=True))
+    stated = [(unit[kind], value) for kind, value in known_values(carried.payload).items()]
+    center = zip(FIRST_MOMENTS, carried.payload.center or (), strict=False)
+    stated += [(unit[kind] - at * unit["m"], 0.0) for kind, at in center]
+    return Weighed(
+        dataset.robot.tool,
+        sums,
+        theta[places],
+        covariance[np.ix_(places, places)],
+        np.reshape([row for row, _ in stated], (len(stated), len(INERTIAL))),
+        np.array([value for _, value in stated]),
+        min((freedoms[name] for name in carried.unknown if name in freedoms), default=None),
+        longest_placement(dataset.robot),
+    )
+
+
+def _of_mass(kind: str, mass: Estimate, at: float, unit: str) -> Estimate:
+    """Derive a first moment from a mass whose centre is known."""
+    value, std = (None if each is None else size * each for each, size in ((mass.value, at), (mass.std, abs(at))))
+    return replace(mass, name=kind, value=value, std=std, unit=unit, regrouping=f"{at:.5g} m")
+
+
+def named_values(problem: Problem, theta: np.ndarray, std: np.ndarray) -> dict[str, tuple[float, float]]:
+    """Return value and standard deviation of each parameter of a problem, by name."""
+    return {name: (float(theta[k]), float(std[k])) for k, name in enumerate(problem.parameters)}
+
+
+def named_freedoms(problem: Problem, freedom: np.ndarray | None) -> dict[str, float]:
+    """Return the degrees of freedom of each parameter of a problem, by name; empty without ``freedom``."""
+    return {} if freedom is None else dict(zip(problem.parameters, map(float, freedom), strict=False))

@@ -1,0 +1,197 @@
+"""Conclusions of a result in plain words: what can be trusted, and notes beside the gains."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from gtau.estimation.diagnostics.finding import Finding
+from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.sentences import note, percent_text
+from gtau.estimation.diagnostics.verdict import Outcome, Verdict
+from gtau.estimation.regression.friction import TEMPERATURE_TERMS
+from gtau.estimation.results.estimate import Estimate
+from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.estimation.results.payload import PayloadEstimate
+from gtau.estimation.results.singularity_distances import NearestPose
+from gtau.estimation.results.torque_scale import torque_headline
+from gtau.estimation.thresholds.estimates import INFLATED
+from gtau.estimation.thresholds.logs import NEAR_SINGULAR
+from gtau.robots.parameter import parameter_of
+from gtau.signals.columns import Signals
+from gtau.signals.notes import Kind, Note
+from gtau.signals.payload import FIRST_MOMENTS
+
+RANKED = (Outcome.CONTRADICTORY, Outcome.NOT_IDENTIFIABLE, Outcome.WEAK, Outcome.GOOD, Outcome.GIVEN)
+NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
+VISIBLE = 0.01  # per cent: a smaller torque error is rounding
+
+
+@dataclass(frozen=True)
+class Reason:
+    """Reason why gains are not good, or a remark on good ones, and advice: the same for all ``joints``."""
+
+    outcome: Outcome
+    joints: tuple[str, ...]
+    why: str
+    action: str
+
+
+def headline(result: IdentifiedModel) -> str:
+    """Summarise the gains: how many are known to which accuracy, and which contradict the description."""
+    gains = list(result.drive_gains.values())
+    if result.kind == "torque":
+        return torque_headline(result)
+    if all(gain.verdict.outcome == Outcome.GIVEN for gain in gains):
+        return "The drive gains were given, not identified."
+    accuracy = result.statistics.get("accuracy", 0.0)
+    estimated = any(gain.std is not None for gain in gains)
+    sentences = [_good(gains, accuracy)] if estimated else []
+    for outcome in (Outcome.CONTRADICTORY, Outcome.NOT_IDENTIFIABLE):
+        sentences += _sentence(outcome, [gain for gain in gains if gain.verdict.outcome == outcome])
+    weak = [gain for gain in gains if gain.verdict.outcome == Outcome.WEAK]
+    doubted = [gain for gain in weak if (gain.half_width or 0.0) <= 100 * accuracy]  # for what is wrong elsewhere
+    sentences += _weak([gain for gain in weak if gain not in doubted], 100 * accuracy)
+    if doubted:
+        sentences.append(f"{_subject(doubted)} {'is' if len(doubted) == 1 else 'are'} in doubt.")
+    return " ".join(sentences)
+
+
+def reasons(result: IdentifiedModel) -> tuple[Reason, ...]:
+    """List reasons and advice for the verdicts on gains, the worst first: joints with equal advice share a row."""
+    groups: dict[tuple[Outcome, str, str], list[Estimate]] = {}
+    for gain in sorted(result.drive_gains.values(), key=lambda gain: -(gain.half_width or 0.0)):
+        found = gain.verdict.finding
+        if found is not None:
+            groups.setdefault((gain.verdict.outcome, found.kind, gain.verdict.advice), []).append(gain)
+    ranked = sorted(groups.items(), key=lambda group: RANKED.index(group[0][0]))
+    return tuple(
+        Reason(outcome, tuple(gain.name for gain in members), _why(members), advice)
+        for (outcome, _, advice), members in ranked
+    )
+
+
+def _why(gains: Sequence[Estimate]) -> str:
+    """Give the reason for several gains; where the numbers differ, that of the first and worst."""
+    whys = dict.fromkeys(gain.verdict.why for gain in gains)
+    first = next(iter(whys))
+    return first if len(whys) == 1 else f"{first} ('{gains[0].name}')"
+
+
+def _good(gains: Sequence[Estimate], accuracy: float) -> str:
+    good = [gain for gain in gains if gain.verdict.outcome == Outcome.GOOD]
+    total = _number(len(gains))
+    if len(good) == len(gains):
+        widest = max(gain.half_width or 0.0 for gain in good)
+        which = {1: "The drive gain is", 2: "Both drive gains are"}.get(len(gains), f"All {total} drive gains are")
+        return f"{which} known to within {percent_text(widest)} % (95 % intervals)."
+    if not good:
+        return f"No drive gain is known to {100 * accuracy:g} %."
+    verb = "is" if len(good) == 1 else "are"
+    known = f"{_number(len(good))} of {total} drive gains {verb} known to {100 * accuracy:g} % (95 % intervals)."
+    return known[0].upper() + known[1:]
+
+
+def _weak(gains: Sequence[Estimate], accuracy: float) -> list[str]:
+    """State the accuracy of the weak gains."""
+    if not gains:
+        return []
+    known = [
+        f"'{gain.name}'{'' if k else ' is known'} to +-{percent_text(gain.half_width or 0.0, accuracy)} %"
+        for k, gain in enumerate(gains)
+    ]
+    return [(known[0] if len(known) == 1 else ", ".join(known[:-1]) + " and " + known[-1]) + "."]
+
+
+def _sentence(outcome: Outcome, gains: Sequence[Estimate]) -> list[str]:
+    if not gains:
+        return []
+    said = {
+        Outcome.CONTRADICTORY: "contradicts the description" if len(gains) == 1 else "contradict the description",
+        Outcome.NOT_IDENTIFIABLE: "has no identifiable gain" if len(gains) == 1 else "have no identifiable gains",
+    }[outcome]
+    return [f"{_subject(gains)} {said}."]
+
+
+def _subject(gains: Sequence[Estimate]) -> str:
+    names = " and ".join(", ".join(f"'{gain.name}'" for gain in gains).rsplit(", ", 1))
+    return f"Joint {names}" if len(gains) == 1 else f"Joints {names}"
+
+
+def _number(count: int) -> str:
+    return NUMBERS[count] if count < len(NUMBERS) else str(count)
+
+
+def findings(result: IdentifiedModel) -> list[Note]:
+    """Collect all notes on a result beside its verdicts: on the fit, the motion, the logs and the robot."""
+    return [*remarks(result), *near_singularities(result.singularities), *result.notes]
+
+
+def remarks(result: IdentifiedModel) -> list[Note]:
+    """Note faults of the fit beside the gains, with advice."""
+    notes = []
+    for payload in {each.name: each for each in result.payloads}.values():
+        if payload.verdict.outcome != Outcome.GOOD:
+            what = f"payload '{payload.name}' {payload.verdict.outcome.value}: {payload.verdict.why}"
+            notes.append(_of_verdict(what, payload.verdict))
+        if "m" not in payload.parameters:
+            notes.append(note(Finding(F.MASS_UNSEEN, (), payload.name, {"sums": sums_with_mass(payload)})))
+    for sensor in result.sensors:
+        if sensor.verdict.outcome != Outcome.GOOD:
+            what = f"the torque sensor of '{sensor.joint}' {sensor.verdict.outcome.value}: {sensor.verdict.why}"
+            notes.append(_of_verdict(what, sensor.verdict))
+    lack = result.statistics["lack_of_fit"]
+    if lack > INFLATED and any(each.relative > VISIBLE for each in result.residuals):
+        notes.append(note(Finding(F.AUTOCORRELATED, values={"factor": lack})))
+    absurd = [each for each in result.parameters.values() if each.verdict.outcome == Outcome.CONTRADICTORY]
+    if absurd:
+        listed = [(each.name, each.value, each.unit) for each in absurd]
+        notes.append(note(Finding(F.IMPOSSIBLE_PARAMETERS, values={"parameters": listed})))
+    return notes + not_separated([name for name, each in result.parameters.items() if each.value is None])
+
+
+def sums_with_mass(payload: PayloadEstimate) -> list[str]:
+    """List the identifiable sums that contain an unidentifiable payload mass, as ``my - 0.1445 m``."""
+    kinds = FIRST_MOMENTS if set(FIRST_MOMENTS) & set(payload.parameters) else tuple(payload.parameters)
+    regroupings = [payload.parameters[kind].regrouping for kind in kinds if kind in payload.parameters]
+    return [each.replace("+ -", "- ") for each in regroupings if each.split()[-1] == "m"]
+
+
+def _of_verdict(what: str, verdict: Verdict) -> Note:
+    return Note(Kind.MODEL, what, verdict.advice, finding="" if verdict.finding is None else verdict.finding.kind)
+
+
+def without_temperature(result: IdentifiedModel, signals: Signals) -> list[str]:
+    """Note the temperature assumed for logs without one where the model's friction depends on it."""
+    warm = result.temperatures
+    depends = {parameter_of(name).body for name in result.friction if parameter_of(name).kind in TEMPERATURE_TERMS}
+    if warm is None or not depends or signals.temperature is not None:
+        return []
+    listed = ", ".join(f"'{joint}' {warm.of_joint[joint]:.4g}" for joint in sorted(depends))
+    return [
+        f"friction depends on the temperature, which these logs lack; the reference is assumed ({listed} "
+        f"{warm.unit}); add 'temperature' to the signals"
+    ]
+
+
+def not_separated(names: Sequence[str]) -> list[Note]:
+    """Note base parameters that the motions cannot separate from others, if there are any."""
+    if not names:
+        return []
+    return [note(Finding(F.NOT_SEPARATED, values={"parameters": list(names)}))]
+
+
+def near_singularities(nearest: Iterable[NearestPose]) -> list[Note]:
+    """Note every run so close to a singularity of type 2 that modelling errors are magnified."""
+    return [
+        Note(
+            Kind.SINGULARITY,
+            f"the motion passes within {each.distance:.2g} of a type 2 singularity at {each.time:.4g} s, where errors "
+            f"of position and geometry are amplified",
+            "keep the motion away from that pose",
+            source=each.run,
+            time=each.time,
+        )
+        for each in nearest
+        if each.type == 2 and each.distance < NEAR_SINGULAR
+    ]
