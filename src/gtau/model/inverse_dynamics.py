@@ -138,9 +138,9 @@ class InverseDynamics:
         layout = self.layout
         return close_loops(self.robot) if self.robot.closures or self.robot.couplings or layout.passive.size else None
 
-    def with_gravity(self, gravity: tuple[float, ...]) -> InverseDynamics:
+    def with_gravity(self, gravity: np.ndarray) -> InverseDynamics:
         """Return the model of the same robot with another gravity (3,), m/s2; its loops are not solved again."""
-        other = InverseDynamics(replace(self.robot, gravity=gravity), self._kind)
+        other = InverseDynamics(replace(self.robot, gravity=tuple(gravity.tolist())), self._kind)
         other.__dict__["loops"] = self.loops  # of the cached property
         return other
 

@@ -113,8 +113,8 @@ def other_gravity(fit: Fit, progress: Progress = silent) -> OtherGravity | None:
 def fitted(fit: Fit, dataset: Dataset, gravity: np.ndarray) -> Fit | None:
     """Fit with another gravity; None where the data do not determine the gains with it."""
     model, base = dataset.model, dataset.base
-    if (turned := tuple(gravity.tolist())) != dataset.robot.gravity:
-        model = model.with_gravity(turned)
+    if not np.array_equal(gravity, dataset.robot.gravity):
+        model = model.with_gravity(gravity)
         base = base_parameters(model, sensors=dataset.runs[0].sensors)
     friction, given = fit.system.friction, Given(None if fit.free_gains else fit.gains)
     friction = Friction(tuple(each for each in friction.terms if not each.startswith("fl_")), friction.per_run)
