@@ -145,7 +145,7 @@ def said(source: object, runs: list[Run] | None = None) -> set[str]:
     except GtauError as refusal:
         return {word for word in ALL if word in str(refusal)}
     found = [each.verdict.finding for each in result.drive_gains.values() if each.verdict.finding is not None]
-    kinds = {each.kind.value for of in found for each in (of, *of.causes)}
+    kinds = {str(each.kind) for of in found for each in (of, *of.causes)}
     kinds |= {each.finding for each in findings(result) if each.finding}
     return {word for word in ALL if any(word in kind for kind in kinds)}
 

@@ -9,13 +9,12 @@ from __future__ import annotations
 import ast
 import re
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from runpy import run_path
 
-from gtau.estimation.diagnostics.cause_sentences import CAUSES
 from gtau.estimation.diagnostics.finding import Finding, FindingKind
-from gtau.estimation.diagnostics.sentences import advice, reason
+from gtau.estimation.diagnostics.sentences import CAUSES, advice, reason
 from gtau.estimation.diagnostics.verdict import OUTCOMES
 
 ROOT = Path(__file__).parents[1]
@@ -50,9 +49,9 @@ The names are those of `kind` in `model.json` and of `finding.kind` in Python; n
 """
 
 
-def examples() -> dict[FindingKind, list[Finding]]:
+def examples() -> dict[str, list[Finding]]:
     """Return examples of findings by kind."""
-    found: dict[FindingKind, list[Finding]] = defaultdict(list)
+    found: dict[str, list[Finding]] = defaultdict(list)
     for finding, *_ in run_path(str(EXAMPLES))["SENTENCES"]:
         found[finding.kind].append(finding)
     return found
@@ -64,13 +63,13 @@ def cell(text: str) -> str:
     return re.sub(r"([|<*_\[\]])", r"\\\1", text)
 
 
-def table(kinds: list[FindingKind], found: dict[FindingKind, list[Finding]], outcome: bool) -> str:
+def table(kinds: Sequence[str], found: Mapping[str, list[Finding]], outcome: bool) -> str:
     """Return a table of findings."""
     lines = ["| name |" + " verdict |" * outcome + " message | what to do |", "| --- |" + " --- |" * (2 + outcome)]
     for kind in kinds:
         first = found[kind][0]
         middle = f"{OUTCOMES[kind].value} | " if outcome else ""
-        lines.append(f"| {kind.value} | {middle}{cell(reason(first))} | {cell(advice(first))} |")
+        lines.append(f"| {kind} | {middle}{cell(reason(first))} | {cell(advice(first))} |")
     return "\n".join(lines) + "\n"
 
 
@@ -107,12 +106,11 @@ def written(node: ast.AST) -> str:
 def page() -> str:
     """Return the page."""
     found = examples()
-    judged = [kind for kind in FindingKind if kind in OUTCOMES]
-    causes = [kind for kind in FindingKind if kind in CAUSES]
     notes = [kind for kind in FindingKind if kind not in OUTCOMES and kind not in CAUSES]
-    text = HEAD + "\n## Verdicts\n\n" + table(judged, found, True) + "\n## Notes\n\n" + table(notes, found, False)
+    text = HEAD + "\n## Verdicts\n\n" + table(list(OUTCOMES), found, True)
+    text += "\n## Notes\n\n" + table(notes, found, False)
     text += "\n## Causes\n\nVerdicts and notes name them with their size and what to do.\n\n"
-    text += table(causes, found, False) + "\n## Refusals\n\n"
+    text += table(list(CAUSES), found, False) + "\n## Refusals\n\n"
     text += "A refusal is one sentence: what is wrong, where, and what to do. Dots stand for names and numbers.\n"
     for folder, sentences in sorted(refusals().items()):
         text += f"\n### {TITLES.get(folder, folder.capitalize())}\n\n"

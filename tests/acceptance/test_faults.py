@@ -17,6 +17,7 @@ from gtau.demo.orthoglide import DRIVE_GAINS
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.hypotheses import description, drives
 from gtau.estimation.diagnostics.sentences import named
 from gtau.estimation.diagnostics.verdict import Outcome, worst
 from gtau.estimation.identify import identify
@@ -111,7 +112,14 @@ def turned(robot: Robot) -> Robot:
     return replace(robot, gravity=(z, x, y))
 
 
-GRAVITY = {F.ALL_NEGATIVE, F.GRAVITY, F.GRAVITY_TILT, F.GRAVITY_STRENGTH, F.LOST, F.SIGN_OPEN}
+GRAVITY = {
+    F.ALL_NEGATIVE,
+    description.OTHER_GRAVITY.kind,
+    description.TILT.kind,
+    description.STRENGTH.kind,
+    F.LOST,
+    F.SIGN_OPEN,
+}
 ANY_PAYLOAD = {*GRAVITY, F.PAYLOAD, F.GAIN_CHANGE, F.WIDE_RANDOM, F.TWO_STAGE}
 """Findings whose advice is to check which runs carry the payload."""
 
@@ -155,7 +163,7 @@ FAULTS: dict[str, tuple[Fault, Outcome, set[F]]] = {
     "a robot that warms up in a run": (
         lambda runs: (ROBOT, only(runs, 0, warm_up)),
         Outcome.CONTRADICTORY,
-        {F.GAIN_DRIFT, F.GAIN_CHANGE},
+        {drives.DRIFTING_CONSTANT.kind, F.GAIN_CHANGE},
     ),
     "a robot that warms up from run to run": (
         lambda runs: (ROBOT, [warmer(run, 0.01 * k) for k, run in enumerate(runs)]),
@@ -165,7 +173,7 @@ FAULTS: dict[str, tuple[Fault, Outcome, set[F]]] = {
     "a torque constant that falls with the current": (
         lambda runs: (ROBOT, list(map(saturating, runs))),
         Outcome.WEAK,
-        {F.SATURATION},
+        {drives.FALLING_CONSTANT.kind},
     ),
 }
 

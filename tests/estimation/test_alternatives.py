@@ -20,8 +20,7 @@ from gtau.estimation.diagnostics.alternatives import (
 )
 from gtau.estimation.diagnostics.examine import Examination
 from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.hypotheses import HYPOTHESES
+from gtau.estimation.diagnostics.hypotheses import HYPOTHESES, description, drives
 from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Hypothesis
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, LinearisedWindow
 from gtau.estimation.diagnostics.position_ripple import PositionRipple
@@ -52,7 +51,7 @@ def fit_of(runs: list[Run]) -> Fit:
     return ML.fit(dataset, dataset.system(Friction((), per_run=True)), Given())
 
 
-def found(runs: list[Run], kind: F, joint: str) -> Alternative:
+def found(runs: list[Run], kind: str, joint: str) -> Alternative:
     return next(each for each in find_alternatives(fit_of(runs)) if Finding(kind, (joint,)) in each.causes)
 
 
@@ -64,7 +63,7 @@ def test_a_torque_constant_that_falls_has_its_size_and_moves_its_gain(runs: list
     rms = np.sqrt(np.mean([np.mean(run.command**2, axis=0) for run in runs], axis=0))
     fall = 0.02  # up to twice the rms current
     faulty = currents(runs, lambda run: run.command * (1 + fall * np.abs(run.command) / (2 * rms) * [1.0, 0.0]))
-    each = found(faulty, F.SATURATION, "left")
+    each = found(faulty, drives.FALLING_CONSTANT.kind, "left")
     assert each.size == pytest.approx(fall, rel=0.25)
     assert each.t > 6
     # taking it into account brings the gain to the truth, to first order
@@ -78,13 +77,13 @@ def test_a_torque_constant_that_falls_along_the_runs_has_its_size(runs: list[Run
         return run.command * (1 + 0.02 * along * [1.0, 0.0])
 
     faulty = currents(runs, warmer)
-    assert found(faulty, F.GAIN_DRIFT, "left").size == pytest.approx(0.02, rel=0.2)
-    assert abs(found(faulty, F.GAIN_DRIFT, "right").t) < 5
+    assert found(faulty, drives.DRIFTING_CONSTANT.kind, "left").size == pytest.approx(0.02, rel=0.2)
+    assert abs(found(faulty, drives.DRIFTING_CONSTANT.kind, "right").t) < 5
 
 
 def test_an_encoder_zero_has_its_size(runs: list[Run]) -> None:
     shifted = [replace(run, position=run.position + np.array([np.radians(1.0), 0.0])) for run in runs]
-    each = found(shifted, F.ENCODER_ZERO, "left")
+    each = found(shifted, description.ZERO.kind, "left")
     # the position is too large by a degree, so taking a degree off it gives the right torques
     assert each.size == pytest.approx(-1.0, abs=max(0.3, 3 * each.std))
 

@@ -12,6 +12,7 @@ from gravity_logs import Gravity, logged, scara
 
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.hypotheses import description
 from gtau.estimation.diagnostics.other_gravity import OtherGravity, other_gravity
 from gtau.estimation.diagnostics.sentences import advice
 from gtau.estimation.diagnostics.verdict import Outcome
@@ -48,7 +49,7 @@ def test_an_arm_on_a_wall_is_named() -> None:
     wrong = [each.verdict for each in result.drive_gains.values() if each.verdict.outcome == Outcome.CONTRADICTORY]
     assert wrong
     (cause,) = wrong[0].finding.causes
-    assert (wrong[0].finding.kind, cause.kind) == (F.REFUTED, F.GRAVITY)
+    assert (wrong[0].finding.kind, cause.kind) == (F.REFUTED, description.OTHER_GRAVITY.kind)
     np.testing.assert_allclose(cause.values["gravity"], true, atol=1e-9)
     before, after = np.array(list(cause.values["left"].values())).T
     assert (after < 0.003).all()
@@ -77,7 +78,7 @@ def test_what_to_write_is_what_helps(tmp_path: Path) -> None:
     """Both ways of the advice give the gravity that was found."""
     robot, true = load_robot("ur10e"), np.array([0.3, -0.5, 0.8]) * G / np.linalg.norm([0.3, -0.5, 0.8])
     values = {"gravity": true.tolist(), "also": [], "left": {"a": [0.3, 0.01]}, "floating": False}
-    said = advice(Finding(F.GRAVITY, ("a",), values=values))
+    said = advice(Finding(description.OTHER_GRAVITY.kind, ("a",), values=values))
     x, y, z = (float(each) for each in said.split("gravity: [")[1].split("]")[0].split(","))
     np.testing.assert_allclose([x, y, z], true, atol=0.01)
     write_native(robot, tmp_path / "arm.yaml")
@@ -136,7 +137,7 @@ def test_a_tracker_whose_vertical_is_another(tmp_path: Path) -> None:
     write_native(replace(float_base(FIXED, "trunk"), gravity=(0.0, -G, 0.0)), tmp_path / "arm.yaml")
     result = identify(path)
     kinds = {each.causes[0].kind for each in result.alternatives if each.probability > 0.5}
-    assert F.GRAVITY in kinds
-    (cause,) = (each.causes[0] for each in result.alternatives if each.causes[0].kind == F.GRAVITY)
+    assert description.OTHER_GRAVITY.kind in kinds
+    (cause,) = (each.causes[0] for each in result.alternatives if each.causes[0].kind == description.OTHER_GRAVITY.kind)
     np.testing.assert_allclose(axis(cause.values["gravity"]), (0.0, 0.0, -1.0), atol=0.02)
     assert cause.values["floating"]

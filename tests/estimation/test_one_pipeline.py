@@ -17,6 +17,7 @@ import gtau.estimation
 from gtau.errors import GtauError
 from gtau.estimation import thresholds
 from gtau.estimation.compare import compare
+from gtau.estimation.diagnostics.hypotheses import HYPOTHESES
 from gtau.estimation.diagnostics.verdict import worst
 from gtau.estimation.estimators.registry import ESTIMATORS, NAMES
 from gtau.estimation.identify import identify
@@ -75,6 +76,7 @@ def test_every_threshold_says_what_it_rests_on() -> None:
         for name, value in vars(import_module(f"{thresholds.__name__}.{module.name}")).items()
         if name.isupper() and name != "NONE"
     }
+    found |= {each.kind: each.plausible for of in HYPOTHESES for each in of.causes if each.plausible}
     assert len(found) > 70
     for name, value in found.items():
         assert isinstance(value, Threshold), name
@@ -86,7 +88,7 @@ def test_no_threshold_stands_outside_the_tables() -> None:
     """Where outcomes are decided, numbers are compared with counts, factors of units and imported constants alone."""
     plain = {0, 1, 2, 3, 100, 1000, 0.001, 0.999}  # the last is where printed per cents round
     numerical = {"pose_fit.py", "score_test.py"}  # whose constants are tolerances of their arithmetic
-    words = {"sentences.py", "cause_sentences.py", "note_sentences.py"}  # which decide nothing
+    words = {"sentences.py", "note_sentences.py"}  # which decide nothing
     named = {"NORMAL"}  # the normal distribution
     decide = {*(SOURCE / "diagnostics").rglob("*.py"), SOURCE / "regression" / "plausibility.py"}
     decide = sorted(path for path in decide if path.name not in numerical | words)

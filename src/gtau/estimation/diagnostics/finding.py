@@ -2,93 +2,119 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
+from gtau.signals.notes import Kind
+
 RELATIVE = "of itself"  # unit of a size that is a share of what it changes
+
+Values = Mapping[str, Any]
+Sentence = tuple[str, str]
+"""Reason and advice, of a cause its name and advice, which is empty where there is nothing to do.
+
+Fields in braces are the values of the finding, its ``subject``, its first ``joint`` and the ``other`` one, the
+``estimate`` that it is about, the ``cause`` and what ``to_do`` about it.
+"""
+Words = Sentence | Callable[[Values], Sentence]
+"""The sentence of a kind of finding, or a function that makes it from the values."""
+
+
+class Outcome(StrEnum):
+    """Outcomes of judging an estimate, the best first."""
+
+    GIVEN = "given"
+    GOOD = "good"
+    WEAK = "weak"
+    NOT_IDENTIFIABLE = "not identifiable"
+    CONTRADICTORY = "contradictory"
 
 
 class FindingKind(StrEnum):
-    """Kind of a finding; :mod:`gtau.estimation.diagnostics.sentences` has the words for each."""
+    """Kind of a finding of a check; :mod:`gtau.estimation.diagnostics.sentences` has the words for each.
 
-    # against drive gains, in the order of their rank
-    NEGATIVE_MASS = "negative mass"
-    BASE_UNEXPLAINED = "unexplained base wrench"
-    TLS_CONFUSED = "payload lost in noise"
-    ALL_NEGATIVE = "all gains negative"
-    SWAPPED = "swapped channels"
-    LATE = "currents logged late"
-    REFUTED = "description refuted"
-    UNEXPLAINED = "unexplained current"
-    PAYLOAD = "contradictory payload"
-    SENSOR = "contradictory torque sensor"
-    WHOLE_MASS = "contradictory mass"
-    UNSETTLED = "not converged"
-    LOST = "lost in noise"
-    SIGN_OPEN = "sign open"
-    OTHER_ESTIMATOR = "other estimator"
-    PRIOR_GAIN = "prior gain"
-    EFFORT = "effort limit"
-    WIDE_SCALE = "uncertain scale"
-    WIDE_RANDOM = "wide interval"
-    WIDE_RIPPLE = "wide by ripple"
-    WIDE_CAUSE = "wide by an alternative"
-    COUPLED = "coupled joint"
-    NEGATIVE_GAIN = "negative gain"
-    # against delays, parameters, payloads, torque sensors
-    DELAY_NOISE = "delay lost in noise"
-    DELAY_UNCERTAIN = "uncertain delay"
-    INSEPARABLE = "not separable"
-    NEAR_ZERO = "near zero"
-    UNCERTAIN = "uncertain parameter"
-    IMPOSSIBLE = "physically impossible"
-    PAYLOAD_MASS = "payload mass"
-    PAYLOAD_PARAMETER = "payload parameter"
-    SENSOR_SCALE = "sensor scale"
-    # notes
+    With the ``outcome`` of an estimate that it is about, or the kind of its ``note``. Those with an outcome stand in
+    the order in which they count where several are on one estimate.
+    """
+
+    outcome: Outcome | None
+    note: Kind
+
+    def __new__(cls, name: str, of: Outcome | Kind = Kind.MODEL) -> FindingKind:
+        """Make the name, with an outcome or the kind of a note."""
+        made = str.__new__(cls, name)
+        made._value_ = name
+        made.outcome = of if isinstance(of, Outcome) else None
+        made.note = of if isinstance(of, Kind) else Kind.MODEL
+        return made
+
+    # what the whole estimation rests on
+    NEGATIVE_MASS = "negative mass", Outcome.CONTRADICTORY
+    BASE_UNEXPLAINED = "unexplained base wrench", Outcome.CONTRADICTORY
+    # a gain that is noise: what it seems to contradict is noise too
+    TLS_CONFUSED = "payload lost in noise", Outcome.NOT_IDENTIFIABLE
+    # the data against the description of robot and logs
+    LATE = "currents logged late", Outcome.CONTRADICTORY
+    ALL_NEGATIVE = "all gains negative", Outcome.CONTRADICTORY
+    SWAPPED = "swapped channels", Outcome.CONTRADICTORY
+    REFUTED = "description refuted", Outcome.CONTRADICTORY
+    UNEXPLAINED = "unexplained current", Outcome.CONTRADICTORY
+    # stated constants against each other
+    PAYLOAD = "contradictory payload", Outcome.CONTRADICTORY
+    SENSOR = "contradictory torque sensor", Outcome.CONTRADICTORY
+    WHOLE_MASS = "contradictory mass", Outcome.CONTRADICTORY
+    # a gain without a value: what follows would judge that value
+    UNSETTLED = "not converged", Outcome.NOT_IDENTIFIABLE
+    LOST = "lost in noise", Outcome.NOT_IDENTIFIABLE
+    SIGN_OPEN = "sign open", Outcome.NOT_IDENTIFIABLE
+    OTHER_ESTIMATOR = "other estimator", Outcome.CONTRADICTORY
+    PRIOR_GAIN = "prior gain", Outcome.CONTRADICTORY
+    WIDE_SCALE = "uncertain scale", Outcome.WEAK
+    WIDE_RIPPLE = "wide by ripple", Outcome.WEAK
+    WIDE_CAUSE = "wide by an alternative", Outcome.WEAK
+    WIDE_RANDOM = "wide interval", Outcome.WEAK
+    COUPLED = "coupled joint", Outcome.WEAK
+    NEGATIVE_GAIN = "negative gain", Outcome.GOOD
+    # of delays, parameters, payloads and torque sensors
+    DELAY_NOISE = "delay lost in noise", Outcome.NOT_IDENTIFIABLE
+    DELAY_UNCERTAIN = "uncertain delay", Outcome.WEAK
+    IMPOSSIBLE = "physically impossible", Outcome.CONTRADICTORY
+    INSEPARABLE = "not separable", Outcome.NOT_IDENTIFIABLE
+    NEAR_ZERO = "near zero", Outcome.NOT_IDENTIFIABLE
+    UNCERTAIN = "uncertain parameter", Outcome.WEAK
+    PAYLOAD_MASS = "payload mass", Outcome.CONTRADICTORY
+    PAYLOAD_PARAMETER = "payload parameter", Outcome.CONTRADICTORY
+    SENSOR_SCALE = "sensor scale", Outcome.CONTRADICTORY
+    # beside the verdicts, each a note
+    EFFORT = "effort limit", Kind.LIMITS
     UNLIKE_LEGS = "unlike legs"
     PRIOR = "contradictory prior"
     PRIOR_INERTIA = "contradictory inertias of the robot's file"
-    GAINS_APART = "gains far apart"
-    POSITION_NOISE = "position noise"
+    GAINS_APART = "gains far apart", Kind.UNIT
+    POSITION_NOISE = "position noise", Kind.NOISE
     RIPPLE = "position ripple"
-    COMMON_RESIDUALS = "residuals that repeat"
+    COMMON_RESIDUALS = "residuals that repeat", Kind.READING
     OPPOSED_RESIDUALS = "residuals that depend on the load"
     SMALL_REFUTATION = "description refuted, gains unmoved"
-    UNTESTED = "other estimators not tried"
-    WEAK_INSTRUMENTS = "weak instruments"
+    UNTESTED = "other estimators not tried", Kind.READING
+    WEAK_INSTRUMENTS = "weak instruments", Kind.READING
     AUTOCORRELATED = "autocorrelated residuals"
     IMPOSSIBLE_PARAMETERS = "impossible parameters"
-    NOT_SEPARATED = "parameters not separated"
+    NOT_SEPARATED = "parameters not separated", Kind.SEPARATION
     MASS_UNSEEN = "payload mass not identifiable"
     FEW_ROWS = "too few rows for tests"
-    SCALE_UNTESTED = "torque scale not tested"
+    SCALE_UNTESTED = "torque scale not tested", Kind.READING
     COMMON_SCALE = "common torque scale"
     NO_GRAVITY_SHOWN = "torques without gravity, or a balanced robot"
-    WHOLE_NUMBERS = "whole numbers"
-    MOTOR_SIDE = "torques of the motors"
+    WHOLE_NUMBERS = "whole numbers", Kind.UNIT
+    MOTOR_SIDE = "torques of the motors", Kind.UNIT
     MODEL_TORQUES = "torques of a model"
-    COMMAND_LAG = "command lag"
-    SLIGHT_COMMAND_LAG = "slight command lag"
-    # what the model may lack, or the description have wrong
-    CUBIC_FRICTION = "cubic friction"
-    LOAD_FRICTION = "load-dependent friction"
-    STRIBECK_FRICTION = "Stribeck friction"
-    VISCOUS_DRIFT = "drifting viscous friction"
-    COULOMB_DRIFT = "drifting Coulomb friction"
-    SATURATION = "saturation"
-    GAIN_DRIFT = "gain drift"
-    CURRENT_LAG = "current lag"
-    ENCODER_ZERO = "encoder zero"
-    GRAVITY_TILT = "gravity tilt"
-    GRAVITY_STRENGTH = "gravity strength"
-    GRAVITY = "gravity"
+    COMMAND_LAG = "command lag", Kind.FILTERED
+    SLIGHT_COMMAND_LAG = "slight command lag", Kind.READING
+    # other models and estimators, as causes; those of the hypotheses are in their records
     WITHOUT_GRAVITY = "torques without gravity"
-    WRENCH_OFFSET = "wrench offset"
-    WRENCH_POINT = "wrench point"
-    CLOCK = "clock"
     LENGTH = "length"
     GAIN_CHANGE = "gain change"
     BANDWIDTH = "bandwidth"
@@ -103,8 +129,8 @@ class Finding:
 
     Attributes
     ----------
-    kind : FindingKind
-        What was found.
+    kind : str
+        What was found: a :class:`FindingKind`, or what a hypothesis names as a cause.
     joints : tuple of str
         Joints whose gains, delays or drives it is about.
     subject : str
@@ -117,7 +143,7 @@ class Finding:
         Of two findings of one kind on a joint, the larger counts.
     """
 
-    kind: FindingKind
+    kind: str
     joints: tuple[str, ...] = ()
     subject: str = ""
     values: Mapping[str, Any] = field(default_factory=dict, hash=False)
@@ -128,9 +154,14 @@ class Finding:
 def finding_document(finding: Finding) -> dict[str, Any]:
     """Describe a finding as a JSON document."""
     return {
-        "kind": finding.kind.value,
+        "kind": str(finding.kind),
         "joints": list(finding.joints),
         "subject": finding.subject,
         "values": dict(finding.values),
         "causes": [finding_document(each) for each in finding.causes],
     }
+
+
+def which_payload(values: Values) -> str:
+    """Add the payload to what is to be checked, where some run has one."""
+    return ", which runs carry the payload, and on which body" if values.get("payload", True) else ""

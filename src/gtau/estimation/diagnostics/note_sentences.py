@@ -1,18 +1,24 @@
-"""Sentences for notes beside the verdicts: on data, fit and parameters."""
+"""Sentences for notes beside the verdicts, on data, fit and parameters, and for causes that tests of their own find."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from math import sqrt, tau
 
-from gtau.estimation.diagnostics.cause_sentences import INSTRUMENTS, NO_GRAVITY, Sentence, Values
 from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.signals.notes import Kind
+from gtau.estimation.diagnostics.finding import Sentence, Values, Words
 
 LISTED = 3  # parameters that are named
 SCALE = "check its value, and the units and signs of the other scale references: payloads, sensors, wrenches"
 PRIOR = "is {found:.4g} from the data (standard deviation {std:.2g}), but {prior:.4g} from its prior ({prior_std:.2g})"
 IMPOSSIBLE = "check the signs of positions and currents, the sampling rate, the units and 'preparation'"
+
+FILTER = "log at a higher rate, from encoders with less noise, or set 'preparation' by hand"
+INSTRUMENTS = "use --method iv or didim, or encoders with less noise"
+NO_GRAVITY = (
+    "log the torques of the motors (UR: 'use_currents_as_efforts: true'), or write 'robot: "
+    "{{file: ..., gravity: [0, 0, 0]}}' in the experiment file for a model without gravity"
+)
 
 
 def _motor_side(values: Values) -> Sentence:
@@ -69,7 +75,41 @@ def _mass_unseen(values: Values) -> Sentence:
     return f"the mass of payload '{{subject}}' is not identifiable, because {what}", to_do
 
 
-NOTED: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
+def _without_gravity(values: Values) -> Sentence:
+    joint, (before, after) = max(values["left"].items(), key=lambda each: each[1][0])
+    return (
+        "torques without gravity, as from a driver that compensates it, which leaves "
+        f"{100 * after:.2g} % of '{joint}' unexplained instead of {100 * before:.2g} %,",
+        NO_GRAVITY,
+    )
+
+
+def _length(values: Values) -> Sentence:
+    bodies = ", ".join(f"'{body}'" for body in values["bodies"])
+    return f"a wrong length, such as the {1e3 * values['length']:.4g} mm at {bodies}", "check the robot's geometry"
+
+
+def _gain_change(values: Values) -> Sentence:
+    names, several = " and ".join(f"'{run}'" for run in values["runs"]), len(values["runs"]) > 1
+    way = "larger" if values["change"] > 0 else "smaller"
+    return (
+        f"a current of '{{joint}}' that is {way} in run{'s' * several} {names} than in the others",
+        "check which runs carry the payload, its mass and the clock; otherwise let the robot warm up, and alternate "
+        "loaded and unloaded runs: a motor's torque constant falls as it warms up"
+        if values.get("payload", True)
+        else "check the clock; otherwise let the robot warm up: a motor's torque constant falls as it warms up",
+    )
+
+
+def _two_stage(values: Values) -> Sentence:
+    signs = (
+        "the signs and the payload of every run, and gravity" if values.get("payload", True) else "signs and gravity"
+    )
+    more = "if these are correct, add runs with other motions: friction that grows with the load has the same effect"
+    return "{estimate} by two-stage least squares", f"check {signs}; {more}"
+
+
+NOTED: Mapping[str, Words] = {
     F.UNLIKE_LEGS: lambda values: (
         "legs of the same geometry differ, most in {parameter} of leg '{subject}' ("
         + ("{share:.0f%}" if values["share"] < 10 else "more than 1000 %")
@@ -169,18 +209,16 @@ NOTED: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
     F.SLIGHT_COMMAND_LAG: _command_lag,
 }
 
-NOTES: Mapping[F, Kind] = {
-    F.COMMON_RESIDUALS: Kind.READING,
-    F.EFFORT: Kind.LIMITS,
-    F.POSITION_NOISE: Kind.NOISE,
-    F.COMMAND_LAG: Kind.FILTERED,
-    F.SLIGHT_COMMAND_LAG: Kind.READING,
-    F.UNTESTED: Kind.READING,
-    F.GAINS_APART: Kind.UNIT,
-    F.WHOLE_NUMBERS: Kind.UNIT,
-    F.MOTOR_SIDE: Kind.UNIT,
-    F.SCALE_UNTESTED: Kind.READING,
-    F.WEAK_INSTRUMENTS: Kind.READING,
-    F.NOT_SEPARATED: Kind.SEPARATION,
+TESTED: Mapping[str, Words] = {
+    F.WITHOUT_GRAVITY: _without_gravity,
+    F.LENGTH: _length,
+    F.GAIN_CHANGE: _gain_change,
+    F.BANDWIDTH: ("{estimate} with a bandwidth {factor:g} times as large", FILTER),
+    F.SLOW_ROWS: (
+        "{estimate} without rows below {fraction:.2g%} of a joint's rms speed",
+        "use motions with fewer reversals, or set 'preparation' by hand",
+    ),
+    F.TWO_STAGE: _two_stage,
+    F.INSTRUMENTS: ("{estimate} by instrumental variables", INSTRUMENTS),
 }
-"""Kinds of the notes that are not on the model."""
+"""Causes that are no hypotheses, as tests of their own find them."""

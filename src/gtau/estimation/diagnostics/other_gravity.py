@@ -15,8 +15,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.hypotheses.description import DEGREE, GRAVITY
+from gtau.estimation.diagnostics.hypotheses.description import DEGREE, GRAVITY, OTHER_GRAVITY
 from gtau.estimation.diagnostics.linearisation import (
     central_windows,
     known_rows,
@@ -107,7 +106,7 @@ def other_gravity(fit: Fit, progress: Progress = silent) -> OtherGravity | None:
     }
     rows = own.system.problem.total_rows
     share = 1 - float(rows @ (after / before) ** 2 / rows.sum())
-    return OtherGravity(Finding(F.GRAVITY, joints, values=values), share, moves)
+    return OtherGravity(Finding(OTHER_GRAVITY.kind, joints, values=values), share, moves)
 
 
 def fitted(fit: Fit, dataset: Dataset, gravity: np.ndarray) -> Fit | None:

@@ -15,13 +15,14 @@ import numpy as np
 from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.hypotheses.drives import FALLING_CONSTANT, LOAD_FRICTION
 from gtau.estimation.diagnostics.linearisation import SAMPLES, errors_and_jacobian, window_rows
 from gtau.estimation.estimators.estimator import Fit, jackknife
 from gtau.estimation.regression.equations import STRETCHES
 from gtau.estimation.thresholds.estimates import CORRELATED, CORRELATED_STD, PROBABLE
 from gtau.signals.preparation import InMemoryRun
 
-OF_LOAD = (F.LOAD_FRICTION, F.SATURATION, F.GAIN_CHANGE)  # effects that depend on the load
+OF_LOAD = (LOAD_FRICTION.kind, FALLING_CONSTANT.kind, F.GAIN_CHANGE)  # effects that depend on the load
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +119,7 @@ def repeated_motion_findings(fit: Fit, alternatives: Sequence[Alternative]) -> l
             and set(each.causes[0].joints) <= set(names)
         ]
         causes = tuple(each.causes[0] for each in sorted(likely, key=lambda each: -each.share))
-        causes = causes or (Finding(F.LOAD_FRICTION, names[:1]),)
+        causes = causes or (Finding(LOAD_FRICTION.kind, names[:1]),)
         values = {"correlations": [[joints[j], float(found.values[j])] for j in mine]}
         findings.append(Finding(kind, names, "", values, causes if sign < 0 else ()))
     return findings

@@ -1,4 +1,4 @@
-"""Sentences for every kind of finding: reason and advice. No other module writes or parses them."""
+"""Sentences for every kind of finding: reason and advice. No other module composes or parses them."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from dataclasses import replace
 from math import ceil, floor, log10
 from typing import Any
 
-from gtau.estimation.diagnostics.cause_sentences import CAUSES, Sentence, Values, carried
-from gtau.estimation.diagnostics.finding import RELATIVE, Finding
+from gtau.estimation.diagnostics.finding import RELATIVE, Finding, Sentence, Values, Words, which_payload
 from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.note_sentences import IMPOSSIBLE, NOTED, NOTES, PRIOR, SCALE
+from gtau.estimation.diagnostics.hypotheses import HYPOTHESES, wrenches
+from gtau.estimation.diagnostics.note_sentences import IMPOSSIBLE, NOTED, PRIOR, SCALE, TESTED
 from gtau.estimation.regression.plausibility import clock_advice, write_limits
 from gtau.estimation.thresholds.estimates import LOST_GAIN
-from gtau.signals.notes import Kind, Note
+from gtau.signals.notes import Note
 
 MOVED = 10.0  # of itself: a gain that moves by more was no estimate
 THOUSAND = 2.0  # a factor between 1000 / 2 and 1000 * 2 is one of a thousand
@@ -36,10 +36,8 @@ def reason(finding: Finding) -> str:
 
 def advice(finding: Finding) -> str:
     """Say what to do about it, wrenches first where they may be the cause and none of them is."""
-    found, of_wrenches = (
-        _sentence(finding)[1],
-        {F.WRENCH_OFFSET, F.WRENCH_POINT} & {each.kind for each in finding.causes},
-    )
+    found = _sentence(finding)[1]
+    of_wrenches = {wrenches.OFFSET.kind, wrenches.POINT.kind} & {each.kind for each in finding.causes}
     first = finding.values.get("wrenches") and finding.kind in MAY_BE_WRENCHES and not of_wrenches
     return f"{WRENCHES}; otherwise {found}" if first else found
 
@@ -52,8 +50,7 @@ def named(causes: Sequence[Finding]) -> str:
 def note(finding: Finding) -> Note:
     """Write a finding as a note."""
     joint = finding.joints[0] if len(finding.joints) == 1 else ""
-    kind = NOTES.get(finding.kind, Kind.MODEL)
-    return Note(kind, reason(finding), advice(finding), joint=joint, finding=finding.kind)
+    return Note(F(finding.kind).note, reason(finding), advice(finding), joint=joint, finding=finding.kind)
 
 
 def percent_text(share: float, accuracy: float | None = None) -> str:
@@ -140,7 +137,7 @@ def _lost(why: str) -> Callable[[Values], Sentence]:
         loaded = (
             "use a heavier payload, and motions in which the joint lifts or accelerates it; check the direction of "
         )
-        return why, loaded + "gravity" + carried(values) if values["payload"] else _unloaded(values)
+        return why, loaded + "gravity" + which_payload(values) if values["payload"] else _unloaded(values)
 
     return sentence
 
@@ -195,7 +192,9 @@ def _given_scale(values: Values) -> str:
     )
 
 
-SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
+CAUSES: Mapping[str, Words] = {**{each.kind: each.words for of in HYPOTHESES for each in of.causes}, **TESTED}
+
+SENTENCES: Mapping[str, Words] = {
     F.NEGATIVE_MASS: (
         "the wrenches imply a robot mass of {mass:.3g} kg",
         "log the forces exerted on the body, not by it, or reverse their signs",
@@ -208,7 +207,7 @@ SENTENCES: Mapping[F, Sentence | Callable[[Values], Sentence]] = {
     ),
     F.ALL_NEGATIVE: lambda values: (
         "all drive gains are negative",
-        "check the sign of the currents and positions, gravity" + carried(values),
+        "check the sign of the currents and positions, gravity" + which_payload(values),
     ),
     F.SWAPPED: (
         "the {kind}s of '{joint}' and '{other}' look swapped: {exchanged:.2g%} is unexplained after exchanging them, "

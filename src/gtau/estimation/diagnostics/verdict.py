@@ -4,21 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.finding import Outcome as Outcome  # which verdicts have
 from gtau.estimation.diagnostics.sentences import advice, reason
-
-
-class Outcome(StrEnum):
-    """Outcomes of judging an estimate, the best first."""
-
-    GIVEN = "given"
-    GOOD = "good"
-    WEAK = "weak"
-    NOT_IDENTIFIABLE = "not identifiable"
-    CONTRADICTORY = "contradictory"
 
 
 @dataclass(frozen=True)
@@ -46,48 +36,8 @@ class Verdict:
 
 GIVEN, GOOD = Verdict(Outcome.GIVEN), Verdict(Outcome.GOOD)
 
-OUTCOMES: Mapping[F, Outcome] = {
-    # what the whole estimation rests on
-    F.NEGATIVE_MASS: Outcome.CONTRADICTORY,
-    F.BASE_UNEXPLAINED: Outcome.CONTRADICTORY,
-    # a gain that is noise: what it seems to contradict is noise too
-    F.TLS_CONFUSED: Outcome.NOT_IDENTIFIABLE,
-    # the data against the description of robot and logs
-    F.LATE: Outcome.CONTRADICTORY,
-    F.ALL_NEGATIVE: Outcome.CONTRADICTORY,
-    F.SWAPPED: Outcome.CONTRADICTORY,
-    F.REFUTED: Outcome.CONTRADICTORY,
-    F.UNEXPLAINED: Outcome.CONTRADICTORY,
-    # stated constants against each other
-    F.PAYLOAD: Outcome.CONTRADICTORY,
-    F.SENSOR: Outcome.CONTRADICTORY,
-    F.WHOLE_MASS: Outcome.CONTRADICTORY,
-    # a gain without a value: what follows would judge that value
-    F.UNSETTLED: Outcome.NOT_IDENTIFIABLE,
-    F.LOST: Outcome.NOT_IDENTIFIABLE,
-    F.SIGN_OPEN: Outcome.NOT_IDENTIFIABLE,
-    F.OTHER_ESTIMATOR: Outcome.CONTRADICTORY,
-    F.PRIOR_GAIN: Outcome.CONTRADICTORY,
-    F.WIDE_SCALE: Outcome.WEAK,
-    F.WIDE_RIPPLE: Outcome.WEAK,
-    F.WIDE_CAUSE: Outcome.WEAK,
-    F.WIDE_RANDOM: Outcome.WEAK,
-    F.COUPLED: Outcome.WEAK,
-    F.NEGATIVE_GAIN: Outcome.GOOD,
-    # of delays, parameters, payloads and torque sensors
-    F.DELAY_NOISE: Outcome.NOT_IDENTIFIABLE,
-    F.DELAY_UNCERTAIN: Outcome.WEAK,
-    F.IMPOSSIBLE: Outcome.CONTRADICTORY,
-    F.INSEPARABLE: Outcome.NOT_IDENTIFIABLE,
-    F.NEAR_ZERO: Outcome.NOT_IDENTIFIABLE,
-    F.UNCERTAIN: Outcome.WEAK,
-    F.PAYLOAD_MASS: Outcome.CONTRADICTORY,
-    F.PAYLOAD_PARAMETER: Outcome.CONTRADICTORY,
-    F.SENSOR_SCALE: Outcome.CONTRADICTORY,
-}
-"""The outcome of each kind of finding, in the order in which they count where several are on one estimate."""
-
-RANKS = {kind: rank for rank, kind in enumerate(OUTCOMES)}
+OUTCOMES: Mapping[str, Outcome] = {kind: kind.outcome for kind in F if kind.outcome}
+RANKS: Mapping[str, int] = {kind: rank for rank, kind in enumerate(OUTCOMES)}
 
 
 def verdict_of(finding: Finding) -> Verdict:

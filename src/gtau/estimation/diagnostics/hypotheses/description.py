@@ -6,26 +6,34 @@ strength of gravity are candidate columns.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from math import asin, atan2, hypot
+
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Hypothesis, shifted_motion, window_motion
+from gtau.estimation.diagnostics.finding import Finding, Sentence, Values, which_payload
+from gtau.estimation.diagnostics.hypotheses.hypothesis import (
+    Candidates,
+    Cause,
+    Hypothesis,
+    shifted_motion,
+    window_motion,
+)
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, at_full_rate
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.plausibility import stated_rate
-from gtau.estimation.thresholds.estimates import (
-    CLOCK_REVERSED,
-    CLOCK_SIZE,
-    PLAUSIBLE_GRAVITY,
-    PLAUSIBLE_TILT,
-    PLAUSIBLE_ZERO,
-)
+from gtau.estimation.thresholds import NONE, Threshold
 from gtau.signals.preparation import InMemoryRun
 
 DEGREE, MILLIMETRE = np.pi / 180, 1e-3
 STEP = 0.1  # of the unit: the torques' change is linear over this
+
+ZERO = Cause(
+    "encoder zero",
+    ("an error in the zero of encoder '{joint}'", "compare the encoder zeros with the robot's zero position"),
+    Threshold(0.5, "error of an encoder's zero, degrees or mm", NONE, NONE, "experience"),
+)
 
 
 def _encoder_zeros(fit: Fit) -> Candidates:
@@ -49,14 +57,99 @@ def _encoder_zeros(fit: Fit) -> Candidates:
         return at_full_rate(window, dataset, columns)
 
     return Candidates(
-        [Finding(F.ENCODER_ZERO, (joint,)) for joint in model.actuated],
+        [Finding(ZERO.kind, (joint,)) for joint in model.actuated],
         tuple("deg" if turn else "mm" for turn in turns),
-        np.full((n, 1), PLAUSIBLE_ZERO),
+        np.full((n, 1), ZERO.plausible),
         offer,
     )
 
 
-ENCODER_ZEROS = Hypothesis("encoder zeros", True, _encoder_zeros, description=True)
+ENCODER_ZEROS = Hypothesis("encoder zeros", True, _encoder_zeros, (ZERO,), description=True)
+
+
+def _of_gravity(what: str) -> Callable[[Values], Sentence]:
+    to_do = "check the direction of gravity, that the base is level, the sampling rate"
+    return lambda values: (what, to_do + which_payload(values))
+
+
+def _other_gravity(values: Values) -> Sentence:
+    """Name another gravity; where the robot was fitted with it, say what to write."""
+    x, y, z = values["gravity"]
+    if "left" not in values:  # an estimate to first order
+        return _of_gravity(f"a different gravity vector, about ({x:.1f}, {y:.1f}, {z:.1f}) m/s2")(values)
+    listed = ", ".join(f"{round(each, 3) + 0.0:.4g}" for each in (x, y, z))
+    joint, (before, after) = max(values["left"].items(), key=lambda each: each[1][0])
+    where, file = "base", f"'gravity: [{listed}]' in the robot file"
+    also = " or ".join(_direction(each) for each in values["also"])
+    if values["floating"]:
+        where = "world"
+        file += ", in axes of the logged poses, or turn the poses so that their z axis points up"
+    else:
+        rpy = f"{atan2(-y, -z) if round(hypot(y, z), 3) else 0.0:.4g}, {asin(x / hypot(x, y, z)) + 0.0:.4g}, 0"
+        file += f", or 'base: {{{{rpy: [{rpy}]}}}}' beside its 'file' in the experiment file"
+    return (
+        f"gravity along {_direction(values['gravity'])}{also and ' or ' + also} of the {where}, which leaves "
+        f"{100 * after:.2g} % of '{joint}' unexplained instead of {100 * before:.2g} %,",
+        f"check how the {'world axes lie' if values['floating'] else 'base is mounted'}, and write {file}",
+    )
+
+
+def _direction(gravity: Sequence[float]) -> str:
+    """Name an axis, or write a direction of unit length."""
+    size = hypot(*gravity)
+    unit = [round(each / size, 2) + 0.0 for each in gravity]
+    along = [k for k in range(3) if unit[k]]
+    if len(along) == 1:
+        return f"{'-' if unit[along[0]] < 0 else '+'}{'xyz'[along[0]]}"
+    return "({:.2g}, {:.2g}, {:.2g})".format(*unit)
+
+
+def _clock(values: Values) -> Sentence:
+    """Explain residuals that ask for another strength of gravity.
+
+    Time that runs s times too fast makes velocities s and accelerations s^2 times too large, and with them the inertial
+    torques against those of gravity, whose length on Earth is known to 0.3 %.
+    """
+    rate, accelerations = ("high", "large") if values["factor"] > 1 else ("low", "small")
+    return (
+        f"a sampling rate that is too {rate}, as accelerations are too {accelerations} against gravity (or wrong "
+        "lengths throughout the robot)",
+        "{clock}; then check the robot's lengths",
+    )
+
+
+TILT = Cause(
+    "gravity tilt",
+    _of_gravity("gravity tilted towards ({towards[0]:.2g}, {towards[1]:.2g}, {towards[2]:.2g})"),
+    Threshold(1.0, "tilt of the base, degrees", NONE, NONE, "experience"),
+)
+STRENGTH = Cause(
+    "gravity strength",
+    _of_gravity("a different magnitude of gravity"),
+    Threshold(
+        0.2,
+        "difference of local gravity from the standard, per cent",
+        "0.26 at most on Earth",
+        NONE,
+        "latitude and height",
+    ),
+)
+OTHER_GRAVITY = Cause("gravity", _other_gravity)
+CLOCK = Cause("clock", _clock)
+CLOCK_SIZE = Threshold(
+    0.9,
+    "part of what another gravity explains that another strength of it explains alone: the clock is wrong",
+    NONE,
+    "0.97 (UR10e at 95 Hz read as 125)",
+    "UR10e logs with another rate declared",
+)
+CLOCK_REVERSED = Threshold(
+    -0.9,
+    "factor of gravity, below which it is rather reversed than of another strength",
+    NONE,
+    "-1 (upside down)",
+    "faults",
+)
 
 
 def _gravity(fit: Fit) -> Candidates | None:
@@ -75,23 +168,18 @@ def _gravity(fit: Fit) -> Candidates | None:
         entries = regressor(model.layout, window_motion(model, window), values)
         return at_full_rate(window, dataset, np.stack([regressor.torques(entries, each, n) for each in changes]))
 
-    tilts = [Finding(F.GRAVITY_TILT, values={"towards": tilt.tolist()}) for tilt in Vt[1:]]
-    plausible = np.array([[PLAUSIBLE_TILT], [PLAUSIBLE_TILT], [PLAUSIBLE_GRAVITY]])
+    tilts = [Finding(TILT.kind, values={"towards": tilt.tolist()}) for tilt in Vt[1:]]
+    plausible = np.array([[TILT.plausible], [TILT.plausible], [STRENGTH.plausible]])
 
     def describe(sizes: np.ndarray, shares: np.ndarray) -> Finding:
         factor = 1 + sizes[-1] / 100
         # as where gravity points up
         reversed_ = factor < CLOCK_REVERSED or bool(np.any(fit.gains < 0))
         if shares[-1] > CLOCK_SIZE and not reversed_:
-            return Finding(F.CLOCK, values={"factor": float(factor), "rate": stated_rate(dataset.runs[0])})
-        return Finding(F.GRAVITY, values={"gravity": (gravity + sizes @ np.array(changes)).tolist()})
+            return Finding(CLOCK.kind, values={"factor": float(factor), "rate": stated_rate(dataset.runs[0])})
+        return Finding(OTHER_GRAVITY.kind, values={"gravity": (gravity + sizes @ np.array(changes)).tolist()})
 
-    return Candidates([*tilts, Finding(F.GRAVITY_STRENGTH)], ("deg", "deg", "%"), plausible, offer, describe)
+    return Candidates([*tilts, Finding(STRENGTH.kind)], ("deg", "deg", "%"), plausible, offer, describe)
 
 
-GRAVITY = Hypothesis(
-    "gravity",
-    True,
-    _gravity,
-    description=True,
-)
+GRAVITY = Hypothesis("gravity", True, _gravity, (TILT, STRENGTH, OTHER_GRAVITY, CLOCK), description=True)

@@ -16,9 +16,9 @@ from __future__ import annotations
 import numpy as np
 
 from gtau.estimation.diagnostics.finding import RELATIVE, Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.hypotheses.hypothesis import (
     Candidates,
+    Cause,
     Hypothesis,
     friction_levels,
     rms_speeds,
@@ -29,19 +29,28 @@ from gtau.estimation.diagnostics.linearisation import CandidateColumns, at_full_
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.friction import transmitted
 from gtau.estimation.regression.rows import Rows
-from gtau.estimation.thresholds.estimates import (
-    PLAUSIBLE_CUBIC,
-    PLAUSIBLE_FRICTION_DRIFT,
-    PLAUSIBLE_GAIN_DRIFT,
-    PLAUSIBLE_LAG,
-    PLAUSIBLE_LOAD_FRICTION,
-    PLAUSIBLE_SATURATION,
-    PLAUSIBLE_STRIBECK,
-    STRIBECK_SPEED,
-)
+from gtau.estimation.thresholds import NONE, Threshold
 from gtau.robots.parameter import Parameter
 from gtau.signals.filters import differentiate
 from gtau.signals.preparation import InMemoryRun
+
+OTHER_FRICTION = "add runs at other speeds, or with other loads, to separate it from other effects"
+CUBIC_FRICTION = Cause(
+    "cubic friction",
+    ("cubic friction of '{joint}'", OTHER_FRICTION),
+    Threshold(0.2, "cubic friction at three times the rms speed, of the friction", NONE, NONE, "experience"),
+)
+LOAD_FRICTION = Cause(
+    "load-dependent friction",
+    ("load-dependent friction of '{joint}'", OTHER_FRICTION),
+    Threshold(0.05, "friction coefficient of the load", "0.02 to 0.1 in strain-wave gears", NONE, "UR10e pairs"),
+)
+STRIBECK_FRICTION = Cause(
+    "Stribeck friction",
+    ("Stribeck friction of '{joint}'", OTHER_FRICTION),
+    Threshold(0.3, "Stribeck friction at rest, of the friction", NONE, NONE, "experience"),
+)
+STRIBECK_SPEED = Threshold(0.1, "Stribeck speed, in rms speeds", NONE, NONE, "experience")
 
 
 def _friction_shape(fit: Fit) -> Candidates:
@@ -65,19 +74,30 @@ def _friction_shape(fit: Fit) -> Candidates:
         stribeck = level * np.exp(-np.abs(ratio) / STRIBECK_SPEED) * sign
         return at_full_rate(window, fit.dataset, np.stack([cubic.T, load.T, stribeck.T]))
 
-    plausible = np.array([PLAUSIBLE_CUBIC, PLAUSIBLE_LOAD_FRICTION, PLAUSIBLE_STRIBECK])
+    causes = FRICTION_SHAPE.causes
     return Candidates(
-        [Finding(F.CUBIC_FRICTION), Finding(F.LOAD_FRICTION), Finding(F.STRIBECK_FRICTION)],
+        [Finding(each.kind) for each in causes],
         ("of its friction", "of its load", "of its friction"),
-        np.repeat(plausible[:, None], len(joints), axis=1),
+        np.repeat([[each.plausible] for each in causes], len(joints), axis=1),
         offer,
     )
 
 
 FRICTION_SHAPE = Hypothesis(
-    "friction shape",
-    False,
-    _friction_shape,
+    "friction shape", False, _friction_shape, (CUBIC_FRICTION, LOAD_FRICTION, STRIBECK_FRICTION)
+)
+
+DRIFTING_FRICTION = "let the robot warm up before the runs, or split long runs"
+FRICTION_CHANGE = Threshold(0.1, "relative change of friction along a run", NONE, NONE, "experience")
+VISCOUS_DRIFT = Cause(
+    "drifting viscous friction",
+    ("viscous friction of '{joint}' changing along the runs", DRIFTING_FRICTION),
+    FRICTION_CHANGE,
+)
+COULOMB_DRIFT = Cause(
+    "drifting Coulomb friction",
+    ("Coulomb friction of '{joint}' changing along the runs", DRIFTING_FRICTION),
+    FRICTION_CHANGE,
 )
 
 
@@ -96,17 +116,31 @@ def _friction_drift(fit: Fit) -> Candidates:
         return at_full_rate(window, fit.dataset, np.stack([(fv * of.qd * along).T, (fs * np.sign(of.qd) * along).T]))
 
     return Candidates(
-        [Finding(F.VISCOUS_DRIFT), Finding(F.COULOMB_DRIFT)],
+        [Finding(VISCOUS_DRIFT.kind), Finding(COULOMB_DRIFT.kind)],
         (RELATIVE, RELATIVE),
-        np.full((2, len(joints)), PLAUSIBLE_FRICTION_DRIFT),
+        np.full((2, len(joints)), FRICTION_CHANGE),
         offer,
     )
 
 
-FRICTION_DRIFT = Hypothesis("friction drift", False, _friction_drift)
-
+FRICTION_DRIFT = Hypothesis("friction drift", False, _friction_drift, (VISCOUS_DRIFT, COULOMB_DRIFT))
 
 LARGE = 2.0  # rms currents: where the fall is stated
+FALLING_CONSTANT = Cause(
+    "saturation",
+    (
+        "the torque constant of '{joint}' falling with its current",
+        "stay at lower currents, with slower motions or less load, and check that the log holds the actual "
+        "current; friction that grows with the load has the same effect",
+    ),
+    Threshold(
+        0.03,
+        "relative fall of a torque constant up to twice the rms current",
+        "0 to 0.05",
+        NONE,
+        "data sheets of servo motors",
+    ),
+)
 
 
 def _saturation(fit: Fit) -> Candidates:
@@ -122,11 +156,26 @@ def _saturation(fit: Fit) -> Candidates:
         return columns
 
     return Candidates(
-        [Finding(F.SATURATION)],
+        [Finding(FALLING_CONSTANT.kind)],
         (f"{RELATIVE} up to {LARGE:g} times the rms current",),
-        np.full((1, n), PLAUSIBLE_SATURATION),
+        np.full((1, n), FALLING_CONSTANT.plausible),
         offer,
     )
+
+
+SATURATION = Hypothesis("saturation", False, _saturation, (FALLING_CONSTANT,))
+
+DRIFTING_CONSTANT = Cause(
+    "gain drift",
+    ("the torque constant of '{joint}' falling along the runs", "let the robot warm up before the runs"),
+    Threshold(
+        0.005,
+        "relative change of a torque constant along a run",
+        "0.001 a kelvin of the magnets",
+        NONE,
+        "data sheets of servo motors",
+    ),
+)
 
 
 def _gain_drift(fit: Fit) -> Candidates:
@@ -144,19 +193,29 @@ def _gain_drift(fit: Fit) -> Candidates:
         return columns
 
     return Candidates(
-        [Finding(F.GAIN_DRIFT)],
+        [Finding(DRIFTING_CONSTANT.kind)],
         (RELATIVE,),
-        np.full((1, n), PLAUSIBLE_GAIN_DRIFT),
+        np.full((1, n), DRIFTING_CONSTANT.plausible),
         offer,
     )
 
 
-SATURATION = Hypothesis(
-    "saturation",
-    False,
-    _saturation,
+GAIN_DRIFT = Hypothesis("gain drift", False, _gain_drift, (DRIFTING_CONSTANT,), description=True)
+
+FILTER_OR_ELASTICITY = Cause(
+    "current lag",
+    (
+        "a low-pass filter of the current of '{joint}', or an elastic transmission",
+        "log the current before any filter, and move more slowly",
+    ),
+    Threshold(
+        1e-4,
+        "coefficient of the torque's second derivative, s2",
+        "elastic at 16 Hz, or a filter of 14 ms",
+        NONE,
+        "experience",
+    ),
 )
-GAIN_DRIFT = Hypothesis("gain drift", False, _gain_drift, description=True)
 
 
 def _current_lag(fit: Fit) -> Candidates:
@@ -170,11 +229,11 @@ def _current_lag(fit: Fit) -> Candidates:
         return at_full_rate(window, fit.dataset, change.T[None])
 
     return Candidates(
-        [Finding(F.CURRENT_LAG)],
+        [Finding(FILTER_OR_ELASTICITY.kind)],
         ("s2",),
-        np.full((1, n), PLAUSIBLE_LAG),
+        np.full((1, n), FILTER_OR_ELASTICITY.plausible),
         offer,
     )
 
 
-CURRENT_LAG = Hypothesis("current lag", False, _current_lag)
+CURRENT_LAG = Hypothesis("current lag", False, _current_lag, (FILTER_OR_ELASTICITY,))

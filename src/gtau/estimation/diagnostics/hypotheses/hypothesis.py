@@ -1,4 +1,4 @@
-"""Hypotheses: candidate torques, and how large they may plausibly be."""
+"""Hypotheses: candidate torques, how large they may plausibly be, and the words for them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from gtau.estimation.diagnostics.finding import Finding
+from gtau.estimation.diagnostics.finding import Finding, Words
 from gtau.estimation.diagnostics.linearisation import Offer
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.rows import Labels, configurations
@@ -46,6 +46,25 @@ class Candidates:
 
 
 @dataclass(frozen=True)
+class Cause:
+    """An effect that a hypothesis names as the cause of a finding.
+
+    Attributes
+    ----------
+    kind : str
+        Of the findings on it.
+    words : tuple of str or callable
+        Its name and advice.
+    plausible : Threshold or float
+        Standard deviation of the sizes that experience allows before the data; 0 where it is named, not tried.
+    """
+
+    kind: str
+    words: Words
+    plausible: float = 0.0
+
+
+@dataclass(frozen=True)
 class Hypothesis:
     """One way in which the model may be wrong.
 
@@ -57,7 +76,10 @@ class Hypothesis:
         Whether a candidate acts on all joints with one size, or on each joint with a size of its own. Common effects
         are of the links, and reach torque sensors too; those of a single joint are of its drive.
     candidates : callable
-        From a fit to its candidates; None where the hypothesis does not apply to this robot.
+        From a fit to its candidates; None where the hypothesis does not apply to this robot. What it adds is its
+        docstring.
+    causes : tuple of Cause
+        What its candidates are, and what they may mean together.
     description : bool
         Whether it contradicts the user's description of robot and logs; otherwise it is physics that the model lacks,
         which widens the intervals.
@@ -66,6 +88,7 @@ class Hypothesis:
     name: str
     shared: bool
     candidates: Callable[[Fit], Candidates | None]
+    causes: tuple[Cause, ...]
     description: bool = False
 
 

@@ -10,13 +10,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Hypothesis, window_motion
+from gtau.estimation.diagnostics.finding import Finding, Sentence, Values
+from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Cause, Hypothesis, window_motion
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, at_full_rate
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.rows import external_torques
-from gtau.estimation.thresholds.estimates import PLAUSIBLE_OFFSET, PLAUSIBLE_POINT
+from gtau.estimation.thresholds import NONE, Threshold
 from gtau.robots.floating import WRENCH
 from gtau.signals.preparation import InMemoryRun
 
@@ -25,6 +24,28 @@ Reading = Callable[[np.ndarray], np.ndarray]
 
 MILLIMETRE = 1e-3
 COMPONENTS = ("moment x", "moment y", "moment z", "force x", "force y", "force z")
+
+
+def _offset(values: Values) -> Sentence:
+    if "component" in values:
+        what = f"an offset in the {values['component']} of the wrench on '{{subject}}'"
+    else:
+        force, moment = (", ".join(f"{each:.2g}" for each in values[part]) for part in ("force", "moment"))
+        what = f"an offset of ({force}) N and ({moment}) N m in the wrench on '{{subject}}'"
+    return what, "tare the unloaded force sensor before each run, or subtract its unloaded reading"
+
+
+OFFSET = Cause(
+    "wrench offset",
+    _offset,
+    Threshold(
+        0.01,
+        "offset of a measured wrench, of the rms of its force or moment",
+        "0.1 to 1 % of the range of a tared six-axis sensor",
+        "17 % (5 N on a flange that carries 30 N, not tared)",
+        "experience; tests/estimation/test_wrench_errors.py",
+    ),
+)
 
 
 def _offsets(fit: Fit) -> Candidates | None:
@@ -44,15 +65,38 @@ def _offsets(fit: Fit) -> Candidates | None:
     def describe(sizes: np.ndarray, shares: np.ndarray) -> Finding:
         worst = int(np.argmax(np.max(np.abs(sizes.reshape(-1, 6)) / np.maximum(levels.reshape(-1, 6), 1e-12), axis=1)))
         moment, force = sizes.reshape(-1, 2, 3)[worst].tolist()
-        return Finding(F.WRENCH_OFFSET, (), bodies[worst], {"force": force, "moment": moment})
+        return Finding(OFFSET.kind, (), bodies[worst], {"force": force, "moment": moment})
 
     return Candidates(
-        [Finding(F.WRENCH_OFFSET, (), body, {"component": each}) for body in bodies for each in COMPONENTS],
+        [Finding(OFFSET.kind, (), body, {"component": each}) for body in bodies for each in COMPONENTS],
         tuple("N m" if each.startswith("moment") else "N" for _ in bodies for each in COMPONENTS),
-        PLAUSIBLE_OFFSET * levels.reshape(-1, 1),
+        OFFSET.plausible * levels.reshape(-1, 1),
         lambda window, values: _felt(fit, window, read),
         describe,
     )
+
+
+WRENCH_OFFSETS = Hypothesis("wrench offsets", True, _offsets, (OFFSET,), description=True)
+
+
+def _point(values: Values) -> Sentence:
+    if "axis" in values:
+        off = f"off in {values['axis']}"
+    else:
+        off = f"off by ({', '.join(f'{1e3 * each:.2g}' for each in values['shift'])}) mm"
+    return (
+        f"the reference point of the moment on '{{subject}}', {off}",
+        "measure the position of the sensor, and correct 'at' of that wrench",
+    )
+
+
+POINT = Cause(
+    "wrench point",
+    _point,
+    Threshold(
+        2.0, "error of the point about which a wrench is stated, mm", NONE, "20 (a plate, a flange)", "experience"
+    ),
+)
 
 
 def _points(fit: Fit) -> Candidates | None:
@@ -73,15 +117,18 @@ def _points(fit: Fit) -> Candidates | None:
     def describe(sizes: np.ndarray, shares: np.ndarray) -> Finding:
         worst = int(np.argmax(np.max(np.abs(sizes.reshape(-1, 3)), axis=1)))
         shift = (MILLIMETRE * sizes.reshape(-1, 3)[worst]).tolist()
-        return Finding(F.WRENCH_POINT, (), bodies[worst], {"shift": shift})
+        return Finding(POINT.kind, (), bodies[worst], {"shift": shift})
 
     return Candidates(
-        [Finding(F.WRENCH_POINT, (), body, {"axis": axis}) for body in bodies for axis in "xyz"],
+        [Finding(POINT.kind, (), body, {"axis": axis}) for body in bodies for axis in "xyz"],
         ("mm",) * (3 * len(bodies)),
-        np.full((3 * len(bodies), 1), PLAUSIBLE_POINT),
+        np.full((3 * len(bodies), 1), POINT.plausible),
         lambda window, values: _felt(fit, window, read),
         describe,
     )
+
+
+WRENCH_POINTS = Hypothesis("wrench points", True, _points, (POINT,), description=True)
 
 
 def _rms(fit: Fit) -> np.ndarray:
@@ -99,7 +146,3 @@ def _felt(fit: Fit, window: InMemoryRun, read: Reading) -> CandidateColumns:
     padded = np.zeros((len(extra), len(run.channels), extra.shape[-1]))
     padded[:, first:] = extra
     return at_full_rate(window, fit.dataset, external_torques(model, run, window_motion(model, window), padded))
-
-
-WRENCH_OFFSETS = Hypothesis("wrench offsets", True, _offsets, description=True)
-WRENCH_POINTS = Hypothesis("wrench points", True, _points, description=True)
