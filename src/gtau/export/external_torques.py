@@ -23,8 +23,8 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
-from gtau.documents.validation import NUMBER, takes
 from gtau.documents.files import in_csv, write_atomically
+from gtau.documents.validation import NUMBER, takes
 from gtau.errors import GtauError
 from gtau.estimation.results.estimate import Prediction
 from gtau.estimation.results.prediction import loaded_parameters, suited
