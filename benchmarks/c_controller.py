@@ -24,8 +24,16 @@ from gtau.demo.run import make_experiment
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent
 from gtau.signals.payload import Payload
-from gtau.simulation.closed_loop import Engine, Hardware, rounded, simulate
-from gtau.simulation.controllers import Controller, Reference, computed_torque, sample
+from gtau.simulation.closed_loop import (
+    Controller,
+    Engine,
+    Hardware,
+    Reference,
+    computed_torque,
+    rounded,
+    sample,
+    simulate,
+)
 from gtau.simulation.experiment_files import apparatus
 from gtau.simulation.motions import make_trajectory
 from gtau.simulation.simulation_file import read_simulation

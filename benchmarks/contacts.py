@@ -25,7 +25,7 @@ from zoo import ENTRIES
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
-from gtau.export.observer import momentum_observer
+from gtau.export.external_torques import momentum_observer
 from gtau.export.wrench import wrench_along_log
 from gtau.robots.floating import WrenchFrame
 from gtau.robots.robot import Pose

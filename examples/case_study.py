@@ -38,8 +38,8 @@ from gtau.report.render.charts import figure_of, save_figure
 from gtau.report.robot_figure import robot_figure
 from gtau.report.torques import part_of, torques_chart
 from gtau.signals.experiment import read_experiment
+from gtau.simulation.closed_loop import sample
 from gtau.simulation.control_comparison import STRATEGIES, ControlComparison, compare_control
-from gtau.simulation.controllers import sample
 from gtau.simulation.motions import make_trajectory
 from gtau.simulation.simulation_file import read_simulation
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from gtau.estimation.results.estimate import Estimate
 from gtau.report.page import Axis, Chart, Panel, Rule, Series, colour, intervals, joint_label
+from gtau.simulation.closed_loop import Reference
 from gtau.simulation.control_comparison import STRATEGIES, ControlComparison
-from gtau.simulation.controllers import Reference
 
 MICRO = 1e6
 TIME = Axis("time, s")

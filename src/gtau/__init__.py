@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from gtau.excitation.design_file import read_design
     from gtau.excitation.task import DesignProblem
     from gtau.export.exported import Exported
-    from gtau.export.observer import momentum_observer
+    from gtau.export.external_torques import momentum_observer
     from gtau.export.registry import export_model, export_payload
     from gtau.model.base_parameters import BaseParameters, base_parameters
     from gtau.model.home import load_robot
@@ -120,7 +120,7 @@ _HOMES = {
     "export_payload": "export.registry",
     "identify": "estimation.identify",
     "load_robot": "model.home",
-    "momentum_observer": "export.observer",
+    "momentum_observer": "export.external_torques",
     "read_design": "excitation.design_file",
     "read_experiment": "signals.experiment",
     "read_run": "signals.run",

@@ -34,8 +34,7 @@ from gtau.signals.preparation import Preparation, prepare
 from gtau.signals.preparation_choice import choose_preparation
 from gtau.signals.run import Run
 from gtau.simulation import plant
-from gtau.simulation.closed_loop import Drive, hardware, simulate
-from gtau.simulation.controllers import Controller, Reference
+from gtau.simulation.closed_loop import Controller, JointHardware, Reference, hardware, simulate
 
 FIVE_BAR = load_robot("five-bar")
 KNOWN = Payload(name="steel", mass=STEEL["m"])
@@ -101,7 +100,7 @@ def test_the_loop_is_that_of_the_integrated_plant(source: str, chi: Mapping[str,
     M = np.stack([model.torques(q, still, still + row, chi) - gravity for row in np.eye(len(model.actuated))], axis=2)
     reference = Reference(time, q, qd, qdd)
     law = Controller(reference, M, np.einsum("tij,tj->ti", M, qdd), np.ones(len(model.actuated)), 1.0, pole)
-    drives = hardware(model.actuated, {joint: Drive(gain=1.0) for joint in model.actuated}, {})
+    drives = hardware(model.actuated, {joint: JointHardware(gain=1.0) for joint in model.actuated})
     stepped = simulate(
         "run", plant.Plant(model, chi), law, drives, np.random.default_rng(0), joints=model.actuated
     ).error

@@ -21,8 +21,7 @@ from scipy.integrate import solve_ivp
 from gtau.export.c import export
 from gtau.export.identified import identified, torques, torques_of
 from gtau.robots.robot import Joint, Mdh, Robot
-from gtau.simulation.closed_loop import Drive, hardware, simulate
-from gtau.simulation.controllers import Reference, computed_torque
+from gtau.simulation.closed_loop import JointHardware, Reference, computed_torque, hardware, simulate
 from gtau.simulation.plant import Plant, PlantState
 
 
@@ -180,9 +179,9 @@ def test_the_controller_gives_the_currents_of_the_one_in_python(tmp_path: Path, 
     time = np.arange(100) * 1e-3
     reference = Reference(time, *trajectory(robot, time))
     measured = reference.q + rng.normal(0.0, 1e-3, reference.q.shape)
-    limits = {joint: Drive(1.0, current_limit=20.0) for joint in c.model.joints}
+    limits = {joint: JointHardware(gain=1.0, current_limit=20.0) for joint in c.model.joints}
     law = computed_torque(reference, result, bandwidth=80.0)
-    made = simulate("replayed", Replay(measured), law, hardware(c.model.joints, limits, {}), rng, joints=c.model.joints)
+    made = simulate("replayed", Replay(measured), law, hardware(c.model.joints, limits), rng, joints=c.model.joints)
     assert (np.abs(made.run.command) == 20.0).any()  # some at the limit
     assert (np.abs(made.run.command) < 20.0).any()
     pair = ctypes.c_double * 2

@@ -9,9 +9,9 @@ import pytest
 from models_to_export import model_of
 from robots_for_tests import tree
 
+from gtau.export.exported import suffixes
 from gtau.export.fmu import export
 from gtau.export.identified import identified, torques
-from gtau.export.names import suffixes
 from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
 

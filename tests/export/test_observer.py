@@ -18,9 +18,9 @@ from robots_for_tests import ROBOTS, home, random_samples, trajectory
 import gtau
 from gtau.estimation.results.estimate import Estimate
 from gtau.export.c import export
+from gtau.export.external_torques import momentum_observer, observed
 from gtau.export.functions import functions
 from gtau.export.identified import identified
-from gtau.export.observer import momentum_observer, observed
 from gtau.robots.robot import Robot
 from gtau.simulation.plant import Plant, PlantState
 

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 import gtau
 from gtau.cli.commands import app
 from gtau.estimation.experiment_runs import carrying
-from gtau.export.along_log import torques_along_log, write_table
+from gtau.export.external_torques import torques_along_log, write_table
 from gtau.model.home import load_robot
 from gtau.robots.readers.frames import frame_on
 from gtau.signals.payload import Payload

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 import gtau
 from gtau.cli.commands import app
 from gtau.estimation.results.estimate import TorqueError
-from gtau.export.along_log import torques_along_log
+from gtau.export.external_torques import torques_along_log
 from gtau.export.wrench import BEYOND
 from gtau.model.home import load_robot
 from gtau.robots.floating import WRENCH

@@ -22,9 +22,16 @@ from gtau.robots.robot import Joint, Limits, Robot
 from gtau.signals.experiment import read_experiment
 from gtau.signals.run import read_run
 from gtau.simulation import experiment_files
-from gtau.simulation.closed_loop import Drive, Sensors, hardware, simulate, write_log
+from gtau.simulation.closed_loop import (
+    JointHardware,
+    Reference,
+    hardware,
+    pid_with_velocity,
+    simple_pid,
+    simulate,
+    write_log,
+)
 from gtau.simulation.control_comparison import STRATEGIES, ControlComparison, Tracking
-from gtau.simulation.controllers import Reference, pid_with_velocity, simple_pid
 from gtau.simulation.experiment_files import simulate_experiment
 from gtau.simulation.motions import make_trajectory, moves_through
 from gtau.simulation.plant import Plant
@@ -55,12 +62,9 @@ def step(length: float = 0.01, duration: float = 1.0) -> Reference:
     return Reference(time, q, np.zeros_like(q), np.zeros_like(q))
 
 
-DRIVE, PERFECT = Drive(5.0), Sensors()
-
-
-def run(plant, controller, drive=DRIVE, sensors=PERFECT, seed=0):
-    rng = np.random.default_rng(seed)
-    return simulate("r", plant, controller, hardware(("x",), {"x": drive}, {"x": sensors}), rng, joints=("x",))
+def run(plant, controller, seed=0, **of_joint):
+    parts = hardware(("x",), {"x": JointHardware(gain=5.0, **of_joint)})
+    return simulate("r", plant, controller, parts, np.random.default_rng(seed), joints=("x",))
 
 
 def test_the_loop_has_the_bandwidth_asked_for(slide):
@@ -87,8 +91,8 @@ def test_velocity_feedforward_follows_a_ramp(slide):
 
 def test_currents_are_limited_held_and_logged(slide):
     _, plant = slide
-    drive, sensors = Drive(5.0, current_limit=3.0), Sensors(1e-4, 0.0, 0.0, 1e-2)
-    out = run(plant, simple_pid(step(), np.array([[2.0]]), np.array([5.0])), drive, sensors)
+    limited = {"current_limit": 3.0, "position_quantum": 1e-4, "current_quantum": 1e-2}
+    out = run(plant, simple_pid(step(), np.array([[2.0]]), np.array([5.0])), **limited)
     assert np.abs(out.run.command).max() == 3.0
     for logged, quantum in ((out.run.position, 1e-4), (out.run.command, 1e-2)):
         assert logged / quantum == pytest.approx(np.round(logged / quantum), abs=1e-6)
@@ -101,7 +105,7 @@ def test_positions_are_late_by_the_delay(slide):
     swing = 0.1 * (1 - np.cos(4 * reference.time))[:, None]
     reference = Reference(reference.time, swing, np.zeros_like(swing), np.zeros_like(swing))
     law = pid_with_velocity(reference, np.array([[2.0]]), np.array([5.0]))
-    out = run(plant, law, sensors=Sensors(delay=2.3e-3))
+    out = run(plant, law, delay=2.3e-3)
     true = reference.q[:, 0] - out.error[:, 0]
     seen = np.interp(reference.time - 2.3e-3, reference.time, true)
     assert out.run.position[100:, 0] == pytest.approx(seen[100:], abs=2e-6)
@@ -111,15 +115,16 @@ def test_noise_and_ripple_have_their_size(slide):
     _, plant = slide
     still = Reference(np.arange(2000) / RATE, *(np.zeros((2000, 1)),) * 3)
     law = pid_with_velocity(still, np.array([[2.0]]), np.array([5.0]))
-    noisy = run(plant, law, sensors=Sensors(current_noise=0.02))
+    noisy = run(plant, law, current_noise=0.02)
     assert noisy.run.command.std() == pytest.approx(0.02, rel=0.1)
-    rippled = run(plant, law, Drive(5.0, ripple=1.0, ripple_period=0.01), seed=2)
+    rippled = run(plant, law, seed=2, ripple=1.0, ripple_period=0.01)
     assert 0.02 < np.abs(rippled.run.command[1500:] * 5.0).max() <= 1.0
 
 
 def test_a_log_reads_back_as_it_was_made(slide, tmp_path):
     _, plant = slide
-    out = run(plant, simple_pid(step(), np.array([[2.0]]), np.array([5.0])), sensors=Sensors(1e-6, 0.0, 1e-3, 1e-4))
+    coarse = {"position_quantum": 1e-6, "current_noise": 1e-3, "current_quantum": 1e-4}
+    out = run(plant, simple_pid(step(), np.array([[2.0]]), np.array([5.0])), **coarse)
     write_log(out.run, tmp_path / "r.csv")
     back = read_run(tmp_path / "r.csv", {"time": "t", "position": {"x": "qx"}, "current": {"x": "vx"}})
     np.testing.assert_array_equal(back.position, out.run.position)

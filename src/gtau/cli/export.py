@@ -104,7 +104,7 @@ def use(
 
         from gtau.estimation.experiment_runs import carrying, read_log
         from gtau.estimation.results.result import Result
-        from gtau.export.along_log import summary_text, torques_along_log, write_table
+        from gtau.export.external_torques import summary_text, torques_along_log, write_table
 
         if force_only and frame is None:
             raise GtauError(

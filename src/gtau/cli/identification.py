@@ -310,7 +310,7 @@ def payload(
 
 def _exported(bodies: Sequence[PayloadBody], to: str, out: Path) -> list[Exported]:
     """Write payloads for a controller, each weighing to its own files."""
-    from gtau.export.names import identifier
+    from gtau.export.exported import identifier
     from gtau.export.registry import export_payload
     from gtau.report.check import unique_names
 

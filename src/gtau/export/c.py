@@ -12,10 +12,9 @@ from string import Template
 import casadi as ca
 
 from gtau.estimation.results.result import Result
-from gtau.export.exported import Exported, written
+from gtau.export.exported import Exported, suffixes, written
 from gtau.export.functions import Functions, functions
 from gtau.export.identified import Identified, identified, notes_on
-from gtau.export.names import in_c, suffixes
 from gtau.model.loop_paths import CONTRACTION
 from gtau.model.loops import CONDITION
 
@@ -147,12 +146,12 @@ def _usage(name: str) -> str:
 def _parameter_arrays(model: Identified) -> Iterator[str]:
     size = f"[{model.name.upper()}_PARAMETERS]"
     yield f"const double {model.name}_parameters{size} = {{"
-    for k, each in enumerate(model.parameters):
+    for k, (each, value) in enumerate(zip(model.parameters, model.values, strict=True)):
         std = "" if each.std is None else f", standard deviation {each.std:.2g}"
         regrouping = "" if each.regrouping in ("", each.name) else f" = {each.regrouping}"
         comment = textwrap.shorten(f"{k} {each.name}, {each.unit}{std}{regrouping}", 90, placeholder=" ...")
         comment = comment.replace("*/", "* /").replace("/*", "/ *")
-        yield f"    {float(each.value)!r}, /* {comment} */"
+        yield f"    {float(value)!r}, /* {comment} */"
     yield "};"
     for end, values in zip(suffixes(model.payloads).values(), model.payloads.values(), strict=True):
         yield f"const double {model.name}_parameters_with_{end}{size} = {{"
@@ -187,3 +186,8 @@ def _kernel(function: ca.Function, inputs: tuple[str, ...], outputs: tuple[str, 
     arguments = [*(f"const double *{name}" for name in inputs), *(f"double *{name}" for name in outputs)]
     ignored = "".join(f"  (void)({name});\n" for name in unused)
     return f"static void kernel_{function.name()}({', '.join(arguments)}) {{\n{ignored}{body}}}"
+
+
+def in_c(text: str) -> str:
+    """Clean a text so that it is safe in a comment and in a string of C."""
+    return re.sub(r"[^\w .,:;()+/-]", "_", text, flags=re.ASCII)

@@ -12,22 +12,11 @@ from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.prediction import torques_along
 from gtau.estimation.results.result import Result
-from gtau.export.names import identifier
+from gtau.export.exported import identifier
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import INERTIAL
 from gtau.robots.units import torque_unit
-
-
-@dataclass(frozen=True, eq=False)
-class ExportedParameter:
-    """Parameter of the exported torques: value and standard deviation in ``unit``, and its regrouping."""
-
-    name: str
-    value: float
-    std: float | None
-    unit: str
-    regrouping: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +29,7 @@ class Identified:
         Its identification.
     name : str
         The robot's name as an identifier of C, MATLAB and Python.
-    parameters : tuple of ExportedParameter
+    parameters : tuple of Estimate
         Base parameters, those of friction as the model predicts it, then the friction terms f3, fb and fl.
     payloads : dict
         Name of each identified or known payload to the values of all parameters (n_p,) with it.
@@ -52,7 +41,7 @@ class Identified:
 
     result: Result
     name: str
-    parameters: tuple[ExportedParameter, ...]
+    parameters: tuple[Estimate, ...]
     payloads: Mapping[str, np.ndarray]
     gains: np.ndarray
     units: tuple[str, ...]
@@ -64,8 +53,8 @@ class Identified:
 
     @property
     def values(self) -> np.ndarray:
-        """Values (n_p,) of the parameters."""
-        return np.array([each.value for each in self.parameters])
+        """Values (n_p,) of the parameters, zero for those not identifiable."""
+        return np.array([each.value or 0.0 for each in self.parameters])
 
     @property
     def friction(self) -> tuple[str, ...]:
@@ -96,11 +85,14 @@ def identified(result: Result) -> Identified:
     for name, standard in zip(base.names, base.standard, strict=True):
         plain = result.parameters[name]
         each = replace(friction[standard], name=name, regrouping=plain.regrouping) if standard in friction else plain
-        parameters.append(ExportedParameter(each.name, each.value or 0.0, each.std, each.unit, each.regrouping))
-    for each in _terms(result):
-        parameters.append(ExportedParameter(each.name, each.value or 0.0, each.std, each.unit, each.regrouping))
+        parameters.append(each)
+    parameters += [
+        each
+        for name, each in friction.items()
+        if name not in base.standard and parameter_of(name).kind not in TEMPERATURE_TERMS
+    ]
     gains = np.array([result.drive_gains[joint].value for joint in robot.actuated], dtype=float)
-    values = np.array([each.value for each in parameters])
+    values = np.array([each.value or 0.0 for each in parameters])
     units = tuple(torque_unit(robot, joint) for joint in robot.actuated)
     return Identified(result, identifier(robot.name), tuple(parameters), _payloads(result, values), gains, units)
 
@@ -136,15 +128,6 @@ def torques_of(model: Identified, motion: Motion, values: np.ndarray, z: np.ndar
     return torques_along(model.result, motion, values[: base.count], terms, z)
 
 
-def _terms(result: Result) -> list[Estimate]:
-    without = (*result.base.standard, *(name for name in result.friction_parameters if _by_temperature(name)))
-    return [each for name, each in result.friction_parameters.items() if name not in without]
-
-
-def _by_temperature(name: str) -> bool:
-    return parameter_of(name).kind in TEMPERATURE_TERMS
-
-
 def _payloads(result: Result, values: np.ndarray) -> dict[str, np.ndarray]:
     base, place = result.base, {name: k for k, name in enumerate(result.model.parameter_names)}
     loaded = {}
@@ -163,20 +146,14 @@ def _payloads(result: Result, values: np.ndarray) -> dict[str, np.ndarray]:
 def notes_on(model: Identified) -> tuple[str, ...]:
     """Note parameters without a value, and friction extrapolated beyond the logged speeds."""
     result = model.result
+    lost = [name for name, each in result.parameters.items() if each.value is None]
+    notes = [f"not identifiable from the logs and exported as zero: {', '.join(lost)}"] if lost else []
     bent = [name for name in model.terms if name.startswith("f3_")]
-    bent += [each.name for each in model.parameters if each.name.startswith("fv_") and each.value < 0]
-    if not bent:
-        return not_known(model)
-    law = result.friction_law
+    bent += [each.name for each in model.parameters if each.name.startswith("fv_") and (each.value or 0.0) < 0]
     joints = dict.fromkeys(parameter_of(name).body.removesuffix("R") for name in bent)
-    listed = ", ".join(f"{joint} above {law.logged(joint)}" for joint in joints if joint in result.robot.actuated)
-    found = f"friction is extrapolated beyond the logged speeds along its slope there, or held: {listed}"
-    return (*not_known(model), *([found] if listed else []))
-
-
-def not_known(model: Identified) -> tuple[str, ...]:
-    """List the parameters that are not identifiable from the logs and enter as zero, if any."""
-    lost = [name for name, each in model.result.parameters.items() if each.value is None]
-    if not lost:
-        return ()
-    return (f"not identifiable from the logs and exported as zero: {', '.join(lost)}",)
+    above = [f"{joint} above {result.friction_law.logged(joint)}" for joint in joints if joint in result.robot.actuated]
+    if above:
+        notes.append(
+            f"friction is extrapolated beyond the logged speeds along its slope there, or held: {', '.join(above)}"
+        )
+    return tuple(notes)

@@ -7,16 +7,34 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from math import pi
 from pathlib import Path
 from types import MappingProxyType
+from unicodedata import normalize
 
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
-from gtau.export.exported import Exported, written
-from gtau.export.names import identifier, in_latex, in_latex_index
+from gtau.export.exported import Exported, identifier, written
 from gtau.robots.parameter import parameter_of
 from gtau.robots.robot import Mdh, Robot
 
 SYMBOLS = {"ia": "ia", "fv": "fv", "fs": "fs", "f3": "f_3", "f0": "f_0", "fl": r"f_{\ell}"}
 UNITS = {"kg m2": r"kg\,m$^2$", "kg m": r"kg\,m", "N m": r"N\,m", "N m s/rad": r"N\,m\,s/rad", "N s/m": r"N\,s/m"}
+SPECIAL = {
+    "\\": r"\textbackslash{}",
+    "^": r"\textasciicircum{}",
+    "~": r"\textasciitilde{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "|": r"\textbar{}",
+    '"': "''",
+    "ß": r"\ss{}",
+    "æ": r"\ae{}",
+    "Æ": r"\AE{}",
+    "ø": r"\o{}",
+    "Ø": r"\O{}",
+    "ł": r"\l{}",
+    "Ł": r"\L{}",
+} | {each: rf"\{each}" for each in "_#%&${}"}
+ACCENTS = {"\u0300": "`", "\u0301": "'", "\u0302": "^", "\u0303": "~", "\u0308": '"', "\u030a": "r", "\u0327": "c"}
+ACCENTS |= {"\u030c": "v", "\u0306": "u", "\u0304": "=", "\u0307": ".", "\u030b": "H", "\u0328": "k"}
 SPACE = 6.0  # pt, between columns
 TEXT_WIDTH = 345.0  # pt, of LaTeX's article
 NUMBER_WIDTH = 55.0  # pt: number of an equation, "=", indent and what parts them
@@ -188,3 +206,22 @@ def width(formula: str) -> float:
     indices = "".join(re.findall(r"\\(?:mathrm|text)\{((?:[^{}]|\\[{}])*)\}", formula))
     plain = re.sub(r"\\(?:mathrm|text)\{(?:[^{}]|\\[{}])*\}|\\tau|\\quad|[{}_\\,$\s]", "", formula)
     return 4.0 * len(indices.replace("\\", "")) + 6.0 * len(plain) + 4.0 * len(re.findall(" [+-] ", formula))
+
+
+def in_latex(text: str) -> str:
+    """Write a text so that LaTeX prints it: accents as macros, and what no common font has as ``U+1F916``."""
+    made: list[str] = []
+    for character in normalize("NFD", text):
+        if character in ACCENTS and made:
+            made[-1] = rf"\{ACCENTS[character]}{{{made[-1]}}}"
+        else:
+            plain = character if character.isascii() else f"U+{ord(character):04X}"
+            made.append(SPECIAL.get(character, plain))
+    return "".join(made)
+
+
+def in_latex_index(name: str) -> str:
+    """Write a name as an upright index of a formula."""
+    if re.fullmatch(r"[\w .:-]*", name, flags=re.ASCII):
+        return r"\mathrm{" + in_latex(name).replace(" ", r"\ ") + "}"
+    return r"\text{" + in_latex(name) + "}"  # accents and some signs are for text alone

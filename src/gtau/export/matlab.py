@@ -15,7 +15,6 @@ from gtau.export.c import CLOSED, NEWTON_STEPS, STARTING_STEPS
 from gtau.export.exported import Exported, written
 from gtau.export.functions import OUTPUTS, Functions, functions
 from gtau.export.identified import Identified, identified, notes_on
-from gtau.export.names import in_matlab
 from gtau.model.loop_paths import CONTRACTION
 from gtau.model.loops import CONDITION
 
@@ -185,3 +184,8 @@ def _names(names: Iterable[str]) -> str:
 
 def _list(values: Iterable[float]) -> str:
     return " ".join("NaN" if np.isnan(value) else repr(float(value)) for value in values)
+
+
+def in_matlab(text: str) -> str:
+    """Write a text as a string of MATLAB."""
+    return "'" + text.replace("'", "''") + "'"

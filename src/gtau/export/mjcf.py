@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -21,8 +21,7 @@ from gtau.export.consistent import (
     term_notes,
     terms_left_out,
 )
-from gtau.export.exported import Exported, written
-from gtau.export.names import identifier
+from gtau.export.exported import Exported, identifier, written
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import GROUND, STIFFNESS, Robot
 from gtau.simulation.mujoco_plant import LIGHTEST, STEP, platform_coordinates, robot_spec, spring_attributes
@@ -53,8 +52,7 @@ def model_text(
     """
     result = model.result
     spec, expressed = _spec(mujoco, model)
-    compiled = compile_spec(spec)
-    _add_home(spec, compiled, result)
+    _add_home(spec, compile_spec(spec), result)
     found = differences(model, expressed, cubic=_polynomial(spec))
     said = [difference_note(found), *notes(model, expressed, _polynomial(spec), delays)]
     if forces := [each.name for each in result.robot.springs if spring_attributes(each, model.standard) is None]:
@@ -73,28 +71,18 @@ def imported() -> ModuleType:
     return mujoco  # type: ignore[no-any-return, unused-ignore]
 
 
-def compile_text(mujoco: ModuleType, text: str, included: Mapping[str, str]) -> Any:
-    """Compile a text of MJCF with the files that it includes; raises GtauError where MuJoCo refuses it."""
-    try:
-        return mujoco.MjModel.from_xml_string(text, {name: each.encode() for name, each in included.items()})
-    except ValueError as error:
-        said = " ".join(str(error).split()).rstrip(".")
-        raise GtauError(f"MuJoCo refuses the exported model ({said}); identify it with --consistent.") from None
-
-
 def compile_spec(spec: Any) -> Any:
     """Compile a spec to a MuJoCo model; raises GtauError where MuJoCo refuses it."""
+    return compiled(spec.compile)
+
+
+def compiled(compile_model: Callable[[], Any]) -> Any:
+    """Return the MuJoCo model that a function compiles; raises GtauError where MuJoCo refuses it."""
     try:
-        return spec.compile()
+        return compile_model()
     except ValueError as error:
         said = " ".join(str(error).split()).rstrip(".")
         raise GtauError(f"MuJoCo refuses the exported model ({said}); identify it with --consistent.") from None
-
-
-def gain_prm(model: ConsistentModel, joint: str) -> tuple[float, float]:
-    """Return the gear of a joint's actuator (N m/A or N/A) and the current that cancels the joint's offset (A)."""
-    gain = model.gains[joint]
-    return gain, -model.of("off", joint) / gain
 
 
 def _polynomial(spec: Any) -> bool:
@@ -163,7 +151,8 @@ def _add_couplings(mujoco: ModuleType, spec: Any, robot: Robot) -> None:
 def _add_actuators(mujoco: ModuleType, spec: Any, model: ConsistentModel) -> None:
     """Add one actuator per motor: torque = gear (ctrl + bias), with the drive gain as gear and the current as ctrl."""
     for joint in model.result.robot.actuated:
-        gear, bias = gain_prm(model, joint)
+        gear = model.gains[joint]
+        bias = -model.of("off", joint) / gear  # the current that cancels the offset, A
         actuator = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         actuator.gear[0] = gear
         actuator.gainprm[0] = 1.0

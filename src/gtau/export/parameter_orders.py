@@ -1,4 +1,4 @@
-"""Parameters of bodies in the orders of other programs, with their names, and back.
+"""Parameters of bodies in the orders of Pinocchio, MuJoCo, Drake, MATLAB and SYMORO, with their names, and back.
 
 All are given in the frame of the link as gtau places it; a program that places the body's frame elsewhere wants them
 moved with :meth:`gtau.robots.rigid_body.RigidBody.seen_from`. Products of inertia are entries of the inertia tensor
@@ -9,10 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+import polars as pl
 
+from gtau.documents.files import in_csv
 from gtau.errors import GtauError
+from gtau.estimation.results.result import Result
+from gtau.export.consistent import consistent_model
+from gtau.export.exported import Exported, identifier, written
 from gtau.robots.parameter import Parameter
 from gtau.robots.rigid_body import RigidBody, inertial_parameters, rigid_body
 from gtau.robots.robot import INERTIAL
@@ -64,6 +70,30 @@ ORDERS = {
         explained="standard parameters of Khalil and Kleinfinger, at the frame's origin; IA, FV and FS follow",
     ),
 }  # fmt: skip
+DRIVES = {"ia": "IA", "fv": "FV", "fs": "FS"}  # what SYMORO has of a joint's drive
+
+
+def export(result: Result, out: Path) -> Exported:
+    """Write ``NAME_PROGRAM.csv`` into ``out`` for each program: one row per body, one column per parameter, SI units.
+
+    Raises
+    ------
+    GtauError
+        Where the result has no physically consistent parameters.
+    """
+    model = consistent_model(result, "parameter orders")
+    texts, notes = {}, []
+    for program, order in ORDERS.items():
+        table = []
+        for body in result.robot.bodies:
+            row: dict[str, object] = {"body": body, **to_order(model.standard, body, program)}
+            if program == "symoro":
+                row |= {name: model.of(kind, body) for kind, name in DRIVES.items()}
+            table.append(row)
+        texts[f"{identifier(result.robot.name)}_{program}.csv"] = in_csv(pl.DataFrame(table))
+        notes.append(f"{program}: {order.explained}")
+    notes.append("all in the frames of gtau's links: a joint's frame, after its motion")
+    return Exported(written(out, texts), tuple(notes))
 
 
 def to_order(chi: Mapping[str, float], body: str, program: str) -> dict[str, float]:

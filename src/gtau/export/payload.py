@@ -15,8 +15,7 @@ import yaml
 
 from gtau.errors import GtauError
 from gtau.estimation.results.payload import PayloadBody
-from gtau.export.exported import Exported, written
-from gtau.export.names import identifier
+from gtau.export.exported import Exported, identifier, written
 from gtau.robots.geometry import angles_of
 from gtau.robots.rigid_body import RigidBody
 

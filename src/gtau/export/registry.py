@@ -1,8 +1,8 @@
-"""Registry of export kinds: a new one is a module with a function ``export`` and a line here."""
+"""Registry of export kinds: a new one is a function of a module and a line in both tables."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
@@ -29,6 +29,22 @@ KINDS = {
     "fmu": "co-simulation FMU 3 with torques and currents for positions, velocities and accelerations",
 }
 
+EXPORTERS = {
+    "c": "c.export",
+    "mjcf": "mjcf.export",
+    "mujoco-actuators": "actuators.export_mujoco",
+    "mjlab": "actuators.export_mjlab",
+    "isaaclab": "actuators.export_isaaclab",
+    "urdf": "urdf.export",
+    "yaml": "tables.export_yaml",
+    "csv": "tables.export_csv",
+    "latex": "latex.export",
+    "orders": "parameter_orders.export",
+    "matlab": "matlab.export",
+    "fmu": "fmu.export",
+}
+"""Module and function of each kind, imported where it is asked for."""
+
 OF_FLOATING = ("yaml", "csv")
 """Kinds that hold parameters alone, whether the base floats or not."""
 
@@ -47,8 +63,8 @@ SAMPLED = ("mjcf", "urdf", "mujoco-actuators", "mjlab", "isaaclab")
 MODELS = 16
 """Draws that are written as models where nobody says how many."""
 
-INTO = ("urdf", "mjcf")
-"""Kinds that can be put back into the robot's own file."""
+INTO = {"urdf": "urdf.export_into", "mjcf": "mjcf_into.export"}
+"""Kinds that can be put back into the robot's own file, with module and function."""
 
 
 @takes(
@@ -110,10 +126,9 @@ def export_model(
         )
 
     def one(each: Result, folder: Path) -> Exported:
-        module = kind.replace("-", "_")
-        if into is None:
-            return import_module(f"gtau.export.{module}").export(each, folder)
-        return import_module(f"gtau.export.{module}_into").export(each, Path(into), folder)
+        module, function = (EXPORTERS if into is None else INTO)[kind].split(".")
+        export: Callable[..., Exported] = getattr(import_module(f"gtau.export.{module}"), function)
+        return export(each, folder) if into is None else export(each, Path(into), folder)
 
     exported = one(result, Path(out))
     if not samples:

@@ -1,4 +1,4 @@
-"""URDF with inertias and friction, and YAML files for loops and drives, which URDF cannot express."""
+"""URDF with inertias and friction, new or in the robot's own file, and YAML files for loops and drives beside it."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 import yaml
 
+from gtau.documents.files import write_atomically
 from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
 from gtau.export.consistent import (
@@ -21,8 +22,8 @@ from gtau.export.consistent import (
     term_notes,
     terms_left_out,
 )
-from gtau.export.exported import Exported, written
-from gtau.export.names import identifier
+from gtau.export.exported import Exported, identifier, written
+from gtau.export.input_file import InputFile, input_file
 from gtau.robots.geometry import compose, pose_of, turn
 from gtau.robots.rigid_body import RigidBody, rigid_body
 from gtau.robots.robot import (
@@ -63,6 +64,55 @@ def export(result: Result, out: Path) -> Exported:
         texts[f"{name}.yaml"] = _loops_text(robot)
     found = differences(model, model.standard, cubic=True)
     return Exported(written(out, texts), (difference_note(found), *notes(model, name)), found)
+
+
+def export_into(result: Result, source: Path, out: Path) -> Exported:
+    """Write a copy of the URDF ``source`` with identified inertias and friction into ``out``, and the drives beside it.
+
+    Raises
+    ------
+    GtauError
+        Where the result has no physically consistent parameters, or the file is not that of its robot.
+    """
+    model = consistent_model(result, "URDF")
+    if source.suffix.lower() != ".urdf":
+        raise GtauError(f"{source} is no URDF; give the .urdf file that the robot came from.")
+    file = input_file(source, result.robot)
+    carrier = _carriers(file, {joint.name for joint in result.robot.joints})
+    lumped = []
+    for element in file.root.findall("link"):
+        name, inertial = element.get("name", ""), element.find("inertial")
+        body, moves = carrier.get(name, (GROUND, False))
+        if moves:
+            new = inertial_element(rigid_body(model.standard, body))
+            ElementTree.indent(new)
+            text = ElementTree.tostring(new, encoding="unicode")
+            if inertial is None:
+                file.insert(element, text)
+            else:
+                file.replace(inertial, text)
+        elif body != GROUND and inertial is not None:
+            file.remove(inertial)
+            lumped.append(name)
+    for joint in file.root.findall("joint"):
+        name = joint.get("name", "")
+        if name in {each.name for each in result.robot.joints}:
+            friction = {"damping": repr(model.of("fv", name)), "friction": repr(model.of("fs", name))}
+            dynamics = joint.find("dynamics")
+            if dynamics is None:
+                file.insert(joint, ElementTree.tostring(Element("dynamics", friction), encoding="unicode"))
+            else:
+                file.set(dynamics, **friction)
+    found = differences(model, model.standard, cubic=True)
+    said = [difference_note(found), *notes(model, identifier(result.robot.name))]
+    if lumped:
+        said.append(
+            f"links on fixed joints are part of those that carry them, and have no inertia: {', '.join(lumped)}"
+        )
+    exported = file.save(out, said, found)
+    drives = out / f"{identifier(result.robot.name)}_drives.yaml"
+    write_atomically(drives, drives_text(model))
+    return Exported((*exported.files, drives), exported.notes, exported.figures)
 
 
 def notes(model: ConsistentModel, name: str) -> list[str]:
@@ -260,3 +310,22 @@ def _numbers(values: Iterable[float]) -> str:
 def _text(root: Element) -> str:
     ElementTree.indent(root)
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _carriers(file: InputFile, joints: set[str]) -> dict[str, tuple[str, bool]]:
+    """Find each link's joint of the robot that moves it, and whether the joint carries the link directly."""
+    above: dict[str, tuple[str, str]] = {}
+    for joint in file.root.findall("joint"):
+        parent, child = joint.find("parent"), joint.find("child")
+        if parent is not None and child is not None:
+            above[child.get("link", "")] = (joint.get("name", ""), parent.get("link", ""))
+    found = {}
+    for link in above:
+        at, direct = link, True
+        while at in above:
+            joint_name, parent_name = above[at]
+            if joint_name in joints:
+                found[link] = (joint_name, direct)
+                break
+            at, direct = parent_name, False
+    return found

@@ -18,8 +18,16 @@ from gtau.progress import Progress
 from gtau.robots.floating import refuse_floating
 from gtau.signals.experiment import check_robot, read_experiment
 from gtau.signals.payload import Payload
-from gtau.simulation.closed_loop import Simulated, simulate
-from gtau.simulation.controllers import Controller, Reference, computed_torque, pid_with_velocity, sample, simple_pid
+from gtau.simulation.closed_loop import (
+    Controller,
+    Reference,
+    Simulated,
+    computed_torque,
+    pid_with_velocity,
+    sample,
+    simple_pid,
+    simulate,
+)
 from gtau.simulation.experiment_files import apparatus
 from gtau.simulation.motions import make_trajectory
 from gtau.simulation.simulation_file import Simulation, check_joints, read_simulation

@@ -23,8 +23,16 @@ from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.readers.native_text import native_text
 from gtau.robots.robot import Robot
 from gtau.signals.payload import Payload
-from gtau.simulation.closed_loop import Engine, Hardware, Simulated, hardware, simulate, write_log
-from gtau.simulation.controllers import pid_with_velocity, sample
+from gtau.simulation.closed_loop import (
+    Engine,
+    Hardware,
+    Simulated,
+    hardware,
+    pid_with_velocity,
+    sample,
+    simulate,
+    write_log,
+)
 from gtau.simulation.joint_friction import TERMS, JointFriction, of_model
 from gtau.simulation.motions import check_positions, make_trajectory
 from gtau.simulation.mujoco_plant import MujocoPlant
@@ -74,10 +82,8 @@ def apparatus(
     parameters, friction = truth(simulation, model)
     chi = loaded(parameters, model.robot, payload)
     plant = Plant(model, chi, friction)
-    drives = {joint: each.drive for joint, each in simulation.drives.items()}
-    sensors = {joint: each.sensors for joint, each in simulation.drives.items()}
     engine = plant if simulation.engine == "gtau" else MujocoPlant(model, chi, friction)
-    return engine, plant, hardware(model.actuated, drives, sensors)
+    return engine, plant, hardware(model.actuated, simulation.drives)
 
 
 def make_run(

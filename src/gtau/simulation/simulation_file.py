@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
+from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
 from gtau.documents.files import SIMULATION, refuse_other_kind
 from gtau.documents.validation import Keys, Positive, expect, validate
@@ -18,18 +18,10 @@ from gtau.robots.robot import DAMPING, Robot
 from gtau.signals.columns import document_of
 from gtau.signals.logged_run import RobotName
 from gtau.signals.payload import Payload
-from gtau.simulation.closed_loop import Drive, Sensors
-from gtau.simulation.controllers import BANDWIDTH
+from gtau.simulation.closed_loop import BANDWIDTH, JointHardware, NotNegative
 from gtau.simulation.joint_friction import WIDTH
 
-NotNegative = Annotated[FiniteFloat, Field(ge=0)]
 PerJoint = dict[str, FiniteFloat]
-
-
-def _not_zero(gain: float) -> float:
-    if gain == 0:
-        raise ValueError("a drive with a gain of 0 gives no torque; write its N m/A (or N/A)")
-    return gain
 
 
 def existing(path: Path, info: ValidationInfo) -> Path:
@@ -38,30 +30,6 @@ def existing(path: Path, info: ValidationInfo) -> Path:
     if not path.is_file():
         raise ValueError(f"there is no file '{path}'; paths are relative to the simulation file")
     return path
-
-
-class JointHardware(Keys):
-    """Drive and sensors of a joint; see :class:`gtau.simulation.closed_loop.Drive` and ``Sensors``."""
-
-    gain: Annotated[FiniteFloat, AfterValidator(_not_zero)]
-    current_limit: Positive | None = None
-    ripple: NotNegative = 0.0
-    ripple_period: Positive = 1.0
-    position_quantum: NotNegative = 0.0
-    delay: Annotated[FiniteFloat, Field(ge=0, le=0.1)] = 0.0
-    current_noise: NotNegative = 0.0
-    current_quantum: NotNegative = 0.0
-
-    @property
-    def drive(self) -> Drive:
-        """The drive."""
-        limit = {} if self.current_limit is None else {"current_limit": self.current_limit}
-        return Drive(self.gain, ripple=self.ripple, ripple_period=self.ripple_period, **limit)
-
-    @property
-    def sensors(self) -> Sensors:
-        """The sensors."""
-        return Sensors(self.position_quantum, self.delay, self.current_noise, self.current_quantum)
 
 
 class RandomMotion(Keys):

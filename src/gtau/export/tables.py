@@ -1,4 +1,4 @@
-"""YAML file of gains, friction and base parameters with regroupings and intervals, for a controller or a person."""
+"""Gains, delays, friction, base parameters and payloads with their intervals, as YAML and as one table in CSV."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from pathlib import Path
 
 import yaml
 
+from gtau.documents.files import in_csv
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.identified_model import estimates_table
 from gtau.estimation.results.result import Result
-from gtau.export.exported import Exported, written
-from gtau.export.names import identifier
+from gtau.export.exported import Exported, identifier, written
 
 HEAD = """\
 # Identified model of '{robot}', written by 'gtau export'. SI units; std: standard deviation; interval: 95 %.
@@ -20,7 +20,12 @@ HEAD = """\
 """
 
 
-def export(result: Result, out: Path) -> Exported:
+def export_csv(result: Result, out: Path) -> Exported:
+    """Write ``NAME.csv`` into ``out``: one row per estimate, with value, std, 95 % interval and unit."""
+    return Exported(written(out, {f"{identifier(result.robot.name)}.csv": in_csv(result.to_frame())}))
+
+
+def export_yaml(result: Result, out: Path) -> Exported:
     """Write ``NAME.yaml`` into ``out``."""
     groups: dict[str, dict[str, object]] = {}
     for row in estimates_table(result):
