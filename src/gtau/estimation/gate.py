@@ -94,7 +94,7 @@ def require_identifiable(
 def tests_torques(system: System) -> bool:
     """Decide whether a known payload, a torque sensor or a wrench tests the scale of logged torques."""
     problem, known = system.problem, (each for each in system.payloads if each.payload.mass is not None)
-    return any(each.acts for each in known) or bool(problem.of("sensor") or problem.of("base") or problem.wrenches)
+    return any(each.acts for each in known) or bool(problem.wrenches) or not problem.free.all()
 
 
 def _require_priors_taken(
@@ -113,9 +113,9 @@ def _require_priors_taken(
     takers = ", ".join(each.name for each in ESTIMATORS.values() if each.takes_priors)
     stated, valued = dict(robot.inertias), {name: each.value for name, each in priors.items() if each.value is not None}
     of_file = all(name in stated and stated[name] == value for name, value in valued.items())
-    known = bool(valued) and not consistent
+    known, kinds = bool(valued) and not consistent, [each.kind for each in runs[0].channels]
     for what, key, there in (
-        ("torque sensors", "joint_torque", runs[0].sensors),
+        *((each.group, each.calibration, True) for each in kinds if each.of_joint and each.calibration),
         ("known parameters", "prior_inertias" if of_file else "priors", known),
         ("wrenches on bodies", "wrenches", any(body not in runs[0].base for body, _ in runs[0].wrenches)),
     ):

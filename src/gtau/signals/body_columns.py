@@ -138,13 +138,7 @@ class BaseColumns(Keys):
     def acting(self) -> tuple[BodyWrench, ...]:
         """Wrenches on the base, in the form used for any body."""
         return tuple(
-            BodyWrench(
-                force=each.force,
-                moment=each.moment,
-                at=each.at,
-                body=self.body,
-                axes="world" if each.axes == "world" else "body",
-            )
+            BodyWrench(**{**dict(each), "body": self.body, "axes": each.axes.replace("base", "body")})
             for each in self.wrenches
         )
 

@@ -1,15 +1,54 @@
-"""Measured channels: signals in A, N m or N that the model predicts or takes as given."""
+"""Measured channels: signals in A, N m or N that the model predicts or takes as given.
+
+What sets a kind of channel apart are the attributes of its :class:`ChannelKind`; other modules ask these.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 from gtau.robots.floating import WRENCH, WrenchFrame
-from gtau.robots.robot import Robot
 
-ChannelKind = Literal["motor", "sensor", "base", "wrench"]
+
+@dataclass(frozen=True)
+class ChannelKind:
+    """A kind of channel.
+
+    Attributes
+    ----------
+    name : str
+        In messages, beside the name of its joint or body.
+    group : str
+        All columns that a log updates together with those of this kind, in messages.
+    calibration : str
+        Key under ``calibration`` of the signals for the accuracy of its scale, ``""`` where the gain is to be found.
+    modelled : bool
+        True where it has equations: a row of the model explains it. Otherwise the model takes it as given.
+    of_joint : bool
+        True where it measures one joint of the user: such a signal never rests, and is clipped at a limit.
+    behind_drive : bool
+        True where it measures a joint's torque without the terms of its drive (rotor inertia, friction of motor and
+        gear, offset of the current); it has an offset and bearing friction of its own.
+    """
+
+    name: str
+    group: str
+    calibration: str = ""
+    modelled: bool = True
+    of_joint: bool = True
+    behind_drive: bool = False
+
+    @property
+    def free(self) -> bool:
+        """True where the gain may be unknown; signals in N m or N have gain 1."""
+        return not self.calibration
+
+
+MOTOR = ChannelKind("command", "commands")
+BASE = ChannelKind("wrench", "commands", "wrenches", of_joint=False)
+SENSOR = ChannelKind("torque sensor", "torque sensors", "joint_torque", behind_drive=True)
+WRENCH_COMPONENT = ChannelKind("wrench", "wrenches", "wrenches", modelled=False, of_joint=False)
 
 
 @dataclass(frozen=True)
@@ -20,7 +59,7 @@ class Channel:
     ----------
     name : str
         Suffix of the channel's own parameters (``off_2_sensor``).
-    kind : str
+    kind : ChannelKind
         Kind of the channel.
     joint : str
         Joint whose torque it measures; for a wrench the body.
@@ -33,30 +72,27 @@ class Channel:
     joint: str
     row: int
 
-    @property
-    def free(self) -> bool:
-        """True where the gain may be unknown; signals in N m or N have gain 1."""
-        return self.kind == "motor"
 
+def channels_of(
+    joints: Sequence[str], base: Sequence[str], sensors: Sequence[str] = (), wrenches: Sequence[WrenchFrame] = ()
+) -> tuple[Channel, ...]:
+    """List the channels of a run, in the order of its columns.
 
-def channels_of_model(robot: Robot, sensors: Sequence[str]) -> tuple[Channel, ...]:
-    """List the channels with model equations, (c,): actuated joints, then torque ``sensors``, given by joint."""
-    joints = robot.actuated
+    Parameters
+    ----------
+    joints, base : sequence of str
+        Actuated joints, the rows of the model, and those of them that are the rows of a floating base.
+    sensors : sequence of str
+        Joints with a torque sensor.
+    wrenches : sequence of WrenchFrame
+        Measured wrenches, six components each.
+    """
     return (
-        *(Channel(joint, "base" if joint in robot.base else "motor", joint, row) for row, joint in enumerate(joints)),
-        *sensor_channels(joints, sensors),
-    )
-
-
-def sensor_channels(joints: Sequence[str], sensors: Sequence[str]) -> tuple[Channel, ...]:
-    """List the channels of torque sensors, given by joint; ``joints`` are those of the rows of the model."""
-    return tuple(Channel(f"{joint}_sensor", "sensor", joint, joints.index(joint)) for joint in sensors)
-
-
-def wrench_channels(frames: Sequence[WrenchFrame]) -> tuple[Channel, ...]:
-    """List the channels of measured wrenches, six each."""
-    return tuple(
-        Channel(f"{frame.body}_{component}", "wrench", frame.body, 6 * k + number)
-        for k, frame in enumerate(frames)
-        for number, component in enumerate(WRENCH)
+        *(Channel(joint, BASE if joint in base else MOTOR, joint, row) for row, joint in enumerate(joints)),
+        *(Channel(f"{joint}_sensor", SENSOR, joint, joints.index(joint)) for joint in sensors),
+        *(
+            Channel(f"{frame.body}_{component}", WRENCH_COMPONENT, frame.body, 6 * k + number)
+            for k, frame in enumerate(wrenches)
+            for number, component in enumerate(WRENCH)
+        ),
     )

@@ -72,12 +72,12 @@ def check(
         _refuse_late(samples, clock)
     samples = _unwrapped(samples, _wraps(samples, notes))
     instants, holds = clock.instants(samples.time), holds_of(samples)
-    if glitches := find_glitches(samples, instants, holds.position):
+    if glitches := find_glitches(samples, instants, holds[0]):
         notes.append(glitch_note(samples, glitches))
         samples = without_glitches(samples, glitches)
         clock = clock_of(samples.time, samples.position, settings.clock)
         instants, holds = clock.instants(samples.time), holds_of(samples)
-    refuse_slips(samples, instants, holds.position)
+    refuse_slips(samples, instants, holds[0])
     refuse_magnitudes(samples)
     clips = tuple(clipped(samples, notes))
     grid = Resampling(clock, clips, holds, settings.delay)
@@ -97,16 +97,16 @@ def _refuse_stuck(samples: Samples, notes: list[Note]) -> None:
     still = (low == high)[:n]
     if still.all():
         raise GtauError(f"{source.name}: no position ever changes; give a log of a moving robot.")
-    joints, locked = (*source.joints, *source.sensors), (*still, *np.zeros(len(source.sensors), dtype=bool))
-    columns = zip(joints, source.columns[n:], low[n:], high[n:], locked, strict=False)
-    for joint, column, least, most, no_motion in columns:
-        if least == most and not no_motion and joint not in source.base:  # a locked joint may have no current
+    for channel, column, least, most in zip(source.channels, source.columns[n:-1], low[n:], high[n:], strict=True):
+        if least < most or not channel.kind.of_joint:
+            continue
+        if channel.kind.behind_drive or not still[channel.row]:  # a locked joint may have no current
             raise GtauError(
-                f"{source.name}, column '{column}' (joint '{joint}') is stuck at {least + 0.0:g}; "
+                f"{source.name}, column '{column}' (joint '{channel.joint}') is stuck at {least + 0.0:g}; "
                 "give the column with the measured values, or record the log again."
             )
     if names := _quoted(
-        [joint for joint, s in zip(source.joints, still, strict=True) if s and joint not in source.base]
+        [each.joint for each, s in zip(source.channels, still, strict=False) if s and each.kind.of_joint]
     ):
         notes.append(Note(Kind.REST, f"the position of joint {names} never changes: it yields no rows"))
 

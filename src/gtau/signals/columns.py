@@ -19,6 +19,7 @@ from pydantic import (
 from gtau.documents.validation import Keys, Positive, validate
 from gtau.documents.yaml_document import Document
 from gtau.signals.body_columns import BaseColumns, BaseUnits, BodyWrench, PoseColumns, PoseUnits, WrenchUnits
+from gtau.signals.channel import Channel, channels_of
 from gtau.signals.column_names import expanded, time_unit
 from gtau.signals.units import SHARES, Kind, checked_unit, is_angle, si_factor
 
@@ -56,6 +57,10 @@ class Calibration(Keys):
 
     joint_torque: Annotated[FiniteFloat, Field(gt=0, lt=0.5)] | None = None
     wrenches: Annotated[FiniteFloat, Field(gt=0, lt=0.5)] | None = None
+
+    def of(self, channel: Channel) -> float:
+        """Return the relative standard deviation of a channel's readings, 0 where none is stated."""
+        return getattr(self, channel.kind.calibration) or 0.0
 
 
 EXACT = Calibration()
@@ -116,18 +121,24 @@ class Signals(Keys):
 
     @property
     def measured(self) -> tuple[str, ...]:
-        """Columns of the commands, then of the torque sensors, then of the wrenches."""
+        """Columns of the commands, then of the torque sensors, then of all wrenches."""
         sensed = self.joint_torque or {}
         return (
             *(self.command[joint] for joint in self.position),
             *(sensed[joint] for joint in self.sensors),
-            *(column for each in self.wrenches for column in each.columns),
+            *(column for each in self.all_wrenches for column in each.columns),
         )
 
     @property
     def all_wrenches(self) -> tuple[BodyWrench, ...]:
         """Wrenches on all bodies, those on a floating base last."""
         return (*self.wrenches, *(self.base.acting if self.base else ()))
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """Channels measured by these columns, the rows of a floating base among them."""
+        base = self.base.joints if self.base else ()
+        return channels_of(self.joints, base, self.sensors, [each.frame for each in self.all_wrenches])
 
     @property
     def temperature_columns(self) -> dict[str, str]:
@@ -322,7 +333,7 @@ class Units(Keys):
         return None if unit is None else is_angle(unit)
 
     def scale(self, signals: Signals) -> tuple[list[float], list[float], float]:
-        """Compute factors to SI of the positions and of the commands, joint by joint, and of the time.
+        """Compute factors to SI of the columns of positions and base pose, of all measured ones, and of the time.
 
         Raises
         ------
@@ -330,9 +341,10 @@ class Units(Keys):
             A share of a rated value is logged, but the rated value is not given.
         """
         positions = [si_factor(self.of_position(joint) or "rad", "position") for joint in signals.position]
+        positions += signals.base.scale(self.base) if signals.base else []
         commands = [self._of_command(joint, signals) for joint in signals.position]
         commands += [si_factor(_of(self.joint_torque, joint) or "N m", "torque") for joint in signals.sensors]
-        commands += [factor for each in signals.wrenches for factor in self.wrenches.scale(each)]
+        commands += [factor for each in signals.all_wrenches for factor in self.wrenches.scale(each)]
         return positions, commands, si_factor(self.time or time_unit(signals.preset), "time")
 
     def _of_command(self, joint: str, signals: Signals) -> float:

@@ -303,15 +303,15 @@ def clipped(samples: Samples, notes: list[Note]) -> list[tuple[int, float]]:
     source, count = samples.source, len(samples.time)
     found = []
     low, high = extremes(samples.command)
-    moving = [*range(len(source.joints)), *map(source.joints.index, source.sensors)]
-    for j, (what, mover) in enumerate(zip(source.measured, moving, strict=True)):
-        if low[j] == high[j]:
-            continue  # a floating base has no command
+    for j, channel in enumerate(source.channels):
+        if low[j] == high[j] or not channel.kind.of_joint:
+            continue
+        what = f"the {channel.kind.name} of joint '{channel.joint}'"
         for level in (float(high[j]), float(low[j])):
             at = _count_at(samples.command, j, level)
             if at < CLIPPED_RUN or at < PILE_UP * _count_beside(samples.command, j, level):
                 continue
-            if _longest_at(samples, j, mover, level) < CLIPPED_RUN:
+            if _longest_at(samples, j, channel.row, level) < CLIPPED_RUN:
                 continue
             if at > MAX_CLIPPED * count and level == low[j] == 0.0:
                 raise GtauError(f"{source.name}: {what} is {UNSIGNED}.")
@@ -322,8 +322,7 @@ def clipped(samples: Samples, notes: list[Note]) -> list[tuple[int, float]]:
                 )
             masked = f"{what} is clipped at {level:.4g}: masked {counted(at, 'sample')}"
             action = "log again with smaller accelerations, or a higher limit of the drive"
-            joint = source.joints[mover]
-            notes.append(Note(Kind.CLIPPED, masked, action, joint=joint, share=at / count))
+            notes.append(Note(Kind.CLIPPED, masked, action, joint=channel.joint, share=at / count))
             found.append((j, level))
     return found
 

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.robots.floating import WRENCH
-from gtau.signals.body_columns import BaseColumns, BodyWrench, at_origins
+from gtau.signals.body_columns import at_origins
 from gtau.signals.columns import SampleRate, Signals, Units
 from gtau.signals.log_file import ALL, LogFile, read_log
 from gtau.signals.notes import Kind, Note
@@ -23,23 +22,20 @@ from gtau.signals.storage import block, spans, store
 class Logged:
     """Logs of a run, located but not yet read.
 
-    Of the ``files``' columns side by side, ``order`` are the positions, commands and torque sensors (n + c), or the
-    positions where the others are ``aligned``, and ``times`` the time, in one column or two; ``scale`` (n + c) and
-    ``time_scale`` bring them to SI units. ``rate`` (Hz) replaces absent time columns. ``notes`` report
-    what was left out or aligned.
+    Of the ``files``' columns side by side, ``order`` are those of positions and channels, or the
+    positions where the others are ``aligned``, and ``times`` the time, in one column or two; ``scale`` and
+    ``time_scale`` bring them to SI units. ``notes`` report what was left out or aligned.
     """
 
     files: tuple[LogFile, ...]
     source: Source
+    signals: Signals
     order: tuple[int, ...]
     scale: tuple[float, ...]
     times: tuple[int, ...]
     time_scale: float
-    rate: float | None
     aligned: Aligned | None
     notes: tuple[Note, ...]
-    base: BaseColumns | None = None
-    wrenches: tuple[BodyWrench, ...] = ()
 
     def blocks(
         self,
@@ -66,10 +62,7 @@ class Logged:
             rows = range(rows.start + shift, min(rows.stop + shift, self.aligned.rows.stop))
         for values, done in _side_by_side(self.files, rows):
             progress(done)
-            if self.rate is not None:
-                time = np.arange(row, row + len(values)) / self.rate
-            else:
-                time = seconds(values[:, self.times], self.time_scale)
+            time = instants(self.signals, values[:, self.times], self.time_scale, row)
             found = values[:, self.order]
             if self.aligned is not None:
                 commands = self.aligned.at(time)
@@ -83,32 +76,24 @@ class Logged:
 
         The columns (M, .) are those of positions, pose, commands and sensors, and wrenches.
         """
-        base, joints = self.base, len(self.source.joints) - len(self.source.base)
-        ends = [0, joints, len(base.pose) if base else 0, joints + len(self.source.sensors)]
-        q, pose, commands, wrenches = np.split(values, np.cumsum(ends)[1:], axis=1)
-        wrenches = at_origins(self.wrenches, wrenches, base.yaw if base else 0.0)
+        base = self.signals.base
+        own = len(base.joints) if base else 0
+        joints, modelled = len(self.source.joints) - own, sum(each.kind.modelled for each in self.source.channels) - own
+        widths = [joints, len(base.pose) if base else 0, modelled]
+        q, pose, commands, wrenches = np.split(values, np.cumsum(widths), axis=1)
+        wrenches = at_origins(self.signals.all_wrenches, wrenches, base.yaw if base else 0.0)
         if base is None:
             return np.hstack([q, commands, wrenches])
-        return np.hstack([base.positions(pose), q, np.zeros((len(values), 6)), commands, wrenches])
+        return np.hstack([base.positions(pose), q, np.zeros((len(values), own)), commands, wrenches])
 
 
 def find_logs(paths: Sequence[Path], signals: Signals, units: Units) -> Logged:
     """Find the columns of a run in its logs; raises GtauError."""
     if len(paths) not in (1, 2):
         raise GtauError(f"a run has {len(paths)} logs; give one, or two with the positions and the {signals.kind}s.")
-    times, stamps = signals.time_columns, signals.command_time_columns
-    positions, commands, base = list(signals.position.values()), list(signals.measured), signals.base
-    wrenches = [label for each in signals.all_wrenches for label in each.labels]
-    motors = commands[: len(commands) - sum(len(each.columns) for each in signals.wrenches)]
-    labels = (*positions, *motors, *wrenches)
+    times, stamps, base = signals.time_columns, signals.command_time_columns, signals.base
+    positions, commands = [*signals.position.values(), *(base.pose if base else ())], list(signals.measured)
     position_scale, command_scale, time_scale = units.scale(signals)
-    if base is not None:
-        labels = (*base.labels, *positions, *("no motor",) * 6, *motors, *wrenches)
-        position_scale, command_scale = (
-            position_scale + base.scale(units.base),
-            command_scale + [factor for each in base.wrenches for factor in units.wrenches.scale(each)],
-        )
-        positions, commands = [*positions, *base.pose], [*commands, *base.forces]
     if len(paths) == 1 and set(positions) & set(commands):
         raise GtauError(
             f"{paths[0]}: the column '{min(set(positions) & set(commands))}' is given both as a position and as a "
@@ -129,28 +114,33 @@ def find_logs(paths: Sequence[Path], signals: Signals, units: Units) -> Logged:
     source = Source(
         name=" and ".join(str(path) for path in paths),
         joints=signals.joints,
-        columns=(*labels, " and ".join(times) or "rate"),
+        channels=signals.channels,
+        columns=(*_labels(signals), " and ".join(times) or "rate"),
         texts=ChainMap(*(file.texts for file in reversed(files))),
         first_line=first.first_line + (aligned.rows.start if aligned else 0),
         line_word=first.line_word,
-        sensors=signals.sensors,
-        base=() if base is None else base.joints,
-        components=len(WRENCH) * len(signals.all_wrenches),
     )
     notes = [note.of(file.path.name) if len(files) > 1 else note for file in files for note in file.table.notes]
     return Logged(
         files=tuple(files),
         source=source,
+        signals=signals,
         order=tuple(columns.index(column) for column in wanted),
         scale=(*position_scale, *command_scale),
         times=tuple(columns.index((0, name)) for name in times),
         time_scale=time_scale,
-        rate=signals.time.rate if isinstance(signals.time, SampleRate) else None,
         aligned=aligned,
         notes=(*notes, *([aligned.note] if aligned and aligned.note else [])),
-        base=base,
-        wrenches=signals.all_wrenches,
     )
+
+
+def _labels(signals: Signals) -> Iterator[str]:
+    """Name the columns of positions and channels, for messages."""
+    base, joints = signals.base, len(signals.position)
+    yield from (*(base.labels if base else ()), *signals.position.values())
+    yield from ["no motor"] * len(base.joints if base else ())
+    yield from signals.measured[: joints + len(signals.sensors)]
+    yield from (label for each in signals.all_wrenches for label in each.labels)
 
 
 def _side_by_side(files: Sequence[LogFile], wanted: range) -> Iterator[tuple[np.ndarray, float]]:
@@ -283,6 +273,13 @@ def align(
         if out := len(clock) - len(rows):
             said += f"; left out {out} positions before the first or after the last of them"
     return Aligned(own, commands, longest, rows, Note(Kind.READING, said) if said else None)
+
+
+def instants(signals: Signals, stamps: np.ndarray, scale: float, row: int) -> np.ndarray:
+    """Compute the times (M,) in s of rows from ``row`` on, from their time columns (M, 0 to 2) or the given rate."""
+    if isinstance(signals.time, SampleRate):
+        return np.arange(row, row + len(stamps)) / signals.time.rate
+    return seconds(stamps, scale)
 
 
 def seconds(stamps: np.ndarray, scale: float) -> np.ndarray:

@@ -154,8 +154,8 @@ class PreparedRun:
         run, preparation, begin = self.run, self.preparation, max(0, at.start - STENCIL)
         q, qd, qdd = position_filter(run.position, run.rate, preparation.cutoff, at.start, at.stop)
         command = block(run.command, begin, min(len(run.time), at.stop + STENCIL))
-        rows = [channel.row for channel in run.channels if channel.kind != "wrench"]
-        c = len(rows)
+        modelled = [channel for channel in run.channels if channel.kind.modelled]
+        rows, c = [channel.row for channel in modelled], len(modelled)
         mine = slice(at.start - begin, at.stop - begin)
         command, command_d, command_dd = (each[mine] for each in (command, *differentiate(command, run.rate)))
         wrenches = [(frame, slice(c + 6 * k, c + 6 * k + 6)) for k, frame in enumerate(run.wrenches)]
@@ -175,7 +175,7 @@ class PreparedRun:
         moving = ~(slow @ rubbing) & (self.moves | ~rubbing.any(axis=0))
         valid = self.valid(start, stop)
         # a wrench acts on all joints, one on a floating base on its rows alone
-        usable, base = moving[:, rows] & valid[:, :c], np.array([run.joints[row] in run.base for row in rows])
+        usable, base = moving[:, rows] & valid[:, :c], np.array([not channel.kind.of_joint for channel in modelled])
         for frame, six in wrenches:
             usable &= valid[:, six].all(axis=1, keepdims=True) | (frame.body in run.base) & ~base
         return SampleWindow(

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import groupby
 
 import numpy as np
 
@@ -27,21 +27,25 @@ LONGEST = 200  # samples for which a slower signal is held, at most
 REGULAR = 0.6  # share of the samples in runs of equal ones of nearly one length, where a signal is slower than the log
 JUMP = 3.0  # quanta by which a signal jumps after it was held; a slow one that is rounded changes by one
 REPORTED = 1e-3  # share of samples that are stale, from which on they are interpolated and reported
-GROUPS = ("positions", "commands", "torque sensors", "wrenches")
 
 
 @dataclass(frozen=True)
 class Held:
-    """Sample-and-hold of a group of columns: positions, commands, torque sensors or wrenches.
+    """Sample-and-hold of a group of columns: of the positions, or of channels that a log updates together.
 
-    ``period`` is the usual number of samples from one value to the next, 1 where it is updated with every one.
+    ``what`` names the group, and ``columns`` are those of the positions or of the channels. ``period`` is the usual
+    number of samples from one value to the next, 1 where it is updated with every one.
     ``quanta`` (n,) are the columns' smallest changes. ``by_chance`` is True if noise and
-    reversals explain the repeated values, so that all samples are new.
+    reversals explain the repeated values, so that all samples are new; ``stale`` counts those that repeat the one
+    before.
     """
 
+    what: str
+    columns: slice
     period: int
     quanta: tuple[float, ...]
     by_chance: bool = False
+    stale: int = 0
 
     @property
     def longest(self) -> int:
@@ -72,81 +76,31 @@ class Held:
             found[start + 1 : start + count] = False
         return found
 
-
-@dataclass(frozen=True)
-class Holds:
-    """Sample-and-hold of each group of columns, in the order of :data:`GROUPS`; None where a log has no such columns.
-
-    ``stale`` are the samples of each that repeat the one before, and ``widths`` its columns.
-    """
-
-    groups: tuple[Held | None, ...]
-    stale: tuple[int, ...]
-    widths: tuple[int, ...]
-
-    @property
-    def position(self) -> Held:
-        """Sample-and-hold of the positions."""
-        assert self.groups[0] is not None
-        return self.groups[0]
-
-    @property
-    def none(self) -> bool:
-        """True where every sample is new."""
-        return not any(self.stale)
-
-    @property
-    def longest(self) -> int:
-        """Longest runs of equal samples that count as held, of all groups together."""
-        return sum(each.longest for each in self.groups if each is not None)
-
-    def fresh_commands(self, values: np.ndarray) -> list[tuple[slice, np.ndarray]]:
-        """Pair the columns of the commands, and of the sensors and wrenches, with their new samples (M,)."""
-        spans = _spans(self.widths[1:])
-        return [
-            (span, each.fresh(values[:, span]))
-            for span, each in zip(spans, self.groups[1:], strict=True)
-            if each is not None
-        ]
-
-    def notes(self, count: int, rate: float) -> list[Note]:
-        """List the notes on a log of ``count`` samples at ``rate`` Hz."""
-        found = []
-        for each, stale, what in zip(self.groups, self.stale, GROUPS, strict=True):
-            if each is None or not stale:
-                continue
-            if each.period > 1:
-                slow = (
-                    f"the {what} are held: updated at about {rate / each.period:.4g} Hz, every {each.period} samples; "
-                    "interpolated between updates"
-                )
-                found.append(Note(Kind.HELD, slow, f"log the {what} at the rate at which they change"))
-            else:
-                few = f"{stale} samples of the {what} are stale (repeat the previous one): interpolated"
-                found.append(Note(Kind.REPAIR, few, "log in the controller's own cycle", share=stale / count))
-        return found
+    def note(self, count: int, rate: float) -> Note:
+        """Report the stale samples of a log of ``count`` samples at ``rate`` Hz."""
+        if self.period > 1:
+            slow = (
+                f"the {self.what} are held: updated at about {rate / self.period:.4g} Hz, every {self.period} samples; "
+                "interpolated between updates"
+            )
+            return Note(Kind.HELD, slow, f"log the {self.what} at the rate at which they change")
+        few = f"{self.stale} samples of the {self.what} are stale (repeat the previous one): interpolated"
+        return Note(Kind.REPAIR, few, "log in the controller's own cycle", share=self.stale / count)
 
 
-def holds_of(samples: Samples) -> Holds:
-    """Detect sample-and-hold in each group of signals, in three passes."""
-    n, source = len(samples.source.joints), samples.source
-    widths = (n, n, len(source.sensors), source.components)
-    found = [_held(samples.position, slice(None)), *(_held(samples.command, each) for each in _spans(widths[1:]))]
-    groups = tuple(held if width else None for (held, _), width in zip(found, widths, strict=True))
-    return Holds(groups, tuple(stale for _, stale in found), widths)
+def holds_of(samples: Samples) -> tuple[Held, ...]:
+    """Detect sample-and-hold of the positions, and then of each group of channels, in three passes."""
+    found, start = [_held("positions", samples.position, slice(None))], 0
+    for group, channels in groupby(samples.source.channels, lambda channel: channel.kind.group):
+        stop = start + len(list(channels))
+        found.append(_held(group, samples.command, slice(start, stop)))
+        start = stop
+    return tuple(found)
 
 
-def _spans(widths: Sequence[int]) -> list[slice]:
-    """Find the column spans of adjacent groups."""
-    ends = np.cumsum([0, *widths]).tolist()
-    return [slice(*pair) for pair in pairwise(ends)]
-
-
-def _held(array: np.ndarray, columns: slice) -> tuple[Held, int]:
+def _held(what: str, array: np.ndarray, columns: slice) -> Held:
     """Detect sample-and-hold of a group's columns (N, n), and count its stale samples."""
     n = len(range(array.shape[1])[columns])
-    if not n:
-        return Held(1, ()), 0
     smallest = np.full(n, np.inf)
     for span in ahead(len(array)):
         change = np.abs(np.diff(block(array, *span)[:, columns], axis=0))
@@ -164,11 +118,11 @@ def _held(array: np.ndarray, columns: slice) -> tuple[Held, int]:
             run = len(change) - int(ends[-1])
         else:
             run += len(change)
-    held = Held(_period(lengths), tuple(quanta.tolist()))
+    held = Held(what, columns, _period(lengths), tuple(quanta.tolist()))
     stale = sum(int((~held.fresh(block(array, *span)[:, columns])).sum()) for span in ahead(len(array)))
     # Noise of some quanta repeats a sample as often as it steps by one quantum in each of the other 3^n - 1 directions.
     chance = 2 * near / (3.0**n - 1) + REPORTED * len(array)
-    return (held, stale) if stale > chance else (replace(held, period=1, by_chance=True), 0)
+    return replace(held, stale=stale) if stale > chance else replace(held, period=1, by_chance=True)
 
 
 def _period(lengths: np.ndarray) -> int:
@@ -206,18 +160,18 @@ class Resampling:
     """Resampling of a log on a uniform grid.
 
     The ``clock`` of its samples, columns of the commands with the levels at which they are ``clipped``, how positions
-    and commands are held, and by how much commands lag (``delay``, s).
+    and then groups of channels are held, and by how much commands lag (``delay``, s).
     """
 
     clock: Clock
     clipped: tuple[tuple[int, float], ...]
-    holds: Holds
+    holds: tuple[Held, ...]
     delay: float = 0.0
 
     @property
     def direct(self) -> bool:
         """True where the samples are on the grid already."""
-        return self.clock.gapless and self.holds.none and not self.delay
+        return self.clock.gapless and not any(each.stale for each in self.holds) and not self.delay
 
 
 def uniform(samples: Samples, instants: np.ndarray, grid: Resampling, given: bool, notes: list[Note]) -> UniformSamples:
@@ -261,7 +215,7 @@ def uniform(samples: Samples, instants: np.ndarray, grid: Resampling, given: boo
         what += f", and masked {masked} of them in gaps of more than {BRIDGED} samples" if masked else ""
         notes.append(Note(Kind.REPAIR, what, "log every cycle of the controller", share=missing / count))
     notes += _of_clock(clock, given)
-    notes += grid.holds.notes(count, clock.rate)
+    notes += [each.note(count, clock.rate) for each in grid.holds if each.stale]
     if grid.delay:
         what = f"moved the commands {grid.delay * 1e3:.4g} ms forward, as preparation.delay says"
         notes.append(Note(Kind.READING, what))
@@ -301,25 +255,26 @@ def resampled(
     """
     from scipy.interpolate import CubicSpline
 
-    clock, holds = resampling.clock, resampling.holds
+    clock, (positions, *channels) = resampling.clock, resampling.holds
     grid = clock.time(start, stop)
     begin, end = np.searchsorted(instants, grid[[0, -1]], side="right")
-    around = SURROUNDINGS + holds.longest
+    around = SURROUNDINGS + sum(each.longest for each in resampling.holds)
     begin, end = max(0, begin - around), end + around
     known, command = block(instants, begin, end), block(samples.command, begin, end)
     position = block(samples.position, begin, end)
     later = np.concatenate([[True], np.diff(known) > 0])
-    fresh = later & holds.position.fresh(position)
-    bridged = max(BRIDGED * clock.period, clock.whole, 1.5 * holds.position.period * clock.period)
+    fresh = later & positions.fresh(position)
+    bridged = max(BRIDGED * clock.period, clock.whole, 1.5 * positions.period * clock.period)
     lacking, masked = _gaps(known[later], grid, clock.whole), _gaps(known[fresh], grid, bridged)
     good = unclipped(command, resampling.clipped)
     before = np.clip(np.searchsorted(known, grid, side="right") - 1, 0, len(known) - 2)
     # Lines for the commands: a spline would overshoot where the current is noisy.
     values = np.column_stack(
         [
-            np.interp(grid + resampling.delay, known[later & new], each)
-            for columns, new in holds.fresh_commands(command)
-            for each in command[later & new, columns].T
+            np.interp(grid + resampling.delay, known[new], each)
+            for held in channels
+            for new in [later & held.fresh(command[:, held.columns])]
+            for each in command[new, held.columns].T
         ]
     )
     return (

@@ -11,9 +11,9 @@ import numpy as np
 
 from gtau.documents.validation import FUNCTION, name_problem, takes
 from gtau.errors import GtauError
-from gtau.robots.floating import WRENCH, WrenchFrame
+from gtau.robots.floating import WrenchFrame
 from gtau.robots.robot import base_rows
-from gtau.signals.channel import Channel, sensor_channels, wrench_channels
+from gtau.signals.channel import Channel, channels_of
 from gtau.signals.checks import check
 from gtau.signals.columns import EXACT, Calibration, Signals, Units, as_signals, as_units
 from gtau.signals.log_file import as_log
@@ -74,8 +74,7 @@ class Run:
         if problem := name_problem(self.name):
             raise GtauError(f"run: {problem}.")
         shape = (len(self.time), len(self.joints))
-        channels = len(self.joints) + len(self.sensors)
-        measured = (len(self.time), channels + len(WRENCH) * len(self.wrenches))
+        measured = (len(self.time), len(self.channels))
         if self.valid.size == 0:
             object.__setattr__(self, "valid", np.broadcast_to(True, measured))
         if self.position.shape != shape or self.command.shape != measured or self.valid.shape != measured:
@@ -94,11 +93,7 @@ class Run:
     @property
     def channels(self) -> tuple[Channel, ...]:
         """The channels in the columns of ``command``."""
-        joints = (
-            Channel(joint, "base" if joint in self.base else "motor", joint, row)
-            for row, joint in enumerate(self.joints)
-        )
-        return (*joints, *sensor_channels(self.joints, self.sensors), *wrench_channels(self.wrenches))
+        return channels_of(self.joints, self.base, self.sensors, self.wrenches)
 
     @property
     def rate(self) -> float:
@@ -175,10 +170,7 @@ def _is_path(each: Any) -> bool:
 
 def without_sensors(run: Run) -> Run:
     """Return the run without its torque sensors."""
-    if not run.sensors:
-        return run
-    kept = [*range(len(run.joints)), *_wrench_columns(run)]
-    return replace(run, sensors=(), command=_columns(run.command, kept), valid=_columns(run.valid, kept))
+    return _reordered(run, run.joints, ())
 
 
 def arrange(run: Run, joints: Sequence[str]) -> Run:
@@ -194,23 +186,24 @@ def arrange(run: Run, joints: Sequence[str]) -> Run:
             f"run '{run.name}' has the joints {', '.join(run.joints)}, but the robot's actuated joints are "
             f"{', '.join(joints)}; give signals for exactly these."
         )
-    order = [run.joints.index(joint) for joint in joints]
-    sensors = tuple(joint for joint in joints if joint in run.sensors)
-    measured = [*order, *(len(order) + run.sensors.index(joint) for joint in sensors), *_wrench_columns(run)]
-    if measured == list(range(len(measured))):
+    return _reordered(run, joints, [joint for joint in joints if joint in run.sensors])
+
+
+def _reordered(run: Run, joints: Sequence[str], sensors: Sequence[str]) -> Run:
+    """Keep the channels of ``joints`` and ``sensors``, in this order, before those that the model takes as given."""
+    names, given = [each.name for each in run.channels], [not each.kind.modelled for each in run.channels]
+    kept = [names.index(each.name) for each in channels_of(joints, (), sensors)]
+    kept += np.flatnonzero(given).tolist()
+    if kept == list(range(len(names))):
         return run
     return replace(
         run,
         joints=tuple(joints),
-        sensors=sensors,
-        position=_columns(run.position, order),
-        command=_columns(run.command, measured),
-        valid=_columns(run.valid, measured),
+        sensors=tuple(sensors),
+        position=_columns(run.position, kept[: len(joints)]),
+        command=_columns(run.command, kept),
+        valid=_columns(run.valid, kept),
     )
-
-
-def _wrench_columns(run: Run) -> range:
-    return range(len(run.joints) + len(run.sensors), run.command.shape[1])
 
 
 def _columns(array: np.ndarray, order: list[int]) -> np.ndarray:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.signals.channel import Channel
 from gtau.signals.notes import Kind, Note
 from gtau.signals.storage import Store, block, spans
 
@@ -20,27 +21,17 @@ MAX_MISSING = 0.05  # part of a log that may be bad or missing
 class Source:
     """Description of a log for messages.
 
-    ``columns`` are the names of the position columns, the command columns, those of the torque ``sensors`` (by joint),
-    those of the wrench ``components`` and the time column; ``texts`` their first non-numeric
-    entries read so far. Row 0 is in ``first_line``. The joints of a floating ``base`` are first; their
-    commands are external forces.
+    ``columns`` are the names of the columns of the ``joints``' positions, of the ``channels`` and of the time;
+    ``texts`` their first non-numeric entries read so far. Row 0 is in ``first_line``.
     """
 
     name: str
     joints: tuple[str, ...]
+    channels: tuple[Channel, ...]
     columns: tuple[str, ...]
     texts: Mapping[str, str]
     first_line: int = 1
     line_word: str = "line"
-    sensors: tuple[str, ...] = ()
-    base: tuple[str, ...] = ()
-    components: int = 0
-
-    @property
-    def measured(self) -> tuple[str, ...]:
-        """Contents of the columns after the positions, for messages: commands, then torque sensors."""
-        commands = (f"the command of joint '{joint}'" for joint in self.joints)
-        return (*commands, *(f"the torque sensor of joint '{joint}'" for joint in self.sensors))
 
     def places(self, rows: Sequence[int], count: int) -> str:
         """Describe the location in the file of ``count`` rows, the first of which are ``rows``."""
@@ -50,10 +41,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Samples:
-    """Complete samples of a log, SI units: ``time`` and ``rows`` (N,), ``position`` (N, n) and ``command`` (N, c).
-
-    The commands of the n joints come first, then the torques of the sensors, then the components of wrenches.
-    """
+    """Complete samples of a log, SI units: ``time`` and ``rows`` (N,), ``position`` (N, n) and ``command`` (N, c)."""
 
     source: Source
     rows: np.ndarray
@@ -125,31 +113,15 @@ def refuse_short(source: Source, count: int) -> None:
         )
 
 
-@dataclass(frozen=True)
-class Incomplete:
-    """Of ``count`` rows, the number ``of_rows`` that lack a value, the ``first`` of them, and the column that it lacks.
-
-    ``numbers`` are those in each column. ``empty`` further rows hold no position and no command: if there are many,
-    they hold other signals.
-    """
-
-    count: int
-    empty: int
-    of_rows: int
-    first: Sequence[int]
-    column: int
-    numbers: Sequence[int]
-
-
-def gathered(source: Source, blocks: Iterable[np.ndarray], part: Part = WHOLE) -> tuple[Samples, Incomplete]:
-    """Collect the complete samples of a log or of a part of it."""
-    n, count = len(source.joints), 0
-    wide = 2 * n + len(source.sensors) + source.components  # columns before the time
+def complete(source: Source, blocks: Iterable[np.ndarray], notes: list[Note], part: Part = WHOLE) -> Samples:
+    """Collect the complete samples of a log or of a part of it; raises GtauError if there are too few."""
+    n = len(source.joints)
+    wide = n + len(source.channels)  # columns before the time
     stores = Store(dtype=int), Store(), Store((n,)), Store((wide - n,))
     numbers = np.zeros(wide + 1, dtype=int)  # in each column
     bad: list[int] = []
     bad_empty: list[int] = []
-    bad_count, bad_column, empty = 0, 0, 0
+    count, bad_count, bad_column, empty = 0, 0, 0, 0
     for row, values in part.of(blocks):
         finite = np.isfinite(values)
         whole = bool(finite.all())
@@ -170,21 +142,33 @@ def gathered(source: Source, blocks: Iterable[np.ndarray], part: Part = WHOLE) -
     samples = Samples(source, *(each.array() for each in stores))
     if empty <= MAX_MISSING * (count + empty):  # faults like others, such as a last row that was cut
         bad, bad_count, count, empty = sorted(bad + bad_empty)[:5], bad_count + empty, count + empty, 0
-    return samples, Incomplete(count, empty, bad_count, bad, bad_column, numbers.tolist())
-
-
-def complete(source: Source, blocks: Iterable[np.ndarray], notes: list[Note], part: Part = WHOLE) -> Samples:
-    """Return the complete samples; raises GtauError if there are too few."""
-    samples, lacking = gathered(source, blocks, part)
-    if not lacking.count and part != WHOLE:
+    if not count and part != WHOLE:
         raise GtauError(
             f"{source.name} has no rows in the selected part (skip: {part.skip}, from: {part.begin:g}, to: "
             f"{part.end:g} s); correct these keys."
         )
-    refuse_short(source, lacking.count)
-    if lacking.empty:
-        notes.append(Note(Kind.READING, f"left out {counted(lacking.empty, 'row')} that hold only other signals"))
-    for column, number in zip(source.columns, lacking.numbers, strict=True):
+    refuse_short(source, count)
+    if empty:
+        notes.append(Note(Kind.READING, f"left out {counted(empty, 'row')} that hold only other signals"))
+    _refuse_empty_columns(source, numbers)
+    if bad_count > MAX_MISSING * count:
+        column = source.columns[bad_column]
+        entry = source.texts.get(column, "")
+        raise GtauError(
+            f"{source.name} has {bad_count} of {count} rows with missing or non-numeric values (first in "
+            f"{source.places(bad[:1], 1)}, column '{column}'"
+            + (f": '{entry}'" if entry else "")
+            + "); correct or delete them, or record the log again."
+        )
+    if bad_count:
+        places = source.places(bad, bad_count)
+        what = f"dropped {counted(bad_count, 'row')} with missing or non-numeric values ({places})"
+        notes.append(Note(Kind.REPAIR, what, share=bad_count / count))
+    return samples
+
+
+def _refuse_empty_columns(source: Source, numbers: np.ndarray) -> None:
+    for column, number in zip(source.columns, numbers.tolist(), strict=True):
         if not number:
             entry = source.texts.get(column, "")
             repair = "give the column that holds them"
@@ -195,20 +179,6 @@ def complete(source: Source, blocks: Iterable[np.ndarray], notes: list[Note], pa
                 + (f" (it begins with '{entry}')" if entry else "")
                 + f"; {repair}."
             )
-    if lacking.of_rows > MAX_MISSING * lacking.count:
-        column = source.columns[lacking.column]
-        entry = source.texts.get(column, "")
-        raise GtauError(
-            f"{source.name} has {lacking.of_rows} of {lacking.count} rows with missing or non-numeric values (first in "
-            f"{source.places(lacking.first[:1], 1)}, column '{column}'"
-            + (f": '{entry}'" if entry else "")
-            + "); correct or delete them, or record the log again."
-        )
-    if lacking.of_rows:
-        places = source.places(lacking.first, lacking.of_rows)
-        what = f"dropped {counted(lacking.of_rows, 'row')} with missing or non-numeric values ({places})"
-        notes.append(Note(Kind.REPAIR, what, share=lacking.of_rows / lacking.count))
-    return samples
 
 
 def counted(number: int, noun: str) -> str:

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gtau.errors import GtauError
-from gtau.signals.columns import SampleRate, Signals, Units
+from gtau.signals.columns import Signals, Units
 from gtau.signals.log_file import read_log
-from gtau.signals.log_set import seconds
+from gtau.signals.log_set import instants
 from gtau.signals.samples import WHOLE, Part
 from gtau.signals.storage import store
 
@@ -124,11 +124,7 @@ def _complete_rows(
     def blocks() -> Iterator[np.ndarray]:
         row = part.skip
         for values, _ in file.blocks(part.rows):
-            if isinstance(signals.time, SampleRate):
-                time = np.arange(row, row + len(values)) / signals.time.rate
-            else:
-                time = seconds(values[:, at], time_scale)
+            yield np.column_stack([values[:, order] * scale, instants(signals, values[:, at], time_scale, row)])
             row += len(values)
-            yield np.column_stack([values[:, order] * scale, time])
 
     return store((each[np.isfinite(each).all(axis=1)] for _, each in part.of(blocks())), (len(columns) + 1,))

@@ -68,7 +68,7 @@ def estimated_gains(
     if not solution.settled:
         yield Finding(F.UNSETTLED, motors(fit))
     for j, joint in enumerate(problem.joints):
-        if problem.channels[j].kind == "base":
+        if not problem.channels[j].kind.of_joint:
             continue  # the six rows of a base are judged together
         std, half, mine = float(stds[j]), float(halves[j]), (joint,)
         if std > LOST_GAIN:
@@ -184,12 +184,12 @@ def efforts_exceeded(fit: Fit) -> Iterator[Finding]:
 
 def motors(fit: Fit) -> tuple[str, ...]:
     """List the joints whose gains are judged: all but those of a floating base."""
-    return tuple(each.joint for each in fit.system.problem.channels if each.kind == "motor")
+    return tuple(each.joint for each in fit.system.problem.channels if each.kind.free)
 
 
 def in_context(fit: Fit, finding: Finding) -> Finding:
     """Note in a finding whether there is a payload, or a wrench on a body or a floating base, for its advice."""
-    wrenches = bool(fit.system.problem.wrenches or fit.system.problem.of("base"))
+    wrenches = bool(fit.system.problem.wrenches or fit.system.problem.base)
     return replace(finding, values={"payload": bool(fit.system.payloads), "wrenches": wrenches, **finding.values})
 
 
@@ -218,7 +218,7 @@ def base_misfit(fit: Fit) -> dict[str, float]:
     terms.
     """
     problem, theta = fit.system.problem, fit.solution.theta
-    rows = problem.of("base")
+    rows = problem.base
     left, whole = fit.solution.sigma[rows] ** 2, problem.balance(theta)[rows] ** 2
     terms = problem.largest_terms(theta)[rows] ** 2
     parts = {"forces": slice(0, 3), "moments": slice(3, 6)} if len(rows) else {}

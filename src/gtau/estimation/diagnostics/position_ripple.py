@@ -143,7 +143,7 @@ def ripple_findings(found: PositionRipple, fit: Fit) -> list[Finding]:
     j = int(np.argmax(found.shares[: len(problem.joints)]))
     moves = np.abs(found.moves[problem.gain_rows] / fit.gains)
     k = int(np.argmax(moves))
-    base = problem.channels[j].kind == "base"  # its rows are no joints of the user
+    base = not problem.channels[j].kind.of_joint  # its rows are no joints of the user
     moved = {"move": float(moves[k]), "moved": problem.joints[k]}
     values = {"share": float(found.shares[j]), "base": base, **moved}
     if base:

@@ -79,13 +79,13 @@ def stated_constants(dataset: Dataset, system: System) -> list[StatedConstant]:
         for kind, value in known_values(payload).items():
             std, of_unit = payload.mass_std if kind == "m" else 0.0, _torques_of_unit(dataset, system, name, kind)
             found.append(StatedConstant(f"payload '{name}'", value, std, of_unit, readings, 0.0 * known))
-    for k in problem.of("sensor"):
-        std, of_sensor = calibration.joint_torque or 0.0, np.eye(len(readings))[k]
-        source = f"torque sensor of '{problem.channels[k].joint}'"
+    for k in problem.sensors:
+        channel, of_sensor = problem.channels[k], np.eye(len(readings))[k]
+        source, std = f"{channel.kind.name} of '{channel.joint}'", calibration.of(channel)
         found.append(StatedConstant(source, 1.0, std, torques, of_sensor, 0.0 * known))
-    if problem.of("base") or system.of_wrenches is not None:
+    if problem.base or system.of_wrenches is not None:
         of_bodies = torques if system.of_wrenches is None else system.of_wrenches
-        std, of_base = calibration.wrenches or 0.0, np.eye(len(readings))[problem.of("base")].sum(axis=0)
+        std, of_base = calibration.wrenches or 0.0, np.eye(len(readings))[problem.base].sum(axis=0)
         found.append(StatedConstant(_wrenches(problem), 1.0, std, of_bodies, of_base, 0.0 * known))
     if len(known):
         found.append(StatedConstant("known parameters", 1.0, 0.0, torques, readings, -known))
@@ -106,7 +106,7 @@ def _torques_of_unit(dataset: Dataset, system: System, name: str, kind: str) -> 
 
 def _wrenches(problem: Problem) -> str:
     """Name the measured wrenches; with a base that floats they are those on the base too."""
-    base = [problem.channels[k].joint for k in problem.of("base")]
+    base = [problem.channels[k].joint for k in problem.base]
     if base and problem.wrenches:
         return "measured wrenches"
     bodies = problem.wrenches or base[-1:]
@@ -196,7 +196,7 @@ def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
     fit : Fit
         With gains that were estimated.
     """
-    problem, solution, sensors = fit.system.problem, fit.solution, fit.system.problem.of("sensor")
+    problem, solution, sensors = fit.system.problem, fit.solution, fit.system.problem.sensors
     if not sensors:
         return ()
     state = solution.iterate
@@ -222,14 +222,14 @@ def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
             sides.append((A.T @ A, A.T @ (unit[:, -1] + unit[:, columns] @ step)))
         of_known_part = back[-1] @ (of_known[:, columns] @ back).T  # what no unit of the data shows
         variance = jackknife(one_step(sides) @ back[-1:].T)[0, 0] + of_known_part @ of_known_part
-        std = float(np.hypot(np.sqrt(variance), fit.dataset.runs[0].calibration.joint_torque or 0.0))
+        std = float(np.hypot(np.sqrt(variance), fit.dataset.runs[0].calibration.of(problem.channels[sensor])))
         found.append(SensorScale(problem.channels[sensor].joint, 1 - float(step[-1]), std, T @ step[:-1]))
     return tuple(found)
 
 
 def _linear(block: np.ndarray, problem: Problem, state: Iterate, weights: np.ndarray) -> np.ndarray:
     """Build weighted rows ``[J | sensor torques | residuals]`` (., size + m + 1) of all channels in a block."""
-    torques, sensors = modelled(block, state.theta) * state.b[:, None], problem.of("sensor")
+    torques, sensors = modelled(block, state.theta) * state.b[:, None], problem.sensors
     offered = np.zeros((*torques.shape, len(sensors)))
     offered[sensors, :, range(len(sensors))] = -torques[sensors]
     J, e = jacobian(block, state, problem, True), residuals(block, state)

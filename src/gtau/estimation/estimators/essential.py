@@ -77,7 +77,7 @@ def select_friction_terms(problem: Problem) -> tuple[tuple[str, ...], float]:
     total = 0.0
     for j, channel in enumerate(problem.channels):
         position = {name: k for k, name in enumerate(problem.parameters)}
-        kinds = (*TERMS, *TEMPERATURE_TERMS) if channel.free else BEARING
+        kinds = (*TERMS, *TEMPERATURE_TERMS) if channel.kind.free else BEARING
         offered = [
             Parameter(term, channel.name).name for term in kinds if Parameter(term, channel.name).name in position
         ]

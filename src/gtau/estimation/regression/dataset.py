@@ -100,10 +100,9 @@ class Dataset:
             payloads,
             slowest,
             friction,
-            self.runs[0].sensors,
+            self.runs[0].channels,
             self.priors,
             None if self.temperatures is None else self.temperatures.of_stretches,
-            tuple(dict.fromkeys(b for b, _ in self.runs[0].wrenches if b != self.robot.floating)),
             [each.group for each in self.places],
         )
 

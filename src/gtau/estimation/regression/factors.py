@@ -18,7 +18,7 @@ from gtau.estimation.regression.rows import FAST_SAMPLES, Rows, stream_rows
 from gtau.estimation.regression.stretches import stretch_edges, stretch_of
 from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.singularities import singularities
-from gtau.signals.channel import Channel, channels_of_model
+from gtau.signals.channel import Channel
 from gtau.signals.decimation import Decimator
 from gtau.signals.preparation import InMemoryRun, PreparedRun
 from gtau.signals.storage import Store
@@ -106,7 +106,7 @@ def reduce_run(
     """
     regressor, near = idm.columns(columns), singularities(idm)
     stretches = stretch_of(stretch_edges(prepared) if edges is None else edges, decimator.outputs(len(prepared)))
-    channels = channels_of_model(idm.robot, prepared.run.sensors)
+    channels = [channel for channel in prepared.run.channels if channel.kind.modelled]
     c, p = len(channels), len(columns) + EXTRA
     rows_of = (regressor.columns[regressor.rows == channel.row] for channel in channels)
     own = [np.append(np.unique(each), np.arange(p - EXTRA, p)) for each in rows_of]

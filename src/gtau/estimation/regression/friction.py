@@ -75,7 +75,7 @@ def temperature_terms(joints: Sequence[str]) -> tuple[str, ...]:
 def bearing_terms(channels: Sequence[Channel]) -> tuple[str, ...]:
     """List all friction terms that the bearings of torque sensors may have of their own."""
     return tuple(
-        Parameter(kind, channel.name).name for channel in channels if channel.kind == "sensor" for kind in BEARING
+        Parameter(kind, channel.name).name for channel in channels if channel.kind.behind_drive for kind in BEARING
     )
 
 

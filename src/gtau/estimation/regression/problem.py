@@ -25,7 +25,7 @@ from gtau.estimation.regression.equations import (
     triangle,
 )
 from gtau.model.base_parameters import independent_columns
-from gtau.signals.channel import Channel, ChannelKind
+from gtau.signals.channel import Channel
 
 
 @dataclass(frozen=True)
@@ -69,16 +69,22 @@ class Problem:
     @cached_property
     def joints(self) -> tuple[str, ...]:
         """Actuated joints, those of a floating base included, (n,)."""
-        return tuple(each.joint for each in self.channels if each.kind != "sensor")
+        return tuple(each.joint for each in self.channels if not each.kind.behind_drive)
 
-    def of(self, kind: ChannelKind) -> list[int]:
-        """List the channels of a kind, by number."""
-        return [k for k, each in enumerate(self.channels) if each.kind == kind]
+    @cached_property
+    def sensors(self) -> list[int]:
+        """Numbers of the channels that measure a joint's torque itself, with the gain 1."""
+        return [k for k, each in enumerate(self.channels) if each.kind.of_joint and not each.kind.free]
+
+    @cached_property
+    def base(self) -> list[int]:
+        """Numbers of the channels that are rows of a floating base."""
+        return [k for k, each in enumerate(self.channels) if not each.kind.of_joint]
 
     @cached_property
     def free(self) -> np.ndarray:
         """Mask of the channels with a gain to estimate, (c,)."""
-        return np.array([each.free for each in self.channels])
+        return np.array([each.kind.free for each in self.channels])
 
     @property
     def scaled(self) -> bool:

@@ -25,7 +25,7 @@ from gtau.estimation.regression.problem import Problem
 from gtau.model.base_parameters import BaseParameters, independent_columns
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import parameter_of
-from gtau.signals.channel import channels_of_model
+from gtau.signals.channel import Channel, channels_of
 from gtau.signals.experiment import Prior
 from gtau.signals.payload import Payload
 
@@ -101,10 +101,9 @@ def assemble_system(
     payloads: Sequence[Payload | None],
     slowest: float,
     friction: Friction,
-    sensors: Sequence[str] = (),
+    channels: Sequence[Channel] = (),
     priors: Mapping[str, Prior] | None = None,
     temperatures: Sequence[np.ndarray] | None = None,
-    wrenches: Sequence[str] = (),
     motions: Sequence[int] | None = None,
 ) -> System:
     """Stack the factors of unloaded and loaded runs into one problem (eqs. 29 to 33).
@@ -123,14 +122,12 @@ def assemble_system(
         Longest delay that can be described, s; 0 for none.
     friction : Friction
         Terms to take, and whether friction may drift between runs.
-    sensors : sequence of str
-        Joints with a torque sensor, whose factors follow those of the joints.
+    channels : sequence of Channel
+        All channels of the runs; the actuated joints if left out.
     priors : mapping, optional
         Priors on parameters, by name.
     temperatures : sequence of ndarray, optional
         Differences (stretches, n) of the joints' temperatures from their means, for each run.
-    wrenches : sequence of str
-        Bodies on which measured wrenches act.
     motions : sequence of int, optional
         A number for each run, the same for runs that repeat a motion, whose stretches are left out together.
 
@@ -143,7 +140,10 @@ def assemble_system(
     carried = tuple(
         carried_payload(idm, base, run, payload) for run, payload in enumerate(payloads) if payload is not None
     )
-    channels = channels_of_model(idm.robot, sensors)
+    measured = channels or channels_of(idm.actuated, idm.robot.base)
+    channels = tuple(each for each in measured if each.kind.modelled)
+    given = (each.joint for each in measured if not each.kind.modelled and each.joint != idm.robot.floating)
+    wrenches = tuple(dict.fromkeys(given))
     effects = tuple(column_blocks(base, channels, carried, friction, len(factors)))
     parameters = unknown_names(effects)
     blocks: list[np.ndarray] = []
@@ -170,7 +170,7 @@ def assemble_system(
         rows[filled],
         slowest,
         known_equations(base, idm.parameter_names, parameters, priors),
-        tuple(wrenches),
+        wrenches,
         (motion * (stretch.max() + 1) + stretch)[filled],
     )
     if temperatures is None:  # all stretches of a run have the same map: their factors need not be merged again

@@ -293,7 +293,7 @@ def _sensors(
 ) -> tuple[SensorEstimate, ...]:
     """Collect the estimates of the torque sensors' own parameters."""
     robot, problem, solution, sensors = fit.dataset.robot, fit.system.problem, fit.solution, []
-    for k in problem.of("sensor"):
+    for k in problem.sensors:
         channel, joint = problem.channels[k].name, problem.channels[k].joint
         unit = torque_unit(robot, joint)
         row = problem.n_theta + len(problem.channels) + k
