@@ -336,6 +336,6 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
 
 def _wrench_checks(run: Run, power: np.ndarray) -> Iterator[WrenchCheck]:
     """Describe the wrenches of a run by the mean squares of its command columns."""
-    of_wrenches = power[[not each.kind.modelled for each in run.channels]].reshape(-1, 2, 3).sum(axis=2)
+    of_wrenches = power[run.given].reshape(-1, 2, 3).sum(axis=2)
     for frame, (moment, force) in zip(run.wrenches, np.sqrt(of_wrenches).tolist(), strict=True):
         yield WrenchCheck(frame.body, "world" if frame.of_world else "body", force, moment)

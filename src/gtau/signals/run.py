@@ -96,6 +96,11 @@ class Run:
         return channels_of(self.joints, self.base, self.sensors, self.wrenches)
 
     @property
+    def given(self) -> slice:
+        """The columns of ``command`` that the model takes as given, those of the wrenches, after all others."""
+        return slice(sum(each.kind.modelled for each in self.channels), len(self.channels))
+
+    @property
     def rate(self) -> float:
         """Sampling rate, Hz."""
         return (len(self.time) - 1) / float(self.time[-1] - self.time[0])

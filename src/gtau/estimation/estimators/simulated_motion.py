@@ -112,8 +112,7 @@ def resimulated(
             f"run '{run.name}': the robot simulated with the estimated parameters does not follow its motion; "
             "use --method ml, or add runs that excite the parameters better."
         )
-    channels = sum(each.kind.modelled for each in run.channels)
-    rest = {name: Store((channels,), bool if name == "usable" else float) for name in MEASURED}
+    rest = {name: Store((run.given.start,), bool if name == "usable" else float) for name in MEASURED}
     for start, stop in spans(samples):
         measured = prepared.samples(start, stop)
         number = np.arange(kept.start + start, kept.start + stop)

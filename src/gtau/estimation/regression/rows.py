@@ -11,7 +11,6 @@ import numpy as np
 from gtau.estimation.regression.friction import term_columns
 from gtau.model.inverse_dynamics import PATH, InverseDynamics, Regressor
 from gtau.model.loops import Motion
-from gtau.robots.floating import WRENCH
 from gtau.signals.decimation import Block, Decimator
 from gtau.signals.preparation import InMemoryRun, PreparedRun, SampleWindow
 from gtau.signals.run import Run
@@ -179,7 +178,7 @@ def external_torques(idm: InverseDynamics, run: Run, motion: Motion, measured: n
     """
     torques = np.zeros((len(measured), len(idm.actuated), measured.shape[-1]))
     if run.wrenches:
-        columns, w = idm.wrenches(run.wrenches), measured[:, len(run.channels) - len(WRENCH) * len(run.wrenches) :]
+        columns, w = idm.wrenches(run.wrenches), measured[:, run.given]
         for entry, row, column in zip(columns(idm.layout, motion), columns.rows, columns.columns, strict=True):
             torques[:, row] += entry * w[:, column]
     return torques

@@ -133,7 +133,7 @@ WRENCH_POINTS = Hypothesis("wrench points", True, _points, (POINT,), description
 
 def _rms(fit: Fit) -> np.ndarray:
     """Compute the rms of all components of the wrenches in all runs, (6 k,), N m and N."""
-    squares = [np.mean(run.command[:, len(run.joints) + len(run.sensors) :] ** 2, axis=0) for run in fit.dataset.runs]
+    squares = [np.mean(run.command[:, run.given] ** 2, axis=0) for run in fit.dataset.runs]
     return np.asarray(np.sqrt(np.mean(squares, axis=0)))
 
 
@@ -141,8 +141,7 @@ def _felt(fit: Fit, window: InMemoryRun, read: Reading) -> CandidateColumns:
     """Compute the joint torques that errors of the wrench readings cause."""
     model, run = fit.dataset.model, window.run
     measured = window.samples().command.T
-    first = len(run.channels) - len(WRENCH) * len(run.wrenches)
-    extra = read(measured[first:])
+    extra = read(measured[run.given])
     padded = np.zeros((len(extra), len(run.channels), extra.shape[-1]))
-    padded[:, first:] = extra
+    padded[:, run.given] = extra
     return at_full_rate(window, fit.dataset, external_torques(model, run, window_motion(model, window), padded))
