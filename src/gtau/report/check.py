@@ -36,7 +36,6 @@ from gtau.report.page import (
     section,
     table,
 )
-from gtau.report.preparation import preparation_chart
 from gtau.robots.robot import Robot
 from gtau.robots.units import command_unit, position_unit
 from gtau.signals.notes import Kind as NoteKind
@@ -100,7 +99,7 @@ def check_page(checked: ExperimentCheck) -> Page:
     robot, preparation = checked.robot, checked.preparation
     nearest = [each for log in checked.logs for each in log.nearest]
     motions = [section(log.run.name, motion_chart(log, robot), folded=k > 0) for k, log in enumerate(checked.logs)]
-    prepared = [section(log.run.name, preparation_chart(log), folded=True) for log in checked.logs]
+    prepared = [section(log.run.name, logs.preparation_chart(log), folded=True) for log in checked.logs]
     spectra = logs.spectra_items(checked.logs[0].run, robot, preparation) if preparation and checked.logs else []
     return page(
         f"Logs of {checked.robot.name}",
@@ -269,7 +268,7 @@ def write_preparation(checked: ExperimentCheck, folder: Path) -> list[Path]:
 
     names = unique_names([log.run.name for log in checked.logs])
     return [
-        save(preparation_chart(log), folder / f"{name}-preparation.png")
+        save(logs.preparation_chart(log), folder / f"{name}-preparation.png")
         for name, log in zip(names, checked.logs, strict=True)
     ]
 

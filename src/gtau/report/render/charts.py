@@ -16,8 +16,7 @@ import numpy as np
 from gtau.documents.files import write_atomically
 from gtau.errors import GtauError
 from gtau.report.page import Axis, Chart, Panel, Series
-from gtau.report.render.live import envelope
-from gtau.report.render.panels import BUCKETS, NAMES, dashes_of
+from gtau.report.render.panels import BUCKETS, NAMES, dashes_of, envelope
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

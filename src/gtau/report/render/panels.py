@@ -9,7 +9,6 @@ from math import ceil, floor, log10
 import numpy as np
 
 from gtau.report.page import Axis, Panel, Series
-from gtau.report.render.live import envelope
 from gtau.report.render.sketch import Item, Mark, Path, Sketch, Word
 
 MINUS = "\N{MINUS SIGN}"
@@ -260,3 +259,41 @@ def _marks(series: Series, x: Scale, y: Scale) -> Iterator[Item]:
             yield Mark(place, size=5.5, fill=colour)
         else:
             yield Mark(place, "diamond", 5.5, "page", colour, 1.2)
+
+
+def envelope(time: np.ndarray, values: np.ndarray, buckets: int) -> tuple[np.ndarray, np.ndarray]:
+    """Thin series to the extremes of each bucket, in the order in which they occur.
+
+    Parameters
+    ----------
+    time : ndarray
+        (K,) instants.
+    values : ndarray
+        (K, m) series; NaN is left out.
+    buckets : int
+        Buckets of equal numbers of samples.
+
+    Returns
+    -------
+    time, values : ndarray
+        (2 buckets,) and (2 buckets, m): two instants a bucket, which all series share; the input itself where it is
+        no longer than that.
+    """
+    samples, m = values.shape
+    size = -(-samples // buckets)
+    if size <= 2:
+        return time, values
+    count = -(-samples // size)
+    padded = np.full((count * size, m), np.nan)
+    padded[:samples] = values
+    padded = padded.reshape(count, size, m)
+    gaps = np.isnan(padded)
+    low = np.where(gaps, np.inf, padded).argmin(axis=1)
+    high = np.where(gaps, -np.inf, padded).argmax(axis=1)
+    first, last = np.minimum(low, high), np.maximum(low, high)
+    pairs = np.stack([np.take_along_axis(padded, at[:, None], axis=1)[:, 0] for at in (first, last)], axis=1)
+    instants = np.full(count * size, time[-1])
+    instants[:samples] = time
+    instants = instants.reshape(count, size)
+    shared = np.stack([instants[:, 0], instants[:, size // 2]], axis=1)
+    return shared.reshape(-1), pairs.reshape(-1, m)
