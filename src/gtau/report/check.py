@@ -16,21 +16,17 @@ from gtau.estimation.results.singularity_distances import write_distances
 from gtau.report import logs
 from gtau.report.findings import findings_section, same_in_several
 from gtau.report.geometry import geometry_section
-from gtau.report.motion import TIME, distances_panel, singularities_section
+from gtau.report.motion import distances_panel, joint_panels, singularities_section
 from gtau.report.page import (
-    Axis,
     Chart,
     Column,
     Drawing,
     Facts,
     Kind,
     Page,
-    Panel,
     Section,
-    Series,
     Table,
     Text,
-    colour,
     joint_label,
     page,
     section,
@@ -231,15 +227,9 @@ def _wrenches(log: LogCheck) -> Table | None:
 
 def motion_chart(log: LogCheck, robot: Robot) -> Chart:
     """Draw the motion of the joints in a log, and its distances to singularities of both types."""
-    time, panels = log.distances.time - float(log.run.time[0]), []
-    for unit in ("rad", "m"):
-        lines = [
-            Series(joint_label(each.joint), time, log.position[:, j], colour(j))
-            for j, each in enumerate(log.joints)
-            if position_unit(robot, each.joint) == unit
-        ]
-        panels += [Panel(TIME, Axis(f"position, {unit}"), tuple(lines), height=2.1)] if lines else []
-    distances = distances_panel(log.distances, float(log.run.time[0]))
+    start, joints = float(log.run.time[0]), [each.joint for each in log.joints]
+    panels = joint_panels(robot, joints, log.distances.time - start, log.position, "position", 2.1)
+    distances = distances_panel(log.distances, start)
     return Chart((*panels, *([distances] if distances else [])), log.run.name, live=True)
 
 

@@ -13,7 +13,23 @@ from gtau.estimation.results.result import Result
 from gtau.estimation.results.singularity_distances import Distances, NearestPose
 from gtau.estimation.thresholds.logs import NEAR_SINGULAR
 from gtau.report.evidence import RunEvidence
-from gtau.report.page import Axis, Chart, Column, Drawing, Kind, Panel, Section, Series, Text, colour, section, table
+from gtau.report.page import (
+    Axis,
+    Chart,
+    Column,
+    Drawing,
+    Kind,
+    Panel,
+    Section,
+    Series,
+    Text,
+    colour,
+    joint_label,
+    section,
+    table,
+)
+from gtau.robots.robot import Robot
+from gtau.robots.units import position_unit
 from gtau.signals.run import Run, arrange
 from gtau.signals.storage import rows_at
 
@@ -41,6 +57,21 @@ def motion_section(result: Result, runs: Sequence[RunEvidence]) -> Section:
         *(section(each.title, Chart((each,), live=True), folded=k > 0) for k, each in enumerate(distances)),
         id="robot",
     )
+
+
+def joint_panels(
+    robot: Robot, joints: Sequence[str], time: np.ndarray, values: np.ndarray, what: str, height: float, per: str = ""
+) -> list[Panel]:
+    """Draw a quantity (K, n) of joints over time, a panel for rotations and one for translations."""
+    panels = []
+    for unit in ("rad", "m"):
+        lines = tuple(
+            Series(joint_label(joint), time, values[:, j], colour(j))
+            for j, joint in enumerate(joints)
+            if position_unit(robot, joint) == unit
+        )
+        panels += [Panel(TIME, Axis(f"{what}, {unit}{per}"), lines, height=height)] if lines else []
+    return panels
 
 
 def singularities_section(nearest: Sequence[NearestPose]) -> Section | None:
