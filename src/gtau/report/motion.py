@@ -9,7 +9,6 @@ from itertools import combinations
 import numpy as np
 
 from gtau.estimation.results.identified_model import IdentifiedModel
-from gtau.estimation.results.result import Result
 from gtau.estimation.results.singularity_distances import Distances, NearestPose
 from gtau.estimation.thresholds.logs import NEAR_SINGULAR
 from gtau.report.evidence import RunEvidence
@@ -41,7 +40,7 @@ POSES = 1500  # of a run, in its path
 TIME = Axis("time from the start of the run, s")
 
 
-def motion_section(result: Result, runs: Sequence[RunEvidence]) -> Section:
+def motion_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Section:
     """Show the robot, the path of the body that carries the payload, and distances to singular poses."""
     used = any(run.used for run in runs)
     drawn = [each.run for each in runs if each.used == used][:PATHS]
