@@ -15,7 +15,7 @@ from gtau.estimation.diagnostics.inertia_audit import AuditedParameter
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.priors import inertia_priors
 from gtau.estimation.results.result import Result
-from gtau.report.inertias import inertias_section
+from gtau.report.parameters import inertias_section
 from gtau.robots.robot import Robot
 
 

@@ -14,7 +14,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 import gtau
-from gtau.cli.identification import CONTROLLERS, _exported
+from gtau.cli.models import CONTROLLERS, _exported
 from gtau.errors import GtauError
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.payload import QUANTITIES, UNITS, PayloadBody

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 import gtau
 from gtau.cli.commands import app
-from gtau.cli.export import KINDS as SPELLED
+from gtau.cli.models import KINDS as SPELLED
 from gtau.export.registry import KINDS
 from gtau.model.home import load_robot
 

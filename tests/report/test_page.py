@@ -28,11 +28,11 @@ from gtau.report.page import (
     table,
 )
 from gtau.report.render.charts import figure_of, palette
-from gtau.report.render.html import MINUS, frame, html, minus
-from gtau.report.render.live import arrays_for, envelope, spec_of, stretches
-from gtau.report.render.panels import sketch_of, ticks
+from gtau.report.render.html import MINUS, arrays_for, frame, html, minus, spec_of
+from gtau.report.render.panels import envelope, sketch_of, ticks
 from gtau.report.render.sketch import Path, Word, svg
 from gtau.report.render.terminal import plain
+from gtau.report.torques import stretches
 
 NASTY = '<b onclick="x">$steel & co</b>'
 COLUMNS = (

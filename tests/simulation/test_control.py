@@ -15,7 +15,7 @@ from gtau.errors import GtauError
 from gtau.estimation.identify import identify
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.report.control import control_page
+from gtau.report.comparison import control_page
 from gtau.report.render.terminal import plain
 from gtau.robots.readers.native_text import native_text
 from gtau.robots.robot import Joint, Limits, Robot

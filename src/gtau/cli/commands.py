@@ -9,9 +9,9 @@ import typer
 from typer.core import TyperCommand
 
 from gtau import __version__
-from gtau.cli.export import export, use
-from gtau.cli.identification import compare, fleet, identify, payload, validate
+from gtau.cli.identification import compare, fleet, identify
 from gtau.cli.logs import check, init
+from gtau.cli.models import export, payload, use, validate
 from gtau.cli.robots import compare_control, demo, excite, robot, simulate, tutorial
 from gtau.cli.watch import watch
 

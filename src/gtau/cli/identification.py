@@ -1,18 +1,14 @@
-"""Commands from logs to results: identify, fleet, compare, validate, payload."""
+"""Commands from logs to models: identify, compare, fleet."""
 
 from __future__ import annotations
 
 import os
-import textwrap
-from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from enum import StrEnum
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -21,29 +17,15 @@ from gtau.cli.console import (
     Dask,
     ExperimentFile,
     Json,
-    ModelFile,
     ReportFolder,
     print_json,
     progress_bar,
     refusals,
     show,
 )
-from gtau.cli.drafting import KindOfLogs, Payloads, PresetOfLogs, RobotOfLogs, Sources, experiment_of
+from gtau.cli.logs import KindOfLogs, Payloads, PresetOfLogs, RobotOfLogs, Sources, experiment_of
 from gtau.documents.files import folder_of, refuse_as_folder, write_atomically
-from gtau.errors import GtauError, missing_extra
-
-if TYPE_CHECKING:
-    from gtau.estimation.results.payload import PayloadBody
-    from gtau.export.exported import Exported
-
-CONTROLLERS = "ur, franka, kuka, abb, ros"  # the PAYLOAD_KINDS of the registry, which --help need not import
-
-
-class Gains(StrEnum):
-    """Drive gains with which a payload is weighed."""
-
-    identified = "identified"
-    prior = "prior"
+from gtau.errors import GtauError
 
 
 def identify(
@@ -183,139 +165,6 @@ def compare(experiment: ExperimentFile, out: ReportFolder = None, json_: Json = 
             print_json(to_document(found))
         else:
             show(page, written)
-
-
-def validate(
-    model: ModelFile,
-    experiment: ExperimentFile,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            metavar="DIR",
-            help="Folder for report.html and, of each run, a figure and a table with all samples.",
-        ),
-    ] = None,
-    json_: Json = False,
-) -> None:
-    """Compare measured torques with those of a model on the validation runs; with DIR also as figures."""
-    with refusals(json_):
-        refuse_as_folder(out)
-        start = perf_counter()
-        with progress_bar() as progress:
-            from gtau.estimation.experiment_runs import experiment_of, read_runs
-            from gtau.estimation.results.conclusions import without_temperature
-            from gtau.estimation.results.result import Result
-            from gtau.report.evidence import predicted, settings_of
-            from gtau.report.validation import validation_document, validation_page, validation_report, write_torques
-            from gtau.report.write import inputs_of, write_report
-
-            result = Result.load(model)
-            described = experiment_of(result, experiment)
-            if not described.validation:
-                raise GtauError(f"{experiment} has no validation runs; list them under 'validation'.")
-            runs = []
-            for k, run in enumerate(read := read_runs(described, described.validation, progress)):
-                progress("predicting torques", k, len(read))
-                runs.append(predicted(result, run, longest=None))
-        written: list[Path] = []
-        notes = without_temperature(result, described.signals)
-        if out is not None:
-            page = validation_report(result, runs, described.expected_gains, notes)
-            inputs = (("model", model), *inputs_of(experiment, described, runs=False))
-            written = [write_report(page, folder_of(out), perf_counter() - start, inputs, settings_of(result))]
-            written += write_torques(result, runs, out)
-        if json_:
-            print_json(validation_document(runs))
-        else:
-            show(validation_page(result, runs, notes), written)
-
-
-def payload(
-    model: ModelFile,
-    experiment: ExperimentFile,
-    gains: Annotated[
-        Gains, typer.Option(metavar="identified|prior", help="The model's gains, or the file's prior_gains.")
-    ] = Gains.identified,
-    frame: Annotated[
-        str,
-        typer.Option(
-            metavar="LINK|POSE",
-            help="Frame of the centre of mass and inertia: a link of the URDF (tool0), or 'x y z roll pitch yaw' "
-            "(m, rad) from the frame of the body that carries the payload. Default: that frame.",
-            show_default=False,
-        ),
-    ] = "",
-    to: Annotated[
-        str | None,
-        typer.Option("--to", metavar="CONTROLLER", help=f"Also write each payload for a controller: {CONTROLLERS}."),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Folder for report.html and the files of --to.")
-    ] = None,
-    json_: Json = False,
-) -> None:
-    """Weigh unknown payloads from loaded runs and a run without payload.
-
-    Reports mass, centre of mass and inertia about it, of a physically possible body, with 95 % intervals.
-    """
-    with refusals(json_):
-        refuse_as_folder(out)
-        if to is not None and out is None:
-            raise GtauError(f"--to {to} writes files; name their folder by --out DIR.")
-        start = perf_counter()
-        with progress_bar() as progress:
-            from gtau.estimation.results.model_document import payload_documents
-            from gtau.estimation.results.result import Result
-            from gtau.estimation.weigh import exact_gains, weigh
-            from gtau.report.evidence import settings_of
-            from gtau.report.validation import bodies_document, weighing_page, weighing_report
-            from gtau.report.write import inputs_of, write_report
-            from gtau.signals.experiment import read_experiment
-
-            result = Result.load(model)
-            found = weigh(result, experiment, gains=gains.value, progress=progress)
-        described, written, notes = read_experiment(experiment), list[Path](), list[str]()
-        file = described.robot if isinstance(described.robot, str) else described.robot.file
-        bodies = []
-        if frame or to or find_spec("clarabel"):  # an extra, without which masses are weighed all the same
-            bodies = [each.in_frame(frame, file) for each in found]
-        else:
-            notes.append(str(missing_extra("what is said of the centre of mass", "clarabel", "consistency")))
-        exact = exact_gains(described, gains.value)
-        if out is not None:
-            page = weighing_report(result, found, gains.value, described.expected_gains, exact, bodies)
-            inputs = (("model", model), *inputs_of(experiment, described))
-            settings = {**settings_of(result), "drive gains": gains.value}
-            written = [write_report(page, folder_of(out), perf_counter() - start, inputs, settings)]
-            for exported in () if to is None else _exported(bodies, to, out):
-                written += exported.files
-                notes += exported.notes
-        if json_:
-            print_json(
-                {
-                    "payloads": payload_documents(found),
-                    "bodies": bodies_document(bodies),
-                    "files": [str(path) for path in written],
-                    "notes": notes,
-                    "gains": gains.value,
-                    "gain_uncertainty_included": not exact,
-                }
-            )
-        else:
-            show(weighing_page(result, found, gains.value, exact, bodies), written)
-            for each in notes:
-                typer.echo(textwrap.fill(f"- {each}", 80, subsequent_indent="  "))
-
-
-def _exported(bodies: Sequence[PayloadBody], to: str, out: Path) -> list[Exported]:
-    """Write payloads for a controller, each weighing to its own files."""
-    from gtau.export.exported import identifier
-    from gtau.export.registry import export_payload
-    from gtau.report.check import unique_names
-
-    names = unique_names([identifier(each.name) for each in bodies])
-    return [export_payload(replace(each, name=name), to, out) for each, name in zip(bodies, names, strict=True)]
 
 
 def fleet(

@@ -266,6 +266,6 @@ def compare_control(
         if json_:
             print_json({"tracking": table_document(comparison)})
         else:
-            from gtau.report.control import control_page
+            from gtau.report.comparison import control_page
 
             show(control_page(comparison))

@@ -88,8 +88,7 @@ def watch(
         from gtau.report.watch import watch_page, watch_report
         from gtau.report.write import write_report
         from gtau.watch.follow import follow as follow_source
-        from gtau.watch.logs import date_of, logs_of
-        from gtau.watch.state import HISTORY, digest_of, open_history
+        from gtau.watch.state import HISTORY, date_of, digest_of, logs_of, open_history
         from gtau.watch.watch import Status, Watch
 
         healthy, count = _baseline(baseline)
@@ -158,7 +157,7 @@ def _say(status: Status | Skipped, as_json: bool) -> None:
 
 def _baseline(text: str) -> tuple[list[Path], int]:
     """Read ``--baseline``: a number of logs, or a folder whose logs they are."""
-    from gtau.watch.logs import logs_of
+    from gtau.watch.state import logs_of
 
     if text.isdigit():
         return [], int(text)

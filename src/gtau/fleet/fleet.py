@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -55,7 +54,6 @@ class Identified:
     key: str = ""
     model: str | None = None
     sentence: str = ""
-    seconds: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,6 @@ class Report:
     member: Member
     model: dict[str, Any] | None
     sentence: str = ""
-    seconds: float = 0.0
 
 
 Patterns = Annotated[
@@ -193,21 +190,21 @@ def _identify_member(method: str, item: tuple[Member, str]) -> Identified:
     """Identify a member, unless the key of its inputs is the known one."""
     from gtau.estimation.identify import identify
 
-    (member, known), begun = item, time.perf_counter()
+    member, known = item
     try:
         experiment = member.read()
         key = inputs_key(experiment, method)
         if key == known:
             return Identified(key)
-        return Identified(key, model_text(identify(experiment, method=method)), "", time.perf_counter() - begun)
+        return Identified(key, model_text(identify(experiment, method=method)))
     except GtauError as error:
-        return Identified(sentence=str(error), seconds=time.perf_counter() - begun)
+        return Identified(sentence=str(error))
     except Exception as error:  # the other robots are identified all the same
         sentence = (
             f"internal error ({type(error).__name__}: {error}); report it with the output of "
             f"'GTAU_DEBUG=1 gtau identify {member.experiment}'."
         )
-        return Identified(sentence=sentence, seconds=time.perf_counter() - begun)
+        return Identified(sentence=sentence)
 
 
 def inputs_key(experiment: Experiment, method: str) -> str:
@@ -252,12 +249,12 @@ def _keep(out: Path, member: Member, made: Identified) -> Report:
         key.unlink(missing_ok=True)  # until its model is written
     if made.sentence:
         model.unlink(missing_ok=True)
-        return Report(member, None, made.sentence, made.seconds)
+        return Report(member, None, made.sentence)
     if made.model is not None:
         model.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(model, made.model)
         write_atomically(key, made.key)
-    return Report(member, json.loads(_read_text(model)), "", made.seconds)
+    return Report(member, json.loads(_read_text(model)))
 
 
 def _model_file(out: Path, member: Member) -> Path:

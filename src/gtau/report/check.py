@@ -16,27 +16,22 @@ from gtau.estimation.results.singularity_distances import write_distances
 from gtau.report import logs
 from gtau.report.findings import findings_section, same_in_several
 from gtau.report.geometry import geometry_section
-from gtau.report.motion import TIME, distances_panel, singularities_section
+from gtau.report.motion import distances_panel, joint_panels, singularities_section
 from gtau.report.page import (
-    Axis,
     Chart,
     Column,
     Drawing,
     Facts,
     Kind,
     Page,
-    Panel,
     Section,
-    Series,
     Table,
     Text,
-    colour,
     joint_label,
     page,
     section,
     table,
 )
-from gtau.report.preparation import preparation_chart
 from gtau.robots.robot import Robot
 from gtau.robots.units import command_unit, position_unit
 from gtau.signals.notes import Kind as NoteKind
@@ -100,7 +95,7 @@ def check_page(checked: ExperimentCheck) -> Page:
     robot, preparation = checked.robot, checked.preparation
     nearest = [each for log in checked.logs for each in log.nearest]
     motions = [section(log.run.name, motion_chart(log, robot), folded=k > 0) for k, log in enumerate(checked.logs)]
-    prepared = [section(log.run.name, preparation_chart(log), folded=True) for log in checked.logs]
+    prepared = [section(log.run.name, logs.preparation_chart(log), folded=True) for log in checked.logs]
     spectra = logs.spectra_items(checked.logs[0].run, robot, preparation) if preparation and checked.logs else []
     return page(
         f"Logs of {checked.robot.name}",
@@ -232,15 +227,9 @@ def _wrenches(log: LogCheck) -> Table | None:
 
 def motion_chart(log: LogCheck, robot: Robot) -> Chart:
     """Draw the motion of the joints in a log, and its distances to singularities of both types."""
-    time, panels = log.distances.time - float(log.run.time[0]), []
-    for unit in ("rad", "m"):
-        lines = [
-            Series(joint_label(each.joint), time, log.position[:, j], colour(j))
-            for j, each in enumerate(log.joints)
-            if position_unit(robot, each.joint) == unit
-        ]
-        panels += [Panel(TIME, Axis(f"position, {unit}"), tuple(lines), height=2.1)] if lines else []
-    distances = distances_panel(log.distances, float(log.run.time[0]))
+    start, joints = float(log.run.time[0]), [each.joint for each in log.joints]
+    panels = joint_panels(robot, joints, log.distances.time - start, log.position, "position", 2.1)
+    distances = distances_panel(log.distances, start)
     return Chart((*panels, *([distances] if distances else [])), log.run.name, live=True)
 
 
@@ -269,7 +258,7 @@ def write_preparation(checked: ExperimentCheck, folder: Path) -> list[Path]:
 
     names = unique_names([log.run.name for log in checked.logs])
     return [
-        save(preparation_chart(log), folder / f"{name}-preparation.png")
+        save(logs.preparation_chart(log), folder / f"{name}-preparation.png")
         for name, log in zip(names, checked.logs, strict=True)
     ]
 

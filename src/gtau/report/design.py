@@ -14,29 +14,24 @@ from gtau.documents.files import in_csv, write_atomically
 from gtau.excitation.design import Design, check
 from gtau.excitation.forecast import Expected, Forecast, Weak, forecast, sampled_motions, weak_unknowns
 from gtau.excitation.task import DesignProblem
-from gtau.report.motion import TIME
+from gtau.report.motion import joint_panels
 from gtau.report.page import (
-    Axis,
     Chart,
     Column,
     Drawing,
     Facts,
-    Item,
     Kind,
     Page,
-    Panel,
     Section,
-    Series,
     Table,
     Text,
-    colour,
     joint_label,
     page,
     section,
     table,
 )
 from gtau.robots.parameter import Parameter, parameter_of
-from gtau.robots.units import position_unit, torque_unit, unit_of
+from gtau.robots.units import torque_unit, unit_of
 
 ORDERS = (("position", ""), ("velocity", "/s"), ("acceleration", "/s²"))
 DIGITS = 9
@@ -151,11 +146,8 @@ def _rms(expected: Forecast) -> float:
 def design_page(document: dict[str, Any]) -> Page:
     """Show the predictions of a design, from the document of :func:`design_document`."""
     short = any(_meaningless(each) for each in document["parameters"])
-    unknown = (
-        Text(f"-: the value is zero, or assumed and its standard deviation exceeds {MOST} %", style="soft")
-        if short
-        else None
-    )
+    words = f"-: the value is zero, or assumed and its standard deviation exceeds {MOST} %"
+    unknown = Text(words, style="soft") if short else None
     return page(
         f"Exciting motion for {document['robot']}",
         section("Verdict", _verdict(document), _facts(document), id="verdict"),
@@ -175,10 +167,8 @@ def design_page(document: dict[str, Any]) -> Page:
 def design_report(design: Design, document: dict[str, Any]) -> Page:
     """Add the motion and the robot to the page."""
     short, robot = design_page(document), design.task.model.robot
-    drawn = (
-        section("Motion", *motion_charts(design), id="motion"),
-        section("Robot", Drawing(robot), id="robot"),
-    )
+    motions = (section(title, chart) for title, chart in motion_charts(design))
+    drawn = (section("Motion", *motions, id="motion"), section("Robot", Drawing(robot), id="robot"))
     return replace(short, sections=(*short.sections[:2], *drawn, *short.sections[2:]))
 
 
@@ -259,13 +249,12 @@ def _masses(document: dict[str, Any]) -> Section | None:
     """Tabulate standard deviations of the gains with payloads of other masses, a column each; None without any."""
     if not document["payload_masses"]:
         return None
+    names = [each["name"] for each in document["gains"]]
     now = {"rms": document["gains_rms"], "rel_std": {each["name"]: each["rel_std"] for each in document["gains"]}}
     cases = [("as designed", now), *((f"{each['mass']:g} kg", each) for each in document["payload_masses"])]
     columns = [Column("std of the gain, %"), *(Column(label, Kind.NUMBER, 3) for label, _ in cases)]
     rows: list[tuple[Any, ...]] = [("rms", *(each["rms"] for _, each in cases))]
-    rows += [
-        (joint_label(gain["name"]), *(each["rel_std"][gain["name"]] for _, each in cases)) for gain in document["gains"]
-    ]
+    rows += [(joint_label(name), *(each["rel_std"][name] for _, each in cases)) for name in names]
     exceeded = [
         f"with {label} this motion exceeds: {', '.join(each['exceeded'])}"
         for label, each in cases
@@ -274,24 +263,20 @@ def _masses(document: dict[str, Any]) -> Section | None:
     return section("Other payload masses", table(columns, rows), Text("", tuple(exceeded)), id="masses")
 
 
-def motion_charts(design: Design) -> list[Item]:
-    """Draw positions, velocities and accelerations of each motion."""
+def motion_charts(design: Design) -> list[tuple[str, Chart]]:
+    """Draw positions, velocities and accelerations of each motion, with its title."""
     robot, joints = design.task.model.robot, design.task.model.actuated
-    charts: list[Item] = []
+    charts = []
     for k, (time, values) in enumerate(sampled_motions(design.task, design.x)):
         loads = [design.task.payloads[run] for run in design.task.motions[k]]
         named = [_load("none" if load is None else load.name) for load in loads]
         runs = [f"run {run + 1} ({load})" for run, load in zip(design.task.motions[k], named, strict=True)]
-        panels = []
-        for order, (what, per) in enumerate(ORDERS):
-            for unit in ("rad", "m"):
-                lines = [
-                    Series(joint_label(joint), time, values[order][j], colour(j))
-                    for j, joint in enumerate(joints)
-                    if position_unit(robot, joint) == unit
-                ]
-                panels += [Panel(TIME, Axis(f"{what}, {unit}{per}"), tuple(lines), height=1.9)] if lines else []
-        charts += [section(f"Motion {k + 1}: {', '.join(runs)}", Chart(tuple(panels), robot.name, live=True))]
+        panels = [
+            panel
+            for each, (what, per) in zip(values, ORDERS, strict=False)
+            for panel in joint_panels(robot, joints, time, each.T, what, 1.9, per)
+        ]
+        charts.append((f"Motion {k + 1}: {', '.join(runs)}", Chart(tuple(panels), robot.name, live=True)))
     return charts
 
 
@@ -301,9 +286,6 @@ def write_design(design: Design, document: dict[str, Any], folder: Path) -> tupl
 
     written = [*write_trajectories(design, folder), folder / "design.json"]
     write_atomically(written[-1], json.dumps(document, indent=1, allow_nan=False) + "\n")
-    for stem, motion in zip(file_stems(design.task), motion_charts(design), strict=True):
-        assert isinstance(motion, Section)
-        chart = motion.items[0]
-        assert isinstance(chart, Chart)
-        written.append(save(replace(chart, title=f"{chart.title}: {motion.title}"), folder / f"{stem}.png"))
+    for stem, (title, chart) in zip(file_stems(design.task), motion_charts(design), strict=True):
+        written.append(save(replace(chart, title=f"{chart.title}: {title}"), folder / f"{stem}.png"))
     return tuple(written)

@@ -13,10 +13,8 @@ from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.prediction import predict, torque_errors
 from gtau.progress import Progress, silent
 from gtau.signals.run import Run
-from gtau.signals.storage import rows_at
 
 LONGEST = 300_000  # samples of a run that are predicted; of a longer one its beginning
-POSES = 1500  # of a run, in the path of the payload's body
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,22 +112,6 @@ def worst_stretch(evidence: RunEvidence, duration: float) -> tuple[float, float]
     start = min(worst - duration / 2, float(time[-1]) - duration)
     start = start if start > time[0] else 0.0
     return start, min(max(start, float(time[0])) + duration, float(time[-1]))
-
-
-def body_path(result: IdentifiedModel, run: Run) -> np.ndarray:
-    """Compute positions (P, 3), m, along a run of the body that carries the payload."""
-    import casadi as ca
-
-    from gtau.model.kinematics import frames
-    from gtau.signals.run import arrange
-
-    model = result.model
-    run = arrange(run, model.actuated)
-    shown = np.arange(0, len(run.time), -(-len(run.time) // POSES))
-    c = model.path(np.ascontiguousarray(rows_at(run.position, shown).T))
-    symbol = ca.SX.sym("c", model.layout.n_c)
-    place = ca.Function("p", [symbol], [frames(model.layout, symbol)[result.robot.tool].p_0])
-    return np.asarray(place(c)).T
 
 
 def settings_of(result: IdentifiedModel) -> dict[str, str]:

@@ -12,18 +12,7 @@ from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.thresholds.estimates import ACCURACY
 from gtau.model.base_parameters import whole_mass
-from gtau.report.page import (
-    Chart,
-    Column,
-    Kind,
-    Section,
-    Table,
-    Text,
-    intervals,
-    joint_label,
-    section,
-    table,
-)
+from gtau.report.page import Chart, Column, Kind, Section, Table, Text, intervals, joint_label, section, table
 
 GOOD_OUTCOMES = (Outcome.GOOD, Outcome.GIVEN)
 LEAST = 0.01  # share of a source of the scale that is mentioned
@@ -80,16 +69,10 @@ def gains_table(result: IdentifiedModel, prior: Mapping[str, float]) -> Table:
 
 def reasons_table(result: IdentifiedModel) -> Table | None:
     """Tabulate why gains are not good, and what to do; None if all are good."""
-    columns = (
-        Column("joint"),
-        Column("verdict", Kind.BADGE),
-        Column("reason", Kind.SENTENCE),
-        Column("action", Kind.SENTENCE),
-    )
-    rows = [
-        (", ".join(map(joint_label, each.joints)), each.outcome.value, each.why, each.action)
-        for each in reasons(result)
-    ]
+    sentences = (Column("reason", Kind.SENTENCE), Column("action", Kind.SENTENCE))
+    columns = (Column("joint"), Column("verdict", Kind.BADGE), *sentences)
+    found = reasons(result)
+    rows = [(", ".join(map(joint_label, each.joints)), each.outcome.value, each.why, each.action) for each in found]
     return table(columns, rows, listed=True) if rows else None
 
 
@@ -199,12 +182,10 @@ def payloads_section(payloads: Iterable[PayloadEstimate], title: str = "Payloads
         section(
             f"Payload '{each.name}' of run {each.run}",
             Text(f"{each.verdict.sentence}.") if each.verdict.why else None,
-            estimates_table_of(
-                each.parameters, dict.fromkeys(each.known, "known")
-            ),
+            estimates_table_of(each.parameters, each.known),
         )
         for each in payloads
-    ]  # fmt: skip
+    ]
     return section(title, *parts, id="payloads") if parts else None
 
 
@@ -252,19 +233,21 @@ def value_cells(each: Estimate) -> tuple[object, ...]:
     return each.value, each.std, each.rel_std, each.unit
 
 
-def estimates_table_of(
-    estimates: Mapping[str, Estimate], roles: Mapping[str, str] | None = None, name: str = ""
-) -> Table:
-    """Tabulate estimates by name, with what they are or regroup."""
+def regroups(each: Estimate) -> str:
+    """Return what an estimate regroups, empty where that is its name."""
+    return each.regrouping if each.regrouping != each.name else ""
+
+
+def estimates_table_of(estimates: Mapping[str, Estimate], known: Iterable[str] = ()) -> Table:
+    """Tabulate estimates by name, with whether they are ``known``, or what they regroup."""
+    columns = (Column("parameter", Kind.NAME), *VALUE, Column("95 % interval", Kind.INTERVAL, wide=True), Column(""))
     rows = [
         (
-            key,
+            name,
             *value_cells(each),
             each.interval(),
-            (roles or {}).get(key)
-            or ("not identifiable" if each.value is None else each.regrouping if each.regrouping != key else ""),
+            "known" if name in known else "not identifiable" if each.value is None else regroups(each),
         )
-        for key, each in estimates.items()
+        for name, each in estimates.items()
     ]
-    columns = (Column("parameter", Kind.NAME), *VALUE, Column("95 % interval", Kind.INTERVAL, wide=True))
-    return table((*columns, Column("")), rows, name=name)
+    return table(columns, rows)

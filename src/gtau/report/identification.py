@@ -11,33 +11,26 @@ from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.estimators.registry import ESTIMATORS
 from gtau.estimation.results.conclusions import VISIBLE, findings, headline, remarks
+from gtau.estimation.results.estimate import Requirement
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.result import Result
-from gtau.report.evidence import RunEvidence, body_path, largest
+from gtau.report.evidence import RunEvidence, largest
 from gtau.report.findings import findings_section, same_in_several
-from gtau.report.friction import friction_section
 from gtau.report.gains import GOOD_OUTCOMES, gains_section, masses_table, payloads_section, unknown_payloads
 from gtau.report.geometry import geometry_section
-from gtau.report.inertias import inertias_section
 from gtau.report.logs import logs_section
-from gtau.report.motion import distances_panels, paths_chart, singularities_section
-from gtau.report.page import Chart, Column, Drawing, Facts, Item, Kind, Page, Section, Text, page, section, table
-from gtau.report.parameters import (
-    PAPER,
-    alternatives_section,
-    correlation_section,
-    parameters_section,
-    singular_values_section,
-)
-from gtau.report.requirements import missed, requirements_section
-from gtau.report.torques import determination, fit_table, residuals_section, torques_section
+from gtau.report.motion import motion_section, singularities_section
+from gtau.report.page import Column, Facts, Item, Kind, Page, Section, Text, page, section, table
+from gtau.report.parameters import friction_section, inertias_section, parameters_section
+from gtau.report.residuals import residuals_section
+from gtau.report.torques import determination, fit_table, torques_section
+from gtau.report.uncertainty import PAPER, alternatives_section, correlation_section, singular_values_section
 from gtau.robots.parameter import Parameter
 from gtau.signals.notes import Kind as NoteKind
 
 NOTES = 5  # that the short page shows
 MOVED = 0.5  # standard deviations: a smaller move is not worth a line
 LISTED = 12
-PATHS = 8  # runs whose path is drawn
 
 
 def summary_page(result: IdentifiedModel) -> Page:
@@ -223,21 +216,39 @@ def _sensors_section(result: IdentifiedModel) -> Section | None:
     )
 
 
-def motion_section(result: Result, runs: Sequence[RunEvidence]) -> Section:
-    """Show the robot, the path of the body that carries the payload, and distances to singular poses."""
-    used = any(run.used for run in runs)
-    paths = [(each.run.name, body_path(result, each.run)) for each in runs if each.used == used][:PATHS]
-    starts = {each.run.name: float(each.run.time[0]) for each in runs}
-    of_path = f"Path of the frame of '{result.robot.tool}', the body that carries the payload"
-    distances = distances_panels(result.distances, starts) if used else []
-    return section(
-        "Robot and motion",
-        Drawing(result.robot),
-        section(of_path, paths_chart(paths)) if paths else None,
-        singularities_section(result.singularities) if used else None,
-        *(section(each.title, Chart((each,), live=True), folded=k > 0) for k, each in enumerate(distances)),
-        id="robot",
+def requirements_section(result: IdentifiedModel) -> Section | None:
+    """Tabulate each requirement, the value found, and pass or fail; None without requirements."""
+    if not result.requirements:
+        return None
+    rows = [
+        (*_what(each), "passed" if each.met else "failed", each.limit, each.found, each.joint or None)
+        for each in result.requirements
+    ]
+    columns = (
+        Column("required"),
+        Column("of"),
+        Column("outcome", Kind.BADGE),
+        Column("limit, %", Kind.NUMBER),
+        Column("found, %", Kind.NUMBER, decimals=2),
+        Column("worst joint"),
     )
+    return section("Requirements", table(columns, rows), id="requirements")
+
+
+def missed(result: IdentifiedModel) -> list[str]:
+    """Describe each requirement that is not met."""
+    said = []
+    for each in result.requirements:
+        if not each.met:
+            found = "not known" if each.found is None else f"{each.found:.2f} % (joint '{each.joint}')"
+            said.append(f"{' of '.join(_what(each))}: {found}, and {each.limit:g} % is required")
+    return said
+
+
+def _what(each: Requirement) -> tuple[str, str]:
+    if each.name == "gain_interval":
+        return "half the 95 % interval", "gains"
+    return ("torque error", f"run '{each.run}'") if each.run else ("torque residual", "rows used")
 
 
 def _consistency_section(found: Consistency | None) -> Section | None:

@@ -1,11 +1,13 @@
-"""Show clock, repairs and spectra of logs, on pages and as figures."""
+"""Show clock, repairs, spectra and preparation of logs, on pages and as figures."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gtau.report.motion import TIME
 from gtau.report.page import (
     Axis,
     Chart,
@@ -23,9 +25,13 @@ from gtau.report.page import (
 from gtau.robots.robot import Robot
 from gtau.robots.units import command_unit, position_unit
 from gtau.signals.bandwidth import spectra
+from gtau.signals.log_set import find_logs
 from gtau.signals.preparation import Preparation
-from gtau.signals.run import Run
+from gtau.signals.run import Log, Run
 from gtau.signals.storage import block, spans
+
+if TYPE_CHECKING:
+    from gtau.estimation.check_logs import LogCheck
 
 SEGMENT = 2048  # samples of a segment of Welch's method, at most
 FEWEST = 64  # samples of a signal that has a spectrum
@@ -116,3 +122,75 @@ def _density(run: Run, j: int) -> tuple[np.ndarray, np.ndarray]:
 def _amplitude(label: str, frequency: np.ndarray, density: np.ndarray, hue: str) -> list[Series]:
     shown = (frequency > 0) & (density > LOWEST * density.max(initial=0.0))
     return [Series(label, frequency[shown], np.sqrt(density[shown]), hue)] if shown.any() else []
+
+
+# Preparation
+
+
+def preparation_chart(log: LogCheck) -> Chart:
+    """Draw the spectra of a log's joints, the steps of its clock, and which rows of each joint are used."""
+    preparation = log.preparation
+    marks = [(preparation.bandwidth, "bandwidth"), (preparation.cutoff, "position filter")]
+    marks.append((log.run.rate / preparation.decimator.factor / 2, "Nyquist of the rows"))
+    rules = tuple(Rule(x=each, label=f"{name} {each:.3g} Hz") for each, name in marks if each is not None)
+    share = Axis("share of the peak", log=True)
+    speeds, accelerations = (_shares(log, what) for what in ("speed", "acceleration"))
+    ends = "Power of the accelerations; dots: noise dominates"
+    panels = [
+        Panel(FREQUENCY, share, speeds, "Power of the velocities", rules, height=2.3),
+        Panel(FREQUENCY, share, accelerations, ends, rules, height=2.3),
+    ]
+    stamps = None if log.run.log is None else _stamps(log.run.log)
+    panels += [] if stamps is None else [_steps(stamps, log.run)]
+    panels.append(_used(log))
+    return Chart(tuple(panels), log.run.name)
+
+
+def _shares(log: LogCheck, what: str) -> tuple[Series, ...]:
+    """Draw a power spectrum of each joint, with a dot where noise begins to dominate its acceleration."""
+    found: list[Series] = []
+    for j, (joint, each) in enumerate(zip(log.run.joints, log.spectra, strict=True)):
+        density = getattr(each, what)
+        shown = density > LOWEST * density.max()
+        if not shown.any():
+            continue
+        share = density / density.max()
+        found.append(Series(joint_label(joint), each.frequency[shown], share[shown], colour(j)))
+        if each.moves and what == "acceleration":
+            k = int(np.argmin(np.abs(each.frequency - each.end)))
+            found.append(Series("", each.frequency[k : k + 1], share[k : k + 1], colour(j), "points", width=3.0))
+    return tuple(found)
+
+
+def _stamps(log: Log) -> np.ndarray:
+    """Read the time column (N,) of a whole log, s."""
+    time = np.concatenate([values[:, -1] for values in find_logs(log.paths, log.signals, log.units).blocks()])
+    return np.asarray(time[np.isfinite(time)])
+
+
+def _steps(stamps: np.ndarray, run: Run) -> Panel:
+    """Draw steps of the time column over time, in samples of the grid."""
+    begin, end, period = float(run.time[0]), float(run.time[-1]), 1 / run.rate
+    stamps = stamps[(stamps >= begin - period) & (stamps <= end + period)]
+    time, steps = stamps[1:], np.diff(stamps) / period
+    top = max(2.0, 1.1 * float(steps.max(initial=0.0)))
+    series = Series("", time - begin, steps, "soft", width=0.6)
+    return Panel(TIME, Axis("step, samples", limits=(0.0, top)), (series,), "Steps of the time column", height=1.2)
+
+
+def _used(log: LogCheck) -> Panel:
+    """Draw which decimated rows of each joint are used: bars; the gaps are reversals, rests and masked samples."""
+    time, series = log.distances.time - float(log.run.time[0]), []
+    for j in range(len(log.run.joints)):
+        edges = np.flatnonzero(np.diff(np.r_[False, log.used[:, j], False]))
+        ends = np.column_stack([time[edges[::2]], time[np.minimum(edges[1::2], len(time) - 1)]])
+        series.append(Series("", ends, np.array([float(j)]), colour(j), "spans"))
+    count = len(log.run.joints)
+    names = {float(j): joint_label(joint) for j, joint in enumerate(log.run.joints)}
+    return Panel(
+        Axis(TIME.label, limits=(0.0, seconds(log.run))),
+        Axis("", limits=(count - 0.5, -0.5), names=names),
+        tuple(series),
+        "Rows used, without reversals, rests, gaps and clipped commands",
+        height=0.6 + 0.16 * count,
+    )

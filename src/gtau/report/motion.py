@@ -8,14 +8,69 @@ from itertools import combinations
 
 import numpy as np
 
+from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.singularity_distances import Distances, NearestPose
 from gtau.estimation.thresholds.logs import NEAR_SINGULAR
-from gtau.report.page import Axis, Chart, Column, Kind, Panel, Section, Series, Text, colour, section, table
+from gtau.report.evidence import RunEvidence
+from gtau.report.page import (
+    Axis,
+    Chart,
+    Column,
+    Drawing,
+    Kind,
+    Panel,
+    Section,
+    Series,
+    Text,
+    colour,
+    joint_label,
+    section,
+    table,
+)
+from gtau.robots.robot import Robot
+from gtau.robots.units import position_unit
+from gtau.signals.run import Run, arrange
+from gtau.signals.storage import rows_at
 
 TYPES = {1: "type 1 (serial)", 2: "type 2 (parallel)"}
 """Names of the types of singularities."""
 COLOURS = {1: "c4", 2: "c6"}  # others than those of the first joints
+PATHS = 8  # runs whose path is drawn
+POSES = 1500  # of a run, in its path
 TIME = Axis("time from the start of the run, s")
+
+
+def motion_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Section:
+    """Show the robot, the path of the body that carries the payload, and distances to singular poses."""
+    used = any(run.used for run in runs)
+    drawn = [each.run for each in runs if each.used == used][:PATHS]
+    paths = [(run.name, body_path(result, run)) for run in drawn]
+    starts = {each.run.name: float(each.run.time[0]) for each in runs}
+    of_path = f"Path of the frame of '{result.robot.tool}', the body that carries the payload"
+    distances = distances_panels(result.distances, starts) if used else []
+    return section(
+        "Robot and motion",
+        Drawing(result.robot),
+        section(of_path, paths_chart(paths)) if paths else None,
+        singularities_section(result.singularities) if used else None,
+        *(section(each.title, Chart((each,), live=True), folded=k > 0) for k, each in enumerate(distances)),
+        id="robot",
+    )
+
+
+def joint_panels(
+    robot: Robot, joints: Sequence[str], time: np.ndarray, values: np.ndarray, what: str, height: float, per: str = ""
+) -> list[Panel]:
+    """Draw a quantity (K, n) of joints over time, a panel for rotations and one for translations."""
+    panels = []
+    for unit in ("rad", "m"):
+        lines = tuple(
+            Series(joint_label(joint), time, values[:, j], colour(j))
+            for j, joint in enumerate(joints)
+            if position_unit(robot, joint) == unit
+        )
+        panels += [Panel(TIME, Axis(f"{what}, {unit}{per}"), lines, height=height)] if lines else []
+    return panels
 
 
 def singularities_section(nearest: Sequence[NearestPose]) -> Section | None:
@@ -79,3 +134,18 @@ def paths_chart(paths: Sequence[tuple[str, np.ndarray]]) -> Chart:
         for a, b in combinations(range(3), 2)
     ]
     return Chart(tuple(panels), columns=3)
+
+
+def body_path(result: IdentifiedModel, run: Run) -> np.ndarray:
+    """Compute positions (P, 3), m, along a run of the body that carries the payload."""
+    import casadi as ca
+
+    from gtau.model.kinematics import frames
+
+    model = result.model
+    run = arrange(run, model.actuated)
+    shown = np.arange(0, len(run.time), -(-len(run.time) // POSES))
+    c = model.path(np.ascontiguousarray(rows_at(run.position, shown).T))
+    symbol = ca.SX.sym("c", model.layout.n_c)
+    place = ca.Function("p", [symbol], [frames(model.layout, symbol)[result.robot.tool].p_0])
+    return np.asarray(place(c)).T

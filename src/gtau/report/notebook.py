@@ -18,11 +18,11 @@ from gtau.report.gains import VALUE, gains_section, payloads_section, unknown_pa
 from gtau.report.identification import full_page, report_page, summary_page, verdict_section
 from gtau.report.page import Chart, Column, Kind, Page, Text, page, section, table
 from gtau.report.plots import Plots
-from gtau.report.provenance import Provenance, stamped
 from gtau.report.render.html import frame
 from gtau.report.render.html import html as rendered
 from gtau.report.render.terminal import plain
 from gtau.report.torques import torques_chart
+from gtau.report.write import stamped
 
 TERMINAL = ("verdict", "notes", "logs", "joints")  # sections of a check in a notebook
 
@@ -45,7 +45,7 @@ def plots(result: Result) -> Plots:
 def write(result: Result, path: Path) -> None:
     """Write the report of a result, with the runs that it holds, to an HTML file."""
     found = report_page(result, gather(result, result.data), {})
-    write_atomically(path, rendered(stamped(found, Provenance("", settings=settings_of(result)))))
+    write_atomically(path, rendered(stamped(found, settings_of(result))))
 
 
 @singledispatch
@@ -75,9 +75,7 @@ def _(shown: PayloadEstimate) -> Page:
 @view.register
 def _(shown: Named) -> Page:
     columns = (Column("name", Kind.NAME), *VALUE, Column("95 % interval", Kind.INTERVAL), Column("verdict", Kind.BADGE))
-    rows = [
-        (name, *value_cells(each), each.interval(), each.verdict.outcome.value) for name, each in shown.items()
-    ]  # fmt: skip
+    rows = [(name, *value_cells(each), each.interval(), each.verdict.outcome.value) for name, each in shown.items()]
     return page("", section("", table(columns, rows)))
 
 

@@ -1,45 +1,45 @@
-"""Parameters, their correlations, singular values and alternative models, on pages."""
+"""Show base parameters, friction, and what the data say of the inertias in the robot file."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 import numpy as np
 
+from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
-from gtau.estimation.results.estimate import AlternativeMoves, Estimate
-from gtau.estimation.results.identified_model import IdentifiedModel, Row, estimates_table
-from gtau.report.gains import VALUE, value_cells
-from gtau.report.page import Axis, Chart, Column, Kind, Panel, Section, Series, Text, joint_label, section, table
-from gtau.robots.parameter import parameter_of
+from gtau.estimation.results.estimate import Estimate
+from gtau.estimation.results.identified_model import IdentifiedModel, estimates_table
+from gtau.report.evidence import RunEvidence
+from gtau.report.gains import VALUE, regroups, value_cells
+from gtau.report.page import Axis, Chart, Column, Kind, Panel, Section, Series, Table, Text, joint_label, section, table
+from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.units import position_unit, torque_unit
+from gtau.signals.filters import position_filter
+from gtau.signals.run import arrange
 
-STRONG = 0.9  # correlation from which on a pair is listed
-LISTED = 20
-PAPER = "Briot and Gautier 2015"  # Multibody System Dynamics 33
-SHOWN = 60  # estimates whose names fit beside a matrix
 GROUPS = ("base parameter", "friction", "torque sensor")
+KINDS = ("fv", "fs", "fb", "fl", "off")
+POINTS = 3000  # of a panel
+CONTRADICTED = 6  # parameters on a short page
+ORDER = ("contradicted", "agrees", "not stated", "not identifiable")
+FRICTION = (
+    "Friction of each joint, identified on all samples at the gains and inertia above: fv qd + (fs + fb exp(-|qd| / "
+    "v_s) + fl |load|) z + off. Predictions and exports use it. z is the sign of the speed where a joint slides; "
+    "before that, a spring over the width of presliding. A width or a speed v_s is given where held-out blocks of the "
+    "logs support it; a joint without a width keeps the sign. Errors are of held-out blocks, in per cent of the "
+    "torque left to friction, with this law and with viscous and Coulomb friction alone. SI units; ± is "
+    "half a 95 % interval."
+)
+CURVES = "The torque that gains and inertia leave to friction, and its prediction, at the rows of the runs."
 
 
 def parameters_section(result: IdentifiedModel) -> Section:
     """Show base, friction and sensor parameters in one table that sorts and searches."""
-    listed = [row for row in estimates_table(result) if row.group.startswith(GROUPS)]
-    columns = (
-        Column("parameter", Kind.NAME),
-        *VALUE,
-        Column("role"),
-        Column("regroups", Kind.NAME, wide=True),
-    )
-    rows = [
-        (
-            row.estimate.name,
-            *value_cells(row.estimate),
-            _role(row),
-            row.estimate.regrouping if row.estimate.regrouping != row.estimate.name else "",
-        )
-        for row in listed
-    ]
-    faint = frozenset(k for k, row in enumerate(listed) if row.estimate.essential is False)
+    listed = [(row.group, row.estimate) for row in estimates_table(result) if row.group.startswith(GROUPS)]
+    columns = (Column("parameter", Kind.NAME), *VALUE, Column("role"), Column("regroups", Kind.NAME, wide=True))
+    rows = [(each.name, *value_cells(each), _role(each, group), regroups(each)) for group, each in listed]
+    faint = frozenset(k for k, (_, each) in enumerate(listed) if each.essential is False)
     essential, loss = len(result.essential), result.statistics.get("reduction_loss", 0.0)
     words = (
         f"{essential} of {len(result.parameters)} base parameters are essential; a fit without the other "
@@ -60,12 +60,11 @@ def parameters_section(result: IdentifiedModel) -> Section:
     )
 
 
-def _role(row: Row) -> str:
-    each: Estimate = row.estimate
+def _role(each: Estimate, group: str) -> str:
     if each.value is None:
         return "not identifiable"
     if each.essential is None:
-        return "by BIC" if row.group == "friction" else row.group
+        return "by BIC" if group == "friction" else group
     return "essential" if each.essential else "not essential"
 
 
@@ -80,122 +79,139 @@ def reference_text(result: IdentifiedModel) -> Text | None:
     return Text(f"fvt, fst: viscous and Coulomb friction per {warm.per} above the mean, {at} {warm.unit}")
 
 
-def correlation_of(result: IdentifiedModel) -> tuple[tuple[str, ...], np.ndarray]:
-    """Compute names and correlations (m, m) of all estimates that have a variance."""
-    covariance = result.covariance
-    std = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
-    known = np.flatnonzero(std > 0)
-    part = covariance[np.ix_(known, known)] / np.outer(std[known], std[known])
-    return tuple(result.covariance_names[k] for k in known), np.clip(part, -1.0, 1.0)
+# Friction
 
 
-def correlation_chart(names: tuple[str, ...], matrix: np.ndarray) -> Chart:
-    """Draw a correlation matrix; names are beside it where they fit."""
-    shown = {float(k): name for k, name in enumerate(names)} if len(names) <= SHOWN else {}
-    label = "" if shown else "number of the estimate"
-    return Chart((Panel(Axis(label, names=shown), Axis(label, names=shown), matrix=matrix, height=5.2),))
-
-
-def correlation_section(result: IdentifiedModel) -> Section | None:
-    """Show the correlation matrix of the estimates, and the pairs that are strongly correlated."""
-    names, matrix = correlation_of(result)
-    if len(names) < 2:
+def friction_section(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) -> Section | None:
+    """Show the friction of each joint; with ``runs`` also its curve. None for a result with the plain law alone."""
+    if not result.curves:
         return None
-    upper = np.triu(np.abs(matrix), 1)
-    strongest = np.argsort(upper, axis=None)[::-1]
-    pairs = [np.unravel_index(k, upper.shape) for k in strongest if upper.flat[k] >= STRONG]
-    rows = [(names[i], names[j], float(matrix[i, j])) for i, j in pairs[:LISTED]]
-    columns = (Column("estimate", Kind.NAME), Column("and", Kind.NAME), Column("correlation", Kind.NUMBER, 3))
-    words = (
-        f"{len(names)} estimates in the order of model.json: parameters, then drive gains, then delays. "
-        f"{len(pairs) or 'No'} pair{'' if len(pairs) == 1 else 's'} with a correlation of {STRONG:g} or more"
-        + (f", the {LISTED} strongest listed. " if len(pairs) > LISTED else ". ")
-        + "Blue: positive, orange: negative; the fuller the colour, the stronger."
+    panels = tuple(_panels(result, [each for each in runs if each.used and each.prediction is not None]))
+    chart = Chart(panels, columns=2) if panels else None
+    of_chart = Text(CURVES, style="soft") if panels else None
+    return section("Friction on all samples", Text(FRICTION), curves_table(result), of_chart, chart, id="friction")
+
+
+def curves_table(result: IdentifiedModel) -> Table:
+    """Tabulate the friction of each joint, SI units, values with half their 95 % intervals."""
+    columns = (
+        Column("joint"),
+        Column("presliding"),
+        Column("v_s"),
+        *(Column(kind) for kind in KINDS),
+        Column("shown by", wide=True),
+        Column("error, %", Kind.NUMBER, decimals=1),
+        Column("plain law, %", Kind.NUMBER, decimals=1),
     )
-    pairs_table = table(columns, rows) if rows else None
-    numbered = [(k, name) for k, name in enumerate(names)] if len(names) > SHOWN else []
-    listed = table((Column("number", Kind.NUMBER), Column("estimate", Kind.NAME)), numbered)
-    return section(
-        "Correlation",
-        Text(words),
-        _drift_text(names, result),
-        correlation_chart(names, matrix),
-        section("Names of the numbers", listed, folded=True) if numbered else None,
-        pairs_table,
-        id="correlation",
-    )
-
-
-def singular_values_chart(values: np.ndarray) -> Chart:
-    """Draw singular values (K,) in falling order, the smallest apart."""
-    order = np.arange(1.0, len(values) + 1)
-    series = (
-        Series("singular values", order[:-1], values[:-1], "predicted", "points"),
-        Series("the smallest", order[-1:], values[-1:], "residual", "points", width=2.5),
-    )
-    return Chart((Panel(Axis("number"), Axis("singular value", log=True), series, height=2.2),))
-
-
-def singular_values_section(result: IdentifiedModel) -> Section | None:
-    """Show singular values in falling order with the gap before the smallest; None where the result has none."""
-    values = np.array(result.singular_values)
-    if len(values) < 2 or values[-1] <= 0:
-        return None
-    words = (
-        f"Of W_tot ({PAPER}, eq. 33), rows weighted by the residuals and columns of unit length. The smallest belongs "
-        f"to the solution; the next is {values[-2] / values[-1]:.3g} times larger. A ratio near 1 means that the "
-        f"motion hardly excites some parameters, those with large standard deviations, and makes total least squares "
-        f"unreliable."
-    )
-    return section("Singular values", Text(words), singular_values_chart(values), id="singular-values")
-
-
-def alternatives_section(result: IdentifiedModel) -> Section | None:
-    """Show other models of the same data, and by how much each moves the gains; None where the result lists none."""
-    if not result.alternatives:
-        return None
-    motors = result.robot.motors
-    ranked = sorted(result.alternatives, key=lambda each: -each.probability * _largest(each))
     rows = [
         (
-            each.subject,
-            each.probability,
-            *(each.moves.get(joint) for joint in motors),
-            "not identifiable" if each.std is None else each.size,
-            each.std,
-            each.unit,
-            each.share,
+            joint_label(curve.joint),
+            _cell(curve.width),
+            _cell(curve.speed),
+            *(_cell(curve.parameters.get(Parameter(kind, curve.joint).name)) for kind in KINDS),
+            ", ".join(f"{term} ({t:.1f} standard errors)" for term, t in curve.evidence.items()),
+            curve.error,
+            curve.plain_error,
         )
-        for each in ranked
+        for curve in result.curves.values()
     ]
-    columns = (
-        Column("alternative"),
-        Column("probability, %", Kind.SHARE, decimals=1),
-        *(Column(f"moves {joint_label(joint)} by, %", Kind.NUMBER, decimals=2) for joint in motors),
-        Column("size", Kind.NUMBER, 2),
-        Column("std", Kind.NUMBER, 2),
-        Column("unit"),
-        Column("share of the residual, %", Kind.SHARE, decimals=1),
-    )
-    words = (
-        "Each alternative adds one unknown to the model. Its size is estimated from the data, its probability states "
-        "how well they support it; its remaining uncertainty widens the intervals of the gains. Alternatives are "
-        "listed by their probability times the largest move of a gain."
-    )
-    listed = section(f"All {len(rows)} alternatives", table(columns, rows, name="alternatives-table"), folded=True)
-    drifting = _drift_text([each.subject for each in ranked], result)
-    return section("Alternatives", Text(words), drifting, listed, id="alternatives")
+    return table(columns, rows)
 
 
-def _drift_text(texts: Iterable[str], result: IdentifiedModel) -> Text | None:
-    """Explain names such as ``fv_left@2``, where there are any."""
-    found = next(filter(None, (re.search(r"(\w+)@(\d+)", each) for each in texts)), None)
-    if found is None:
+def _cell(each: Estimate | None) -> str:
+    if each is None or each.value is None:
+        return "-"
+    half = each.half_interval()
+    return f"{each.value:.4g}" + ("" if half is None else f" ± {half:.2g}")
+
+
+def _panels(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> list[Panel]:
+    gathered: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
+    for each in runs:
+        assert each.prediction is not None
+        found, run = each.prediction, arrange(each.run, result.model.actuated)
+        count = int(np.searchsorted(run.time, found.time[-1])) + 1
+        qd = position_filter(run.position, run.rate, result.preparation.at(run.rate).cutoff, 0, count)[1]
+        speeds = qd[np.minimum(np.searchsorted(run.time, found.time), count - 1)]
+        gathered.append((speeds, found.measured - found.predicted + found.friction, found.friction, found.valid))
+    panels = []
+    for j, joint in enumerate(result.model.actuated if gathered else ()):
+        if joint in result.robot.base:
+            continue
+        speed, left, made, valid = (np.concatenate([each[k][:, j] for each in gathered]) for k in range(4))
+        shown = np.flatnonzero(valid)
+        shown = shown[:: max(1, len(shown) // POINTS)]
+        series = (
+            Series("left to friction", speed[shown], left[shown], "measured", "points"),
+            Series("predicted", speed[shown], made[shown], "predicted", "points"),
+        )
+        unit, axis = position_unit(result.robot, joint), torque_unit(result.robot, joint)
+        panels.append(Panel(Axis(f"speed, {unit}/s"), Axis(f"friction, {axis}"), series, joint_label(joint), height=2))
+    return panels
+
+
+# Inertias of the robot file
+
+
+def inertias_section(audit: InertiaAudit | None, short: bool = False) -> Section | None:
+    """Show how well the file's inertias predict, what contradicts them, and what is not identifiable."""
+    if audit is None:
         return None
-    run = result.runs[int(found[2]) - 1]
-    words = f"{found[0]}: by how much {found[1]} in run {found[2]}, '{run}', differs from its mean over the runs"
-    return Text(words, style="soft")
+    wrong = audit.of("contradicted")
+    return section(
+        "Inertias of the robot file",
+        Text(_audit_headline(audit), tuple(_audit_points(audit, short))),
+        _audit_table(audit, short) if wrong or not short else None,
+        id="inertias",
+    )
 
 
-def _largest(each: AlternativeMoves) -> float:
-    return max(map(abs, each.moves.values()), default=0.0)
+def _audit_headline(audit: InertiaAudit) -> str:
+    said = (
+        f"The file's inertias predict the torques to within {audit.stated_error:.2g} %, the identified ones "
+        f"to within {audit.identified_error:.2g} % (rms over the joints; friction and gains as identified)."
+    )
+    if audit.prior:
+        said += (
+            f" They are priors with a standard deviation of {100 * audit.prior:.3g} %, and the intervals include them; "
+            "the comparison below uses the data without them."
+        )
+    return said
+
+
+def _audit_points(audit: InertiaAudit, short: bool) -> list[str]:
+    wrong, said = audit.of("contradicted"), []
+    tested = len(wrong) + len(audit.of("agrees"))
+    if not wrong:
+        said.append(f"the data contradict none of the {tested} base parameters that they determine")
+    elif audit.links:
+        said.append(f"the data contradict {len(wrong)} of the {tested} base parameters that they determine")
+        steps = [f"{each.name} ({each.error:.2g} %)" for each in audit.links]
+        said.append(f"correct in the file, in this order (torque error after each step): {', '.join(steps)}")
+    if open_ := audit.of("not stated"):
+        said.append(f"{len(open_)} include a rotor inertia (armature) that the file does not state")
+    if unknown := audit.of("not identifiable"):
+        several = len(unknown) > 1
+        listed = f"; --verbose lists {'them' if several else 'it'}"
+        listed = listed if short else f": {', '.join(each.name for each in unknown)}"
+        said.append(
+            f"{len(unknown)} base parameter{'s are' if several else ' is'} not identifiable from these motions to "
+            f"better than +-100 % of the link{listed}"
+        )
+    return said
+
+
+def _audit_table(audit: InertiaAudit, short: bool) -> Table:
+    ranked = sorted(audit.parameters, key=lambda each: (ORDER.index(each.standing), -abs(each.z or 0.0)))
+    shown = [each for each in ranked if each.standing == "contradicted"][:CONTRADICTED] if short else ranked
+    columns = (
+        Column("base parameter", Kind.NAME),
+        Column("link"),
+        Column("in the file", Kind.NUMBER, 4),
+        Column("95 % interval", Kind.INTERVAL),
+        Column("unit"),
+        Column("z", Kind.NUMBER, decimals=1),
+        Column("data", Kind.BADGE),
+    )
+    rows = [(each.name, each.link, each.stated, each.interval, each.unit, each.z, each.standing) for each in shown]
+    return table(columns, rows)

@@ -15,9 +15,10 @@ from gtau.report.evidence import RunEvidence
 from gtau.report.gains import gains_chart
 from gtau.report.motion import TIME, distances_panels
 from gtau.report.page import Axis, Chart, Panel, Series
-from gtau.report.parameters import correlation_chart, correlation_of, singular_values_chart
 from gtau.report.render.charts import figure_of
-from gtau.report.torques import part_of, residual_panels, stretch_title, torques_chart
+from gtau.report.residuals import residual_panels
+from gtau.report.torques import part_of, stretch_title, torques_chart
+from gtau.report.uncertainty import correlation_chart, correlation_of, singular_values_chart
 from gtau.robots.units import torque_unit
 from gtau.signals.run import Run
 

@@ -21,19 +21,17 @@ from gtau.report.page import (
     Series,
     Table,
     Text,
-    colour,
     joint_label,
     section,
     table,
 )
-from gtau.report.render.live import stretches
-from gtau.report.residual_statistics import autocorrelation, histogram, spectrum
 from gtau.robots.units import torque_unit
 
 REVERSALS = (
     "Gains and inertia are identified away from reversals, where friction does not change its sign. All samples: "
     "including reversals, with the friction identified on them."
 )
+SHORTEST = 1e-3  # of the time: shaded stretches closer together are drawn as one
 TORQUE = (Column("torque", Kind.NUMBER, 4), Column("%", Kind.NUMBER, decimals=2))
 
 ALL = (Column("error, all", Kind.NUMBER, 4), Column("%, all", Kind.NUMBER, decimals=2))
@@ -195,54 +193,12 @@ def stretch_title(name: str, start: float, stop: float, length: float) -> str:
     return f"{name}, {start:.4g} to {stop:.4g} s of {length:.4g} s"
 
 
-def residuals_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Section | None:
-    """Show histogram, spectrum and autocorrelation of the residuals of each joint, over all runs used."""
-    used = [each for each in runs if each.used and each.prediction is not None]
-    if not used:
-        return None
-    joints = used[0].prediction.joints if used[0].prediction else ()
-    series = {joint: [(each.time, each.residuals[:, j]) for each in used] for j, joint in enumerate(joints)}
-    words = (
-        "Over all runs used, masked samples left out. White residuals have a flat spectrum and an autocorrelation "
-        "within the band; where they do not, the block jackknife accounts for it in the standard deviations."
-    )
-    units = {joint: torque_unit(result.robot, joint) for joint in joints}
-    panels = residual_panels(series, units)
-    found = {joint: histogram(each) for joint, each in series.items()}
-    rows = [(joint_label(joint), each and each.mean, each and each.std, units[joint]) for joint, each in found.items()]
-    columns = (Column("joint"), Column("mean", Kind.NUMBER, 2), Column("std", Kind.NUMBER, 3), Column("unit"))
-    chart = Chart(panels, columns=3) if panels else None
-    return section("Residuals", Text(words), chart, table(columns, rows), id="residuals")
-
-
-def residual_panels(series: dict[str, list[tuple[np.ndarray, np.ndarray]]], units: dict[str, str]) -> tuple[Panel, ...]:
-    """Draw histograms, spectra (one panel for each unit) and autocorrelations of residuals by joint."""
-    bars: list[Series] = []
-    lags: list[Series] = []
-    bands: list[float] = []
-    spectra: dict[str, list[Series]] = {}
-    for j, (joint, each) in enumerate(series.items()):
-        density, power, correlation = histogram(each), spectrum(each), autocorrelation(each)
-        if density is not None:
-            edges = (density.edges - density.mean) / density.std
-            bars.append(Series(joint_label(joint), edges, density.density * density.std, colour(j), "steps"))
-        if power is not None and (power.density > 0).any():
-            shown = power.density > 0
-            line = Series(joint_label(joint), power.frequency[shown], np.sqrt(power.density[shown]), colour(j))
-            spectra.setdefault(units[joint], []).append(line)
-        if correlation is not None:
-            lags.append(Series(joint_label(joint), correlation.lag, correlation.value, colour(j)))
-            bands.append(correlation.band)
-    panels = []
-    if bars:
-        x = np.linspace(-4.0, 4.0, 90)
-        normal = Series("normal density", x, np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi), "soft", width=0.8)
-        axis = Axis("residual / standard deviation", limits=(-4.5, 4.5))
-        panels.append(Panel(axis, Axis("density"), (*bars, normal), "Histogram", height=2))
-    for unit, lines in spectra.items():
-        axis = Axis("frequency, Hz")
-        panels.append(Panel(axis, Axis(f"{unit}/√Hz", log=True), tuple(lines), "Amplitude spectral density", height=2))
-    if lags:
-        title, band = "Autocorrelation; band: white noise, 95 %", (-max(bands), max(bands))
-        panels.append(Panel(Axis("lag, s"), Axis("autocorrelation"), tuple(lags), title, band=band, height=2))
-    return tuple(panels)
+def stretches(time: np.ndarray, masked: np.ndarray) -> np.ndarray:
+    """List beginnings and ends, s, (2 K,) of the stretches where ``masked`` (K,) holds; join those close together."""
+    shortest = SHORTEST * float(time[-1] - time[0])
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], masked, [False]]).astype(np.int8)))
+    starts, stops = time[edges[::2]], time[np.minimum(edges[1::2], len(time) - 1)]
+    apart = np.concatenate([[True], starts[1:] - stops[:-1] >= shortest]) if len(starts) else np.zeros(0, bool)
+    first = np.flatnonzero(apart)
+    ends = stops[np.append(first[1:] - 1, len(stops) - 1)] if len(stops) else stops
+    return np.column_stack([starts[first], ends]).reshape(-1).astype(float)

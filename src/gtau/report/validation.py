@@ -15,8 +15,8 @@ from gtau.estimation.results.result import Result
 from gtau.report.check import unique_names
 from gtau.report.evidence import RunEvidence, largest, worst_stretch
 from gtau.report.gains import gains_section, masses_section, payloads_section
-from gtau.report.identification import motion_section
 from gtau.report.logs import logs_section
+from gtau.report.motion import motion_section
 from gtau.report.page import Chart, Column, Drawing, Kind, Page, Section, Text, page, section, table
 from gtau.report.torques import (
     REVERSALS,

@@ -1,8 +1,15 @@
-"""Write ``report.html``: a page, what it was made from, and how long that took."""
+"""Write ``report.html``: a page, and its provenance: command, hashes of its inputs, versions, settings, run time."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import hashlib
+import platform
+import shlex
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from datetime import datetime
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from gtau.documents.files import write_atomically
@@ -11,23 +18,25 @@ from gtau.estimation.results.result import Result
 from gtau.progress import Progress, silent
 from gtau.report.evidence import gather, settings_of
 from gtau.report.identification import report_page
-from gtau.report.page import Page
-from gtau.report.provenance import Provenance, command_line, stamped
+from gtau.report.page import Column, Facts, Kind, Page, Text, section, table
 from gtau.report.render.html import html
 from gtau.signals.experiment import Experiment, read_experiment
 
 Inputs = tuple[tuple[str, Path], ...]
+"""Files, by what they are for."""
 REPORT = "report.html"
+PACKAGES = ("numpy", "scipy", "polars", "casadi", "numba", "clarabel", "mujoco")
+LISTED = 12  # inputs that are shown unfolded
+LARGEST = 1 << 31  # bytes of an input that is hashed
 
 
 def write_report(
     page: Page, folder: Path, seconds: float, inputs: Inputs = (), settings: Mapping[str, str] | None = None
 ) -> Path:
     """Write a page to a folder, with the command that runs now, its ``inputs`` and ``settings``, and its time, s."""
-    of = Provenance(command_line(), inputs, settings or {}, seconds)
-    path = folder / REPORT
-    write_atomically(path, html(stamped(page, of)))
-    return path
+    command = shlex.join(["gtau", *sys.argv[1:]])
+    write_atomically(folder / REPORT, html(stamped(page, settings or {}, command, inputs, seconds)))
+    return folder / REPORT
 
 
 def write_identification(result: Result, path: Path, folder: Path, seconds: float, progress: Progress = silent) -> Path:
@@ -49,3 +58,71 @@ def inputs_of(path: Path, experiment: Experiment | None = None, runs: bool = Tru
     listed: Sequence = (*(experiment.runs if runs else ()), *experiment.validation)
     logs = tuple(("log", log) for run in listed for log in run.log)
     return (("experiment", path), *((("robot", robot),) if robot.exists() else ()), *logs)
+
+
+def stamped(
+    page: Page, settings: Mapping[str, str], command: str = "", inputs: Inputs = (), seconds: float | None = None
+) -> Page:
+    """Add to a page when and by which version it was made, on top, and at its end what from.
+
+    ``settings`` are values by name, and ``seconds`` the time that the work took.
+    """
+    made, found = datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"), versions()
+    taken = {} if seconds is None else {"time taken": f"{seconds:.1f} s"}
+    files = table(
+        (Column("input"), Column("file"), Column("size"), Column("SHA-256", Kind.NAME)),
+        [(what, str(path), *fingerprint(path)) for what, path in inputs],
+    )
+    listed = f"Inputs: {len(inputs)} files with their hashes"
+    provenance = section(
+        "Provenance",
+        section("The command that reproduces this report", Text(command, style="command")) if command else None,
+        Facts({"made on": made, **taken, **found}),
+        section("Settings", Facts(settings)) if settings else None,
+        section(listed, files, folded=len(inputs) > LISTED) if inputs else None,
+        id="provenance",
+    )
+    lead = (*page.lead, f"Made on {made} by gtau {found['gtau']}.")
+    return replace(page, sections=(*page.sections, provenance), lead=lead)
+
+
+def versions() -> dict[str, str]:
+    """List versions of gtau, Python and the packages that compute."""
+    from gtau import __version__
+
+    found = {"gtau": __version__, "Python": f"{platform.python_version()}, {platform.system()} {platform.machine()}"}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def fingerprint(path: Path) -> tuple[str, str]:
+    """Return size in words and SHA-256 of a file; of a folder those of its files, of a missing file that it is."""
+    if path.is_dir():
+        parts = sorted(each for each in path.iterdir() if each.is_file())
+        return f"{len(parts)} files", _digest(parts)
+    if not path.is_file():
+        return "–", "no longer exists"
+    return _size(path.stat().st_size), _digest([path])
+
+
+def _digest(paths: Iterable[Path]) -> str:
+    digest = hashlib.sha256()
+    for path in paths:
+        if path.stat().st_size > LARGEST:
+            return f"not computed: larger than {_size(LARGEST)}"
+        with path.open("rb") as file:
+            while part := file.read(1 << 20):
+                digest.update(part)
+    return digest.hexdigest()
+
+
+def _size(size: float) -> str:
+    for unit in ("B", "kB", "MB"):
+        if size < 1000:
+            return f"{size:.3g} {unit}"
+        size /= 1000
+    return f"{size:.3g} GB"

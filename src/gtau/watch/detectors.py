@@ -18,6 +18,9 @@ so does one of the mean of several charts' detectors, however these depend on ea
 
 A classic CUSUM accompanies it, of the normal scores of recursive residuals, which are independent and standard normal
 without a change (Quesenberry, Journal of Quality Technology 23, 1991), with the limit by Siegmund's formula.
+
+Healthy days differ by more than the interval of one day's log, so the bands of a chart come from the scatter between
+the logs of its baseline.
 """
 
 from __future__ import annotations
@@ -27,12 +30,43 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import ndtri, stdtr
 
+FEWEST = 4  # logs of a baseline: mean, scale and two degrees of freedom
 MEMORY = 0.7  # correlation from log to log of a healthy robot; a smaller one makes alarms rarer
 OF_FRICTION = 0.9  # the same for friction and residuals, which follow weather and seasons
 KAPPA = 4.0  # standard deviation of a change, in those between logs
 WINDOW = 400  # logs at which a change may have begun; older ones are condensed
 REFERENCE = 0.5  # of the CUSUM, in standard deviations: half the change that it finds soonest
 OVERSHOOT = 1.166  # 2 * 0.583, by which Siegmund's formula allows for discrete time
+
+
+@dataclass(frozen=True, eq=False)
+class Baseline:
+    """Healthy logs: ``mean`` and ``std`` (k,) between logs, of ``count`` (k,) each; NaN where there are too few."""
+
+    mean: np.ndarray
+    std: np.ndarray
+    count: np.ndarray
+
+    def bands(self, probability: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
+        """Compute the prediction interval of one more healthy log at this probability, (k,) each, by Student's t."""
+        from scipy.stats import t
+
+        factor = t.ppf((1 + probability) / 2, np.maximum(self.count - 1, 1)) * np.sqrt(
+            1 + 1 / np.maximum(self.count, 1)
+        )
+        half = factor * self.std
+        return self.mean - half, self.mean + half
+
+
+def baseline_of(values: np.ndarray) -> Baseline:
+    """Compute the baseline of healthy logs, ``values`` (logs, k), NaN where a chart is not observable in a log."""
+    there = np.isfinite(values)
+    count = there.sum(axis=0)
+    filled = np.where(there, values, 0.0)
+    mean = filled.sum(axis=0) / np.maximum(count, 1)
+    squares = np.sum(np.where(there, values - mean, 0.0) ** 2, axis=0)
+    std = np.sqrt(squares / np.maximum(count - 1, 1))
+    return Baseline(np.where(count > 0, mean, np.nan), np.where(count > 1, std, np.nan), count)
 
 
 @dataclass(frozen=True, eq=False)

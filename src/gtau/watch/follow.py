@@ -17,8 +17,7 @@ from tempfile import TemporaryDirectory
 from gtau.errors import GtauError
 from gtau.signals.formats.text import layout_of
 from gtau.signals.run import Run
-from gtau.watch.logs import date_of, logs_of
-from gtau.watch.state import digest_of
+from gtau.watch.state import date_of, digest_of, logs_of
 from gtau.watch.watch import Status, Watch, now
 
 SETTLED = 1.0  # s without changes after which a log of a folder counts as finished

@@ -18,6 +18,7 @@ off     offset of the current                        1
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,12 +79,10 @@ class NormalEquations:
     sigma: np.ndarray
 
 
-def quantities_of(model: IdentifiedModel) -> tuple[Quantity, ...]:
-    """List the watched quantities of a model, in the order of the columns."""
-    robot, idm = model.robot, model.model
-    payload = carried_payload(idm, model.base, 0, Payload(name="load"))
-    load = (Quantity(kind, "", unit_of(kind, robot, robot.tool)) for kind in payload.unknown.values())
-    motors = robot.motors
+def quantities_of(model: IdentifiedModel, of_load: Iterable[str]) -> tuple[Quantity, ...]:
+    """List the watched quantities of a model and the parameters ``of_load``, in the order of the columns."""
+    robot, motors = model.robot, model.robot.motors
+    load = (Quantity(kind, "", unit_of(kind, robot, robot.tool)) for kind in of_load)
     kinds = {joint: robot.joint(joint).kind for joint in motors}
     drives = [
         *(Quantity("gain", joint, "1") for joint in motors),
@@ -129,15 +128,15 @@ def normal_equations(model: IdentifiedModel, run: Run) -> NormalEquations:
     def friction(at: np.ndarray, motion: Motion, effort: np.ndarray) -> np.ndarray:
         return law.torques(motion, friction_values(model, chi, run, at), effort, states(at))
 
-    quantities, sigma = quantities_of(model), _sigma(model)
-    places = _Places.of(model, quantities)
+    payload = carried_payload(idm, base, 0, Payload(name="load"))
+    quantities, sigma = quantities_of(model, payload.unknown.values()), _sigma(model)
     p = len(quantities)
     G, rows = np.zeros((STRETCHES, n, p + 1, p + 1)), np.zeros((STRETCHES, n), dtype=int)
     power = np.zeros(n)
     stretches = stretch_of(stretch_edges(prepared), decimator.outputs(len(prepared)))
     regressor = idm.columns(base.standard)
     for part in stream_rows(idm, regressor, prepared, decimator, load, friction=friction):
-        A, tau = _columns(model, part, load, places, p, run.name)
+        A, tau = _columns(model, part, load, payload.columns, quantities, run.name)
         stretch = stretches[part.outputs]
         for s in range(stretch[0], stretch[-1] + 1):
             for j in range(n):
@@ -162,26 +161,18 @@ def _sigma(model: IdentifiedModel) -> np.ndarray:
     return np.array([known.get(joint) or middle or 1.0 for joint in model.robot.actuated])
 
 
-@dataclass(frozen=True, eq=False)
-class _Places:
-    """Positions of the columns: of the load (n_b, k) in base columns, and by kind and joint."""
-
-    load: np.ndarray
-    own: tuple[tuple[int, str, int], ...]
-    base_column: dict[str, int]
-
-    @staticmethod
-    def of(model: IdentifiedModel, quantities: tuple[Quantity, ...]) -> _Places:
-        payload = carried_payload(model.model, model.base, 0, Payload(name="load"))
-        joints = model.robot.actuated
-        own = tuple((k, q.kind, joints.index(q.joint)) for k, q in enumerate(quantities) if q.joint)
-        return _Places(payload.columns, own, {name: k for k, name in enumerate(model.base.standard)})
-
-
 def _columns(
-    model: IdentifiedModel, part: Rows, load: np.ndarray, places: _Places, p: int, run: str
+    model: IdentifiedModel,
+    part: Rows,
+    load: np.ndarray,
+    payload: np.ndarray,
+    quantities: Sequence[Quantity],
+    run: str,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Build the rows ``[columns | y]`` (n, K, p + 1) of all joints, and the torques of the model (n, K)."""
+    """Build the rows ``[columns | y]`` (n, K, p + 1) of all joints, and the torques of the model (n, K).
+
+    ``load`` are the identified base parameters, and ``payload`` (n_b, k) the columns of a payload among them.
+    """
     idm = model.model
     n, regressor = len(idm.actuated), idm.columns(model.base.standard)
     W = np.zeros((n, len(part.time), len(regressor.names)))
@@ -193,12 +184,14 @@ def _columns(
     gains = model.gains[:, None]
     measured = gains * np.einsum("ijk,ji->jk", part.currents, delayed(delays))
     rate = gains * (v_d - delays[:, None] * v_dd)
-    A = np.zeros((n, len(part.time), p + 1))
-    k_load = places.load.shape[1]
-    A[..., :k_load] = W @ places.load
+    A = np.zeros((n, len(part.time), len(quantities) + 1))
+    A[..., : payload.shape[1]] = W @ payload
     zeros = _of_zeros(model, part, load, run)
-    for k, kind, j in places.own:
-        match kind:
+    for k, each in enumerate(quantities):
+        if not each.joint:
+            continue
+        j = idm.actuated.index(each.joint)
+        match each.kind:
             case "gain":
                 A[j, :, k] = -tau[j]
             case "delay":
@@ -206,8 +199,8 @@ def _columns(
             case "zero":
                 A[:, :, k] = zeros[j]
             case _:
-                A[:, :, k] = W[:, :, places.base_column[Parameter(kind, idm.actuated[j]).name]]
-    A[..., p] = measured - tau
+                A[:, :, k] = W[:, :, model.base.standard.index(each.name)]
+    A[..., -1] = measured - tau
     return A, tau
 
 
@@ -229,12 +222,3 @@ def _of_zeros(model: IdentifiedModel, part: Rows, load: np.ndarray, run: str) ->
         along = regressor.torques_along(idm.layout, idm.rates(c, qd, qdd, labels), load)
         columns[j] = (along - before) / STEP * ZERO_UNITS[model.robot.joint(joint).kind][1]
     return columns
-
-
-def without_inertia(quantities: tuple[Quantity, ...]) -> tuple[int, ...]:
-    """List the charted quantities: all but inertia of the load and offsets, which are estimated with the others."""
-    return tuple(
-        k
-        for k, each in enumerate(quantities)
-        if each.kind != "off" and not (not each.joint and each.kind not in ("m", "mx", "my", "mz"))
-    )

@@ -18,13 +18,7 @@ from gtau.estimation.estimators.estimator import jackknife
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.robots.units import torque_unit
 from gtau.signals.run import Run
-from gtau.watch.quantities import (
-    FRICTION,
-    NormalEquations,
-    Quantity,
-    normal_equations,
-    without_inertia,
-)
+from gtau.watch.quantities import FRICTION, NormalEquations, Quantity, normal_equations
 
 SPANNED = 1e-6  # of the square of a column: a smaller residual is linear dependence on the others
 SHOWN = 0.03  # of a joint's rms torque, by which a change of one standard deviation may at most move it
@@ -160,7 +154,12 @@ class _Columns:
         friction = tuple(k for k, each in enumerate(quantities) if each.group in FRICTION)
         load = tuple(k for k, each in enumerate(quantities) if each.group == "load")
         single = tuple(k for k in range(len(quantities)) if k not in friction and k not in load)
-        return _Columns(friction, load, single, without_inertia(quantities))
+        charts = tuple(  # inertia of the load and offsets are estimated with the others
+            k
+            for k, each in enumerate(quantities)
+            if each.kind != "off" and (each.joint or each.kind in ("m", "mx", "my", "mz"))
+        )
+        return _Columns(friction, load, single, charts)
 
 
 def _combinations(G: np.ndarray, columns: _Columns) -> tuple[np.ndarray, np.ndarray]:
@@ -170,34 +169,21 @@ def _combinations(G: np.ndarray, columns: _Columns) -> tuple[np.ndarray, np.ndar
     norms = np.sqrt(np.diag(G)[:p])
     scale = np.where(norms > 0, norms, 1.0)
     N = G[:p, :p] / scale / scale[:, None]
-    friction, load = list(columns.friction), list(columns.load)
+    friction = list(columns.friction)
     inverse = _inverse(N[np.ix_(friction, friction)])
     every[np.ix_(friction, friction)] = inverse
     usable = norms > 0
     usable[friction] &= np.diag(inverse) < 1 / SPANNED
     of_friction = inverse @ N[friction]  # (f, p)
     left = N - N[:, friction] @ of_friction
-    for group in ([each] for each in columns.single):
-        _place(every, left, of_friction, friction, group, usable)
-    _place(every, left, of_friction, friction, load, usable)
+    for group in (*([each] for each in columns.single), list(columns.load)):
+        M = left[np.ix_(group, group)]
+        inverse = _inverse(M)
+        usable[group] &= (np.diag(M) > SPANNED) & (np.diag(inverse) < 1 / SPANNED)
+        every[np.ix_(group, group)] = inverse
+        every[np.ix_(group, friction)] = -inverse @ of_friction[:, group].T
     chosen = list(columns.charts)
     return (every / scale / scale[:, None])[chosen], usable[chosen]
-
-
-def _place(
-    every: np.ndarray,
-    left: np.ndarray,
-    of_friction: np.ndarray,
-    friction: list[int],
-    group: list[int],
-    usable: np.ndarray,
-) -> None:
-    """Put the combinations of a group of columns, estimated jointly with friction, into ``every``."""
-    M = left[np.ix_(group, group)]
-    inverse = _inverse(M)
-    usable[group] &= (np.diag(M) > SPANNED) & (np.diag(inverse) < 1 / SPANNED)
-    every[np.ix_(group, group)] = inverse
-    every[np.ix_(group, friction)] = -inverse @ of_friction[:, group].T
 
 
 def _inverse(M: np.ndarray) -> np.ndarray:

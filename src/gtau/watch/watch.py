@@ -19,11 +19,22 @@ from gtau.estimation.results.result import Result
 from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.signals.run import Run
 from gtau.watch.alarms import alarm_of
-from gtau.watch.baseline import FEWEST, Baseline, baseline_of
-from gtau.watch.detectors import MEMORY, OF_FRICTION, WINDOW, Chart, Evidence, add, combined, cusum_limit, evidence
-from gtau.watch.logs import reset_date
+from gtau.watch.detectors import (
+    FEWEST,
+    MEMORY,
+    OF_FRICTION,
+    WINDOW,
+    Baseline,
+    Chart,
+    Evidence,
+    add,
+    baseline_of,
+    combined,
+    cusum_limit,
+    evidence,
+)
 from gtau.watch.quantities import FRICTION, Quantity
-from gtau.watch.state import Alarm, Entry, Settings, append, open_history
+from gtau.watch.state import Alarm, Entry, Settings, append, open_history, reset_date
 from gtau.watch.statistics import RESIDUAL, LogStatistics, statistics_of
 
 

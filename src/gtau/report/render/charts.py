@@ -16,8 +16,7 @@ import numpy as np
 from gtau.documents.files import write_atomically
 from gtau.errors import GtauError
 from gtau.report.page import Axis, Chart, Panel, Series
-from gtau.report.render.live import envelope
-from gtau.report.render.panels import BUCKETS, NAMES, dashes_of
+from gtau.report.render.panels import NAMES, dashes_of, thinned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -192,10 +191,8 @@ def _series(axes: Axes, series: Series) -> None:
         axes.broken_barh(spans, (float(series.y[0]) - 0.35, 0.7), color=colour, linewidth=0)
     elif series.mark == "line":
         dashes = dashes_of(series)
-        x, y = series.x, series.y
-        if np.all(np.diff(x) >= 0):  # along time or frequency, not a path
-            x, y = (each.reshape(-1) for each in envelope(x, y[:, None], BUCKETS))
-        axes.plot(x, y, color=colour, linewidth=series.width, linestyle=(0, dashes) if dashes else "-", **look)
+        style = (0, dashes) if dashes else "-"
+        axes.plot(*thinned(series), color=colour, linewidth=series.width, linestyle=style, **look)
     elif series.mark == "points":
         axes.plot(series.x, series.y, color=colour, marker="o", linestyle="none", markersize=2 + series.width, **look)
         axes.margins(x=0.03)

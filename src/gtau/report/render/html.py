@@ -5,16 +5,22 @@ from __future__ import annotations
 import json
 import re
 from base64 import b64encode
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from functools import cache
 from hashlib import sha256
 from importlib.resources import files
 from typing import Any
 
-from gtau.report.page import BADGES, NUMERIC, Chart, Column, Drawing, Kind, Page
-from gtau.report.render.live import arrays_for, live_charts, spec_of
-from gtau.report.render.panels import MINUS, sketch_of
+import numpy as np
+
+from gtau.report.page import BADGES, NUMERIC, Chart, Column, Drawing, Item, Kind, Page, Panel, Section
+from gtau.report.render.panels import MINUS, envelope, sketch_of
 from gtau.report.render.sketch import svg
 
+BUCKETS = 2000  # of a run, each drawn by its extremes: more than the pixels of a wide screen
+BUDGET = 450_000  # numbers in all series of a page: 2.4 MB once packed
+INCH = 96  # pixels
 FIT = (
     "new ResizeObserver(() => { try { frameElement.style.height = document.body.getBoundingClientRect().height + 16 + "
     "'px'; } catch (outside) {} }).observe(document.body);"
@@ -135,3 +141,63 @@ def sentence(words: str) -> str:
     if words and words.split()[0].isalpha():
         words = words[0].upper() + words[1:]
     return words if not words or words.endswith((".", "!", "?")) else words + "."
+
+
+# Time series: packed as base64 float32, thinned to envelopes, drawn by uPlot
+
+
+@dataclass
+class Arrays:
+    """The arrays of a page by the key that charts refer to them with; equal arrays are packed once."""
+
+    buckets: int = BUCKETS
+    keys: dict[str, str] = field(default_factory=dict)
+    charts: int = 0
+
+    def put(self, values: np.ndarray) -> str:
+        """Pack an array (K,) as float32; return the key it can be found by."""
+        text = b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode("ascii")
+        return self.keys.setdefault(text, f"a{len(self.keys)}")
+
+    @property
+    def text(self) -> str:
+        """The arrays as JSON."""
+        return json.dumps({key: text for text, key in self.keys.items()}, separators=(",", ":"))
+
+
+def arrays_for(items: tuple[Item, ...]) -> Arrays:
+    """Divide the budget of a page among its series."""
+    series = sum(len(panel.series) for chart in live_charts(items) for panel in chart.panels)
+    return Arrays(int(np.clip(BUDGET // max(2 * series, 1), 100, BUCKETS)))
+
+
+def live_charts(items: tuple[Item, ...]) -> Iterator[Chart]:
+    """Yield the live charts of a page."""
+    for item in items:
+        if isinstance(item, Section):
+            yield from live_charts(item.items)
+        elif isinstance(item, Chart) and item.live:
+            yield item
+
+
+def spec_of(panel: Panel, arrays: Arrays, group: str, last: bool) -> dict[str, Any]:
+    """Describe a panel for the script of the page, and pack its series."""
+    time = panel.series[0].x
+    thin_time, thin = envelope(time, np.column_stack([each.y for each in panel.series]), arrays.buckets)
+    spec: dict[str, Any] = {
+        "x": arrays.put(thin_time),
+        "series": [
+            {"label": each.label, "data": arrays.put(thin[:, k]), "colour": each.colour, "width": each.width}
+            for k, each in enumerate(panel.series)
+        ],
+        "unit": panel.y.label,
+        "group": group,
+        "height": round(INCH * panel.height),
+        "last": last,
+        "xlabel": panel.x.label,
+    }
+    if panel.shaded is not None and panel.shaded.size:
+        spec["masked"] = arrays.put(panel.shaded)
+    if panel.y.limits[0] is not None:
+        spec["from"] = panel.y.limits[0]
+    return spec

@@ -9,7 +9,6 @@ from math import ceil, floor, log10
 import numpy as np
 
 from gtau.report.page import Axis, Panel, Series
-from gtau.report.render.live import envelope
 from gtau.report.render.sketch import Item, Mark, Path, Sketch, Word
 
 MINUS = "\N{MINUS SIGN}"
@@ -152,18 +151,16 @@ def _frame(panel: Panel, x: Scale, y: Scale) -> Iterator[Item]:
     """Draw the axes, their ticks and labels."""
     bounds = np.array([(x.start, y.stop), (x.start, y.start), (x.stop, y.start)])
     yield Path(bounds[1:] if panel.y.names and panel.matrix is None else bounds, "soft", 0.8)
-    shown = [(value, name) for value, name in panel.x.names.items()] if panel.x.names else _ticks(x)
-    size = min(TEXT, NAMES / max(len(panel.x.names), 1))
-    for value, name in shown:
-        at = float(x(value))
-        if panel.x.names:
-            yield Word(name, np.array([at, y.start - 4.0]), "end", size=size, upright=True)
-        else:
-            yield Word(name, np.array([at, y.start - 7.5]))
-    shown = [(value, name) for value, name in panel.y.names.items()] if panel.y.names else _ticks(y)
-    size = min(TEXT, NAMES / max(len(panel.y.names), 1))
-    for value, name in shown:
-        yield Word(name, np.array([x.start - 4.0, float(y(value))]), "end", size=size)
+    for axis, scale in ((panel.x, x), (panel.y, y)):
+        size = min(TEXT, NAMES / max(len(axis.names), 1))
+        for value, name in axis.names.items() or _ticks(scale):
+            at = float(scale(value))
+            if scale is y:
+                yield Word(name, np.array([x.start - 4.0, at]), "end", size=size)
+            elif axis.names:
+                yield Word(name, np.array([at, y.start - 4.0]), "end", size=size, upright=True)
+            else:
+                yield Word(name, np.array([at, y.start - 7.5]))
     if panel.x.label:
         yield Word(panel.x.label, np.array([(x.start + x.stop) / 2, y.start - 21.0 if not panel.x.names else 5.0]))
     if panel.y.label:
@@ -224,9 +221,7 @@ def _series(series: Series, x: Scale, y: Scale) -> Iterator[Item]:
         for start, stop in x(series.x).reshape(-1, 2).tolist():
             yield Path(np.array([(start, low), (stop, low), (stop, high), (start, high)]), fill=colour)
     elif series.mark == "line":
-        across, up = series.x, series.y
-        if np.all(np.diff(across) >= 0):  # along time or frequency, not a path
-            across, up = (each.reshape(-1) for each in envelope(across, up[:, None], BUCKETS))
+        across, up = thinned(series)
         dash = tuple(width * each for each in dashes_of(series))
         yield Path(np.column_stack([x(across), y(up)]), colour, width, dash=dash)
     else:
@@ -236,6 +231,14 @@ def _series(series: Series, x: Scale, y: Scale) -> Iterator[Item]:
 def dashes_of(series: Series) -> tuple[float, ...]:
     """Return strokes and gaps of a line, in widths of the line; none for a solid one."""
     return DASHES[int(series.colour[1:]) % len(DASHES)] if series.colour[1:].isdigit() else ()
+
+
+def thinned(series: Series) -> tuple[np.ndarray, np.ndarray]:
+    """Return the points (K,) and (K,) of a line, thinned along time or frequency, not along a path."""
+    if not np.all(np.diff(series.x) >= 0):
+        return series.x, series.y
+    x, y = envelope(series.x, series.y[:, None], BUCKETS)
+    return x, y.reshape(-1)
 
 
 def _marks(series: Series, x: Scale, y: Scale) -> Iterator[Item]:
@@ -260,3 +263,41 @@ def _marks(series: Series, x: Scale, y: Scale) -> Iterator[Item]:
             yield Mark(place, size=5.5, fill=colour)
         else:
             yield Mark(place, "diamond", 5.5, "page", colour, 1.2)
+
+
+def envelope(time: np.ndarray, values: np.ndarray, buckets: int) -> tuple[np.ndarray, np.ndarray]:
+    """Thin series to the extremes of each bucket, in the order in which they occur.
+
+    Parameters
+    ----------
+    time : ndarray
+        (K,) instants.
+    values : ndarray
+        (K, m) series; NaN is left out.
+    buckets : int
+        Buckets of equal numbers of samples.
+
+    Returns
+    -------
+    time, values : ndarray
+        (2 buckets,) and (2 buckets, m): two instants a bucket, which all series share; the input itself where it is
+        no longer than that.
+    """
+    samples, m = values.shape
+    size = -(-samples // buckets)
+    if size <= 2:
+        return time, values
+    count = -(-samples // size)
+    padded = np.full((count * size, m), np.nan)
+    padded[:samples] = values
+    padded = padded.reshape(count, size, m)
+    gaps = np.isnan(padded)
+    low = np.where(gaps, np.inf, padded).argmin(axis=1)
+    high = np.where(gaps, -np.inf, padded).argmax(axis=1)
+    first, last = np.minimum(low, high), np.maximum(low, high)
+    pairs = np.stack([np.take_along_axis(padded, at[:, None], axis=1)[:, 0] for at in (first, last)], axis=1)
+    instants = np.full(count * size, time[-1])
+    instants[:samples] = time
+    instants = instants.reshape(count, size)
+    shared = np.stack([instants[:, 0], instants[:, size // 2]], axis=1)
+    return shared.reshape(-1), pairs.reshape(-1, m)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gtau.report.residual_statistics import autocorrelation, histogram, spectrum
+from gtau.report.residuals import autocorrelation, histogram, moments, spectrum
 
 
 def test_autocorrelation_of_a_first_order_process_with_masked_samples(rng: np.random.Generator) -> None:
@@ -18,9 +18,10 @@ def test_autocorrelation_of_a_first_order_process_with_masked_samples(rng: np.ra
         series.append((np.arange(len(values)) / 50, values))
     found = autocorrelation(series)
     assert found is not None
-    np.testing.assert_allclose(found.value[:6], 0.7 ** np.arange(6), atol=0.03)
-    assert found.lag[1] == pytest.approx(1 / 50)
-    assert found.band == pytest.approx(1.96 / np.sqrt(0.7 * 80_000), rel=0.02)
+    lag, value, band = found
+    np.testing.assert_allclose(value[:6], 0.7 ** np.arange(6), atol=0.03)
+    assert lag[1] == pytest.approx(1 / 50)
+    assert band == pytest.approx(1.96 / np.sqrt(0.7 * 80_000), rel=0.02)
 
 
 def test_power_of_the_spectrum_is_the_variance_with_masked_samples(rng: np.random.Generator) -> None:
@@ -28,14 +29,21 @@ def test_power_of_the_spectrum_is_the_variance_with_masked_samples(rng: np.rando
     values[rng.random(len(values)) < 0.4] = np.nan
     found = spectrum([(np.arange(len(values)) / 200, values)])
     assert found is not None
-    assert found.density.sum() * (found.frequency[1] - found.frequency[0]) == pytest.approx(9.0, rel=0.05)
+    frequency, density = found
+    assert density.sum() * (frequency[1] - frequency[0]) == pytest.approx(9.0, rel=0.05)
 
 
 def test_a_histogram_is_a_density_with_the_deviation_of_what_is_kept(rng: np.random.Generator) -> None:
     values = rng.normal(loc=0.5, scale=2.0, size=20_000)
     values[::7] = np.nan
-    found = histogram([(np.arange(20_000.0), values)])
+    residuals = [(np.arange(20_000.0), values)]
+    found = histogram(residuals)
     assert found is not None
-    assert np.sum(found.density * np.diff(found.edges)) == pytest.approx(1.0)
-    assert found.std == pytest.approx(np.nanstd(values))
-    assert histogram([(np.arange(5.0), np.ones(5))]) is None
+    edges, density = found
+    assert np.sum(density * np.diff(edges)) == pytest.approx(1.0)
+    assert moments(residuals) == pytest.approx((np.nanmean(values), np.nanstd(values)))
+    middles = (edges[1:] + edges[:-1]) / 2  # in standard deviations about the mean
+    assert np.sum(density * np.diff(edges) * middles**2) == pytest.approx(1.0, rel=0.03)
+    few = [(np.arange(5.0), np.ones(5))]
+    assert histogram(few) is None
+    assert moments(few) is None

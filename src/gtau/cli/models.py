@@ -1,0 +1,300 @@
+"""Commands that use a model: validate, payload, use, export."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from enum import StrEnum
+from importlib.util import find_spec
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from gtau.cli.console import (
+    CarriedPayload,
+    Columns,
+    ExperimentFile,
+    Json,
+    ModelFile,
+    print_json,
+    progress_bar,
+    refusals,
+    show,
+)
+from gtau.documents.files import folder_of, refuse_as_folder
+from gtau.errors import GtauError, missing_extra
+
+if TYPE_CHECKING:
+    from gtau.estimation.results.payload import PayloadBody
+    from gtau.estimation.results.result import Result
+    from gtau.export.exported import Exported
+    from gtau.robots.robot import Placement
+
+# those of the registry, which --help need not import
+KINDS = "c, mjcf, mujoco-actuators, mjlab, isaaclab, urdf, yaml, csv, latex, orders, matlab, fmu"
+CONTROLLERS = "ur, franka, kuka, abb, ros"
+
+
+class Gains(StrEnum):
+    """Drive gains with which a payload is weighed."""
+
+    identified = "identified"
+    prior = "prior"
+
+
+def validate(
+    model: ModelFile,
+    experiment: ExperimentFile,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            metavar="DIR",
+            help="Folder for report.html and, of each run, a figure and a table with all samples.",
+        ),
+    ] = None,
+    json_: Json = False,
+) -> None:
+    """Compare measured torques with those of a model on the validation runs; with DIR also as figures."""
+    with refusals(json_):
+        refuse_as_folder(out)
+        start = perf_counter()
+        with progress_bar() as progress:
+            from gtau.estimation.experiment_runs import experiment_of, read_runs
+            from gtau.estimation.results.conclusions import without_temperature
+            from gtau.estimation.results.result import Result
+            from gtau.report.evidence import predicted, settings_of
+            from gtau.report.validation import validation_document, validation_page, validation_report, write_torques
+            from gtau.report.write import inputs_of, write_report
+
+            result = Result.load(model)
+            described = experiment_of(result, experiment)
+            if not described.validation:
+                raise GtauError(f"{experiment} has no validation runs; list them under 'validation'.")
+            runs = []
+            for k, run in enumerate(read := read_runs(described, described.validation, progress)):
+                progress("predicting torques", k, len(read))
+                runs.append(predicted(result, run, longest=None))
+        written: list[Path] = []
+        notes = without_temperature(result, described.signals)
+        if out is not None:
+            page = validation_report(result, runs, described.expected_gains, notes)
+            inputs = (("model", model), *inputs_of(experiment, described, runs=False))
+            written = [write_report(page, folder_of(out), perf_counter() - start, inputs, settings_of(result))]
+            written += write_torques(result, runs, out)
+        if json_:
+            print_json(validation_document(runs))
+        else:
+            show(validation_page(result, runs, notes), written)
+
+
+def payload(
+    model: ModelFile,
+    experiment: ExperimentFile,
+    gains: Annotated[
+        Gains, typer.Option(metavar="identified|prior", help="The model's gains, or the file's prior_gains.")
+    ] = Gains.identified,
+    frame: Annotated[
+        str,
+        typer.Option(
+            metavar="LINK|POSE",
+            help="Frame of the centre of mass and inertia: a link of the URDF (tool0), or 'x y z roll pitch yaw' "
+            "(m, rad) from the frame of the body that carries the payload. Default: that frame.",
+            show_default=False,
+        ),
+    ] = "",
+    to: Annotated[
+        str | None,
+        typer.Option("--to", metavar="CONTROLLER", help=f"Also write each payload for a controller: {CONTROLLERS}."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder for report.html and the files of --to.")
+    ] = None,
+    json_: Json = False,
+) -> None:
+    """Weigh unknown payloads from loaded runs and a run without payload.
+
+    Reports mass, centre of mass and inertia about it, of a physically possible body, with 95 % intervals.
+    """
+    with refusals(json_):
+        refuse_as_folder(out)
+        if to is not None and out is None:
+            raise GtauError(f"--to {to} writes files; name their folder by --out DIR.")
+        start = perf_counter()
+        with progress_bar() as progress:
+            from gtau.estimation.results.model_document import payload_documents
+            from gtau.estimation.results.result import Result
+            from gtau.estimation.weigh import exact_gains, weigh
+            from gtau.report.evidence import settings_of
+            from gtau.report.validation import bodies_document, weighing_page, weighing_report
+            from gtau.report.write import inputs_of, write_report
+            from gtau.signals.experiment import read_experiment
+
+            result = Result.load(model)
+            found = weigh(result, experiment, gains=gains.value, progress=progress)
+        described, written, notes = read_experiment(experiment), list[Path](), list[str]()
+        file = described.robot if isinstance(described.robot, str) else described.robot.file
+        bodies = []
+        if frame or to or find_spec("clarabel"):  # an extra, without which masses are weighed all the same
+            bodies = [each.in_frame(frame, file) for each in found]
+        else:
+            notes.append(str(missing_extra("what is said of the centre of mass", "clarabel", "consistency")))
+        exact = exact_gains(described, gains.value)
+        if out is not None:
+            page = weighing_report(result, found, gains.value, described.expected_gains, exact, bodies)
+            inputs = (("model", model), *inputs_of(experiment, described))
+            settings = {**settings_of(result), "drive gains": gains.value}
+            written = [write_report(page, folder_of(out), perf_counter() - start, inputs, settings)]
+            for exported in () if to is None else _exported(bodies, to, out):
+                written += exported.files
+                notes += exported.notes
+        if json_:
+            print_json(
+                {
+                    "payloads": payload_documents(found),
+                    "bodies": bodies_document(bodies),
+                    "files": [str(path) for path in written],
+                    "notes": notes,
+                    "gains": gains.value,
+                    "gain_uncertainty_included": not exact,
+                }
+            )
+        else:
+            show(weighing_page(result, found, gains.value, exact, bodies), written)
+            _show_notes(notes)
+
+
+def _exported(bodies: Sequence[PayloadBody], to: str, out: Path) -> list[Exported]:
+    """Write payloads for a controller, each weighing to its own files."""
+    from gtau.export.exported import identifier
+    from gtau.export.registry import export_payload
+    from gtau.report.check import unique_names
+
+    names = unique_names([identifier(each.name) for each in bodies])
+    return [export_payload(replace(each, name=name), to, out) for each, name in zip(bodies, names, strict=True)]
+
+
+def export(
+    model: ModelFile,
+    to: Annotated[str, typer.Option("--to", metavar="KIND", help=f"What to write: {KINDS}.")],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the files.")],
+    into: Annotated[
+        Path | None,
+        typer.Option(
+            "--into", metavar="FILE", help="Robot file (URDF or MJCF) to copy with the identified parameters inserted."
+        ),
+    ] = None,
+    samples: Annotated[
+        int,
+        typer.Option(
+            "--samples",
+            min=0,
+            metavar="N",
+            help="Also draw N models from the identified distribution, for domain randomization: samples.npz.",
+        ),
+    ] = 0,
+    models: Annotated[
+        int, typer.Option("--models", min=0, metavar="N", help="Number of draws also written as models.")
+    ] = 16,
+    seed: Annotated[int, typer.Option("--seed", min=0, metavar="SEED", help="Seed of the draws.")] = 0,
+    json_: Json = False,
+) -> None:
+    """Export a model for controllers, simulators, papers and other programs."""
+    with refusals(json_):
+        from gtau.export.registry import export_model
+
+        with progress_bar() as progress:
+            progress("export", 0, 1)
+            exported = export_model(model, to, out, into, samples, models, seed)
+            progress("export", 1, 1)
+        if json_:
+            files = [str(path) for path in exported.files]
+            print_json({"kind": to, "files": files, "notes": list(exported.notes), "figures": dict(exported.figures)})
+        else:
+            for path in exported.files:
+                typer.echo(f"written: {path}")
+            _show_notes(exported.notes)
+
+
+def _show_notes(notes: Sequence[str]) -> None:
+    for each in notes:
+        typer.echo(textwrap.fill(f"- {each}", 80, subsequent_indent="  "))
+
+
+def use(
+    model: ModelFile,
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Log of a run: CSV, Parquet.", show_default=False)],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="Table to write: .csv or .parquet, one row per sample.")
+    ] = None,
+    experiment: Columns = None,
+    payload: CarriedPayload = None,
+    frame: Annotated[
+        str | None,
+        typer.Option(
+            "--frame",
+            metavar="LINK|POSE",
+            help="Also compute the external force and moment at a link of the experiment's URDF (tool0), or at 'x y z "
+            "roll pitch yaw' (m, rad) from the frame of the body that carries the payload.",
+        ),
+    ] = None,
+    force_only: Annotated[
+        bool,
+        typer.Option("--force-only", help="The contact exerts no moment about the origin of --frame, as a point does."),
+    ] = False,
+    observer: Annotated[
+        float | None,
+        typer.Option(
+            "--observer", metavar="HZ", help="Also estimate external torques causally, by a momentum observer."
+        ),
+    ] = None,
+    json_: Json = False,
+) -> None:
+    """Compute motor, model and external joint torques along a log, to see contacts and collisions.
+
+    External torque is what the environment exerts on a joint: the model's torque minus the motor's, N m (or N). For
+    each joint it prints the rms away from reversals and over all samples, the largest value and its time, the
+    residual of the identification, and the share of samples beyond four residuals. With --frame it also prints the
+    wrench of these torques with its intervals; components that a pose does not show have no value. LOG has the
+    columns t, qJOINT and vJOINT (tauJOINT for a model of torques; s, rad or m, A), unless an experiment file names
+    others. FILE gets motor, model and external torque of every sample.
+    """
+    with refusals(json_):
+        from gtau.estimation.experiment_runs import carrying, read_log
+        from gtau.estimation.results.result import Result
+        from gtau.export.external_torques import summary_text, torques_along_log, write_table
+
+        if force_only and frame is None:
+            raise GtauError(
+                "--force-only applies to a contact frame; name the frame by --frame LINK, or omit --force-only."
+            )
+        result = Result.load(model)
+        at = None if frame is None else _frame(result, frame, experiment)
+        with progress_bar() as progress:
+            progress("torques along the log", 0, 1)
+            run = read_log(result, log, experiment)
+            run = run if payload is None else carrying(result, run, payload)
+            found = torques_along_log(result, run, at, force_only, observer)
+            progress("torques along the log", 1, 1)
+        if out is not None:
+            write_table(found, out)
+        if json_:
+            joints = [asdict(each) for each in found.joints]
+            document: dict[str, Any] = {"log": str(log), "out": None if out is None else str(out), "joints": joints}
+            if (wrench := found.wrench) is not None:
+                document["wrench"] = {"frame": wrench.frame, "components": list(map(asdict, wrench.components))}
+            print_json(document)
+        else:
+            typer.echo("\n".join([summary_text(found), *([] if out is None else [f"written: {out}"])]))
+
+
+def _frame(result: Result, frame: str, experiment: Path | None) -> tuple[str, Placement]:
+    """Find a frame on the body that carries the payload, as for 'gtau payload'."""
+    from gtau.robots.readers.frames import frame_on
+    from gtau.signals.experiment import read_experiment
+
+    robot = None if experiment is None else read_experiment(experiment).robot
+    return frame_on(result.robot.tool, frame, robot if robot is None or isinstance(robot, str) else robot.file)

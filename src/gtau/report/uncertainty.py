@@ -1,0 +1,138 @@
+"""Show what the uncertainty of the estimates comes from: correlations, singular values and alternative models."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+import numpy as np
+
+from gtau.estimation.results.estimate import AlternativeMoves
+from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.report.page import Axis, Chart, Column, Kind, Panel, Section, Series, Text, joint_label, section, table
+
+STRONG = 0.9  # correlation from which on a pair is listed
+LISTED = 20
+PAPER = "Briot and Gautier 2015"  # Multibody System Dynamics 33
+SHOWN = 60  # estimates whose names fit beside a matrix
+
+
+def correlation_of(result: IdentifiedModel) -> tuple[tuple[str, ...], np.ndarray]:
+    """Compute names and correlations (m, m) of all estimates that have a variance."""
+    covariance = result.covariance
+    std = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
+    known = np.flatnonzero(std > 0)
+    part = covariance[np.ix_(known, known)] / np.outer(std[known], std[known])
+    return tuple(result.covariance_names[k] for k in known), np.clip(part, -1.0, 1.0)
+
+
+def correlation_chart(names: tuple[str, ...], matrix: np.ndarray) -> Chart:
+    """Draw a correlation matrix; names are beside it where they fit."""
+    shown = {float(k): name for k, name in enumerate(names)} if len(names) <= SHOWN else {}
+    label = "" if shown else "number of the estimate"
+    return Chart((Panel(Axis(label, names=shown), Axis(label, names=shown), matrix=matrix, height=5.2),))
+
+
+def correlation_section(result: IdentifiedModel) -> Section | None:
+    """Show the correlation matrix of the estimates, and the pairs that are strongly correlated."""
+    names, matrix = correlation_of(result)
+    if len(names) < 2:
+        return None
+    upper = np.triu(np.abs(matrix), 1)
+    strongest = np.argsort(upper, axis=None)[::-1]
+    pairs = [np.unravel_index(k, upper.shape) for k in strongest if upper.flat[k] >= STRONG]
+    rows = [(names[i], names[j], float(matrix[i, j])) for i, j in pairs[:LISTED]]
+    columns = (Column("estimate", Kind.NAME), Column("and", Kind.NAME), Column("correlation", Kind.NUMBER, 3))
+    words = (
+        f"{len(names)} estimates in the order of model.json: parameters, then drive gains, then delays. "
+        f"{len(pairs) or 'No'} pair{'' if len(pairs) == 1 else 's'} with a correlation of {STRONG:g} or more"
+        + (f", the {LISTED} strongest listed. " if len(pairs) > LISTED else ". ")
+        + "Blue: positive, orange: negative; the fuller the colour, the stronger."
+    )
+    pairs_table = table(columns, rows) if rows else None
+    numbered = [(k, name) for k, name in enumerate(names)] if len(names) > SHOWN else []
+    listed = table((Column("number", Kind.NUMBER), Column("estimate", Kind.NAME)), numbered)
+    return section(
+        "Correlation",
+        Text(words),
+        _drift_text(names, result),
+        correlation_chart(names, matrix),
+        section("Names of the numbers", listed, folded=True) if numbered else None,
+        pairs_table,
+        id="correlation",
+    )
+
+
+def singular_values_chart(values: np.ndarray) -> Chart:
+    """Draw singular values (K,) in falling order, the smallest apart."""
+    order = np.arange(1.0, len(values) + 1)
+    series = (
+        Series("singular values", order[:-1], values[:-1], "predicted", "points"),
+        Series("the smallest", order[-1:], values[-1:], "residual", "points", width=2.5),
+    )
+    return Chart((Panel(Axis("number"), Axis("singular value", log=True), series, height=2.2),))
+
+
+def singular_values_section(result: IdentifiedModel) -> Section | None:
+    """Show singular values in falling order with the gap before the smallest; None where the result has none."""
+    values = np.array(result.singular_values)
+    if len(values) < 2 or values[-1] <= 0:
+        return None
+    words = (
+        f"Of W_tot ({PAPER}, eq. 33), rows weighted by the residuals and columns of unit length. The smallest belongs "
+        f"to the solution; the next is {values[-2] / values[-1]:.3g} times larger. A ratio near 1 means that the "
+        f"motion hardly excites some parameters, those with large standard deviations, and makes total least squares "
+        f"unreliable."
+    )
+    return section("Singular values", Text(words), singular_values_chart(values), id="singular-values")
+
+
+def alternatives_section(result: IdentifiedModel) -> Section | None:
+    """Show other models of the same data, and by how much each moves the gains; None where the result lists none."""
+    if not result.alternatives:
+        return None
+    motors = result.robot.motors
+    ranked = sorted(result.alternatives, key=lambda each: -each.probability * _largest(each))
+    rows = [
+        (
+            each.subject,
+            each.probability,
+            *(each.moves.get(joint) for joint in motors),
+            "not identifiable" if each.std is None else each.size,
+            each.std,
+            each.unit,
+            each.share,
+        )
+        for each in ranked
+    ]
+    columns = (
+        Column("alternative"),
+        Column("probability, %", Kind.SHARE, decimals=1),
+        *(Column(f"moves {joint_label(joint)} by, %", Kind.NUMBER, decimals=2) for joint in motors),
+        Column("size", Kind.NUMBER, 2),
+        Column("std", Kind.NUMBER, 2),
+        Column("unit"),
+        Column("share of the residual, %", Kind.SHARE, decimals=1),
+    )
+    words = (
+        "Each alternative adds one unknown to the model. Its size is estimated from the data, its probability states "
+        "how well they support it; its remaining uncertainty widens the intervals of the gains. Alternatives are "
+        "listed by their probability times the largest move of a gain."
+    )
+    listed = section(f"All {len(rows)} alternatives", table(columns, rows, name="alternatives-table"), folded=True)
+    drifting = _drift_text([each.subject for each in ranked], result)
+    return section("Alternatives", Text(words), drifting, listed, id="alternatives")
+
+
+def _drift_text(texts: Iterable[str], result: IdentifiedModel) -> Text | None:
+    """Explain names such as ``fv_left@2``, where there are any."""
+    found = next(filter(None, (re.search(r"(\w+)@(\d+)", each) for each in texts)), None)
+    if found is None:
+        return None
+    run = result.runs[int(found[2]) - 1]
+    words = f"{found[0]}: by how much {found[1]} in run {found[2]}, '{run}', differs from its mean over the runs"
+    return Text(words, style="soft")
+
+
+def _largest(each: AlternativeMoves) -> float:
+    return max(map(abs, each.moves.values()), default=0.0)
