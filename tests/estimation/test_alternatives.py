@@ -11,7 +11,6 @@ from five_bar_logs import GAINS, JOINTS, STEEL, Plant
 
 from gtau.estimation.diagnostics.alternatives import (
     Alternative,
-    Tried,
     compete,
     find_alternatives,
     model_covariance,
@@ -23,7 +22,7 @@ from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.hypotheses import HYPOTHESES, description, drives
 from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Hypothesis
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, LinearisedWindow
-from gtau.estimation.diagnostics.position_ripple import PositionRipple
+from gtau.estimation.diagnostics.repeating_residuals import PositionRipple
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Fit, Given
 from gtau.estimation.estimators.maximum_likelihood import ML
@@ -137,8 +136,13 @@ def test_one_effect_of_two_causes_is_named_by_both() -> None:
     """A tilt of its base and its encoder's zero are the same to a pendulum; the larger one stands for both."""
     columns = np.random.default_rng(3).standard_normal((2, 50, 3))
     windows = [LinearisedWindow(np.zeros((2, 50)), np.zeros((2, 50, 1)), columns[..., [0, 1, 2, 0, 0]])]
-    tried = [Tried(column, None, plausible, True) for column, plausible in ((0, 0.5), (1, 0.1), (2, 1.0), (3, 1.0))]
-    groups = same_effects([*tried, Tried(4, None, 2.0, False), Tried(4, 0, 2.0, True)], windows)
+
+    def alternative(plausible: float, description: bool = True) -> Alternative:
+        zero = np.zeros(1)
+        return Alternative("h", (), 1.0, 0.1, "", plausible, (), 0.0, 1.0, 0.0, zero, zero, description)
+
+    tried = [(column, None, alternative(plausible)) for column, plausible in enumerate((0.5, 0.1, 1.0, 1.0))]
+    groups = same_effects([*tried, (4, None, alternative(2.0, False)), (4, 0, alternative(2.0))], windows)
     assert sorted(groups) == [[1], [2], [3, 0], [4], [5]]
 
 

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.score_test import gain_changes
+from gtau.estimation.diagnostics.gain_change import gain_changes
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.estimators.maximum_likelihood import ml
+from gtau.estimation.estimators.estimator import Given
+from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
@@ -87,8 +88,10 @@ def test_a_run_out_of_scale_is_named(which: int, factor: float, runs: list[Run],
 
 
 def test_the_difference_is_measured(runs: list[Run]) -> None:
-    system = reduce_runs(ARM, scaled(runs, 2, 1.03)).system(Friction(per_run=True))
-    for each in gain_changes(system.problem, ml(system.problem), system.block_positions):
-        assert each.runs == (2,)
+    dataset = reduce_runs(ARM, scaled(runs, 2, 1.03))
+    found = gain_changes(ML.fit(dataset, dataset.system(Friction(per_run=True)), Given()))
+    assert len(found) == 2
+    for each in found:
+        assert each.causes[0].values["runs"] == ["run 2"]
         assert each.share > DOMINANT
-    assert each.change == pytest.approx(0.03, rel=0.1)
+    assert each.size == pytest.approx(0.03, rel=0.1)

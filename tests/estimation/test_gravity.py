@@ -10,10 +10,11 @@ import pytest
 from floating_logs import AT_HOOK, FIXED, POSE, experiment, simulated
 from gravity_logs import Gravity, logged, scara
 
+from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.hypotheses import description
-from gtau.estimation.diagnostics.other_gravity import OtherGravity, other_gravity
+from gtau.estimation.diagnostics.other_gravity import other_gravity
 from gtau.estimation.diagnostics.sentences import advice
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Given
@@ -31,7 +32,7 @@ from gtau.signals.experiment import read_experiment
 from gtau.signals.run import Run
 
 
-def found(robot: Robot, runs: list[Run]) -> OtherGravity | None:
+def found(robot: Robot, runs: list[Run]) -> Alternative | None:
     dataset = reduce_runs(robot, runs)
     given = Given(np.ones(len(robot.actuated)) if runs[0].kind == "torque" else None)
     system = dataset.system(Friction((), per_run=len(runs) > 1))
@@ -101,8 +102,8 @@ def test_what_to_write_is_what_helps(tmp_path: Path) -> None:
 def test_other_robots(robot: Robot, true: Gravity, currents: bool, also: int) -> None:
     other = found(robot, logged(robot, true, currents))
     assert other is not None
-    assert len(other.cause.values["also"]) == also
-    gravities = [other.cause.values["gravity"], *other.cause.values["also"]]
+    assert len(other.causes[0].values["also"]) == also
+    gravities = [other.causes[0].values["gravity"], *other.causes[0].values["also"]]
     assert max(axis(each) @ axis(true) for each in gravities) > 0.999
 
 
@@ -110,7 +111,7 @@ def test_a_direction_between_the_axes() -> None:
     robot, true = scara(), (0.4 * G, -0.6 * G, -np.sqrt(1 - 0.52) * G)
     other = found(robot, logged(robot, true, currents=True))
     assert other is not None
-    assert axis(other.cause.values["gravity"]) @ axis(true) > np.cos(np.radians(2))
+    assert axis(other.causes[0].values["gravity"]) @ axis(true) > np.cos(np.radians(2))
 
 
 @pytest.mark.parametrize("currents", [False, True], ids=["torques", "currents"])

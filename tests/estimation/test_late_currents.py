@@ -8,7 +8,7 @@ import pytest
 from five_bar_logs import GAINS, STEEL, Plant
 
 from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.late_currents import late_currents
+from gtau.estimation.diagnostics.log_checks import late_currents
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.results.result import Result

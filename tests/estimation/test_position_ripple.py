@@ -10,7 +10,7 @@ from orthoglide_logs import RATE, experiment
 
 from gtau.demo.orthoglide import DRIVE_GAINS
 from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.position_ripple import PositionRipple, position_ripple
+from gtau.estimation.diagnostics.repeating_residuals import PositionRipple, position_ripple
 from gtau.estimation.estimators.estimator import Given
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.identify import identify

@@ -163,11 +163,12 @@ def find_alternatives(
     tests = score_tests(
         lambda: linear, list(zip(columns, shared, strict=True)), in_step(fit.dataset, windows), known[1]
     )
-    alone = [
-        _alternatives(fit, hypothesis, candidates, of_columns)
-        for (hypothesis, candidates), of_columns in zip(tried, tests, strict=True)
-    ]
-    for (hypothesis, candidates), mine, kept in zip(tried, columns, _counted_once(alone, columns, linear), strict=True):
+    alone: list[Tried] = []
+    for (hypothesis, candidates), of_columns, mine in zip(tried, tests, columns, strict=True):
+        alone += _alternatives(fit, hypothesis, candidates, of_columns, mine.start)
+    once = _counted_once(alone, linear)
+    for (hypothesis, candidates), mine in zip(tried, columns, strict=True):
+        kept = [each for column, _, each in once if mine.start <= column < mine.stop]
         together = []
         if candidates.describe is not None and kept:
             windows_of = [replace(each, offered=each.offered[..., mine]) for each in linear]
@@ -176,15 +177,17 @@ def find_alternatives(
     return tuple(found)
 
 
-Alone = tuple[int, int | None, Alternative]
-"""An alternative, after the number of its column in its hypothesis and that of its joint, None where it acts on all."""
+Tried = tuple[int, int | None, Alternative]
+"""An alternative, after the numbers of its column in the windows and of its joint, None where it acts on all."""
 
 
-def _alternatives(fit: Fit, hypothesis: Hypothesis, candidates: Candidates, tests: ScoreTests) -> list[Alone]:
+def _alternatives(
+    fit: Fit, hypothesis: Hypothesis, candidates: Candidates, tests: ScoreTests, first: int
+) -> list[Tried]:
     problem, joints = fit.system.problem, fit.dataset.model.actuated
     T = to_gains(fit.solution.iterate, problem.n_theta, fit.free_gains)
     gains = problem.gain_rows
-    found: list[Alone] = []
+    found: list[Tried] = []
     for m, (cause, unit) in enumerate(zip(candidates.causes, candidates.units, strict=True)):
         for j in range(1 if hypothesis.shared else len(joints)):
             if not (hypothesis.shared or problem.free[j]):
@@ -206,24 +209,18 @@ def _alternatives(fit: Fit, hypothesis: Hypothesis, candidates: Candidates, test
                 slopes[gains] * size / fit.gains,
                 hypothesis.description,
             )
-            found.append((m, None if hypothesis.shared else j, alternative))
+            found.append((first + m, None if hypothesis.shared else j, alternative))
     return found
 
 
-def _counted_once(
-    alone: Sequence[Sequence[Alone]], columns: Sequence[slice], windows: Sequence[LinearisedWindow]
-) -> list[list[Alternative]]:
+def _counted_once(alone: Sequence[Tried], windows: Sequence[LinearisedWindow]) -> list[Tried]:
     """Keep the alternative with the largest plausible effect among those of the same effect, and name the others."""
-    flat = [(k, column, joint, each) for k, members in enumerate(alone) for column, joint, each in members]
-    tried = [Tried(columns[k].start + m, joint, each.plausible, each.description) for k, m, joint, each in flat]
     kept = {}
-    for group in same_effects(tried, windows):
-        causes = tuple(cause for position in group for cause in flat[position][-1].causes)
-        kept[group[0]] = replace(flat[group[0]][-1], causes=causes)
-    return [
-        [kept[position] for position, (k, *_) in enumerate(flat) if k == number and position in kept]
-        for number in range(len(alone))
-    ]
+    for group in same_effects(alone, windows):
+        column, joint, first = alone[group[0]]
+        causes = tuple(cause for position in group for cause in alone[position][-1].causes)
+        kept[group[0]] = column, joint, replace(first, causes=causes)
+    return [kept[position] for position in sorted(kept)]
 
 
 def _together(
@@ -260,6 +257,25 @@ def _together(
     ]  # fmt: skip
 
 
+def established(
+    fit: Fit,
+    hypothesis: str,
+    cause: Finding,
+    moves: np.ndarray,
+    share: float,
+    size: float = 1.0,
+    std: float = np.nan,
+    unit: str = "",
+) -> Alternative:
+    """Make an alternative of what a separate test found to be significant; ``moves`` (n,) are those of the gains."""
+    slopes = np.zeros(len(fit.solution.stacked))
+    slopes[fit.system.problem.gain_rows] = moves * fit.gains / size
+    group = (cause.kind, *cause.joints)
+    return Alternative(
+        hypothesis, (cause,), size, std, unit, abs(size), group, np.inf, size**2, share, slopes, moves, description=True
+    )
+
+
 def model_covariance(alternatives: Sequence[Alternative], size: int) -> np.ndarray:
     """Compute the covariance of (theta, gains, delays) that all alternatives together add, (k, k)."""
     total = np.zeros((size, size))
@@ -268,23 +284,10 @@ def model_covariance(alternatives: Sequence[Alternative], size: int) -> np.ndarr
     return total
 
 
-@dataclass(frozen=True)
-class Tried:
-    """A candidate, counted once with those of the same effect.
-
-    ``column`` is its own in the windows, ``joint`` the number of its joint, or None where it acts on all joints;
-    ``plausible`` is the standard deviation of the sizes that experience allows. Only candidates which contradict the
-    ``description``, or only those which do not, can stand for each other.
-    """
-
-    column: int
-    joint: int | None
-    plausible: float
-    description: bool
-
-
 def same_effects(tried: Sequence[Tried], windows: Sequence[LinearisedWindow]) -> list[list[int]]:
     """Group candidates whose torques are proportional to each other, those without effect each by itself.
+
+    Only candidates which contradict the description, or only those which do not, can stand for each other.
 
     Parameters
     ----------
@@ -301,17 +304,22 @@ def same_effects(tried: Sequence[Tried], windows: Sequence[LinearisedWindow]) ->
     products = np.sum([np.einsum("jpm,jpn->jmn", each.offered, each.offered) for each in windows], axis=0)
     of_all = products.sum(axis=0)
 
-    def product(one: Tried, other: Tried) -> float:
-        return float((of_all if one.joint is None else products[one.joint])[one.column, other.column])
+    def product(joint: int | None, one: int, other: int) -> float:
+        return float((of_all if joint is None else products[joint])[one, other])
+
+    def effect(k: int) -> float:
+        column, joint, each = tried[k]
+        return product(joint, column, column) * each.plausible**2
 
     def same(one: Tried, other: Tried) -> bool:
-        if (one.joint, one.description) != (other.joint, other.description):
+        (column, joint, first), (another, of_another, second) = one, other
+        if (joint, first.description) != (of_another, second.description):
             return False
-        squares = product(one, one) * product(other, other)
-        return squares > 0 and 1 - product(one, other) ** 2 / squares < SAME_EFFECT
+        squares = product(joint, column, column) * product(joint, another, another)
+        return squares > 0 and 1 - product(joint, column, another) ** 2 / squares < SAME_EFFECT
 
     groups: list[list[int]] = []
-    for k in sorted(range(len(tried)), key=lambda k: -product(tried[k], tried[k]) * tried[k].plausible ** 2):
+    for k in sorted(range(len(tried)), key=effect, reverse=True):
         group = next((each for each in groups if same(tried[each[0]], tried[k])), None)
         if group is None:
             groups.append([k])

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gtau.estimation.diagnostics.common_scale import common_scale
 from gtau.estimation.diagnostics.examine import Examination, Uncertainty
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
@@ -21,11 +20,10 @@ from gtau.estimation.diagnostics.gain_checks import (
     prior_gains_off,
     wrench_contradictions,
 )
-from gtau.estimation.diagnostics.logged_torques import logged_torques
+from gtau.estimation.diagnostics.logged_torques import common_scale, logged_torques
 from gtau.estimation.diagnostics.other_estimators import position_noise
 from gtau.estimation.diagnostics.parameter_checks import delay_verdicts, unlike_legs
-from gtau.estimation.diagnostics.position_ripple import ripple_findings
-from gtau.estimation.diagnostics.repeated_motions import repeated_motion_findings
+from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings, ripple_findings
 from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.diagnostics.stated_constants import (
     SensorScale,

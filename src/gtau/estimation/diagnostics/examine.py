@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,39 +13,38 @@ from gtau.estimation.diagnostics.alternatives import (
     compete,
     find_alternatives,
     model_covariance,
-    support,
 )
-from gtau.estimation.diagnostics.finding import RELATIVE, Finding
+from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.gain_change import gain_changes
 from gtau.estimation.diagnostics.hypotheses.description import GRAVITY
 from gtau.estimation.diagnostics.hypotheses.wrenches import WRENCH_OFFSETS, WRENCH_POINTS
-from gtau.estimation.diagnostics.late_currents import late_currents
 from gtau.estimation.diagnostics.lengths import other_length
 from gtau.estimation.diagnostics.linearisation import central_windows, usable_rows
-from gtau.estimation.diagnostics.log_checks import lack_of_fit, swapped_channels
-from gtau.estimation.diagnostics.missing_gravity import missing_gravity
+from gtau.estimation.diagnostics.log_checks import lack_of_fit, late_currents, swapped_channels
 from gtau.estimation.diagnostics.other_estimators import (
     alternatives_of,
     other_estimators,
     two_stage_difference,
 )
-from gtau.estimation.diagnostics.other_gravity import OtherGravity, gravity_asked_for, other_gravity
-from gtau.estimation.diagnostics.position_ripple import PositionRipple, position_ripple
-from gtau.estimation.diagnostics.score_test import gain_changes
+from gtau.estimation.diagnostics.other_gravity import (
+    gravity_asked_for,
+    likelier_gravity,
+    missing_gravity,
+    other_gravity,
+)
+from gtau.estimation.diagnostics.repeating_residuals import PositionRipple, position_ripple
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.thresholds.estimates import (
     DOMINANT,
     FEWEST_FOR_TESTS,
-    GRAVITY_ALIKE,
     LACKING,
     OF_BEST,
     OF_REPEATING,
-    PLAUSIBLE_GAIN_CHANGE,
     PROBABLE,
     REFUTED_SHARE,
-    SCALED,
 )
 from gtau.progress import Progress, silent
 
@@ -125,7 +124,7 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
             untested = (*untested, by_two_stage)
         else:
             differences.append(by_two_stage)
-        changes = _of_gain_changes(fit)
+        changes = gain_changes(fit)
         scaled = any(each.share > DOMINANT for each in changes)
         alternatives += [each for each in changes if each.share > OF_BEST * _most_of_wrenches(alternatives)]
     asked = lack > LACKING and gravity_asked_for(fit, alternatives)
@@ -133,24 +132,17 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
     missing = None if late else missing_gravity(fit, asked)
     if isinstance(missing, Finding):
         untested, missing = (*untested, missing), None
-    turned = _of_gravity(fit, _likelier(fit, missing, other_gravity(fit, progress) if asked else None))
+    turned = likelier_gravity(fit, missing, other_gravity(fit, progress) if asked else None)
     if turned:  # what a few degrees, other lengths or ripple would explain is its effect
-        alternatives = [each for each in alternatives if each.hypothesis != GRAVITY.name] + turned
+        alternatives = [*(each for each in alternatives if each.hypothesis != GRAVITY.name), turned]
     elif lack > LACKING:
-        lengths = _of_lengths(fit, progress)
-        alternatives += [each for each in lengths if each.share > OF_BEST * _most_of_wrenches(alternatives)]
+        length = other_length(fit, progress)
+        if length is not None and length.share > OF_BEST * _most_of_wrenches(alternatives):
+            alternatives.append(length)
     ripple = PositionRipple.none(fit) if scaled or turned or lack < LACKING else position_ripple(fit)
     weighed = (*compete(alternatives), *alternatives_of(fit, differences))
     swapped = swapped_channels(fit.dataset) if lack > LACKING else ()
     return Examination(lack, weighed, ripple, swapped + late, untested)
-
-
-def _likelier(fit: Fit, missing: OtherGravity | None, other: OtherGravity | None) -> OtherGravity | None:
-    """Choose between no gravity and another one by residual variance; if similar, only logged torques lack it."""
-    if missing is None or other is None:
-        return missing or other
-    alike = 1 / GRAVITY_ALIKE if fit.dataset.runs[0].kind == "torque" else GRAVITY_ALIKE
-    return other if other.cause.values["remains"] < alike * missing.cause.values["remains"] else missing
 
 
 def _most_of_wrenches(alternatives: Sequence[Alternative]) -> float:
@@ -159,57 +151,6 @@ def _most_of_wrenches(alternatives: Sequence[Alternative]) -> float:
     return max(
         (each.share for each in alternatives if each.hypothesis in of_wrenches and each.significant), default=0.0
     )
-
-
-def _certain(fit: Fit, hypothesis: str, cause: Finding, size: float, std: float, moves: np.ndarray) -> Alternative:
-    """Make an alternative from a finding of a separate significant test; ``moves`` (n,) are those of the gains."""
-    slopes = np.zeros(len(fit.solution.stacked))
-    slopes[fit.system.problem.gain_rows] = moves * fit.gains / size
-    return Alternative(
-        hypothesis=hypothesis,
-        causes=(cause,),
-        size=size,
-        std=std,
-        unit=RELATIVE,
-        plausible=abs(size),
-        group=(cause.kind, *cause.joints),
-        log_factor=np.inf,
-        second_moment=size**2,
-        share=0.0,
-        slopes=slopes,
-        moves=moves,
-        description=True,
-    )
-
-
-def _of_lengths(fit: Fit, progress: Progress) -> list[Alternative]:
-    found = other_length(fit, progress)
-    if found is None:
-        return []
-    return [replace(_certain(fit, "lengths", found.cause, found.change, np.nan, found.moves), share=found.share)]
-
-
-def _of_gravity(fit: Fit, found: OtherGravity | None) -> list[Alternative]:
-    if found is None:
-        return []
-    certain = _certain(fit, GRAVITY.name, found.cause, 1.0, np.nan, found.moves)
-    return [replace(certain, unit="", share=found.share)]
-
-
-def _of_gain_changes(fit: Fit) -> list[Alternative]:
-    problem, names = fit.system.problem, [run.name for run in fit.dataset.runs]
-    changes, found = gain_changes(problem, fit.solution, fit.system.block_positions), []
-    for joint, each in zip(problem.joints, changes, strict=True):
-        if not each.t or abs(each.change) > SCALED:
-            continue  # reversed, or in another unit: other checks name these better
-        std = abs(each.change / each.t)
-        cause = Finding(F.GAIN_CHANGE, (joint,), "", {"runs": [names[k] for k in each.runs], "change": each.change})
-        factor, moment = support(each.change, std, PLAUSIBLE_GAIN_CHANGE)
-        certain = _certain(fit, "gain change", cause, each.change, std, each.moves)
-        factor -= np.log(each.tried)  # the largest of several changes is larger by chance
-        weighed = replace(certain, plausible=PLAUSIBLE_GAIN_CHANGE, log_factor=factor, second_moment=moment)
-        found.append(replace(weighed, share=each.share))
-    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ from gtau.estimation.regression.priors import inertia_priors, sizes_of, stated_i
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.regression.system import System
-from gtau.estimation.thresholds.inertias import INERTIA_CHANCE, INERTIA_EXPLAINED
+from gtau.estimation.thresholds.estimates import INERTIA_CHANCE, INERTIA_EXPLAINED
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import DRIVE, INERTIAL
 from gtau.robots.units import unit_of

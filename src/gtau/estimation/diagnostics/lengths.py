@@ -10,13 +10,14 @@ shape of the residuals.)
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import Finding
+from gtau.estimation.diagnostics.alternatives import Alternative, established
+from gtau.estimation.diagnostics.finding import RELATIVE, Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.linearisation import (
     Windows,
@@ -39,28 +40,15 @@ STEP = 0.01  # relative change of a length
 MOST = 12  # lengths that are tried, the longest first: the effort of the search
 
 
-@dataclass(frozen=True, eq=False)
-class OtherLength:
-    """A length that fits better: its relative ``change``, the ``share`` of the residual variance that goes with it.
-
-    ``moves`` (n,) is by what share of itself each gain moves.
-    """
-
-    cause: Finding
-    change: float
-    share: float
-    moves: np.ndarray
-
-
-def other_length(fit: Fit, progress: Progress = silent) -> OtherLength | None:
+def other_length(fit: Fit, progress: Progress = silent) -> Alternative | None:
     """Find the length that explains most of the residuals, of similar ones that with the smallest change; or None."""
-    found = [each for each in _tried(fit, progress) if each.share > LENGTH_SHARE and abs(each.change) > LENGTH_CHANGE]
+    found = [each for each in _tried(fit, progress) if each.share > LENGTH_SHARE and abs(each.size) > LENGTH_CHANGE]
     most = max((each.share for each in found), default=0.0)
     likely = (each for each in found if each.share > LENGTH_ALIKE * most)
-    return min(likely, key=lambda each: abs(each.change), default=None)
+    return min(likely, key=lambda each: abs(each.size), default=None)
 
 
-def _tried(fit: Fit, progress: Progress) -> Iterator[OtherLength]:
+def _tried(fit: Fit, progress: Progress) -> Iterator[Alternative]:
     robot = fit.dataset.robot
     windows = central_windows(fit.dataset)
     longer, shorter = list(_longer(robot, STEP)), list(_longer(robot, -STEP))
@@ -80,7 +68,8 @@ def _tried(fit: Fit, progress: Progress) -> Iterator[OtherLength]:
             continue
         change = -STEP * slope / (2 * curvature)
         moves = (gains_above - gains_below) / (2 * STEP) * change / fit.gains
-        yield OtherLength(cause, change, slope**2 / (4 * curvature * before), moves)
+        share = slope**2 / (4 * curvature * before)
+        yield established(fit, "lengths", cause, moves, share, change, unit=RELATIVE)
     progress("other lengths", len(lengths), len(lengths))
 
 

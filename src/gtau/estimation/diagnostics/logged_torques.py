@@ -1,7 +1,10 @@
 """Detect torque or 'effort' columns with other contents: shares of a rated value, motor-side or model torques.
 
-Torques without gravity are found by :mod:`gtau.estimation.diagnostics.missing_gravity`, late ones by ``late_currents``,
-and magnitudes without sign are refused where logs are read.
+Torques without gravity are found by :mod:`gtau.estimation.diagnostics.other_gravity`, late ones by ``log_checks``, and
+magnitudes without sign are refused where logs are read.
+
+Every scale of torques is proportional to the stated mass of the payload. Torques of different motors rarely share one
+scale error; a mistyped mass, or a gripper that was not weighed with its load, has that effect.
 """
 
 from __future__ import annotations
@@ -17,7 +20,8 @@ from gtau.estimation.diagnostics.gain_checks import half_widths
 from gtau.estimation.diagnostics.hypotheses.hypothesis import friction_levels, rms_speeds, rms_torques
 from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.thresholds.torques import FRICTIONLESS, GEARED, LIMIT_SHARE, MODEL_RESIDUAL, STEPS, WHOLE
+from gtau.estimation.thresholds.estimates import APART
+from gtau.estimation.thresholds.logs import ALIKE, FRICTIONLESS, GEARED, LIMIT_SHARE, MODEL_RESIDUAL, STEPS, WHOLE
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
 from gtau.signals.run import Run
@@ -65,3 +69,23 @@ def logged_torques(fit: Fit, uncertainty: Uncertainty) -> Iterator[Finding]:
     if friction < FRICTIONLESS and residual < MODEL_RESIDUAL:
         values = {"kind": kind, "friction": float(friction), "residual": float(residual)}
         yield Finding(F.MODEL_TORQUES, values=values)
+
+
+def common_scale(fit: Fit, uncertainty: Uncertainty, accuracy: float) -> Iterator[Finding]:
+    """Find one factor, other than 1, that explains the torque scales of all joints which rest on one payload's mass."""
+    from scipy.stats import chi2
+
+    masses = {run.payload.name: run.payload.mass for run in fit.dataset.runs if run.payload}
+    known = {name: mass for name, mass in masses.items() if mass is not None}
+    judged = np.flatnonzero(half_widths(fit, uncertainty) < 1)
+    if fit.dataset.runs[0].kind != "torque" or fit.system.problem.scaled or len(known) != 1 or len(judged) < 2:
+        return
+    rows = np.arange(fit.system.problem.n_theta, fit.system.problem.n_theta + len(fit.gains))[judged]
+    gains, precision = fit.gains[judged], np.linalg.pinv(uncertainty.covariance[np.ix_(rows, rows)])
+    variance = 1 / float(precision.sum())
+    scale = variance * float(precision.sum(axis=0) @ gains)
+    apart = float((gains - scale) @ precision @ (gains - scale))
+    if chi2.sf(apart, len(judged) - 1) > ALIKE and abs(scale - 1) > max(APART * np.sqrt(variance), accuracy):
+        ((name, mass),) = known.items()
+        values = {"scale": scale, "std": np.sqrt(variance), "mass": mass / scale, "declared": mass}
+        yield Finding(F.COMMON_SCALE, (), name, {key: float(each) for key, each in values.items()})

@@ -1,21 +1,27 @@
-"""Test whether gravity along another axis of the base explains the residuals.
+"""Test whether gravity along another axis of the base, or none, explains the residuals.
 
 An arm on a wall or a ceiling, or a tracker whose vertical is y, has gravity where the robot file has none: beyond the
 few degrees of a base that is not level, parameters adapt, and a linear test of tilts points anywhere. So the robot is
 fitted again with gravity along each axis of the base, and from the best of them freely (Gauss-Newton over directions).
+
+Torques may also exclude gravity, as with a driver that compensates it. Fitted with gravity, they require links with
+centres of mass on the axes, whose inertia does not explain them. So a robot whose fit has hardly any gravity torque is
+fitted once more without gravity.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.alternatives import Alternative
+from gtau.estimation.diagnostics.alternatives import Alternative, established
 from gtau.estimation.diagnostics.finding import Finding
+from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.hypotheses.description import DEGREE, GRAVITY, OTHER_GRAVITY
+from gtau.estimation.diagnostics.hypotheses.hypothesis import rms_torques, window_motion
 from gtau.estimation.diagnostics.linearisation import (
     central_windows,
     known_rows,
@@ -36,23 +42,12 @@ from gtau.estimation.thresholds.estimates import (
     GRAVITY_SHARE,
     REFUTED_SHARE,
 )
+from gtau.estimation.thresholds.logs import AS_WELL, GRAVITY_FELT, NO_GRAVITY, UNFELT
 from gtau.model.base_parameters import base_parameters
 from gtau.progress import Progress, silent
 from gtau.signals.preparation import InMemoryRun
 
 STEPS = 4  # of Gauss-Newton, from an axis at most 55 degrees off
-
-
-@dataclass(frozen=True, eq=False)
-class OtherGravity:
-    """A gravity that explains more: the ``cause``, the ``share`` of the residual variance that goes with it.
-
-    ``moves`` (n,) is by what share of itself each gain moves.
-    """
-
-    cause: Finding
-    share: float
-    moves: np.ndarray
 
 
 def gravity_asked_for(fit: Fit, alternatives: Sequence[Alternative]) -> bool:
@@ -62,7 +57,7 @@ def gravity_asked_for(fit: Fit, alternatives: Sequence[Alternative]) -> bool:
     return max(of_gravity, default=0.0) > REFUTED_SHARE or misfit > GRAVITY_MISFIT
 
 
-def other_gravity(fit: Fit, progress: Progress = silent) -> OtherGravity | None:
+def other_gravity(fit: Fit, progress: Progress = silent) -> Alternative | None:
     """Find the gravity of the same strength, along an axis or free, that explains most of the residuals, if any does.
 
     Nothing is found where gravity is not seen, nor within the few degrees of which the linear test speaks.
@@ -106,7 +101,7 @@ def other_gravity(fit: Fit, progress: Progress = silent) -> OtherGravity | None:
     }
     rows = own.system.problem.total_rows
     share = 1 - float(rows @ (after / before) ** 2 / rows.sum())
-    return OtherGravity(Finding(OTHER_GRAVITY.kind, joints, values=values), share, moves)
+    return established(fit, GRAVITY.name, Finding(OTHER_GRAVITY.kind, joints, values=values), moves, share)
 
 
 def fitted(fit: Fit, dataset: Dataset, gravity: np.ndarray) -> Fit | None:
@@ -157,3 +152,55 @@ def left_of(fit: Fit, own: Fit) -> float:
 def _degrees(one: np.ndarray, other: np.ndarray) -> float:
     cosine = one @ other / (np.linalg.norm(one) * np.linalg.norm(other))
     return float(np.arccos(np.clip(cosine, -1.0, 1.0)) / DEGREE)
+
+
+def missing_gravity(fit: Fit, asked: bool = False) -> Alternative | Finding | None:
+    """Find that a fit without gravity explains more, or, as a finding, that it explains as much; None where less.
+
+    It is tried where the fit hardly feels gravity, or ``asked`` for it.
+    """
+    felt = float(gravity_shares(fit).max(initial=0.0))
+    if felt < UNFELT or not (asked or felt < GRAVITY_FELT):
+        return None
+    windows = [window for _, window in central_windows(fit.dataset)]
+    middle = replace(fit.dataset, prepared=tuple(windows))  # type: ignore[arg-type]  # used as prepared runs
+    own = fitted(fit, middle, np.array(fit.dataset.robot.gravity)) if windows else None
+    other = None if own is None else fitted(fit, middle, np.zeros(3))
+    if own is None or other is None or (left := left_of(other, own)) > AS_WELL:
+        return None
+    if left > NO_GRAVITY:
+        return Finding(F.NO_GRAVITY_SHOWN, values={"felt": felt})
+    n, before, after = len(fit.gains), own.solution.sigma, other.solution.sigma
+    shares, ratio = before / own.system.problem.balance(own.solution.theta), after / before
+    joints = fit.system.problem.joints
+    helped = [j for j in range(n) if ratio[j] <= max(np.sqrt(left), ratio[:n].min())]
+    explained = {joints[j]: [float(shares[j]), float(shares[j] * ratio[j])] for j in helped}
+    moves = other.gains / own.gains - 1 if fit.free_gains else np.zeros(n)
+    rows = own.system.problem.total_rows
+    cause = Finding(F.WITHOUT_GRAVITY, tuple(explained), values={"left": explained, "remains": left})
+    return established(fit, GRAVITY.name, cause, moves, 1 - float(rows @ ratio**2 / rows.sum()))
+
+
+def likelier_gravity(fit: Fit, missing: Alternative | None, other: Alternative | None) -> Alternative | None:
+    """Choose between no gravity and another one by residual variance; if similar, only logged torques lack it."""
+    if missing is None or other is None:
+        return missing or other
+    alike = 1 / GRAVITY_ALIKE if fit.dataset.runs[0].kind == "torque" else GRAVITY_ALIKE
+    left, without = (each.causes[0].values["remains"] for each in (other, missing))
+    return other if left < alike * without else missing
+
+
+def gravity_shares(fit: Fit) -> np.ndarray:
+    """Compute the ratio of rms gravity torque (about its mean) to rms total torque of each joint, (n,)."""
+    dataset, n = fit.dataset, len(fit.gains)
+    gravity = np.array(dataset.robot.gravity)
+    if not gravity.any():
+        return np.zeros(n)
+    regressor, found = dataset.model.gravity_torques(dataset.base.standard), np.zeros(n)
+    for run, window in central_windows(dataset):
+        entries = regressor(
+            dataset.model.layout, window_motion(dataset.model, window), fit.system.motion(run, fit.solution.theta)
+        )
+        torques = np.reshape(regressor.torques(entries, gravity, n), (n, -1))
+        found = np.maximum(found, torques.std(axis=1))
+    return np.asarray(found / np.maximum(rms_torques(fit), 1e-300))

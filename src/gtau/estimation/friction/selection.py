@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gtau.estimation.friction.normal_equations import Group, Site
-from gtau.estimation.thresholds.friction import TERM_SHARE, TERM_T
+from gtau.estimation.thresholds.estimates import TERM_SHARE, TERM_T
 
 FEWEST_BLOCKS = 6
 KINDS = ("width", "speed", "load", "warm")

@@ -37,6 +37,21 @@ FRICTION_TERM_GAIN = Threshold(
     "300 Monte Carlo repetitions on the Orthoglide logs",
 )
 FRICTION_TERM_STD = Threshold(1 / 3, "relative standard deviation of a friction term", NONE, NONE, "a level")
+TERM_T = Threshold(
+    2.5,
+    "standard errors, over blocks left out, by which friction with a term is better",
+    "above in 0 of 80 logs with white or coloured noise, 4 of 80 with ripple or a wrong load",
+    "2.6 to 13 (UR10e, TX40, Panda); above in 98 to 100 % (presliding, load), 78 to 98 % (Stribeck) of 40 logs each",
+    "benchmarks/friction.py; at 2.0 false terms are 12 to 24 % with ripple or a wrong load, at 3.0 Stribeck is found "
+    "in 65 to 92 %",
+)
+TERM_SHARE = Threshold(
+    0.05,
+    "share of the squared error of blocks left out that a term of friction takes away",
+    "0.02 lets false terms into 12 % of the logs with ripple instead of 5 %, and finds no more of the right ones",
+    "0.2 and more (UR10e, TX40, Panda)",
+    "benchmarks/friction.py",
+)
 
 
 # Whether the model explains the data.
@@ -104,7 +119,7 @@ PLAUSIBLE_GAIN_CHANGE = Threshold(
 )
 
 
-# What is known beside the data: data sheets, payloads, likeness of legs, where a body's mass may be.
+# What is known beside the data: data sheets, payloads, likeness of legs, the robot file, where a body's mass may be.
 
 PRIOR_FACTOR = Threshold(
     2.0,
@@ -167,6 +182,20 @@ LAST_OVERHANG = Threshold(
     "median 0.43, at most 1.14",
     NONE,
     "150 bodies of the same files",
+)
+INERTIA_CHANCE = Threshold(
+    0.05,
+    "chance that a file which is right has any base parameter contradicted, all being tested together",
+    "2 of 30 simulated arms, one parameter each of 19 that are tested",
+    "7 to 9 of 19 parameters of ten arms whose file has a link 30 % too heavy; z of 4 to 59 (UR10e, Panda)",
+    "arms of tests/estimation/test_inertia_audit.py, UR10e with its driver's URDF, Panda with MuJoCo Menagerie's MJCF",
+)
+INERTIA_EXPLAINED = Threshold(
+    0.95,
+    "share of the torque variance which the file adds that freed links explain, from which on no other is named",
+    "the heavy link alone (ten simulated arms, mass 30 % wrong)",
+    "two links (UR10e); the rotors and two links (Panda); four calves (Aliengo)",
+    "tests/estimation/test_inertia_audit.py, shared logs",
 )
 
 
