@@ -42,13 +42,14 @@ MOST = 12  # lengths that are tried, the longest first: the effort of the search
 
 def other_length(fit: Fit, progress: Progress = silent) -> Alternative | None:
     """Find the length that explains most of the residuals, of similar ones that with the smallest change; or None."""
-    found = [each for each in _tried(fit, progress) if each.share > LENGTH_SHARE and abs(each.size) > LENGTH_CHANGE]
+    found = list(_explaining(fit, progress))
     most = max((each.share for each in found), default=0.0)
     likely = (each for each in found if each.share > LENGTH_ALIKE * most)
     return min(likely, key=lambda each: abs(each.size), default=None)
 
 
-def _tried(fit: Fit, progress: Progress) -> Iterator[Alternative]:
+def _explaining(fit: Fit, progress: Progress) -> Iterator[Alternative]:
+    """Try all lengths, and iterate over those that explain a part of the residuals."""
     robot = fit.dataset.robot
     windows = central_windows(fit.dataset)
     longer, shorter = list(_longer(robot, STEP)), list(_longer(robot, -STEP))
@@ -67,8 +68,10 @@ def _tried(fit: Fit, progress: Progress) -> Iterator[Alternative]:
         if curvature <= 0:
             continue
         change = -STEP * slope / (2 * curvature)
-        moves = (gains_above - gains_below) / (2 * STEP) * change / fit.gains
         share = slope**2 / (4 * curvature * before)
+        if share <= LENGTH_SHARE or abs(change) <= LENGTH_CHANGE:
+            continue
+        moves = (gains_above - gains_below) / (2 * STEP) * change / fit.gains
         yield established(fit, "lengths", cause, moves, share, change, unit=RELATIVE)
     progress("other lengths", len(lengths), len(lengths))
 
