@@ -127,7 +127,7 @@ def essential_parameters(
     solve: Solve,
     ratio: float | None = None,
     correlated: bool = True,
-) -> tuple[Problem, Solution, np.ndarray]:
+) -> tuple[Problem, Solution]:
     """Cancel the parameter of largest relative standard deviation, repeatedly.
 
     With a ``ratio`` until the paper's rule ``max(rel) / min(rel) < ratio`` holds over ``candidates``. As
@@ -153,8 +153,6 @@ def essential_parameters(
     -------
     Problem, Solution
         Of the remaining parameters.
-    std : ndarray
-        Their standard deviations (n_theta,) in the rule's last step, zero for cancelled ones.
     """
     solution = solve(problem)
     formula = np.maximum(np.diag(solution.covariance), 1e-300)
@@ -169,33 +167,30 @@ def essential_parameters(
         worst = int(np.argmax(relative))
         allowed = significant if ratio is None else ratio * relative.min()
         if relative[worst] <= allowed or len(index) == 1:
-            return problem, solution, std
+            return problem, solution
         problem = problem.without([problem.parameters[index[worst]]])
         solution = solve(problem)
 
 
 @dataclass(frozen=True, eq=False)
 class Essential:
-    """The essential parameters: the reduced problem, its solution, and their standard deviations (n_theta,).
+    """The essential parameters: the reduced problem, its solution, and the ``loss`` by the cancelled ones.
 
-    ``loss`` is the growth of the worst joint's residual without the cancelled ones, per cent.
+    It is the growth of the worst joint's residual, per cent.
     """
 
     problem: Problem
     solution: Solution
-    std: np.ndarray
     loss: float
 
 
-def reduce_fit(fit: Fit, covariance: np.ndarray, ratio: float | None, correlated: bool, joint: bool) -> Essential:
+def reduce_fit(fit: Fit, ratio: float | None, correlated: bool, joint: bool) -> Essential:
     """Cancel base parameters until the essential ones are left.
 
     Parameters
     ----------
     fit : Fit
         With all base parameters.
-    covariance : ndarray
-        Of its (theta, gains, delays).
     ratio, correlated : float, bool
         See :func:`essential_parameters`.
     joint : bool
@@ -204,8 +199,5 @@ def reduce_fit(fit: Fit, covariance: np.ndarray, ratio: float | None, correlated
     problem = fit.system.problem
     candidates = tuple(name for name in fit.dataset.base.names if name in problem.parameters)
     solve = fit.solve if joint else fit.solve_fixed
-    kept, reduced, std = essential_parameters(problem, candidates, solve, ratio, correlated)
-    if ratio is None:
-        # kept parameters absorb the cancelled ones: only the standard deviation with all of them is valid
-        std = np.sqrt(np.diag(covariance))[[problem.parameters.index(name) for name in kept.parameters]]
-    return Essential(kept, reduced, std, 100 * float(np.max(reduced.sigma / fit.solution.sigma) - 1))
+    kept, reduced = essential_parameters(problem, candidates, solve, ratio, correlated)
+    return Essential(kept, reduced, 100 * float(np.max(reduced.sigma / fit.solution.sigma) - 1))

@@ -146,9 +146,7 @@ def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
 def paired(dataset: Dataset, system: System, solution: Solution) -> Pair:
     """Build the problem along the measured motion and along the simulated one."""
     simulated = resimulated_runs(dataset, system, solution)
-    loaded = any(term.startswith("fl_") for term in system.friction.terms)
-    loads = [system.load(k, solution.theta) if loaded else None for k in range(len(simulated))]
-    preparation, columns = dataset.preparation, dataset.base.standard
+    loads, preparation, columns = system.loads(solution.theta), dataset.preparation, dataset.base.standard
     pairs = [
         _reduced(dataset.model, columns, measured, other, preparation.at(measured.run.rate).decimator, load, edges)
         for measured, other, load, edges in zip(dataset.prepared, simulated, loads, dataset.edges, strict=True)

@@ -12,12 +12,10 @@ from __future__ import annotations
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given, Solution
-from gtau.estimation.estimators.least_squares import fit_free
-from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.estimators.estimator import Estimator, Gains, Solution
+from gtau.estimation.estimators.least_squares import plain_fit
 from gtau.estimation.regression.equations import KNOWN, MODEL, delayed_signal, leave_one_out, modelled, triangle
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System
 
 
 def tls(problem: Problem) -> Solution:
@@ -91,16 +89,12 @@ def _inverse_of_compatible(s: np.ndarray, V: np.ndarray) -> np.ndarray:
     return half @ half.T
 
 
-def _fit(dataset: Dataset, system: System, given: Given) -> Fit:
-    return fit_free(tls, dataset, system)
-
-
 TLS = Estimator(
     "tls",
     "total least squares (the paper's)",
     Gains.ESTIMATED,
     lambda given: tls,
-    _fit,
+    plain_fit(lambda given: tls),
     in_paper=True,
     takes_priors=False,
 )

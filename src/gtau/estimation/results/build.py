@@ -17,27 +17,24 @@ from gtau.estimation.estimators.essential import Essential
 from gtau.estimation.estimators.estimator import Estimator, Fit
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.estimators.total_least_squares import total_rows_of
-from gtau.estimation.friction.identify import FrictionStep, IdentifiedFriction
 from gtau.estimation.regression.equations import triangle
-from gtau.estimation.regression.friction import BEARING, TEMPERATURE_TERMS, TERMS, UNITS
+from gtau.estimation.regression.friction import BEARING, TEMPERATURE_TERMS, TERMS
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
 from gtau.estimation.results.estimate import (
     AlternativeMoves,
     Estimate,
     FrictionCurve,
-    ReferenceTemperatures,
     SensorEstimate,
     TorqueError,
 )
+from gtau.estimation.results.friction_curves import friction_unit, reference_temperatures
 from gtau.estimation.results.payload import named_freedoms, named_values, payload_estimates
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.singularity_distances import distances_of, nearest_poses
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import Robot
-from gtau.robots.units import gain_unit, position_unit, torque_unit, unit_of
-
-NO_FRICTION = FrictionStep()
+from gtau.robots.units import gain_unit, torque_unit, unit_of
 
 
 def build_result(
@@ -47,8 +44,9 @@ def build_result(
     uncertainty: Uncertainty,
     essential: Essential,
     diagnosis: Diagnosis,
+    curves: Mapping[str, FrictionCurve],
+    errors: Mapping[str, tuple[float, float]],
     consistency: Consistency | None = None,
-    friction: FrictionStep = NO_FRICTION,
     audit: InertiaAudit | None = None,
 ) -> Result:
     """Build the result of an identification.
@@ -65,10 +63,10 @@ def build_result(
         The essential parameters.
     diagnosis : Diagnosis
         What can be believed.
+    curves, errors : mappings
+        Friction on all samples; see :func:`friction_curves`. Empty where the plain law is to predict.
     consistency : Consistency, optional
         Physically consistent standard parameters.
-    friction : FrictionStep
-        Friction on all samples; nothing where the plain law is to predict.
     audit : InertiaAudit, optional
         What the data say of the inertias of the robot's file.
     """
@@ -109,8 +107,7 @@ def build_result(
         )
 
     scales, signal = scale_shares(fit) if fit.free_gains else {}, problem.balance(solution.theta)
-    warm = dataset.temperatures
-    temperatures = None if warm is None else ReferenceTemperatures(warm.unit, warm.reference)
+    temperatures = reference_temperatures(fit)
     return Result(
         robot=robot,
         method=estimator.name,
@@ -142,11 +139,17 @@ def build_result(
         },
         parameters={name: parameter(k) for k, name in enumerate(base.names)},
         friction={
-            name: Estimate(name, *found[name], unit, verdict=parameter_verdict(*found[name]), freedom=free.get(name))
-            for name, unit in _terms(system, robot, temperatures)
+            name: Estimate(
+                name,
+                *found[name],
+                friction_unit(kind, joint, robot, temperatures),
+                verdict=parameter_verdict(*found[name]),
+                freedom=free.get(name),
+            )
+            for name, kind, joint in _terms(system)
             if name in found
         },
-        curves={each.joint: _curve(each, robot, temperatures) for each in friction.joints},
+        curves=curves,
         sensors=_sensors(fit, diagnosis, found, free, std, freedom),
         payloads=payload_estimates(dataset, system, solution.theta, covariance, diagnosis.payloads, freedom),
         residuals=tuple(
@@ -155,7 +158,7 @@ def build_result(
                 float(abs(solution.gains[k]) * solution.sigma[k]),
                 float(abs(solution.gains[k]) * signal[k]),
                 units[k],
-                *friction.errors.get(joint, ()),
+                *errors.get(joint, ()),
             )
             for k, joint in enumerate(joints)
         ),
@@ -241,46 +244,10 @@ def _moves(each: Alternative, robot: Robot) -> AlternativeMoves:
     )
 
 
-def _terms(system: System, robot: Robot, temperatures: ReferenceTemperatures | None) -> list[tuple[str, str]]:
-    """List further friction terms and their units."""
-    kinds = (*TERMS, *TEMPERATURE_TERMS)
-    split = [(name, *parameter_of(name)[:2]) for name in system.friction.terms if parameter_of(name).kind in kinds]
-    per = "" if temperatures is None else f"/{temperatures.per}"
-    return [
-        (name, UNITS[robot.joint(joint).kind][term] + (per if term in TEMPERATURE_TERMS else ""))
-        for name, term, joint in split
-    ]
-
-
-def _curve(found: IdentifiedFriction, robot: Robot, temperatures: ReferenceTemperatures | None) -> FrictionCurve:
-    """Name the friction of a joint."""
-    joint, shape, spread = found.joint, found.shape, found.spread
-    of_terms = UNITS[robot.joint(joint).kind]
-    per = "" if temperatures is None else f"/{temperatures.per}"
-
-    def estimate(kind: str, value: float, std: float | None) -> Estimate:
-        name = Parameter(kind, joint).name
-        unit = of_terms[kind] + (per if kind in TEMPERATURE_TERMS else "") if kind in of_terms else None
-        verdict = parameter_verdict(value, std)
-        return Estimate(name, value, std, unit or unit_of(kind, robot, joint), verdict=verdict, freedom=found.freedom)
-
-    def of_shape(name: str, value: float | None, std: float | None, unit: str) -> Estimate | None:
-        if value is None:
-            return None
-        verdict = parameter_verdict(value, std)
-        return Estimate(Parameter(name, joint).name, value, std, unit, verdict=verdict, freedom=found.freedom)
-
-    unit = position_unit(robot, joint)
-    made = [estimate(kind, value, found.std[kind]) for kind, value in found.values.items()]
-    return FrictionCurve(
-        joint,
-        {each.name: each for each in made},
-        of_shape("width", shape.width, spread.width, unit),
-        of_shape("vs", shape.speed, spread.speed, f"{unit}/s"),
-        {term: float(t) for term, t in found.evidence.items()},
-        100 * found.error,
-        100 * found.plain_error,
-    )
+def _terms(system: System) -> list[tuple[str, str, str]]:
+    """List further friction terms with their kinds and joints."""
+    split = [(name, *parameter_of(name)[:2]) for name in system.friction.terms]
+    return [each for each in split if each[1] in (*TERMS, *TEMPERATURE_TERMS)]
 
 
 def _sensors(
