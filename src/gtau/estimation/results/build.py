@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,9 +11,9 @@ from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.diagnose import Diagnosis
 from gtau.estimation.diagnostics.examine import Examination, Uncertainty
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
-from gtau.estimation.diagnostics.parameter_checks import judge_parameter, parameter_verdict
+from gtau.estimation.diagnostics.parameter_checks import judge_parameter
 from gtau.estimation.diagnostics.stated_constants import scale_shares, sensor_verdict
-from gtau.estimation.diagnostics.verdict import Outcome, Verdict
+from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.essential import Essential
 from gtau.estimation.estimators.estimator import Estimator, Fit
 from gtau.estimation.estimators.physical_consistency import Consistency
@@ -29,7 +30,7 @@ from gtau.estimation.results.estimate import (
     TorqueError,
 )
 from gtau.estimation.results.friction_curves import friction_unit, reference_temperatures
-from gtau.estimation.results.payload import named_freedoms, named_values, payload_estimates
+from gtau.estimation.results.payload import named_estimates, payload_estimates
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.singularity_distances import distances_of, nearest_poses
 from gtau.robots.parameter import Parameter, parameter_of
@@ -76,36 +77,41 @@ def build_result(
     n_theta, n = problem.n_theta, len(problem.channels)
     named = [*range(n_theta), *range(n_theta, n_theta + len(joints)), *range(n_theta + n, n_theta + 2 * n)]
     std, model_std = (np.sqrt(np.diag(each)) for each in (covariance, uncertainty.model))
-    gain_std, delay_std = std[n_theta : n_theta + n], std[n_theta + n :]
-    units = [torque_unit(robot, joint) for joint in joints]
+    gain_std = std[n_theta : n_theta + n]
     along = [
         (prepared, dataset.preparation.at(prepared.run.rate).decimator, factors.distances)
         for prepared, factors in zip(dataset.prepared, dataset.factors, strict=True)
         if factors.distances is not None
     ]
-    found, free = named_values(problem, solution.theta, std), named_freedoms(problem, freedom)
+    found, total = named_estimates(problem, solution.theta, std, freedom), _total(problem, solution.sigma)
     spread = _spread(system, solution.theta)
     model_part = {name: min(float(model_std[k]), float(std[k])) for k, name in enumerate(problem.parameters)}
 
-    def parameter(k: int) -> Estimate:
-        name, (kind, body, _) = base.names[k], parameter_of(base.standard[k])
-        value, deviation = found.get(name, (None, None))
-        unit = unit_of(kind, robot, body)
-        verdict = judge_parameter(value, deviation, base.regroupings[name])
-        model = None if deviation is None else model_part.get(name)
-        return Estimate(
-            name,
-            value,
-            deviation,
-            unit,
-            base.regroupings[name],
-            spread.get(name),
-            verdict,
-            free.get(name),
-            model,
-            name in essential.problem.parameters,
+    def parameter(name: str, standard: str) -> Estimate:
+        kind, body, _ = parameter_of(standard)
+        each, regrouping = found.get(name, Estimate(name, None, None, "")), base.regroupings[name]
+        return replace(
+            each,
+            unit=unit_of(kind, robot, body),
+            regrouping=regrouping,
+            spread=spread.get(name),
+            verdict=judge_parameter(each.value, each.std, regrouping),
+            model_std=model_part.get(name),
+            essential=name in essential.problem.parameters,
         )
 
+    delays = [
+        Estimate(
+            channel.joint,
+            float(solution.delays[k]),
+            # none where the value is not identifiable or given
+            None if verdict.outcome == Outcome.NOT_IDENTIFIABLE else float(std[n_theta + n + k]) or None,
+            "s",
+            verdict=verdict,
+            freedom=None if freedom is None else float(freedom[n_theta + n + k]),
+        )
+        for k, (channel, verdict) in enumerate(zip(problem.channels, diagnosis.delays, strict=True))
+    ]
     scales, signal = scale_shares(fit) if fit.free_gains else {}, problem.balance(solution.theta)
     temperatures = reference_temperatures(fit)
     return Result(
@@ -126,38 +132,22 @@ def build_result(
             for k, joint in enumerate(joints)
             if joint in robot.motors
         },
-        delays={
-            joint: Estimate(
-                joint,
-                float(solution.delays[k]),
-                _known(delay_std[k], diagnosis.delays[k]),
-                "s",
-                verdict=diagnosis.delays[k],
-                freedom=None if freedom is None else float(freedom[n_theta + n + k]),
-            )
-            for k, joint in enumerate(joints)
-        },
-        parameters={name: parameter(k) for k, name in enumerate(base.names)},
+        delays=dict(zip(joints, delays, strict=False)),
+        parameters={name: parameter(name, of) for name, of in zip(base.names, base.standard, strict=True)},
         friction={
-            name: Estimate(
-                name,
-                *found[name],
-                friction_unit(kind, joint, robot, temperatures),
-                verdict=parameter_verdict(*found[name]),
-                freedom=free.get(name),
-            )
-            for name, kind, joint in _terms(system)
-            if name in found
+            name: replace(found[name], unit=friction_unit(kind, joint, robot, temperatures))
+            for name, (kind, joint, _) in ((each, parameter_of(each)) for each in system.friction.terms)
+            if name in found and kind in (*TERMS, *TEMPERATURE_TERMS)
         },
         curves=curves,
-        sensors=_sensors(fit, diagnosis, found, free, std, freedom),
+        sensors=_sensors(fit, diagnosis, found, delays),
         payloads=payload_estimates(dataset, system, solution.theta, covariance, diagnosis.payloads, freedom),
         residuals=tuple(
             TorqueError(
                 joint,
                 float(abs(solution.gains[k]) * solution.sigma[k]),
                 float(abs(solution.gains[k]) * signal[k]),
-                units[k],
+                torque_unit(robot, joint),
                 *errors.get(joint, ()),
             )
             for k, joint in enumerate(joints)
@@ -175,7 +165,7 @@ def build_result(
             "reduction_loss": essential.loss,
             "lack_of_fit": examined.lack_of_fit,
             "accuracy": float(diagnosis.accuracy),
-            "condition_number": _condition_number(problem, solution.sigma),
+            "condition_number": _condition_number(total),
         },
         temperatures=temperatures,
         runs=tuple(run.name for run in dataset.runs),
@@ -187,18 +177,13 @@ def build_result(
         distances=tuple(distances_of(*run) for run in along),
         data=dataset.runs,
         known=(dataset.model, base),
-        singular_values=() if not gain_std.any() else _singular_values(problem, solution.sigma),
+        singular_values=tuple(np.linalg.svd(_scaled(total), compute_uv=False).tolist()) if gain_std.any() else (),
     )
 
 
-def _singular_values(problem: Problem, sigma: np.ndarray) -> tuple[float, ...]:
-    """Compute singular values of ``W_tot`` (eq. 33), rows weighted by ``sigma`` (n,), columns of unit length."""
-    return tuple(np.linalg.svd(_scaled(_total(problem, sigma)), compute_uv=False).tolist())
-
-
-def _condition_number(problem: Problem, sigma: np.ndarray) -> float:
-    """Compute the condition number of the estimated columns of ``W_tot``, scaled as its singular values."""
-    estimated = _scaled(_total(problem, sigma)[:, :-1])
+def _condition_number(total: np.ndarray) -> float:
+    """Compute the condition number of the estimated columns of ``W_tot``, scaled to unit length."""
+    estimated = _scaled(total[:, :-1])
     return float(np.linalg.cond(estimated)) if estimated.size else 1.0
 
 
@@ -222,11 +207,6 @@ def _logged_speeds(fit: Fit) -> dict[str, float]:
     return dict(zip(fit.dataset.model.actuated, map(float, largest), strict=True))
 
 
-def _known(std: float, verdict: Verdict) -> float | None:
-    """Return a standard deviation, None where the value is not identifiable or given."""
-    return None if verdict.outcome == Outcome.NOT_IDENTIFIABLE else float(std) or None
-
-
 def _moves(each: Alternative, robot: Robot) -> AlternativeMoves:
     return AlternativeMoves(
         each.hypothesis,
@@ -244,51 +224,24 @@ def _moves(each: Alternative, robot: Robot) -> AlternativeMoves:
     )
 
 
-def _terms(system: System) -> list[tuple[str, str, str]]:
-    """List further friction terms with their kinds and joints."""
-    split = [(name, *parameter_of(name)[:2]) for name in system.friction.terms]
-    return [each for each in split if each[1] in (*TERMS, *TEMPERATURE_TERMS)]
-
-
 def _sensors(
-    fit: Fit,
-    diagnosis: Diagnosis,
-    found: Mapping[str, tuple[float, float]],
-    free: Mapping[str, float],
-    std: np.ndarray,
-    freedom: np.ndarray | None,
+    fit: Fit, diagnosis: Diagnosis, found: Mapping[str, Estimate], delays: Sequence[Estimate]
 ) -> tuple[SensorEstimate, ...]:
     """Collect the estimates of the torque sensors' own parameters."""
     robot, problem, solution, sensors = fit.dataset.robot, fit.system.problem, fit.solution, []
     for k in problem.sensors:
         channel, joint = problem.channels[k].name, problem.channels[k].joint
-        unit = torque_unit(robot, joint)
-        row = problem.n_theta + len(problem.channels) + k
         own = {
-            name: Estimate(
-                name,
-                *found[name],
-                unit_of(kind, robot, joint),
-                verdict=parameter_verdict(*found[name]),
-                freedom=free.get(name),
-            )
+            name: replace(found[name], unit=unit_of(kind, robot, joint))
             for kind in ("off", *BEARING)
             if (name := Parameter(kind, channel).name) in found
         }
-        delay = Estimate(
-            joint,
-            float(solution.delays[k]),
-            _known(std[row], diagnosis.delays[k]),
-            "s",
-            verdict=diagnosis.delays[k],
-            freedom=None if freedom is None else float(freedom[row]),
-        )
-        residual = TorqueError(joint, float(solution.sigma[k]), float(problem.signal[k]), unit)
+        residual = TorqueError(joint, float(solution.sigma[k]), float(problem.signal[k]), torque_unit(robot, joint))
         scale = next((each for each in diagnosis.sensors if each.joint == joint), None)
         ratio = None
         if scale is not None:
             ratio = Estimate(joint, scale.value, scale.std, "1", verdict=sensor_verdict(scale, diagnosis.accuracy))
-        sensors.append(SensorEstimate(joint, own, delay, residual, ratio))
+        sensors.append(SensorEstimate(joint, own, delays[k], residual, ratio))
     return tuple(sensors)
 
 

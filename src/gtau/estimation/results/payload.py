@@ -238,8 +238,7 @@ def payload_estimates(
     known payloads, by name; ``freedom`` the degrees of freedom behind each.
     """
     robot = dataset.robot
-    found = named_values(system.problem, theta, np.sqrt(np.diag(covariance)))
-    free = named_freedoms(system.problem, freedom)
+    found = named_estimates(system.problem, theta, np.sqrt(np.diag(covariance)), freedom)
     payloads = []
     for each in system.payloads:
         known = known_values(each.payload)
@@ -251,17 +250,15 @@ def payload_estimates(
                 deviation = each.payload.mass_std or None if kind == "m" else None
                 estimates[kind] = Estimate(kind, known[kind], deviation, unit, kind)
             elif kind in each.regroupings:
-                value, deviation = found.get(label[kind], (None, None))
-                verdict = parameter_verdict(value, deviation)
-                estimates[kind] = Estimate(
-                    kind, value, deviation, unit, each.regroupings[kind], verdict=verdict, freedom=free.get(label[kind])
-                )
+                lost = Estimate(kind, None, None, unit, verdict=parameter_verdict(None, None))
+                own = found.get(label[kind], lost)
+                estimates[kind] = replace(own, name=kind, unit=unit, regrouping=each.regroupings[kind])
         if "m" in estimates and each.payload.center is not None:
             unit = unit_of("mx", robot, robot.tool)
             moments = zip(FIRST_MOMENTS, each.payload.center, strict=True)
             estimates |= {kind: _of_mass(kind, estimates["m"], at, unit) for kind, at in moments}
         name, run = each.payload.name, dataset.runs[each.run].name
-        weighed = None if "m" in known else _weighed(dataset, system.problem, each, theta, covariance, free)
+        weighed = None if "m" in known else _weighed(dataset, system.problem, each, covariance, found)
         payloads.append(PayloadEstimate(name, run, estimates, frozenset(known), masses.get(name, GOOD), weighed))
     return tuple(payloads)
 
@@ -270,15 +267,16 @@ def _weighed(
     dataset: Dataset,
     problem: Problem,
     carried: CarriedPayload,
-    theta: np.ndarray,
     covariance: np.ndarray,
-    freedoms: Mapping[str, float],
+    estimates: Mapping[str, Estimate],
 ) -> Weighed:
     """Collect the identified sums of parameters, and the stated values of the others."""
-    found = [k for k, name in enumerate(carried.unknown) if name in problem.parameters]
-    places = [problem.parameters.index(list(carried.unknown)[k]) for k in found]
+    found = [name for name in carried.unknown if name in problem.parameters]
+    places = [problem.parameters.index(name) for name in found]
     sums = np.zeros((len(found), len(INERTIAL)))
-    sums[:, [INERTIAL.index(kind) for kind in carried.free]] = carried.sums[found]
+    rows = [list(carried.unknown).index(name) for name in found]
+    sums[:, [INERTIAL.index(kind) for kind in carried.free]] = carried.sums[rows]
+    freedoms = (estimates[name].freedom for name in found)
     unit = dict(zip(INERTIAL, np.eye(len(INERTIAL)), strict=True))
     stated = [(unit[kind], value) for kind, value in known_values(carried.payload).items()]
     center = zip(FIRST_MOMENTS, carried.payload.center or (), strict=False)
@@ -286,11 +284,11 @@ def _weighed(
     return Weighed(
         dataset.robot.tool,
         sums,
-        theta[places],
+        np.array([estimates[name].value for name in found], dtype=float),
         covariance[np.ix_(places, places)],
         np.reshape([row for row, _ in stated], (len(stated), len(INERTIAL))),
         np.array([value for _, value in stated]),
-        min((freedoms[name] for name in carried.unknown if name in freedoms), default=None),
+        min((each for each in freedoms if each is not None), default=None),
         longest_placement(dataset.robot),
     )
 
@@ -301,11 +299,14 @@ def _of_mass(kind: str, mass: Estimate, at: float, unit: str) -> Estimate:
     return replace(mass, name=kind, value=value, std=std, unit=unit, regrouping=f"{at:.5g} m")
 
 
-def named_values(problem: Problem, theta: np.ndarray, std: np.ndarray) -> dict[str, tuple[float, float]]:
-    """Return value and standard deviation of each parameter of a problem, by name."""
-    return {name: (float(theta[k]), float(std[k])) for k, name in enumerate(problem.parameters)}
-
-
-def named_freedoms(problem: Problem, freedom: np.ndarray | None) -> dict[str, float]:
-    """Return the degrees of freedom of each parameter of a problem, by name; empty without ``freedom``."""
-    return {} if freedom is None else dict(zip(problem.parameters, map(float, freedom), strict=False))
+def named_estimates(
+    problem: Problem, theta: np.ndarray, std: np.ndarray, freedom: np.ndarray | None
+) -> dict[str, Estimate]:
+    """Name the estimates of a problem's parameters; their units are those of what they are estimates of."""
+    found = {}
+    for k, name in enumerate(problem.parameters):
+        value, deviation = float(theta[k]), float(std[k])
+        of_freedom = None if freedom is None else float(freedom[k])
+        verdict = parameter_verdict(value, deviation)
+        found[name] = Estimate(name, value, deviation, "", verdict=verdict, freedom=of_freedom)
+    return found
