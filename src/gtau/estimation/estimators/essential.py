@@ -15,8 +15,6 @@ from gtau.estimation.regression.friction import (
     TERMS,
     Friction,
     all_terms,
-    bearing_terms,
-    temperature_terms,
 )
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
@@ -34,13 +32,14 @@ def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> tuple
     Terms supported by the joints' own equations, but not identifiable from all equations, are left out.
     Returns the data, streamed again where a joint has load-dependent friction, and its problem.
     """
-    joints, channels, per_run = dataset.robot.motors, dataset.runs[0].channels, len(dataset.runs) > 1
+    per_run, sensors = len(dataset.runs) > 1, [each.name for each in dataset.runs[0].channels if each.kind.behind_drive]
     warm = () if dataset.temperatures is None else tuple(dataset.temperatures.reference)
-    offered = (*all_terms(joints), *temperature_terms(warm), *bearing_terms(channels))
+    of_temperature = all_terms(warm, TEMPERATURE_TERMS)
+    offered = (*all_terms(dataset.robot.motors), *of_temperature, *all_terms(sensors, BEARING))
     terms, criterion = select_friction_terms(dataset.system(Friction(offered, per_run)).problem)
     if warm and per_run:  # differences between runs may come from temperature alone
         alone, less = select_friction_terms(dataset.system(Friction(offered)).problem)
-        if less < criterion and set(alone) & set(temperature_terms(warm)):
+        if less < criterion and set(alone) & set(of_temperature):
             terms, per_run = alone, False
     friction = Friction(terms, per_run)
     if not any(term.startswith("fl_") for term in terms):

@@ -92,22 +92,22 @@ class PayloadBody:
 def payload_body(name: str, run: str, weighed: Weighed, frame: str, placement: Placement) -> PayloadBody:
     """Find the body that was weighed, in a ``frame`` whose pose in that of the carrier is ``placement``."""
     R, p = placement.rotation, placement.position
-    mass = _seen(weighed, np.eye(10)[9:])
-    if not mass.shown[0] or mass.values[0] < SEEN * mass.stds[0]:
+    (seen,), (mass,), (std_of_mass,) = _seen(weighed, np.eye(10)[9:])
+    if not seen or mass < SEEN * std_of_mass:
         lost = {key: Estimate(key, None, None, unit) for key, unit in zip(QUANTITIES, UNITS, strict=True)}
         return PayloadBody(name, run, frame, lost, None)
-    chi = _consistent(weighed, float(mass.values[0]))
+    chi = _consistent(weighed, float(mass))
     values = quantities(chi, R, p)
     J = np.stack([quantities(chi + 1j * STEP * unit, R, p).imag / STEP for unit in np.eye(10)], axis=1)
-    found = _seen(weighed, J)
+    seen_of, _, stds = _seen(weighed, J)
     rigid = rigid_of(values)
     moment = max(compact_moment(values[0]), NARROW * np.trace(rigid.inertia) / 3)
     widest = np.repeat([np.inf, weighed.reach, moment], [1, 3, 6])  # wider intervals say nothing
     estimates = {}
     for k, (key, unit) in enumerate(zip(QUANTITIES, UNITS, strict=True)):
-        std = float(found.stds[k]) or None
+        std = float(stds[k]) or None
         each = Estimate(key, float(values[k]), std, unit, freedom=weighed.freedom)
-        shown = found.shown[k] and (each.half_interval() or 0.0) <= widest[k]
+        shown = seen_of[k] and (each.half_interval() or 0.0) <= widest[k]
         estimates[key] = each if shown else replace(each, value=None, std=None)
     return PayloadBody(name, run, frame, estimates, rigid)
 
@@ -135,34 +135,25 @@ def rigid_of(values: np.ndarray) -> RigidBody:
     return RigidBody(float(values[0]), values[1:4], np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
 
 
-@dataclass(frozen=True, eq=False)
-class _Seen:
-    """Linear functions of chi (q,): whether sums show them, values without regard to consistency, and stds."""
+def _seen(weighed: Weighed, J: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Express linear functions J (q, 10) of chi by the sums and what is stated.
 
-    shown: np.ndarray
-    values: np.ndarray
-    stds: np.ndarray
-
-
-def _seen(weighed: Weighed, J: np.ndarray) -> _Seen:
-    """Express rows J (q, 10) by the sums and what is stated."""
+    Returns whether these show them, their values without regard to consistency, and standard deviations, (q,) each.
+    """
     unit = np.array([weighed.reach**2] * 6 + [weighed.reach] * 3 + [1.0])
     rows, k = np.concatenate([weighed.sums, weighed.exact]) * unit, len(weighed.sums)
     sizes = np.linalg.norm(rows, axis=1)
     W = np.linalg.lstsq((rows / sizes[:, None]).T, (J * unit).T, rcond=1e-12)[0].T / sizes
     rest = np.linalg.norm(J * unit - W @ rows, axis=1)
     variances = np.einsum("qi,ij,qj->q", W[:, :k], weighed.covariance, W[:, :k])
-    return _Seen(
-        rest <= IN_SUMS * np.linalg.norm(J * unit, axis=1),
-        W @ np.concatenate([weighed.values, weighed.stated]),
-        np.sqrt(np.maximum(variances, 0.0)),
-    )
+    shown = rest <= IN_SUMS * np.linalg.norm(J * unit, axis=1)
+    return shown, W @ np.concatenate([weighed.values, weighed.stated]), np.sqrt(np.maximum(variances, 0.0))
 
 
 def _consistent(weighed: Weighed, mass: float) -> np.ndarray:
     """Find the physically consistent parameters (10,) nearest to the sums, compact where these are uninformative."""
-    moments = _seen(weighed, np.eye(10)[6:9])
-    center = np.where(moments.shown, moments.values, 0.0) / mass
+    shown, moments, _ = _seen(weighed, np.eye(10)[6:9])
+    center = np.where(shown, moments, 0.0) / mass
     ball = RigidBody(mass, center, compact_moment(mass) * np.eye(3))
     supposed = np.array([inertial_parameters(ball)[kind] for kind in INERTIAL])
     length = float(np.hypot(np.linalg.norm(center), np.sqrt(compact_moment(mass) / mass)))
