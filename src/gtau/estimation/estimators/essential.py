@@ -9,13 +9,7 @@ import numpy as np
 from gtau.estimation.estimators.estimator import Fit, Solution, Solve
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.equations import delayed_signal, triangle
-from gtau.estimation.regression.friction import (
-    BEARING,
-    TEMPERATURE_TERMS,
-    TERMS,
-    Friction,
-    all_terms,
-)
+from gtau.estimation.regression.friction import BEARING, TEMPERATURE_TERMS, TERMS, Friction, all_terms
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import FRICTION_TERM_GAIN, FRICTION_TERM_STD
@@ -121,11 +115,7 @@ def prune_friction_terms(problem: Problem, friction: Friction, solve: Solve) -> 
 
 
 def essential_parameters(
-    problem: Problem,
-    candidates: tuple[str, ...],
-    solve: Solve,
-    ratio: float | None = None,
-    correlated: bool = True,
+    problem: Problem, candidates: tuple[str, ...], solve: Solve, ratio: float | None = None, correlated: bool = True
 ) -> tuple[Problem, Solution]:
     """Cancel the parameter of largest relative standard deviation, repeatedly.
 

@@ -91,9 +91,5 @@ def ml_or_wls(given: Given) -> Solve:
 
 
 ML = Estimator(
-    "ml",
-    "maximum likelihood in the current domain",
-    Gains.ESTIMATED,
-    lambda given: ml,
-    plain_fit(lambda given: ml),
+    "ml", "maximum likelihood in the current domain", Gains.ESTIMATED, lambda given: ml, plain_fit(lambda given: ml)
 )

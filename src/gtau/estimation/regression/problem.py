@@ -15,15 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from gtau.estimation.regression.equations import (
-    FIXED,
-    KNOWN,
-    MODEL,
-    SIGNAL,
-    delayed_signal,
-    select_columns,
-    triangle,
-)
+from gtau.estimation.regression.equations import FIXED, KNOWN, MODEL, SIGNAL, delayed_signal, select_columns, triangle
 from gtau.model.base_parameters import independent_columns
 from gtau.signals.channel import Channel
 

@@ -22,13 +22,7 @@ from gtau.estimation.regression.equations import triangle
 from gtau.estimation.regression.friction import BEARING, TEMPERATURE_TERMS, TERMS
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
-from gtau.estimation.results.estimate import (
-    AlternativeMoves,
-    Estimate,
-    FrictionCurve,
-    SensorEstimate,
-    TorqueError,
-)
+from gtau.estimation.results.estimate import AlternativeMoves, Estimate, FrictionCurve, SensorEstimate, TorqueError
 from gtau.estimation.results.friction_curves import friction_unit, reference_temperatures
 from gtau.estimation.results.payload import named_estimates, payload_estimates
 from gtau.estimation.results.result import Result

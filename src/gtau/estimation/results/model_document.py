@@ -10,10 +10,7 @@ from gtau.estimation.diagnostics.geometry_findings import to_document as geometr
 from gtau.estimation.diagnostics.verdict import Verdict
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.grades import to_document as note_document
-from gtau.estimation.results.estimate import (
-    Estimate,
-    TorqueError,
-)
+from gtau.estimation.results.estimate import Estimate, TorqueError
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.robots.parameter import parameter_of
