@@ -36,7 +36,7 @@ from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.friction.law import stop
 from gtau.estimation.friction.normal_equations import PLAIN, SPEEDS, WIDTHS, Group, Site
-from gtau.estimation.friction.selection import Chosen, choose
+from gtau.estimation.friction.selection import Trial, choose
 from gtau.estimation.identify import identify
 from gtau.estimation.pipeline import DEFAULT, estimate
 from gtau.estimation.regression.dataset import reduce_runs
@@ -131,9 +131,9 @@ def simulated(count: int) -> None:
             inside: list[bool] = []
             for seed in range(count):
                 group = experiment(truth, error, seed)
-                chosen = choose(group)
-                kinds = {kind for _, kind in chosen.evidence}
-                inside += covered(group, chosen, truth) if kinds == right[truth] else []
+                trial, plain, evidence = choose(group)
+                kinds = {kind for _, kind in evidence}
+                inside += covered(group, trial, plain, truth) if kinds == right[truth] else []
                 found.update(kinds)
                 found["false"] += bool(kinds - right[truth])
             shares = " | ".join(f"{100 * found[kind] / count:.0f}" for kind in ("width", "speed", "load", "false"))
@@ -141,9 +141,9 @@ def simulated(count: int) -> None:
             print(f"| {truth} | {error} | {shares} | {share} |", flush=True)
 
 
-def covered(group: Group, chosen: Chosen, truth: str) -> list[bool]:
+def covered(group: Group, trial: Trial, plain: Trial, truth: str) -> list[bool]:
     """Whether each parameter is in its interval."""
-    (found,) = curves_of(group, chosen, np.zeros((0, 0)), lambda *_: "").values()
+    (found,) = curves_of(group, trial, plain, {}, np.zeros((0, 0)), lambda *_: "").values()
     true = {"off": 0.3, "fv": 0.8, "fs": 2.0} | ({"fb": 1.0} if truth == "Stribeck" else {})
     true |= {"fl": 0.1} if truth == "load" else {}
 

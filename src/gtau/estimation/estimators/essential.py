@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit, Solution, Solve
@@ -161,19 +159,7 @@ def essential_parameters(
         solution = solve(problem)
 
 
-@dataclass(frozen=True, eq=False)
-class Essential:
-    """The essential parameters: the reduced problem, its solution, and the ``loss`` by the cancelled ones.
-
-    It is the growth of the worst joint's residual, per cent.
-    """
-
-    problem: Problem
-    solution: Solution
-    loss: float
-
-
-def reduce_fit(fit: Fit, ratio: float | None, correlated: bool, joint: bool) -> Essential:
+def essential_fit(fit: Fit, ratio: float | None, correlated: bool, joint: bool) -> tuple[Problem, Solution, float]:
     """Cancel base parameters until the essential ones are left.
 
     Parameters
@@ -184,9 +170,16 @@ def reduce_fit(fit: Fit, ratio: float | None, correlated: bool, joint: bool) -> 
         See :func:`essential_parameters`.
     joint : bool
         Estimate the gains again at each step, as the paper does, or keep them.
+
+    Returns
+    -------
+    Problem, Solution
+        Of the essential parameters.
+    loss : float
+        Growth of the worst joint's residual without the cancelled ones, per cent.
     """
     problem = fit.system.problem
     candidates = tuple(name for name in fit.dataset.base.names if name in problem.parameters)
     solve = fit.solve if joint else fit.solve_fixed
     kept, reduced = essential_parameters(problem, candidates, solve, ratio, correlated)
-    return Essential(kept, reduced, 100 * float(np.max(reduced.sigma / fit.solution.sigma) - 1))
+    return kept, reduced, 100 * float(np.max(reduced.sigma / fit.solution.sigma) - 1)

@@ -14,7 +14,7 @@ from gtau.errors import GtauError
 from gtau.estimation.estimators.estimator import Estimator, Gains, Iterate, Solution
 from gtau.estimation.estimators.least_squares import plain_fit
 from gtau.estimation.estimators.newton import finish, least_squares, one_step, residuals, stacked
-from gtau.estimation.regression.equations import KNOWN, MODEL, delayed_signal, triangle
+from gtau.estimation.regression.equations import delayed_signal, triangle
 from gtau.estimation.regression.problem import Problem
 
 EXPLAINED = 1e-10  # of the largest singular value: directions of the parameters that rounding leaves
@@ -66,7 +66,7 @@ def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
             A_u = np.concatenate([_rows(problem, j, block[j], coefficients[j]) * scale[j] for j in range(n)])
             e_u = (residuals(block, state) * (scale * gains)[:, None]).reshape(-1)
             white = A_u[:, :-1] @ back
-            blocks.append((white.T @ white, -(white.T @ e_u)))
+            blocks.append((white.T @ white, white.T @ e_u))
         return np.hstack(
             [one_step(blocks) @ back.T, np.zeros((len(problem.units), n))]
         )  # delays are those of all units
@@ -123,13 +123,8 @@ def first_stage(problem: Problem, solution: Solution, lack: float) -> tuple[floa
 
 
 def _rows(problem: Problem, j: int, block: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
-    """Build rows ``[W_theta -v_projected | known]`` of the second stage from a block (., n_theta + 4) of channel j."""
-    n_theta = problem.n_theta
-    rows = np.zeros((len(block), n_theta + len(problem.channels) + 1))
-    rows[:, :n_theta], rows[:, -1] = block[:, MODEL], block[:, KNOWN]
-    # the torque of a sensor, whose gain is known, goes to the known side
-    rows[:, n_theta + j if problem.free[j] else -1] -= block[:, problem.own_columns[j]] @ coefficients
-    return rows
+    """Build rows of the second stage, ``W_tot`` with projected currents, from a block of channel j."""
+    return problem.total_rows_of(block, j, block[:, problem.own_columns[j]] @ coefficients)
 
 
 TWO_STAGE = Estimator(

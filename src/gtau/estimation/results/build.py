@@ -14,10 +14,8 @@ from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.diagnostics.parameter_checks import judge_parameter
 from gtau.estimation.diagnostics.stated_constants import scale_shares, sensor_verdict
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.estimators.essential import Essential
 from gtau.estimation.estimators.estimator import Estimator, Fit
 from gtau.estimation.estimators.physical_consistency import Consistency
-from gtau.estimation.estimators.total_least_squares import total_rows_of
 from gtau.estimation.regression.equations import triangle
 from gtau.estimation.regression.friction import BEARING, TEMPERATURE_TERMS, TERMS
 from gtau.estimation.regression.problem import Problem
@@ -37,7 +35,8 @@ def build_result(
     estimator: Estimator,
     examined: Examination,
     uncertainty: Uncertainty,
-    essential: Essential,
+    essential: Problem,
+    loss: float,
     diagnosis: Diagnosis,
     curves: Mapping[str, FrictionCurve],
     errors: Mapping[str, tuple[float, float]],
@@ -54,8 +53,8 @@ def build_result(
         What the data say against the model.
     uncertainty : Uncertainty
         Covariances of (theta, gains, delays), and the degrees of freedom behind them.
-    essential : Essential
-        The essential parameters.
+    essential, loss : Problem, float
+        From :func:`gtau.estimation.estimators.essential.essential_fit`.
     diagnosis : Diagnosis
         What can be believed.
     curves, errors : mappings
@@ -91,7 +90,7 @@ def build_result(
             spread=spread.get(name),
             verdict=judge_parameter(each.value, each.std, regrouping),
             model_std=model_part.get(name),
-            essential=name in essential.problem.parameters,
+            essential=name in essential.parameters,
         )
 
     delays = [
@@ -156,7 +155,7 @@ def build_result(
         logged_speeds=_logged_speeds(fit),
         statistics={
             **solution.statistics,
-            "reduction_loss": essential.loss,
+            "reduction_loss": loss,
             "lack_of_fit": examined.lack_of_fit,
             "accuracy": float(diagnosis.accuracy),
             "condition_number": _condition_number(total),
@@ -189,9 +188,10 @@ def _scaled(W: np.ndarray) -> np.ndarray:
 def _total(problem: Problem, sigma: np.ndarray) -> np.ndarray:
     """Build the triangular factor of ``W_tot`` (eq. 33), rows weighted by ``sigma`` (n,)."""
     weights = 1 / np.maximum(sigma, problem.smallest_sigma)
-    known = np.zeros((len(problem.known), problem.n_theta + len(problem.joints) + 1))
+    known = np.zeros((len(problem.known), problem.n_theta + len(problem.channels) + 1))
     known[:, : problem.n_theta], known[:, -1] = -problem.known[:, :-1], problem.known[:, -1]
-    return triangle(*(total_rows_of(problem, R, j, weights[j]) for j, R in enumerate(problem.triangles)), known)
+    rows = (problem.total_rows_of(R, j) * weights[j] for j, R in enumerate(problem.triangles))
+    return triangle(*rows, known)
 
 
 def _logged_speeds(fit: Fit) -> dict[str, float]:

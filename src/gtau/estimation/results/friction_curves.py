@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from gtau.estimation.diagnostics.parameter_checks import parameter_verdict
 from gtau.estimation.estimators.estimator import Fit, jackknife
 from gtau.estimation.friction.law import FrictionLaw
 from gtau.estimation.friction.normal_equations import FINER, Group, normal_equations, sites_of
-from gtau.estimation.friction.selection import KINDS, WORDS, Chosen, Trial, choose, shape_values, with_shapes
+from gtau.estimation.friction.selection import KINDS, WORDS, Trial, choose, shape_values, with_shapes
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS, UNITS
 from gtau.estimation.results.estimate import Estimate, FrictionCurve, ReferenceTemperatures
 from gtau.robots.parameter import Parameter
@@ -58,10 +58,10 @@ def friction_curves(
     of_rows = normal_equations(fit, law, sites)  # behind whose filter errors are stated
     for group, rows in zip(normal_equations(fit, law, sites, FINER), of_rows, strict=True):
         if len(group.G):
-            chosen = choose(group)
-            found |= curves_of(group, chosen, _fixed(fit, covariance), unit)
+            trial, plain, evidence = choose(group)
+            found |= curves_of(group, trial, plain, evidence, _fixed(fit, covariance), unit)
             motors = (model.actuated[j] for j in group.motors)
-            errors |= dict(zip(motors, _errors(rows, chosen.trial), strict=True))
+            errors |= dict(zip(motors, _errors(rows, trial), strict=True))
     return {site.joint: found[site.joint] for site in sites if site.joint in found}, errors
 
 
@@ -121,17 +121,22 @@ def _between_values(group: Group, whole: Trial, A: np.ndarray) -> np.ndarray:
 
 
 def curves_of(
-    group: Group, chosen: Chosen, fixed: np.ndarray, unit: Callable[[str, str], str]
+    group: Group,
+    trial: Trial,
+    plain: Trial,
+    evidence: Mapping[tuple[int, str], float],
+    fixed: np.ndarray,
+    unit: Callable[[str, str], str],
 ) -> dict[str, FrictionCurve]:
     """Estimate the friction of the joints of a group, whose parameters by kind and joint have a ``unit``."""
-    trial, whole = chosen.trial, with_shapes(group, chosen.trial)
+    whole = with_shapes(group, trial)
     A = np.einsum("pa,pq,qc->ac", whole.M, group.G.sum(axis=(0, 1))[:-1, :-1], whole.M)
     size = np.sqrt(np.maximum(np.diag(A), 1e-300))[:, None]
     S = np.linalg.pinv(A / size / size.T, rcond=1e-9, hermitian=True) @ (whole.M.T @ group.cross / size) / size
     covariance = jackknife(whole.left) + S @ fixed @ S.T + _between_values(group, whole, A)
     places, freedom = {name: k for k, name in enumerate(whole.names)}, float(len(group.G) - 1)
     signal = max(float(group.G[..., -1, -1].sum()), 1e-300)
-    error, plain = (100 * float(np.sqrt(max(each.errors.sum(), 0.0) / signal)) for each in (trial, chosen.plain))
+    error, plain_error = (100 * float(np.sqrt(max(each.errors.sum(), 0.0) / signal)) for each in (trial, plain))
 
     def estimate(kind: str, joint: str, value: float, std: float | None) -> Estimate:
         name, verdict = Parameter(kind, joint).name, parameter_verdict(value, std)
@@ -164,8 +169,8 @@ def curves_of(
             {each.name: each for each in parameters},
             shape.get("width"),
             shape.get("speed"),
-            {WORDS[kind]: float(chosen.evidence[s, kind]) for kind in KINDS if (s, kind) in chosen.evidence},
+            {WORDS[kind]: float(evidence[s, kind]) for kind in KINDS if (s, kind) in evidence},
             error,
-            plain,
+            plain_error,
         )
     return made
