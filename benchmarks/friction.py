@@ -175,7 +175,7 @@ def experiment(truth: str, error: str, seed: int) -> Group:
     place = np.arange(rows.shape[1]) * BLOCKS // rows.shape[1]
     G = np.array([[rows[:, place == b] @ rows[:, place == b].T] for b in range(BLOCKS)])
     columns, none = tuple((0, name) for name in site.names), np.zeros((0, 0))
-    return Group((site,), columns, G, np.bincount(place), np.zeros((len(columns), 0)), (0,), none, none)
+    return Group((site,), columns, G, np.zeros((len(columns), 0)), (0,), none, none)
 
 
 def friction(truth: str, q: np.ndarray, v: np.ndarray, load: np.ndarray, travel: float, rms: float) -> np.ndarray:
