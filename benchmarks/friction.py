@@ -25,7 +25,6 @@ from pathlib import Path
 from time import perf_counter
 
 import numpy as np
-from scipy.special import stdtrit
 
 sys.path.append(str(Path(__file__).parent))
 from realism.plants import ANY, PLANTS, Plant, random_parameters
@@ -35,13 +34,14 @@ from gtau.estimation import pipeline
 from gtau.estimation.estimators.estimator import Fit, Given
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.experiment_runs import read_runs
-from gtau.estimation.friction.identify import FrictionStep, _of_group
 from gtau.estimation.friction.law import stop
 from gtau.estimation.friction.normal_equations import PLAIN, SPEEDS, WIDTHS, Group, Site
-from gtau.estimation.friction.selection import Chosen, choose
+from gtau.estimation.friction.selection import Trial, choose
 from gtau.estimation.identify import identify
 from gtau.estimation.pipeline import DEFAULT, estimate
 from gtau.estimation.regression.dataset import reduce_runs
+from gtau.estimation.results.estimate import Estimate
+from gtau.estimation.results.friction_curves import curves_of
 from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
 from gtau.signals.decimation import Decimator
@@ -131,9 +131,9 @@ def simulated(count: int) -> None:
             inside: list[bool] = []
             for seed in range(count):
                 group = experiment(truth, error, seed)
-                chosen = choose(group)
-                kinds = {kind for _, kind in chosen.evidence}
-                inside += covered(group, chosen, truth) if kinds == right[truth] else []
+                trial, plain, evidence = choose(group)
+                kinds = {kind for _, kind in evidence}
+                inside += covered(group, trial, plain, truth) if kinds == right[truth] else []
                 found.update(kinds)
                 found["false"] += bool(kinds - right[truth])
             shares = " | ".join(f"{100 * found[kind] / count:.0f}" for kind in ("width", "speed", "load", "false"))
@@ -141,16 +141,19 @@ def simulated(count: int) -> None:
             print(f"| {truth} | {error} | {shares} | {share} |", flush=True)
 
 
-def covered(group: Group, chosen: Chosen, truth: str) -> list[bool]:
+def covered(group: Group, trial: Trial, plain: Trial, truth: str) -> list[bool]:
     """Whether each parameter is in its interval."""
-    (found,) = _of_group(group, chosen, np.zeros((0, 0)))
+    (found,) = curves_of(group, trial, plain, {}, np.zeros((0, 0)), lambda *_: "").values()
     true = {"off": 0.3, "fv": 0.8, "fs": 2.0} | ({"fb": 1.0} if truth == "Stribeck" else {})
     true |= {"fl": 0.1} if truth == "load" else {}
-    half = stdtrit(found.freedom, 0.975)
-    inside = [abs(found.values[kind] - value) <= half * (found.std[kind] or 0.0) for kind, value in true.items()]
+
+    def near(estimate: Estimate, value: float) -> bool:
+        return abs((estimate.value or 0.0) - value) <= (estimate.half_interval() or 0.0)
+
+    inside = [near(found.parameters[f"{kind}_j"], value) for kind, value in true.items()]
     if truth == "Maxwell slip":
         width = group.sites[0].widths[0] / WIDTHS[0] * 10**-3.5
-        inside.append(abs(found.shape.width - width) <= half * found.spread.width)
+        inside.append(found.width is not None and near(found.width, width))
     return inside
 
 
@@ -172,7 +175,7 @@ def experiment(truth: str, error: str, seed: int) -> Group:
     place = np.arange(rows.shape[1]) * BLOCKS // rows.shape[1]
     G = np.array([[rows[:, place == b] @ rows[:, place == b].T] for b in range(BLOCKS)])
     columns, none = tuple((0, name) for name in site.names), np.zeros((0, 0))
-    return Group((site,), columns, G, np.bincount(place), np.zeros((len(columns), 0)), (0,), none, none)
+    return Group((site,), columns, G, np.zeros((len(columns), 0)), (0,), none, none)
 
 
 def friction(truth: str, q: np.ndarray, v: np.ndarray, load: np.ndarray, travel: float, rms: float) -> np.ndarray:
@@ -305,18 +308,18 @@ def relative(result: Result, run: Run) -> float:
 
 def timed(work: Callable[[], Result]) -> tuple[Result, float, float]:
     """A result, and the seconds that it took: in all, and for the friction step."""
-    step, spent = pipeline.identify_friction, []
+    step, spent = pipeline.friction_curves, []
 
-    def friction_step(fit: Fit, covariance: np.ndarray) -> FrictionStep:
+    def friction_step(fit: Fit, covariance: np.ndarray) -> tuple[dict, dict]:
         begin = perf_counter()
         found = step(fit, covariance)
         spent.append(perf_counter() - begin)
         return found
 
-    pipeline.identify_friction = friction_step
+    pipeline.friction_curves = friction_step
     begin = perf_counter()
     result = work()
-    pipeline.identify_friction = step
+    pipeline.friction_curves = step
     return result, perf_counter() - begin, sum(spent)
 
 

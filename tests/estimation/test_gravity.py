@@ -18,7 +18,8 @@ from gtau.estimation.diagnostics.other_gravity import other_gravity
 from gtau.estimation.diagnostics.sentences import advice
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Given
-from gtau.estimation.estimators.maximum_likelihood import fit_either, ml_or_wls
+from gtau.estimation.estimators.least_squares import fit_by
+from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
@@ -36,7 +37,7 @@ def found(robot: Robot, runs: list[Run]) -> Alternative | None:
     dataset = reduce_runs(robot, runs)
     given = Given(np.ones(len(robot.actuated)) if runs[0].kind == "torque" else None)
     system = dataset.system(Friction((), per_run=len(runs) > 1))
-    return other_gravity(fit_either(ml_or_wls(given), dataset, system, given))
+    return other_gravity(fit_by(ml_or_wls(given), dataset, system, given))
 
 
 def axis(gravity: Gravity) -> np.ndarray:

@@ -13,13 +13,13 @@ from gtau.estimation.diagnostics.examine import examine, uncertainty_of
 from gtau.estimation.diagnostics.inertia_audit import audit_inertias, prior_findings, without_file_inertias
 from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.diagnostics.stated_constants import weigh_known
-from gtau.estimation.estimators.essential import reduce_fit, select_friction
+from gtau.estimation.estimators.essential import essential_fit, select_friction
 from gtau.estimation.estimators.estimator import Estimator, Given
 from gtau.estimation.estimators.physical_consistency import consistent as find_consistent
-from gtau.estimation.friction.identify import FrictionStep, identify_friction
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.friction import PAPER
 from gtau.estimation.results.build import build_result
+from gtau.estimation.results.friction_curves import friction_curves
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import ACCURACY
 
@@ -109,19 +109,20 @@ def estimate(
     fit = estimator.fit(dataset, system, given)  # eqs. (24) to (28), or (34) to (39)
     examined = examine(fit, progress)
     uncertainty = uncertainty_of(fit, examined, options.correlated)
-    essential = reduce_fit(fit, uncertainty.covariance, options.ratio, options.correlated, options.joint_reduction)
+    essential, reduced, loss = essential_fit(fit, options.ratio, options.correlated, options.joint_reduction)
     bare = without_file_inertias(fit, uncertainty.covariance, uncertainty.effective_freedom)
     audit = bare and audit_inertias(*bare, fit.dataset.prior_inertias)
     payloads = weigh_known(bare[0], estimator.name, options.accuracy) if bare else {}
     bodies = find_consistent(dataset, fit.system, fit.solution, given.priors, fit.free_gains) if consistent else None
     progress("estimation", 1, 1)
     if options.joint_reduction:  # the gains that go with the essential parameters
-        system = replace(fit.system, problem=essential.problem)
-        fit = replace(fit, system=system, solution=essential.solution)
-        covariance = essential.solution.covariance
+        fit = replace(fit, system=replace(fit.system, problem=essential), solution=reduced)
+        covariance = reduced.covariance
         nothing = np.zeros_like(covariance)
         uncertainty = replace(uncertainty, scatter=covariance, scale=nothing, model=nothing)
     diagnosis = diagnose(fit, examined, uncertainty, payloads, prior_gains or {}, options.accuracy)
     diagnosis = replace(diagnosis, notes=(*diagnosis.notes, *map(note, prior_findings(audit))))
-    friction = identify_friction(fit, uncertainty.covariance) if options.all_samples else FrictionStep()
-    return build_result(fit, estimator, examined, uncertainty, essential, diagnosis, bodies, friction, audit)
+    curves, errors = friction_curves(fit, uncertainty.covariance) if options.all_samples else ({}, {})
+    return build_result(
+        fit, estimator, examined, uncertainty, essential, loss, diagnosis, curves, errors, bodies, audit
+    )

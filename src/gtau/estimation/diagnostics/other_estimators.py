@@ -140,16 +140,16 @@ def two_stage_difference(fit: Fit) -> Difference | Finding:
     says so instead.
     """
     problem, solution = fit.system.problem, fit.solution
-    first = first_stage(problem, solution, max(lack_of_fit(problem, solution), 1.0))
-    if first.strength < WEAK_INSTRUMENTS:
-        return Finding(F.WEAK_INSTRUMENTS, values={"strength": first.strength, "needed": float(WEAK_INSTRUMENTS)})
+    strength, bias = first_stage(problem, solution, max(lack_of_fit(problem, solution), 1.0))
+    if strength < WEAK_INSTRUMENTS:
+        return Finding(F.WEAK_INSTRUMENTS, values={"strength": strength, "needed": float(WEAK_INSTRUMENTS)})
     # with the same delays: where motions are slow, a joint's own equations hardly determine its delay
     other = two_stage(problem, solution.delays)
     between = np.sqrt(np.diag(jackknife(solution.replicates() - other.replicates())))
     std = np.maximum(between, np.sqrt(np.diag(solution.jackknife)))
     moves = np.zeros(len(std))
     moves[problem.gain_rows] = other.gains[: len(problem.joints)] - fit.gains
-    std[problem.gain_rows] = np.hypot(std[problem.gain_rows], first.bias * fit.gains)
+    std[problem.gain_rows] = np.hypot(std[problem.gain_rows], bias * fit.gains)
     return Difference(Finding(F.TWO_STAGE), moves, std)
 
 

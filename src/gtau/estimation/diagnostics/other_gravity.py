@@ -32,7 +32,8 @@ from gtau.estimation.diagnostics.linearisation import (
 )
 from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
 from gtau.estimation.estimators.estimator import Fit, Given
-from gtau.estimation.estimators.maximum_likelihood import fit_either, ml_or_wls
+from gtau.estimation.estimators.least_squares import fit_by
+from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.thresholds.estimates import (
@@ -115,7 +116,7 @@ def fitted(fit: Fit, dataset: Dataset, gravity: np.ndarray) -> Fit | None:
     try:
         other = replace(dataset, robot=model.robot, model=model, base=base, factors=()).reduced()
         system = other.system(friction, fit.system.problem.slowest > 0)
-        return fit_either(ml_or_wls(given), other, system, given)
+        return fit_by(ml_or_wls(given), other, system, given)
     except GtauError:
         return None
 

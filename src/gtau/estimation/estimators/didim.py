@@ -14,10 +14,10 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given, Solution
-from gtau.estimation.estimators.maximum_likelihood import fit_either, ml_or_wls
+from gtau.estimation.estimators.least_squares import fit_by
+from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.estimators.simulated_motion import resimulated_runs
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.factors import reduce_run
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
 from gtau.progress import Progress
@@ -37,27 +37,11 @@ def along_simulated_motion(
     GtauError
         If the robot cannot be simulated with the estimates, or simulation and estimate do not converge.
     """
-    loaded = any(term.startswith("fl_") for term in system.friction.terms)
     before, solution = None, solve(system.problem)
     for k in range(PASSES):
         progress("simulation", k, PASSES)
-        loads = [system.load(run, solution.theta) if loaded else None for run in range(len(dataset.runs))]
-        simulated = zip(resimulated_runs(dataset, system, solution), loads, dataset.factors, dataset.edges, strict=True)
-        factors = tuple(
-            replace(
-                reduce_run(
-                    dataset.model,
-                    dataset.base.standard,
-                    run,
-                    dataset.preparation.at(run.run.rate).decimator,
-                    load,
-                    edges=edges,
-                ),
-                distances=logged.distances,  # to singularities: of the measured motion
-            )
-            for run, load, logged, edges in simulated
-        )
-        along = dataset.with_factors(factors)
+        simulated = resimulated_runs(dataset, system, solution)
+        along = dataset.reduced(system.loads(solution.theta), along=simulated)
         system = along.system(system.friction, system.problem.slowest > 0)
         before, solution = solution, solve(system.problem)
         std = np.sqrt(np.diag(solution.covariance))
@@ -73,7 +57,7 @@ def along_simulated_motion(
 
 def _fit(dataset: Dataset, system: System, given: Given) -> Fit:
     solver = ml_or_wls(given)
-    fit = fit_either(solver, *along_simulated_motion(dataset, system, solver, given.progress), given)
+    fit = fit_by(solver, *along_simulated_motion(dataset, system, solver, given.progress), given)
     return replace(fit, noise_free=True)
 
 

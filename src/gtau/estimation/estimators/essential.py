@@ -2,22 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit, Solution, Solve
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.equations import delayed_signal, triangle
-from gtau.estimation.regression.friction import (
-    BEARING,
-    TEMPERATURE_TERMS,
-    TERMS,
-    Friction,
-    all_terms,
-    bearing_terms,
-    temperature_terms,
-)
+from gtau.estimation.regression.friction import BEARING, TEMPERATURE_TERMS, TERMS, Friction, all_terms
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import FRICTION_TERM_GAIN, FRICTION_TERM_STD
@@ -34,13 +24,14 @@ def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> tuple
     Terms supported by the joints' own equations, but not identifiable from all equations, are left out.
     Returns the data, streamed again where a joint has load-dependent friction, and its problem.
     """
-    joints, channels, per_run = dataset.robot.motors, dataset.runs[0].channels, len(dataset.runs) > 1
+    per_run, sensors = len(dataset.runs) > 1, [each.name for each in dataset.runs[0].channels if each.kind.behind_drive]
     warm = () if dataset.temperatures is None else tuple(dataset.temperatures.reference)
-    offered = (*all_terms(joints), *temperature_terms(warm), *bearing_terms(channels))
+    of_temperature = all_terms(warm, TEMPERATURE_TERMS)
+    offered = (*all_terms(dataset.robot.motors), *of_temperature, *all_terms(sensors, BEARING))
     terms, criterion = select_friction_terms(dataset.system(Friction(offered, per_run)).problem)
     if warm and per_run:  # differences between runs may come from temperature alone
         alone, less = select_friction_terms(dataset.system(Friction(offered)).problem)
-        if less < criterion and set(alone) & set(temperature_terms(warm)):
+        if less < criterion and set(alone) & set(of_temperature):
             terms, per_run = alone, False
     friction = Friction(terms, per_run)
     if not any(term.startswith("fl_") for term in terms):
@@ -122,12 +113,8 @@ def prune_friction_terms(problem: Problem, friction: Friction, solve: Solve) -> 
 
 
 def essential_parameters(
-    problem: Problem,
-    candidates: tuple[str, ...],
-    solve: Solve,
-    ratio: float | None = None,
-    correlated: bool = True,
-) -> tuple[Problem, Solution, np.ndarray]:
+    problem: Problem, candidates: tuple[str, ...], solve: Solve, ratio: float | None = None, correlated: bool = True
+) -> tuple[Problem, Solution]:
     """Cancel the parameter of largest relative standard deviation, repeatedly.
 
     With a ``ratio`` until the paper's rule ``max(rel) / min(rel) < ratio`` holds over ``candidates``. As
@@ -153,8 +140,6 @@ def essential_parameters(
     -------
     Problem, Solution
         Of the remaining parameters.
-    std : ndarray
-        Their standard deviations (n_theta,) in the rule's last step, zero for cancelled ones.
     """
     solution = solve(problem)
     formula = np.maximum(np.diag(solution.covariance), 1e-300)
@@ -169,43 +154,32 @@ def essential_parameters(
         worst = int(np.argmax(relative))
         allowed = significant if ratio is None else ratio * relative.min()
         if relative[worst] <= allowed or len(index) == 1:
-            return problem, solution, std
+            return problem, solution
         problem = problem.without([problem.parameters[index[worst]]])
         solution = solve(problem)
 
 
-@dataclass(frozen=True, eq=False)
-class Essential:
-    """The essential parameters: the reduced problem, its solution, and their standard deviations (n_theta,).
-
-    ``loss`` is the growth of the worst joint's residual without the cancelled ones, per cent.
-    """
-
-    problem: Problem
-    solution: Solution
-    std: np.ndarray
-    loss: float
-
-
-def reduce_fit(fit: Fit, covariance: np.ndarray, ratio: float | None, correlated: bool, joint: bool) -> Essential:
+def essential_fit(fit: Fit, ratio: float | None, correlated: bool, joint: bool) -> tuple[Problem, Solution, float]:
     """Cancel base parameters until the essential ones are left.
 
     Parameters
     ----------
     fit : Fit
         With all base parameters.
-    covariance : ndarray
-        Of its (theta, gains, delays).
     ratio, correlated : float, bool
         See :func:`essential_parameters`.
     joint : bool
         Estimate the gains again at each step, as the paper does, or keep them.
+
+    Returns
+    -------
+    Problem, Solution
+        Of the essential parameters.
+    loss : float
+        Growth of the worst joint's residual without the cancelled ones, per cent.
     """
     problem = fit.system.problem
     candidates = tuple(name for name in fit.dataset.base.names if name in problem.parameters)
     solve = fit.solve if joint else fit.solve_fixed
-    kept, reduced, std = essential_parameters(problem, candidates, solve, ratio, correlated)
-    if ratio is None:
-        # kept parameters absorb the cancelled ones: only the standard deviation with all of them is valid
-        std = np.sqrt(np.diag(covariance))[[problem.parameters.index(name) for name in kept.parameters]]
-    return Essential(kept, reduced, std, 100 * float(np.max(reduced.sigma / fit.solution.sigma) - 1))
+    kept, reduced = essential_parameters(problem, candidates, solve, ratio, correlated)
+    return kept, reduced, 100 * float(np.max(reduced.sigma / fit.solution.sigma) - 1)

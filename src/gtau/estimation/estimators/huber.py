@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given, Solution
-from gtau.estimation.estimators.least_squares import fit_free
+from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.equations import delayed
@@ -32,7 +32,6 @@ def reweighted(
     dataset: Dataset, system: System, solve: Callable[[Problem], Solution], progress: Progress
 ) -> tuple[Dataset, System]:
     """Iterate between Huber's weights on the rows and the estimates of ``solve`` until they converge."""
-    loaded = any(term.startswith("fl_") for term in system.friction.terms)
     sigma, gains = None, None
     for _ in range(PASSES):
         solution = solve(system.problem)
@@ -44,8 +43,7 @@ def reweighted(
             HuberWeights(np.einsum("jpk,jk->jp", system.map(run), of_row), TUNING * sigma)
             for run in range(len(dataset.runs))
         ]
-        loads = [system.load(k, solution.theta) for k in range(len(dataset.runs))] if loaded else None
-        dataset = dataset.reduced(loads, progress, weigh)
+        dataset = dataset.reduced(system.loads(solution.theta), progress, weigh)
         system = dataset.system(system.friction, system.problem.slowest > 0)
         sigma = MAD * _medians(dataset.factors)
         sigma = np.maximum(sigma, system.whole.smallest_sigma)
@@ -98,7 +96,7 @@ def _fit(dataset: Dataset, system: System, given: Given) -> Fit:
     fixed = ml(system.problem)
     factor = sandwich_factor(dataset.factors)
     solution = replace(fixed, covariance=factor**2 * fixed.covariance, replicates=lambda: factor * fixed.replicates())
-    return fit_free(ml, dataset, system, solution, fixed)
+    return fit_by(ml, dataset, system, given, solution, fixed)
 
 
 HUBER = Estimator(

@@ -13,7 +13,6 @@ coarse or noisy, or the filter is poor.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -26,7 +25,7 @@ from gtau.estimation.estimators.newton import jacobian, moved, one_step, residua
 from gtau.estimation.estimators.simulated_motion import resimulated_runs
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.equations import FIXED, SIGNALS, STRETCHES, triangle
-from gtau.estimation.regression.factors import EXTRA, ROWS, Factors
+from gtau.estimation.regression.factors import EXTRA, Factors, Triangles
 from gtau.estimation.regression.friction import TERMS
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.rows import stream_rows
@@ -146,9 +145,7 @@ def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
 def paired(dataset: Dataset, system: System, solution: Solution) -> Pair:
     """Build the problem along the measured motion and along the simulated one."""
     simulated = resimulated_runs(dataset, system, solution)
-    loaded = any(term.startswith("fl_") for term in system.friction.terms)
-    loads = [system.load(k, solution.theta) if loaded else None for k in range(len(simulated))]
-    preparation, columns = dataset.preparation, dataset.base.standard
+    loads, preparation, columns = system.loads(solution.theta), dataset.preparation, dataset.base.standard
     pairs = [
         _reduced(dataset.model, columns, measured, other, preparation.at(measured.run.rate).decimator, load, edges)
         for measured, other, load, edges in zip(dataset.prepared, simulated, loads, dataset.edges, strict=True)
@@ -184,43 +181,22 @@ def _reduced(
     stretches = stretch_of(edges, decimator.outputs(len(measured)))
     n, b = len(idm.actuated), len(columns) + EXTRA - 3
     dry = np.array([k for k, name in enumerate(columns) if name.startswith("fs_")] + [len(columns) + TERMS.index("fl")])
-    T = [[np.zeros((0, 2 * b + 3))] * n for _ in range(STRETCHES)]
-    rows = np.zeros((STRETCHES, n), dtype=int)
-    waiting: defaultdict[tuple[int, int], list[np.ndarray]] = defaultdict(list)  # of a stretch and joint
-    held = 0
-
-    def merge() -> None:
-        for (s, j), more in waiting.items():
-            T[s][j] = triangle(T[s][j], *more)
-        waiting.clear()
-
+    collected = Triangles([np.arange(2 * b + 3)] * n)
     streams = (stream_rows(idm, regressor, each, decimator, load) for each in (simulated, measured))
     for part, other in zip(*streams, strict=True):
-        stretch = stretches[part.outputs]
         A = np.zeros((n, len(part.time), 2 * b + 3))
         for k, each in enumerate((part, other)):
             A[regressor.rows, :, regressor.columns + k * b] = each.entries
             A[:, :, k * b + len(columns) : k * b + len(columns) + len(TERMS)] = each.terms.transpose(1, 2, 0)
         A[:, :, b + dry] = A[:, :, dry]
         A[:, :, SIGNALS] = other.currents.transpose(1, 2, 0)
-        keep = part.keep & other.keep
-        for s in np.unique(stretch).tolist():
-            for j in range(n):
-                chosen = A[j, (stretch == s) & keep[j]]
-                waiting[s, j].append(chosen)
-                rows[s, j] += len(chosen)
-        held += len(stretch)
-        if held >= ROWS:
-            merge()
-            held = 0
-    merge()
+        collected.add(A, part.keep & other.keep, stretches[part.outputs])
     R = np.zeros((2, STRETCHES, n, 2 * b + 3, b + 3))
-    for s in range(STRETCHES):
-        for j in range(n):
-            of = T[s][j]
+    for s, of_stretch in enumerate(collected.merged()):
+        for j, of in enumerate(of_stretch):
             for k in range(2):
                 R[k, s, j, : len(of)] = np.hstack([of[:, (1 - k) * b : (2 - k) * b], of[:, SIGNALS]])
-    return Factors(R[0], rows), Factors(R[1], rows)
+    return Factors(R[0], collected.rows), Factors(R[1], collected.rows)
 
 
 def _fit(dataset: Dataset, system: System, given: Given) -> Fit:

@@ -66,27 +66,6 @@ def scarcity(problem: Problem) -> str:
     return f"after filtering there are {rows} equations for {unknowns} unknowns; log longer runs, at a higher rate, "
 
 
-def fit_free(
-    solve_free: Solve,
-    dataset: Dataset,
-    system: System,
-    refined: Solution | None = None,
-    unrefined: Solution | None = None,
-) -> Fit:
-    """Fit with free gains, by ``solve_free`` or to a ``refined`` solution found from its ``unrefined`` one."""
-    unrefined = solve_free(system.problem) if unrefined is None else unrefined
-    solution = unrefined if refined is None else refined
-    return Fit(
-        dataset,
-        system,
-        solution,
-        solve_free,
-        unrefined,
-        partial(wls, gains=solution.gains, delays=solution.delays),
-        free_gains=True,
-    )
-
-
 def with_given(solver: Callable[[Problem, np.ndarray], Solution], given: Given) -> Solve:
     """Fix the gains of a solver to those given."""
     assert given.gains is not None
@@ -94,23 +73,30 @@ def with_given(solver: Callable[[Problem, np.ndarray], Solution], given: Given) 
     return lambda problem: solver(problem, np.append(gains, np.ones(len(problem.channels) - len(gains))))
 
 
-def _fit(solver: Callable[[Problem, np.ndarray], Solution], dataset: Dataset, system: System, given: Given) -> Fit:
-    solve_given = with_given(solver, given)
-    solution = solve_given(system.problem)
-    return Fit(
-        dataset,
-        system,
-        solution,
-        solve_given,
-        solution,
-        partial(wls, gains=solution.gains, delays=solution.delays),
-        free_gains=False,
-    )
+def fit_by(
+    solve: Solve,
+    dataset: Dataset,
+    system: System,
+    given: Given,
+    refined: Solution | None = None,
+    unrefined: Solution | None = None,
+) -> Fit:
+    """Fit by ``solve``, or to a ``refined`` solution found from its ``unrefined`` one."""
+    unrefined = solve(system.problem) if unrefined is None else unrefined
+    solution = unrefined if refined is None else refined
+    solve_fixed = partial(wls, gains=solution.gains, delays=solution.delays)
+    return Fit(dataset, system, solution, solve, unrefined, solve_fixed, free_gains=given.gains is None)
 
 
+def plain_fit(solver: Callable[[Given], Solve]) -> Callable[[Dataset, System, Given], Fit]:
+    """Make the fit of an estimator that only solves the problem."""
+    return lambda dataset, system, given: fit_by(solver(given), dataset, system, given)
+
+
+SOLVE_WLS, SOLVE_OLS = partial(with_given, wls), partial(with_given, ols)
 WLS = Estimator(
-    "wls", "weighted least squares with given gains", Gains.GIVEN, partial(with_given, wls), partial(_fit, wls), True
+    "wls", "weighted least squares with given gains", Gains.GIVEN, SOLVE_WLS, plain_fit(SOLVE_WLS), in_paper=True
 )
 OLS = Estimator(
-    "ols", "ordinary least squares with given gains", Gains.GIVEN, partial(with_given, ols), partial(_fit, ols), True
+    "ols", "ordinary least squares with given gains", Gains.GIVEN, SOLVE_OLS, plain_fit(SOLVE_OLS), in_paper=True
 )

@@ -11,19 +11,15 @@ torque residuals of the homogeneous system a gain could buy small residuals by c
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given, Iterate, Solution, Solve
-from gtau.estimation.estimators.least_squares import fit_free, scarcity, with_given, wls
+from gtau.estimation.estimators.estimator import Estimator, Gains, Given, Iterate, Solution, Solve
+from gtau.estimation.estimators.least_squares import plain_fit, scarcity, with_given, wls
 from gtau.estimation.estimators.newton import solve
 from gtau.estimation.estimators.two_stage import two_stage
-from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.equations import KNOWN, MODEL
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import HIDDEN_KNOWN, MISFIT
 
 
@@ -94,13 +90,6 @@ def ml_or_wls(given: Given) -> Solve:
     return ml if given.gains is None else with_given(wls, given)
 
 
-def fit_either(solver: Solve, dataset: Dataset, system: System, given: Given) -> Fit:
-    """Fit by a solver of :func:`ml_or_wls`."""
-    return replace(fit_free(solver, dataset, system), free_gains=given.gains is None)
-
-
-def _fit(dataset: Dataset, system: System, given: Given) -> Fit:
-    return fit_free(ml, dataset, system)
-
-
-ML = Estimator("ml", "maximum likelihood in the current domain", Gains.ESTIMATED, lambda given: ml, _fit)
+ML = Estimator(
+    "ml", "maximum likelihood in the current domain", Gains.ESTIMATED, lambda given: ml, plain_fit(lambda given: ml)
+)

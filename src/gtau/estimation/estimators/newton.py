@@ -11,15 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from gtau.estimation.estimators.estimator import Iterate, Solution
-from gtau.estimation.regression.equations import (
-    FIXED,
-    MODEL,
-    SIGNAL,
-    SIGNALS,
-    delayed_signal,
-    modelled,
-    triangle,
-)
+from gtau.estimation.regression.equations import FIXED, MODEL, SIGNAL, SIGNALS, delayed_signal, modelled, triangle
 from gtau.estimation.regression.problem import Problem
 
 STEPS = 200
@@ -185,12 +177,7 @@ def _size(n: int, n_theta: int, free_gains: bool) -> int:
 
 
 def finish(
-    problem: Problem,
-    triangles: np.ndarray,
-    state: Iterate,
-    weights: np.ndarray,
-    errors: np.ndarray,
-    free_gains: bool,
+    problem: Problem, triangles: np.ndarray, state: Iterate, weights: np.ndarray, errors: np.ndarray, free_gains: bool
 ) -> Solution:
     """Compute the covariances at ``state``."""
     n, n_theta = len(problem.channels), problem.n_theta

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given, Solution
-from gtau.estimation.estimators.least_squares import fit_free
+from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.standard_parameters import standard_unknowns
 from gtau.estimation.regression.dataset import Dataset
@@ -46,7 +46,7 @@ def _fit(dataset: Dataset, system: System, given: Given) -> Fit:
     unrefined = ml(system.problem)
     equations = prior_equations(dataset, system, unrefined, given.priors)
     problem = replace(system.problem, known=equations)
-    return fit_free(ml, dataset, replace(system, problem=problem), ml(problem), unrefined)
+    return fit_by(ml, dataset, replace(system, problem=problem), given, ml(problem), unrefined)
 
 
 RIDGE = Estimator(

@@ -65,11 +65,7 @@ def resimulated_runs(dataset: Dataset, system: System, solution: Solution) -> tu
 
 
 def resimulated(
-    idm: InverseDynamics,
-    regressor: Regressor,
-    values: np.ndarray,
-    prepared: PreparedRun,
-    preparation: Preparation,
+    idm: InverseDynamics, regressor: Regressor, values: np.ndarray, prepared: PreparedRun, preparation: Preparation
 ) -> InMemoryRun:
     """Replace a run's motion by that of the simulated loop; rows in the reference's ends are left out too.
 

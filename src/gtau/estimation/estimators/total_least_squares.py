@@ -12,12 +12,10 @@ from __future__ import annotations
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given, Solution
-from gtau.estimation.estimators.least_squares import fit_free
-from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.equations import KNOWN, MODEL, delayed_signal, leave_one_out, modelled, triangle
+from gtau.estimation.estimators.estimator import Estimator, Gains, Solution
+from gtau.estimation.estimators.least_squares import plain_fit
+from gtau.estimation.regression.equations import delayed_signal, leave_one_out, modelled, triangle
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System
 
 
 def tls(problem: Problem) -> Solution:
@@ -29,8 +27,8 @@ def tls(problem: Problem) -> Solution:
         If the known payload has no effect on the currents, so that nothing fixes the scale.
     """
     r, joints = problem.total_rows.sum(), range(len(problem.joints))
-    weights = 1 / np.array([_own_sigma_W(problem, j) for j in joints])
-    units = [triangle(*(total_rows_of(problem, unit[j], j, weights[j]) for j in joints)) for unit in problem.units]
+    own_sigma_W = [_own_sigma_W(problem, j) for j in joints]
+    units = [triangle(*(problem.total_rows_of(unit[j], j) / own_sigma_W[j] for j in joints)) for unit in problem.units]
     W_tot = triangle(*units)  # eq. (33): the same singular values and right singular vectors as all rows
     _, s, Vt = np.linalg.svd(W_tot)  # eq. (35)
     chi = _scaled(Vt[-1])  # V_c solves the closest compatible system, eqs. (34) and (36)
@@ -51,16 +49,6 @@ def tls(problem: Problem) -> Solution:
 
     statistics = {"singular_ratio": float(s[-2] / s[-1]), "sigma_W": float(sigma_W)}
     return Solution(theta, gains, problem.own_delays, sigma, covariance, replicates, statistics)
-
-
-def total_rows_of(problem: Problem, block: np.ndarray, j: int, weight: float) -> np.ndarray:
-    """Build rows of ``W_tot`` from a block (., n_theta + 4) of joint j (eq. 33)."""
-    n_theta = problem.n_theta
-    rows = np.zeros((len(block), n_theta + len(problem.joints) + 1))
-    rows[:, :n_theta], rows[:, -1] = -block[:, MODEL], -block[:, KNOWN]
-    # a known gain goes with the known payload
-    rows[:, n_theta + j if problem.free[j] else -1] += delayed_signal(block, problem.own_delays[j])
-    return weight * rows
 
 
 def _scaled(direction: np.ndarray) -> np.ndarray:
@@ -91,16 +79,12 @@ def _inverse_of_compatible(s: np.ndarray, V: np.ndarray) -> np.ndarray:
     return half @ half.T
 
 
-def _fit(dataset: Dataset, system: System, given: Given) -> Fit:
-    return fit_free(tls, dataset, system)
-
-
 TLS = Estimator(
     "tls",
     "total least squares (the paper's)",
     Gains.ESTIMATED,
     lambda given: tls,
-    _fit,
+    plain_fit(lambda given: tls),
     in_paper=True,
     takes_priors=False,
 )

@@ -6,18 +6,16 @@ iteration, and shares no weights with the others.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given, Iterate, Solution
-from gtau.estimation.estimators.least_squares import fit_free
+from gtau.estimation.estimators.estimator import Estimator, Gains, Iterate, Solution
+from gtau.estimation.estimators.least_squares import plain_fit
 from gtau.estimation.estimators.newton import finish, least_squares, one_step, residuals, stacked
-from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.equations import KNOWN, MODEL, delayed_signal, triangle
+from gtau.estimation.regression.equations import delayed_signal, triangle
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System
 
 EXPLAINED = 1e-10  # of the largest singular value: directions of the parameters that rounding leaves
 
@@ -68,7 +66,7 @@ def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
             A_u = np.concatenate([_rows(problem, j, block[j], coefficients[j]) * scale[j] for j in range(n)])
             e_u = (residuals(block, state) * (scale * gains)[:, None]).reshape(-1)
             white = A_u[:, :-1] @ back
-            blocks.append((white.T @ white, -(white.T @ e_u)))
+            blocks.append((white.T @ white, white.T @ e_u))
         return np.hstack(
             [one_step(blocks) @ back.T, np.zeros((len(problem.units), n))]
         )  # delays are those of all units
@@ -76,24 +74,7 @@ def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
     return replace(solution, replicates=replicates)
 
 
-@dataclass(frozen=True, eq=False)
-class FirstStage:
-    """Strength of the first stage: explanation of the currents by the motion.
-
-    Attributes
-    ----------
-    strength : float
-        Cragg-Donald statistic: the F of the combination of gains explained least; infinite where no gain is free or
-        the equations leave no instrument to spare.
-    bias : ndarray
-        (n,) Relative bias of the joints' gains to first order (Nagar 1959).
-    """
-
-    strength: float
-    bias: np.ndarray
-
-
-def first_stage(problem: Problem, solution: Solution, lack: float) -> FirstStage:
+def first_stage(problem: Problem, solution: Solution, lack: float) -> tuple[float, np.ndarray]:
     """Measure the strength of the instruments of two-stage least squares, and the remaining bias.
 
     The projected currents keep the part of their noise in the span of the instruments, which biases gains low,
@@ -107,6 +88,14 @@ def first_stage(problem: Problem, solution: Solution, lack: float) -> FirstStage
     lack : float
         Standard deviations over those for independent residuals, 1 at least, see
         :func:`gtau.estimation.diagnostics.log_checks.lack_of_fit`: it reduces the number of independent rows.
+
+    Returns
+    -------
+    strength : float
+        Cragg-Donald statistic: the F of the combination of gains explained least; infinite where no gain is free or
+        the equations leave no instrument to spare.
+    bias : ndarray
+        (n,) Relative bias of the joints' gains to first order (Nagar 1959).
     """
     n_theta, free = problem.n_theta, problem.free
     parts = []
@@ -122,7 +111,7 @@ def first_stage(problem: Problem, solution: Solution, lack: float) -> FirstStage
     instruments = sum(map(len, problem.own_columns)) + len(problem.known) - U.shape[1]
     bias = np.zeros(len(problem.channels))
     if not free.any() or instruments < 1:
-        return FirstStage(np.inf, bias[: len(problem.joints)])
+        return np.inf, bias[: len(problem.joints)]
     _, s, Vt = np.linalg.svd(currents - U @ (U.T @ currents), full_matrices=False)
     ends = np.cumsum([len(part) for part in parts])
     own = [
@@ -130,21 +119,14 @@ def first_stage(problem: Problem, solution: Solution, lack: float) -> FirstStage
         for columns, part, end in zip(problem.own_columns, parts, ends, strict=True)
     ]
     bias[free] = -Vt.T @ ((Vt @ np.array(own)[free]) / np.maximum(s, np.finfo(float).tiny) ** 2)
-    return FirstStage(float(s[-1] ** 2 / instruments), bias[: len(problem.joints)])
+    return float(s[-1] ** 2 / instruments), bias[: len(problem.joints)]
 
 
 def _rows(problem: Problem, j: int, block: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
-    """Build rows ``[W_theta -v_projected | known]`` of the second stage from a block (., n_theta + 4) of channel j."""
-    n_theta = problem.n_theta
-    rows = np.zeros((len(block), n_theta + len(problem.channels) + 1))
-    rows[:, :n_theta], rows[:, -1] = block[:, MODEL], block[:, KNOWN]
-    # the torque of a sensor, whose gain is known, goes to the known side
-    rows[:, n_theta + j if problem.free[j] else -1] -= block[:, problem.own_columns[j]] @ coefficients
-    return rows
+    """Build rows of the second stage, ``W_tot`` with projected currents, from a block of channel j."""
+    return problem.total_rows_of(block, j, block[:, problem.own_columns[j]] @ coefficients)
 
 
-def _fit(dataset: Dataset, system: System, given: Given) -> Fit:
-    return fit_free(two_stage, dataset, system)
-
-
-TWO_STAGE = Estimator("2sls", "two-stage least squares", Gains.ESTIMATED, lambda given: two_stage, _fit)
+TWO_STAGE = Estimator(
+    "2sls", "two-stage least squares", Gains.ESTIMATED, lambda given: two_stage, plain_fit(lambda given: two_stage)
+)

@@ -158,7 +158,7 @@ class Group:
 
     ``columns`` name (site, column) of (p,); ``G`` (K, m, p + 1, p + 1) are the products of the columns and of the
     torque that is left to friction, the last, all times the ``weights`` (m,) of the motors: one over their residuals.
-    ``rows`` (K,) count them. ``cross`` (p, gains and base parameters) are products with what gains and base parameters
+    ``cross`` (p, gains and base parameters) are products with what gains and base parameters
     add to the torque. ``motors`` are the numbers of the actuated joints, ``signals`` (m, 2) count the rows of each and
     add up the squares of its measured torque.
     """
@@ -166,7 +166,6 @@ class Group:
     sites: tuple[Site, ...]
     columns: tuple[tuple[int, str], ...]
     G: np.ndarray
-    rows: np.ndarray
     cross: np.ndarray
     motors: tuple[int, ...]
     weights: np.ndarray
@@ -192,16 +191,14 @@ def normal_equations(fit: Fit, law: FrictionLaw, sites: Sequence[Site], finer: i
     weights = 1 / np.maximum(np.abs(gains) * solution.sigma[:n], 1e-300)
     regressor, names = model.columns(base.standard), {site.joint for site in sites}
     each = max(min(BLOCKS, MOST_BLOCKS // runs), 1)
-    groups = groups_of(sites)
     starts = np.cumsum([0, *(len(site.names) for site in sites)])
-    sizes = [sum(len(sites[k].names) for k in members) for members, _ in groups]
-    G = [
-        np.zeros((runs * each, len(motors), size + 1, size + 1))
-        for (_, motors), size in zip(groups, sizes, strict=True)
-    ]
-    cross = [np.zeros((size, n + base.count)) for size in sizes]
-    rows = [np.zeros(runs * each, dtype=int) for _ in groups]
-    signals = [np.zeros((len(motors), 2)) for _, motors in groups]
+    groups = []
+    for members, motors in groups_of(sites):
+        columns = tuple((k, name) for k, member in enumerate(members) for name in sites[member].names)
+        p, m = len(columns), len(motors)
+        sums = np.zeros((runs * each, m, p + 1, p + 1)), np.zeros((p, n + base.count))
+        own_sites = tuple(sites[k] for k in members)
+        groups.append((members, Group(own_sites, columns, *sums, tuple(motors), weights[motors], np.zeros((m, 2)))))
     for run, prepared in enumerate(dataset.prepared):
         decimator = dataset.preparation.at(prepared.run.rate).decimator
         decimator = replace(decimator, factor=max(decimator.factor // finer, 1))
@@ -229,28 +226,20 @@ def normal_equations(fit: Fit, law: FrictionLaw, sites: Sequence[Site], finer: i
             place = run * each + np.arange(part.outputs.start, part.outputs.stop) * each // outputs
             W = np.zeros((n, base.count, len(y[0])))
             W[regressor.rows, regressor.columns] = part.entries
-            for g, (members, motors) in enumerate(groups):
+            for members, group in groups:
                 moving = np.any([speeds[k] > RESTING * sites[k].rms_speed for k in members], axis=0)
-                for m, j in enumerate(motors):
+                for m, j in enumerate(group.motors):
                     kept = valid[j] & moving
                     if not kept.any():
                         continue
                     own = [sites[k].ratios[j] * made[starts[k] : starts[k + 1], kept] for k in members]
                     A = np.vstack([*own, y[j, kept]])
-                    signals[g][m] += kept.sum(), measured[j, kept] @ measured[j, kept]
+                    group.signals[m] += kept.sum(), measured[j, kept] @ measured[j, kept]
                     A *= weights[j]
                     fixed = np.zeros((n + base.count, int(kept.sum())))
                     fixed[j], fixed[n:] = v[j, kept], -W[j][:, kept]
-                    cross[g] += weights[j] * A[:-1] @ fixed.T
+                    group.cross[:] += weights[j] * A[:-1] @ fixed.T
                     for b in np.unique(place[kept]):
                         of_block = A[:, place[kept] == b]
-                        G[g][b, m] += of_block @ of_block.T
-                        rows[g][b] += of_block.shape[1]
-    made_groups = []
-    for g, (members, motors) in enumerate(groups):
-        used = rows[g] > 0
-        listed = tuple((k, name) for k, member in enumerate(members) for name in sites[member].names)
-        own_sites = tuple(sites[k] for k in members)
-        of_group = (cross[g], tuple(motors), weights[motors], signals[g])
-        made_groups.append(Group(own_sites, listed, G[g][used], rows[g][used], *of_group))
-    return tuple(made_groups)
+                        group.G[b, m] += of_block @ of_block.T
+    return tuple(replace(group, G=group.G[group.G.any(axis=(1, 2, 3))]) for _, group in groups)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -111,15 +111,6 @@ class Trial:
     M: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
-class Chosen:
-    """Chosen trial, the plain one, and the gain of each term taken, in standard errors, by (site, kind)."""
-
-    trial: Trial
-    plain: Trial
-    evidence: dict[tuple[int, str], float] = field(default_factory=dict)
-
-
 def attempt(group: Group, structures: tuple[Structure, ...]) -> Trial:
     """Fit a group by these structures, also without each block; parameters that would be negative stay at zero."""
     from scipy.optimize import nnls
@@ -195,8 +186,10 @@ def gained(before: Trial, after: Trial) -> tuple[float, float]:
     return float(relative.sum() / max(spread, 1e-300)), float(share)
 
 
-def choose(group: Group) -> Chosen:
+def choose(group: Group) -> tuple[Trial, Trial, dict[tuple[int, str], float]]:
     """Add one term after another while the errors on left-out blocks decrease.
+
+    Returns the trial chosen, the plain one, and the gain of each term taken, in standard errors, by (site, kind).
 
     A term enters where it takes the squared error of blocks left out down by a share that the eye sees and by more
     standard errors, over the blocks, than the best of many widths and speeds does by chance.
@@ -205,7 +198,7 @@ def choose(group: Group) -> Chosen:
     best = plain
     evidence: dict[tuple[int, str], float] = {}
     if len(group.G) < FEWEST_BLOCKS:
-        return Chosen(best, plain)
+        return best, plain, evidence
     while True:
         offers = []
         for s, kind in ((s, kind) for s in range(len(group.sites)) for kind in KINDS):
@@ -217,7 +210,7 @@ def choose(group: Group) -> Chosen:
                     if t > TERM_T and share > TERM_SHARE and (kind != "speed" or _beyond(group, least, s)):
                         offers.append((share, t, (s, kind), least))
         if not offers:
-            return Chosen(polished(group, best), plain, evidence)
+            return polished(group, best), plain, evidence
         _, t, key, best = max(offers, key=lambda offer: offer[0])
         evidence[key] = t
         best = _refined(group, best)

@@ -102,11 +102,7 @@ def carried_payload(idm: InverseDynamics, base: BaseParameters, run: int, payloa
 
 
 def column_blocks(
-    base: BaseParameters,
-    channels: Sequence[Channel],
-    carried: Sequence[CarriedPayload],
-    friction: Friction,
-    runs: int,
+    base: BaseParameters, channels: Sequence[Channel], carried: Sequence[CarriedPayload], friction: Friction, runs: int
 ) -> list[ColumnBlock]:
     """List the effects of the model, in the order of their parameters in the problem.
 

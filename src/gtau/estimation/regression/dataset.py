@@ -25,7 +25,7 @@ from gtau.robots.robot import Robot
 from gtau.signals.experiment import Prior
 from gtau.signals.notes import Kind, Note
 from gtau.signals.payload import Payload
-from gtau.signals.preparation import Preparation, PreparedRun, prepare
+from gtau.signals.preparation import InMemoryRun, Preparation, PreparedRun, prepare
 from gtau.signals.preparation_choice import choose_preparation
 from gtau.signals.run import Run, arrange
 
@@ -108,27 +108,31 @@ class Dataset:
 
     def reduced(
         self,
-        loads: Sequence[np.ndarray] | None = None,
+        loads: Sequence[np.ndarray | None] | None = None,
         progress: Progress = silent,
         weigh: Sequence[HuberWeights] | None = None,
+        along: Sequence[InMemoryRun] | None = None,
     ) -> Dataset:
         """Reduce the same runs with the torques of ``loads`` (one a run) in load-dependent friction.
 
-        ``weigh`` (one a run) gives the rows weights; see :func:`reduce_run`.
+        ``weigh`` (one a run) gives the rows weights; see :func:`reduce_run`. The motions are those of ``along``, if
+        given, but distances to singularities stay those of the measured ones.
         """
         factors: list[Factors] = []
         begun, total = 0, sum(map(len, self.prepared))
+        runs: Sequence[PreparedRun | InMemoryRun] = self.prepared if along is None else along
 
         def advance(samples: int) -> None:
             progress("model along the runs", begun + samples, total)
 
-        for k, each in enumerate(self.prepared):
+        for k, each in enumerate(runs):
             advance(0)
             decimator = self.preparation.at(each.run.rate).decimator
             load, weights = None if loads is None else loads[k], None if weigh is None else weigh[k]
-            factors.append(
-                reduce_run(self.model, self.base.standard, each, decimator, load, weights, advance, edges=self.edges[k])
+            factor = reduce_run(
+                self.model, self.base.standard, each, decimator, load, weights, advance, edges=self.edges[k]
             )
+            factors.append(factor if along is None else replace(factor, distances=self.factors[k].distances))
             begun += len(each)
         advance(0)
         return self.with_factors(factors)

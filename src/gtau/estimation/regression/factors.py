@@ -6,6 +6,7 @@ for each of the stretches that the jackknife leaves out in turn. Factors of more
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,7 +24,7 @@ from gtau.signals.decimation import Decimator
 from gtau.signals.preparation import InMemoryRun, PreparedRun
 from gtau.signals.storage import Store
 
-ROWS = 512  # merged into a triangle at once
+ROWS = 512  # merged into triangles at once
 EXTRA = len(TERMS) + FIXED  # columns behind those of standard parameters
 
 
@@ -83,6 +84,40 @@ def equations(regressor: Regressor, channels: Sequence[Channel], part: Rows) -> 
     return A
 
 
+class Triangles:
+    """Triangular factors of equations that come in blocks, one for each stretch and channel.
+
+    ``columns`` are those of the equations that each channel has, the other ones being zero; ``rows`` (stretches, c)
+    counts the equations behind each factor.
+    """
+
+    def __init__(self, columns: Sequence[np.ndarray]) -> None:
+        self._columns, self.rows = columns, np.zeros((STRETCHES, len(columns)), dtype=int)
+        self._factors = [[np.zeros((0, each.size)) for each in columns] for _ in range(STRETCHES)]
+        self._waiting: defaultdict[tuple[int, int], list[np.ndarray]] = defaultdict(list)  # of a stretch and channel
+        self._held = 0
+
+    def add(self, A: np.ndarray, keep: np.ndarray, stretch: np.ndarray) -> None:
+        """Add the equations (c, K, p) to keep, (c, K); ``stretch`` (K,) says to which each belongs."""
+        for s in range(stretch[0], stretch[-1] + 1):
+            for j, columns in enumerate(self._columns):
+                kept = A[j, (stretch == s) & keep[j]]
+                if len(kept):
+                    self._waiting[s, j].append(kept[:, columns])
+                    self.rows[s, j] += len(kept)
+        self._held += len(stretch)
+        if self._held >= ROWS:
+            self.merged()
+
+    def merged(self) -> list[list[np.ndarray]]:
+        """Return the factors of all equations so far, by stretch and channel."""
+        for (s, j), more in self._waiting.items():
+            self._factors[s][j] = triangle(self._factors[s][j], *more)
+        self._waiting.clear()
+        self._held = 0
+        return self._factors
+
+
 def reduce_run(
     idm: InverseDynamics,
     columns: tuple[str, ...],
@@ -110,20 +145,11 @@ def reduce_run(
     c, p = len(channels), len(columns) + EXTRA
     rows_of = (regressor.columns[regressor.rows == channel.row] for channel in channels)
     own = [np.append(np.unique(each), np.arange(p - EXTRA, p)) for each in rows_of]
-    R, rows = np.zeros((STRETCHES, c, p, p)), np.zeros((STRETCHES, c), dtype=int)
-    small = [[np.zeros((0, each.size)) for each in own] for _ in range(STRETCHES)]  # the triangles of own columns
-    waiting: list[list[np.ndarray]] = [[] for _ in channels]
+    collected = Triangles(own)
     distances = Store((2,), np.float32)
     residuals = Store((c,))
     speeds = np.zeros((STRETCHES, len(idm.actuated)))
-    now, held = 0, 0
-
-    def merge() -> None:
-        for j in range(c):
-            if waiting[j]:
-                small[now][j] = triangle(small[now][j], *waiting[j])
-                waiting[j].clear()
-
+    now = 0
     for part in stream_rows(idm, regressor, prepared, decimator, load, fast):
         distances.append(near.distances(part.motion).T)
         stretch = stretches[part.outputs]
@@ -132,23 +158,16 @@ def reduce_run(
             e = np.einsum("jkp,jp->jk", A, weigh.coefficients)
             residuals.append(np.where(part.keep, e, np.nan).T)
             A *= np.sqrt(np.minimum(1.0, weigh.limit[:, None] / np.maximum(np.abs(e), 1e-300)))[:, :, None]
+        if stretch[-1] > now:
+            now = int(stretch[-1])
+            progress(len(prepared) * now // STRETCHES)
         for s in range(stretch[0], stretch[-1] + 1):
-            if s > now or held >= ROWS:
-                merge()
-                if s > now:
-                    progress(len(prepared) * s // STRETCHES)
-                now, held = s, 0
-            held += int((stretch == s).sum())
             moving = np.abs(part.motion.yd[idm.layout.actuated]) * (part.keep[: len(idm.actuated)] & (stretch == s))
             speeds[s] = np.maximum(speeds[s], moving.max(axis=1))
-            for j in range(c):
-                kept = A[j, (stretch == s) & part.keep[j]]
-                if len(kept):
-                    waiting[j].append(kept[:, own[j]])
-                    rows[s, j] += len(kept)
-    merge()
-    for s in range(STRETCHES):
-        for j in range(c):
+        collected.add(A, part.keep, stretch)
+    R = np.zeros((STRETCHES, c, p, p))
+    for s, of_stretch in enumerate(collected.merged()):
+        for j, small in enumerate(of_stretch):
             # in the columns of all joints a triangle's rows still begin at the diagonal or right of it
-            R[s, j, : len(small[s][j]), own[j]] = small[s][j].T
-    return Factors(R, rows, distances.array(), residuals.array(), speeds)
+            R[s, j, : len(small), own[j]] = small.T
+    return Factors(R, collected.rows, distances.array(), residuals.array(), speeds)

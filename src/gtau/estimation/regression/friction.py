@@ -21,7 +21,7 @@ drive gains; so viscous and Coulomb friction may have different values in every 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,7 +29,6 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.regression.equations import STRETCHES
 from gtau.robots.parameter import Parameter, parameter_of
-from gtau.signals.channel import Channel
 from gtau.signals.preparation import PreparedRun
 
 TERMS = ("f3", "fl")
@@ -62,21 +61,9 @@ def term_columns(qd: np.ndarray, effort: np.ndarray) -> np.ndarray:
     return np.stack([qd * qd * qd, np.abs(effort) * np.sign(qd)])  # a power would take ten times as long
 
 
-def all_terms(joints: tuple[str, ...]) -> tuple[str, ...]:
-    """List every term of every joint."""
-    return tuple(Parameter(term, joint).name for joint in joints for term in TERMS)
-
-
-def temperature_terms(joints: Sequence[str]) -> tuple[str, ...]:
-    """List the temperature-dependent friction terms of the joints with a temperature."""
-    return tuple(Parameter(term, joint).name for joint in joints for term in TEMPERATURE_TERMS)
-
-
-def bearing_terms(channels: Sequence[Channel]) -> tuple[str, ...]:
-    """List all friction terms that the bearings of torque sensors may have of their own."""
-    return tuple(
-        Parameter(kind, channel.name).name for channel in channels if channel.kind.behind_drive for kind in BEARING
-    )
+def all_terms(joints: Sequence[str], terms: Iterable[str] = TERMS) -> tuple[str, ...]:
+    """List every one of the ``terms`` of every joint, or torque sensor."""
+    return tuple(Parameter(term, joint).name for joint in joints for term in terms)
 
 
 def transmitted(names: Sequence[str]) -> np.ndarray:
@@ -120,20 +107,15 @@ def temperatures_of(prepared: Sequence[PreparedRun], edges: Sequence[np.ndarray]
     if len(logged) < len(found):
         lacking = next(each.run.name for each in prepared if each.run.temperature is None)
         raise GtauError(f"run '{lacking}' has no temperature, but other runs have; log it in all runs, or in none.")
-    joints, runs = prepared[0].run.joints, []
+    joints, means = prepared[0].run.joints, []
     known = [joint for joint in joints if all(joint in each.of_joint for each in logged)]
     for each, temperature, cut in zip(prepared, logged, edges, strict=True):
         share = np.interp(np.linspace(0, STRETCHES, STRETCHES * INSTANTS), np.arange(STRETCHES + 1), cut)
         time = each.time[0] + share * (each.time[-1] - each.time[0])
-        means = [temperature.at(joint, time).reshape(STRETCHES, INSTANTS).mean(axis=1) for joint in known]
-        runs.append(np.array(means).reshape(len(known), STRETCHES))
-    reference = np.mean(np.hstack(runs), axis=1)
-    deviations = []
-    for of_known in runs:
-        of_run = np.zeros((STRETCHES, len(joints)))
-        for row, joint in zip(of_known - reference[:, None], known, strict=True):
-            of_run[:, joints.index(joint)] = row
-        deviations.append(of_run)
-    return Temperatures(
-        dict(zip(known, map(float, reference), strict=True)), tuple(deviations), logged[0].unit, tuple(prepared)
-    )
+        along = [temperature.at(joint, time).reshape(STRETCHES, INSTANTS).mean(axis=1) for joint in known]
+        means.append(np.reshape(along, (len(known), STRETCHES)).T)
+    reference = np.mean(np.concatenate(means), axis=0)
+    differences = np.zeros((len(prepared), STRETCHES, len(joints)))
+    differences[..., [joints.index(joint) for joint in known]] = np.array(means) - reference
+    by_joint = dict(zip(known, map(float, reference), strict=True))
+    return Temperatures(by_joint, tuple(differences), logged[0].unit, tuple(prepared))

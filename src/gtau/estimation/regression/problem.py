@@ -15,15 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from gtau.estimation.regression.equations import (
-    FIXED,
-    KNOWN,
-    MODEL,
-    SIGNAL,
-    delayed_signal,
-    select_columns,
-    triangle,
-)
+from gtau.estimation.regression.equations import FIXED, KNOWN, MODEL, SIGNAL, delayed_signal, select_columns, triangle
 from gtau.model.base_parameters import independent_columns
 from gtau.signals.channel import Channel
 
@@ -193,6 +185,17 @@ class Problem:
     def smallest_sigma(self) -> np.ndarray:
         """Rounding error of each channel, (c,): the lower limit of its error level."""
         return 1e-10 * self.signal
+
+    def total_rows_of(self, block: np.ndarray, j: int, signal: np.ndarray | None = None) -> np.ndarray:
+        """Build rows ``[-W_theta  V_tau  -known]`` of ``W_tot`` (eq. 33) from a block (., n_theta + 4) of channel j.
+
+        ``signal`` (.,) is its current, delayed if left out; that of a channel with a known gain is known, too.
+        """
+        rows = np.zeros((len(block), self.n_theta + len(self.channels) + 1))
+        rows[:, : self.n_theta], rows[:, -1] = -block[:, MODEL], -block[:, KNOWN]
+        signal = delayed_signal(block, self.own_delays[j]) if signal is None else signal
+        rows[:, self.n_theta + j if self.free[j] else -1] += signal
+        return rows
 
     def without(self, names: Sequence[str]) -> Problem:
         """Set the parameters ``names`` of a problem to zero."""

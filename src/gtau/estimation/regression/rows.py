@@ -83,16 +83,9 @@ def stream_rows(
         last = block.first + (block.outputs.stop - block.outputs.start - 1) * decimator.factor
         seen = slice(block.first - decimator.support, last + decimator.support + 1)
         kept = slice(block.first, last + 1, decimator.factor)
-        qd = of.qd.T.copy()
-        motion = idm.rates(c, qd, of.qdd.T.copy(), Labels(prepared.run.name, of.time))
-        measured = np.stack([of.command.T, of.command_d.T, of.command_dd.T])
+        motion, measured, external = _measured(idm, prepared.run, of, c)
         currents = measured[:, : of.usable.shape[1]]
-        entries = regressor(idm.layout, motion)
-        external = external_torques(idm, prepared.run, motion, measured)
-        # all external forces on a base are one signal, wherever applied
-        base = [idm.actuated.index(joint) for joint in idm.robot.base]
-        currents[:, base] += external[:, base]
-        external[:, base] = 0.0
+        entries, qd = regressor(idm.layout, motion), of.qd.T
         effort = currents[0, : len(qd)]
         if load is not None:
             effort = regressor.torques(entries, load, len(idm.actuated)) - external[0]
@@ -109,21 +102,6 @@ def stream_rows(
         )
 
 
-@dataclass(frozen=True)
-class Torques:
-    """Torques of a model and commands at every sample of a stretch of a run, all behind the same low-pass.
-
-    ``time`` (K,) in s; ``torques`` (n, K) of the model, with friction and measured wrenches; ``friction``
-    (n, K) alone; ``commands``
-    (3, n, K), as in :class:`Rows`.
-    """
-
-    time: np.ndarray
-    torques: np.ndarray
-    friction: np.ndarray
-    commands: np.ndarray
-
-
 def stream_torques(
     idm: InverseDynamics,
     regressor: Regressor,
@@ -131,10 +109,11 @@ def stream_torques(
     decimator: Decimator,
     values: np.ndarray,
     friction: Law,
-) -> Iterator[Torques]:
+) -> Iterator[np.ndarray]:
     """Compute the torques of columns with ``values``, and of ``friction``, at every sample of a run.
 
-    Torques and commands pass the low-pass of the decimation, but are not decimated.
+    Torques and commands pass the low-pass of the decimation, but are not decimated. Blocks (5, n, K) hold the torques
+    of the model, with friction and measured wrenches; friction alone; and the commands, as in :class:`Rows`.
 
     Raises
     ------
@@ -142,24 +121,30 @@ def stream_torques(
         Where the loops cannot be closed at a sample, or a pose is too close to a singularity.
     """
     n, margin, joints = len(prepared), decimator.warm_up, len(idm.actuated)
-    base = [idm.actuated.index(joint) for joint in idm.robot.base]
     blocks = (
         Block(slice(max(a - margin, 0), min(b + margin, n)), slice(a, b), min(a, margin))
         for a, b in spans(n, max(ALL_SAMPLES, 4 * margin))
     )
     for block, of, c in _along(idm, prepared, blocks):
-        motion = idm.rates(c, of.qd.T.copy(), of.qdd.T.copy(), Labels(prepared.run.name, of.time))
-        measured = np.stack([of.command.T, of.command_d.T, of.command_dd.T])
-        external = external_torques(idm, prepared.run, motion, measured)
-        commands = measured[:, :joints]
-        commands[:, base] += external[:, base]
-        external[:, base] = 0.0
+        motion, measured, external = _measured(idm, prepared.run, of, c)
         effort = regressor.torques(regressor(idm.layout, motion), values, joints) - external[0]
         rubbing = friction(of.time, motion, effort)
-        made = np.concatenate([[effort + rubbing, rubbing], commands])
-        count = block.outputs.stop - block.outputs.start
-        filtered = decimator.smooth(made, block.first, count)
-        yield Torques(of.time[block.first : block.first + count], filtered[0], filtered[1], filtered[2:])
+        made = np.concatenate([[effort + rubbing, rubbing], measured[:, :joints]])
+        yield decimator.smooth(made, block.first, block.outputs.stop - block.outputs.start)
+
+
+def _measured(idm: InverseDynamics, run: Run, of: SampleWindow, c: np.ndarray) -> tuple[Motion, np.ndarray, np.ndarray]:
+    """Compute the motion at samples, their commands (3, ., M) with derivatives, and the torques of wrenches (3, n, M).
+
+    All external forces on a base are one signal, its command, wherever they are applied.
+    """
+    motion = idm.rates(c, of.qd.T.copy(), of.qdd.T.copy(), Labels(run.name, of.time))
+    measured = np.stack([of.command.T, of.command_d.T, of.command_dd.T])
+    external = external_torques(idm, run, motion, measured)
+    base = [idm.actuated.index(joint) for joint in idm.robot.base]
+    measured[:, base] += external[:, base]
+    external[:, base] = 0.0
+    return motion, measured, external
 
 
 def stream_motions(idm: InverseDynamics, prepared: PreparedRun) -> Iterator[tuple[SampleWindow, Motion]]:

@@ -84,12 +84,14 @@ def find_places(prepared: Sequence[PreparedRun]) -> tuple[Place, ...]:
     """
     if not all(isinstance(each, PreparedRun) for each in prepared):
         return tuple(Place(k, 0.0, 0.0, False) for k in range(len(prepared)))
-    paths, groups = _paths(prepared), list[list[tuple[int, float]]]()
-    for k in range(len(prepared)):
+    step, paths = _paths(prepared)
+    groups = list[list[tuple[int, float]]]()
+    for k, other in enumerate(prepared):
         for members in groups:
-            shift = _shift(paths, members[0][0], k)
-            if shift is not None:
-                members.append((k, shift))
+            one = members[0][0]
+            lag = _lag(paths[one], paths[k], prepared[one].moves | other.moves)
+            if lag is not None:
+                members.append((k, float(other.time[0] - prepared[one].time[0] - lag * step)))
                 break
         else:
             groups.append([(k, 0.0)])
@@ -103,17 +105,8 @@ def find_places(prepared: Sequence[PreparedRun]) -> tuple[Place, ...]:
     return tuple(found[k] for k in range(len(prepared)))
 
 
-@dataclass(frozen=True, eq=False)
-class _Paths:
-    """Positions (N, n) of the runs at steps of one length (s), their first instants, and which joints move."""
-
-    step: float
-    begin: list[float]
-    q: list[np.ndarray]
-    moves: list[np.ndarray]
-
-
-def _paths(prepared: Sequence[PreparedRun]) -> _Paths:
+def _paths(prepared: Sequence[PreparedRun]) -> tuple[float, list[np.ndarray]]:
+    """Sample the positions (N, n) of all runs at steps of one length (s), which comes first."""
     samples = [np.arange(0, len(each), -(-len(each) // LONGEST)) for each in prepared]
     step = max(int(at[1] if len(at) > 1 else 1) / each.run.rate for each, at in zip(prepared, samples, strict=True))
     q = []
@@ -122,16 +115,14 @@ def _paths(prepared: Sequence[PreparedRun]) -> _Paths:
         position = each.run.position[each.kept.start + at]
         instants = np.arange(0.0, time[-1] + step / 2, step)
         q.append(np.column_stack([np.interp(instants, time, of_joint) for of_joint in position.T]))
-    return _Paths(step, [float(each.time[0]) for each in prepared], q, [each.moves for each in prepared])
+    return step, q
 
 
-def _shift(paths: _Paths, one: int, other: int) -> float | None:
-    """Find the lead of a run's clock over another's in the same motion, s; None if the motions differ."""
+def _lag(a: np.ndarray, b: np.ndarray, moves: np.ndarray) -> int | None:
+    """Find the steps by which path ``a`` lags behind ``b``, by the joints that move; None if the motions differ."""
     from scipy.fft import irfft, next_fast_len, rfft
 
-    a, b = paths.q[one], paths.q[other]
     least = REPEATED_PART * max(len(a), len(b))
-    moves = paths.moves[one] | paths.moves[other]
     if min(len(a), len(b)) < least or not moves.any():
         return None
     spread = np.maximum(a.std(axis=0), b.std(axis=0))[moves]
@@ -152,4 +143,4 @@ def _shift(paths: _Paths, one: int, other: int) -> float | None:
         return None
     # of a periodic motion, the shift at which most of both runs overlap
     k = max(np.flatnonzero(difference <= 2 * best), key=lambda k: (high[k] - low[k], -difference[k]))
-    return float(paths.begin[other] - paths.begin[one] - lags[k] * paths.step)
+    return int(lags[k])

@@ -93,6 +93,11 @@ class System:
         """Return the base columns' values in ``run`` that joints transmit: with payload, without friction, (n_b,)."""
         return self.motion(run, theta) * self._transmitted
 
+    def loads(self, theta: np.ndarray) -> list[np.ndarray | None]:
+        """Return :meth:`load` of each run, None where no friction depends on it."""
+        loaded = any(term.startswith("fl_") for term in self.friction.terms)
+        return [self.load(run, theta) if loaded else None for run in range(len(self.above))]
+
 
 def assemble_system(
     idm: InverseDynamics,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,34 +11,23 @@ from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.diagnose import Diagnosis
 from gtau.estimation.diagnostics.examine import Examination, Uncertainty
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
-from gtau.estimation.diagnostics.parameter_checks import judge_parameter, parameter_verdict
+from gtau.estimation.diagnostics.parameter_checks import judge_parameter
 from gtau.estimation.diagnostics.stated_constants import scale_shares, sensor_verdict
-from gtau.estimation.diagnostics.verdict import Outcome, Verdict
-from gtau.estimation.estimators.essential import Essential
+from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Estimator, Fit
 from gtau.estimation.estimators.physical_consistency import Consistency
-from gtau.estimation.estimators.total_least_squares import total_rows_of
-from gtau.estimation.friction.identify import FrictionStep, IdentifiedFriction
 from gtau.estimation.regression.equations import triangle
-from gtau.estimation.regression.friction import BEARING, TEMPERATURE_TERMS, TERMS, UNITS
+from gtau.estimation.regression.friction import BEARING, TEMPERATURE_TERMS, TERMS
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
-from gtau.estimation.results.estimate import (
-    AlternativeMoves,
-    Estimate,
-    FrictionCurve,
-    ReferenceTemperatures,
-    SensorEstimate,
-    TorqueError,
-)
-from gtau.estimation.results.payload import named_freedoms, named_values, payload_estimates
+from gtau.estimation.results.estimate import AlternativeMoves, Estimate, FrictionCurve, SensorEstimate, TorqueError
+from gtau.estimation.results.friction_curves import friction_unit, reference_temperatures
+from gtau.estimation.results.payload import named_estimates, payload_estimates
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.singularity_distances import distances_of, nearest_poses
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import Robot
-from gtau.robots.units import gain_unit, position_unit, torque_unit, unit_of
-
-NO_FRICTION = FrictionStep()
+from gtau.robots.units import gain_unit, torque_unit, unit_of
 
 
 def build_result(
@@ -45,10 +35,12 @@ def build_result(
     estimator: Estimator,
     examined: Examination,
     uncertainty: Uncertainty,
-    essential: Essential,
+    essential: Problem,
+    loss: float,
     diagnosis: Diagnosis,
+    curves: Mapping[str, FrictionCurve],
+    errors: Mapping[str, tuple[float, float]],
     consistency: Consistency | None = None,
-    friction: FrictionStep = NO_FRICTION,
     audit: InertiaAudit | None = None,
 ) -> Result:
     """Build the result of an identification.
@@ -61,14 +53,14 @@ def build_result(
         What the data say against the model.
     uncertainty : Uncertainty
         Covariances of (theta, gains, delays), and the degrees of freedom behind them.
-    essential : Essential
-        The essential parameters.
+    essential, loss : Problem, float
+        From :func:`gtau.estimation.estimators.essential.essential_fit`.
     diagnosis : Diagnosis
         What can be believed.
+    curves, errors : mappings
+        Friction on all samples; see :func:`friction_curves`. Empty where the plain law is to predict.
     consistency : Consistency, optional
         Physically consistent standard parameters.
-    friction : FrictionStep
-        Friction on all samples; nothing where the plain law is to predict.
     audit : InertiaAudit, optional
         What the data say of the inertias of the robot's file.
     """
@@ -78,39 +70,43 @@ def build_result(
     n_theta, n = problem.n_theta, len(problem.channels)
     named = [*range(n_theta), *range(n_theta, n_theta + len(joints)), *range(n_theta + n, n_theta + 2 * n)]
     std, model_std = (np.sqrt(np.diag(each)) for each in (covariance, uncertainty.model))
-    gain_std, delay_std = std[n_theta : n_theta + n], std[n_theta + n :]
-    units = [torque_unit(robot, joint) for joint in joints]
+    gain_std = std[n_theta : n_theta + n]
     along = [
         (prepared, dataset.preparation.at(prepared.run.rate).decimator, factors.distances)
         for prepared, factors in zip(dataset.prepared, dataset.factors, strict=True)
         if factors.distances is not None
     ]
-    found, free = named_values(problem, solution.theta, std), named_freedoms(problem, freedom)
+    found, total = named_estimates(problem, solution.theta, std, freedom), _total(problem, solution.sigma)
     spread = _spread(system, solution.theta)
     model_part = {name: min(float(model_std[k]), float(std[k])) for k, name in enumerate(problem.parameters)}
 
-    def parameter(k: int) -> Estimate:
-        name, (kind, body, _) = base.names[k], parameter_of(base.standard[k])
-        value, deviation = found.get(name, (None, None))
-        unit = unit_of(kind, robot, body)
-        verdict = judge_parameter(value, deviation, base.regroupings[name])
-        model = None if deviation is None else model_part.get(name)
-        return Estimate(
-            name,
-            value,
-            deviation,
-            unit,
-            base.regroupings[name],
-            spread.get(name),
-            verdict,
-            free.get(name),
-            model,
-            name in essential.problem.parameters,
+    def parameter(name: str, standard: str) -> Estimate:
+        kind, body, _ = parameter_of(standard)
+        each, regrouping = found.get(name, Estimate(name, None, None, "")), base.regroupings[name]
+        return replace(
+            each,
+            unit=unit_of(kind, robot, body),
+            regrouping=regrouping,
+            spread=spread.get(name),
+            verdict=judge_parameter(each.value, each.std, regrouping),
+            model_std=model_part.get(name),
+            essential=name in essential.parameters,
         )
 
+    delays = [
+        Estimate(
+            channel.joint,
+            float(solution.delays[k]),
+            # none where the value is not identifiable or given
+            None if verdict.outcome == Outcome.NOT_IDENTIFIABLE else float(std[n_theta + n + k]) or None,
+            "s",
+            verdict=verdict,
+            freedom=None if freedom is None else float(freedom[n_theta + n + k]),
+        )
+        for k, (channel, verdict) in enumerate(zip(problem.channels, diagnosis.delays, strict=True))
+    ]
     scales, signal = scale_shares(fit) if fit.free_gains else {}, problem.balance(solution.theta)
-    warm = dataset.temperatures
-    temperatures = None if warm is None else ReferenceTemperatures(warm.unit, warm.reference)
+    temperatures = reference_temperatures(fit)
     return Result(
         robot=robot,
         method=estimator.name,
@@ -129,33 +125,23 @@ def build_result(
             for k, joint in enumerate(joints)
             if joint in robot.motors
         },
-        delays={
-            joint: Estimate(
-                joint,
-                float(solution.delays[k]),
-                _known(delay_std[k], diagnosis.delays[k]),
-                "s",
-                verdict=diagnosis.delays[k],
-                freedom=None if freedom is None else float(freedom[n_theta + n + k]),
-            )
-            for k, joint in enumerate(joints)
-        },
-        parameters={name: parameter(k) for k, name in enumerate(base.names)},
+        delays=dict(zip(joints, delays, strict=False)),
+        parameters={name: parameter(name, of) for name, of in zip(base.names, base.standard, strict=True)},
         friction={
-            name: Estimate(name, *found[name], unit, verdict=parameter_verdict(*found[name]), freedom=free.get(name))
-            for name, unit in _terms(system, robot, temperatures)
-            if name in found
+            name: replace(found[name], unit=friction_unit(kind, joint, robot, temperatures))
+            for name, (kind, joint, _) in ((each, parameter_of(each)) for each in system.friction.terms)
+            if name in found and kind in (*TERMS, *TEMPERATURE_TERMS)
         },
-        curves={each.joint: _curve(each, robot, temperatures) for each in friction.joints},
-        sensors=_sensors(fit, diagnosis, found, free, std, freedom),
+        curves=curves,
+        sensors=_sensors(fit, diagnosis, found, delays),
         payloads=payload_estimates(dataset, system, solution.theta, covariance, diagnosis.payloads, freedom),
         residuals=tuple(
             TorqueError(
                 joint,
                 float(abs(solution.gains[k]) * solution.sigma[k]),
                 float(abs(solution.gains[k]) * signal[k]),
-                units[k],
-                *friction.errors.get(joint, ()),
+                torque_unit(robot, joint),
+                *errors.get(joint, ()),
             )
             for k, joint in enumerate(joints)
         ),
@@ -169,10 +155,10 @@ def build_result(
         logged_speeds=_logged_speeds(fit),
         statistics={
             **solution.statistics,
-            "reduction_loss": essential.loss,
+            "reduction_loss": loss,
             "lack_of_fit": examined.lack_of_fit,
             "accuracy": float(diagnosis.accuracy),
-            "condition_number": _condition_number(problem, solution.sigma),
+            "condition_number": _condition_number(total),
         },
         temperatures=temperatures,
         runs=tuple(run.name for run in dataset.runs),
@@ -184,18 +170,13 @@ def build_result(
         distances=tuple(distances_of(*run) for run in along),
         data=dataset.runs,
         known=(dataset.model, base),
-        singular_values=() if not gain_std.any() else _singular_values(problem, solution.sigma),
+        singular_values=tuple(np.linalg.svd(_scaled(total), compute_uv=False).tolist()) if gain_std.any() else (),
     )
 
 
-def _singular_values(problem: Problem, sigma: np.ndarray) -> tuple[float, ...]:
-    """Compute singular values of ``W_tot`` (eq. 33), rows weighted by ``sigma`` (n,), columns of unit length."""
-    return tuple(np.linalg.svd(_scaled(_total(problem, sigma)), compute_uv=False).tolist())
-
-
-def _condition_number(problem: Problem, sigma: np.ndarray) -> float:
-    """Compute the condition number of the estimated columns of ``W_tot``, scaled as its singular values."""
-    estimated = _scaled(_total(problem, sigma)[:, :-1])
+def _condition_number(total: np.ndarray) -> float:
+    """Compute the condition number of the estimated columns of ``W_tot``, scaled to unit length."""
+    estimated = _scaled(total[:, :-1])
     return float(np.linalg.cond(estimated)) if estimated.size else 1.0
 
 
@@ -207,9 +188,10 @@ def _scaled(W: np.ndarray) -> np.ndarray:
 def _total(problem: Problem, sigma: np.ndarray) -> np.ndarray:
     """Build the triangular factor of ``W_tot`` (eq. 33), rows weighted by ``sigma`` (n,)."""
     weights = 1 / np.maximum(sigma, problem.smallest_sigma)
-    known = np.zeros((len(problem.known), problem.n_theta + len(problem.joints) + 1))
+    known = np.zeros((len(problem.known), problem.n_theta + len(problem.channels) + 1))
     known[:, : problem.n_theta], known[:, -1] = -problem.known[:, :-1], problem.known[:, -1]
-    return triangle(*(total_rows_of(problem, R, j, weights[j]) for j, R in enumerate(problem.triangles)), known)
+    rows = (problem.total_rows_of(R, j) * weights[j] for j, R in enumerate(problem.triangles))
+    return triangle(*rows, known)
 
 
 def _logged_speeds(fit: Fit) -> dict[str, float]:
@@ -217,11 +199,6 @@ def _logged_speeds(fit: Fit) -> dict[str, float]:
     found = [factors.speeds.max(axis=0) for factors in fit.dataset.factors if factors.speeds is not None]
     largest = np.max(found, axis=0) if found else np.zeros(len(fit.dataset.model.actuated))
     return dict(zip(fit.dataset.model.actuated, map(float, largest), strict=True))
-
-
-def _known(std: float, verdict: Verdict) -> float | None:
-    """Return a standard deviation, None where the value is not identifiable or given."""
-    return None if verdict.outcome == Outcome.NOT_IDENTIFIABLE else float(std) or None
 
 
 def _moves(each: Alternative, robot: Robot) -> AlternativeMoves:
@@ -241,87 +218,24 @@ def _moves(each: Alternative, robot: Robot) -> AlternativeMoves:
     )
 
 
-def _terms(system: System, robot: Robot, temperatures: ReferenceTemperatures | None) -> list[tuple[str, str]]:
-    """List further friction terms and their units."""
-    kinds = (*TERMS, *TEMPERATURE_TERMS)
-    split = [(name, *parameter_of(name)[:2]) for name in system.friction.terms if parameter_of(name).kind in kinds]
-    per = "" if temperatures is None else f"/{temperatures.per}"
-    return [
-        (name, UNITS[robot.joint(joint).kind][term] + (per if term in TEMPERATURE_TERMS else ""))
-        for name, term, joint in split
-    ]
-
-
-def _curve(found: IdentifiedFriction, robot: Robot, temperatures: ReferenceTemperatures | None) -> FrictionCurve:
-    """Name the friction of a joint."""
-    joint, shape, spread = found.joint, found.shape, found.spread
-    of_terms = UNITS[robot.joint(joint).kind]
-    per = "" if temperatures is None else f"/{temperatures.per}"
-
-    def estimate(kind: str, value: float, std: float | None) -> Estimate:
-        name = Parameter(kind, joint).name
-        unit = of_terms[kind] + (per if kind in TEMPERATURE_TERMS else "") if kind in of_terms else None
-        verdict = parameter_verdict(value, std)
-        return Estimate(name, value, std, unit or unit_of(kind, robot, joint), verdict=verdict, freedom=found.freedom)
-
-    def of_shape(name: str, value: float | None, std: float | None, unit: str) -> Estimate | None:
-        if value is None:
-            return None
-        verdict = parameter_verdict(value, std)
-        return Estimate(Parameter(name, joint).name, value, std, unit, verdict=verdict, freedom=found.freedom)
-
-    unit = position_unit(robot, joint)
-    made = [estimate(kind, value, found.std[kind]) for kind, value in found.values.items()]
-    return FrictionCurve(
-        joint,
-        {each.name: each for each in made},
-        of_shape("width", shape.width, spread.width, unit),
-        of_shape("vs", shape.speed, spread.speed, f"{unit}/s"),
-        {term: float(t) for term, t in found.evidence.items()},
-        100 * found.error,
-        100 * found.plain_error,
-    )
-
-
 def _sensors(
-    fit: Fit,
-    diagnosis: Diagnosis,
-    found: Mapping[str, tuple[float, float]],
-    free: Mapping[str, float],
-    std: np.ndarray,
-    freedom: np.ndarray | None,
+    fit: Fit, diagnosis: Diagnosis, found: Mapping[str, Estimate], delays: Sequence[Estimate]
 ) -> tuple[SensorEstimate, ...]:
     """Collect the estimates of the torque sensors' own parameters."""
     robot, problem, solution, sensors = fit.dataset.robot, fit.system.problem, fit.solution, []
     for k in problem.sensors:
         channel, joint = problem.channels[k].name, problem.channels[k].joint
-        unit = torque_unit(robot, joint)
-        row = problem.n_theta + len(problem.channels) + k
         own = {
-            name: Estimate(
-                name,
-                *found[name],
-                unit_of(kind, robot, joint),
-                verdict=parameter_verdict(*found[name]),
-                freedom=free.get(name),
-            )
+            name: replace(found[name], unit=unit_of(kind, robot, joint))
             for kind in ("off", *BEARING)
             if (name := Parameter(kind, channel).name) in found
         }
-        delay = Estimate(
-            joint,
-            float(solution.delays[k]),
-            _known(std[row], diagnosis.delays[k]),
-            "s",
-            verdict=diagnosis.delays[k],
-            freedom=None if freedom is None else float(freedom[row]),
-        )
-        residual = TorqueError(joint, float(solution.sigma[k]), float(problem.signal[k]), unit)
+        residual = TorqueError(joint, float(solution.sigma[k]), float(problem.signal[k]), torque_unit(robot, joint))
         scale = next((each for each in diagnosis.sensors if each.joint == joint), None)
         ratio = None
         if scale is not None:
             ratio = Estimate(joint, scale.value, scale.std, "1", verdict=sensor_verdict(scale, diagnosis.accuracy))
-        sensors.append(SensorEstimate(joint, own, delay, residual, ratio))
+        sensors.append(SensorEstimate(joint, own, delays[k], residual, ratio))
     return tuple(sensors)
 
 

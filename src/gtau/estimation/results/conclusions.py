@@ -14,7 +14,7 @@ from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.results.singularity_distances import NearestPose
-from gtau.estimation.results.torque_scale import torque_headline
+from gtau.estimation.results.torque_scale import listed, torque_headline
 from gtau.estimation.thresholds.estimates import INFLATED
 from gtau.estimation.thresholds.logs import NEAR_SINGULAR
 from gtau.robots.parameter import parameter_of
@@ -100,7 +100,7 @@ def _weak(gains: Sequence[Estimate], accuracy: float) -> list[str]:
         f"'{gain.name}'{'' if k else ' is known'} to +-{percent_text(gain.half_width or 0.0, accuracy)} %"
         for k, gain in enumerate(gains)
     ]
-    return [(known[0] if len(known) == 1 else ", ".join(known[:-1]) + " and " + known[-1]) + "."]
+    return [listed(known) + "."]
 
 
 def _sentence(outcome: Outcome, gains: Sequence[Estimate]) -> list[str]:
@@ -114,7 +114,7 @@ def _sentence(outcome: Outcome, gains: Sequence[Estimate]) -> list[str]:
 
 
 def _subject(gains: Sequence[Estimate]) -> str:
-    names = " and ".join(", ".join(f"'{gain.name}'" for gain in gains).rsplit(", ", 1))
+    names = listed([f"'{gain.name}'" for gain in gains])
     return f"Joint {names}" if len(gains) == 1 else f"Joints {names}"
 
 

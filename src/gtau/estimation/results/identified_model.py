@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -216,25 +216,24 @@ def estimates_table(result: IdentifiedModel) -> Iterator[Row]:
     terms that the data ask for), ``predicted friction`` (of all samples, with which the model predicts), ``logged
     speed`` (up to which friction is identified), ``torque sensor JOINT`` and ``payload NAME of RUN``.
     """
-
-    def rows(group: str, estimates: Iterable[Estimate]) -> Iterator[Row]:
-        return (Row(group, each) for each in estimates)
-
-    yield from rows("drive gain", result.drive_gains.values())
-    yield from rows("delay", result.delays.values())
-    of_friction = {name: parameter_of(name).kind in FRICTION for name in result.parameters}
-    yield from rows("base parameter", (each for name, each in result.parameters.items() if not of_friction[name]))
-    yield from rows("friction", (each for name, each in result.parameters.items() if of_friction[name]))
-    yield from rows("friction", result.friction.values())
-    for curve in result.curves.values():
-        yield from rows("predicted friction", curve.estimates)
-    for joint, speed in result.logged_speeds.items():
-        unit = "rad/s" if result.robot.joint(joint).kind == "revolute" else "m/s"
-        yield Row("logged speed", Estimate(joint, speed, None, unit))
-    for sensor in result.sensors:
-        yield from rows(f"torque sensor {sensor.joint}", sensor.parameters.values())
-    for payload in result.payloads:
-        yield from rows(f"payload {payload.name} of {payload.run}", payload.parameters.values())
+    friction = {name: parameter_of(name).kind in FRICTION for name in result.parameters}
+    robot = result.robot
+    speeds = [
+        Estimate(joint, speed, None, "rad/s" if robot.joint(joint).kind == "revolute" else "m/s")
+        for joint, speed in result.logged_speeds.items()
+    ]
+    groups: list[tuple[str, Iterable[Estimate]]] = [
+        ("drive gain", result.drive_gains.values()),
+        ("delay", result.delays.values()),
+        ("base parameter", [each for name, each in result.parameters.items() if not friction[name]]),
+        ("friction", [each for name, each in result.parameters.items() if friction[name]]),
+        ("friction", result.friction.values()),
+        *(("predicted friction", curve.estimates) for curve in result.curves.values()),
+        ("logged speed", speeds),
+        *((f"torque sensor {each.joint}", each.parameters.values()) for each in result.sensors),
+        *((f"payload {each.name} of {each.run}", each.parameters.values()) for each in result.payloads),
+    ]
+    return (Row(group, each) for group, estimates in groups for each in estimates)
 
 
 def estimates_frame(result: IdentifiedModel) -> pl.DataFrame:
@@ -249,22 +248,9 @@ def estimates_frame(result: IdentifiedModel) -> pl.DataFrame:
     numbers = dict.fromkeys(("value", "std", "rel_std", "low", "high"), pl.Float64)
     texts = dict.fromkeys(("group", "name"), pl.String)
     rest = {"unit": pl.String, "verdict": pl.String, "essential": pl.Boolean, "regrouping": pl.String}
-    return pl.DataFrame(list(map(_cells, estimates_table(result))), schema={**texts, **numbers, **rest})
-
-
-def _cells(row: Row) -> dict[str, Any]:
-    each = row.estimate
-    low, high = each.interval() or (None, None)
-    return {
-        "group": row.group,
-        "name": each.name,
-        "value": each.value,
-        "std": each.std,
-        "rel_std": each.rel_std,
-        "low": low,
-        "high": high,
-        "unit": each.unit,
-        "verdict": each.verdict.outcome.value,
-        "essential": each.essential,
-        "regrouping": each.regrouping,
-    }
+    rows = []
+    for group, each in estimates_table(result):
+        interval, verdict = each.interval() or (None, None), each.verdict.outcome.value
+        numbered = (each.value, each.std, each.rel_std, *interval)
+        rows.append((group, each.name, *numbered, each.unit, verdict, each.essential, each.regrouping))
+    return pl.DataFrame(rows, schema={**texts, **numbers, **rest}, orient="row")

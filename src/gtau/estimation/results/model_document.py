@@ -7,16 +7,10 @@ from typing import Any
 
 from gtau.estimation.diagnostics.finding import finding_document
 from gtau.estimation.diagnostics.geometry_findings import to_document as geometry_document
-from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.diagnostics.verdict import Verdict
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.grades import to_document as note_document
-from gtau.estimation.results.estimate import (
-    AlternativeMoves,
-    Estimate,
-    FrictionCurve,
-    TorqueError,
-)
+from gtau.estimation.results.estimate import Estimate, TorqueError
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.robots.parameter import parameter_of
@@ -40,9 +34,23 @@ def to_document(result: IdentifiedModel) -> dict[str, Any]:
         "runs": list(result.runs),
         "drive_gains": [_estimate(each, "joint") | {"scale": dict(each.scale)} for each in result.drive_gains.values()],
         "delays": [_estimate(each, "joint") for each in result.delays.values()],
-        "parameters": [_parameter(each) for each in result.parameters.values()],
+        "parameters": [
+            _estimate(each) | {"regrouping": each.regrouping, "spread": each.spread, "essential": each.essential}
+            for each in result.parameters.values()
+        ],
         "friction": [_estimate(each) for each in result.friction.values()],
-        "curves": [_curve(each) for each in result.curves.values()],
+        "curves": [
+            {
+                "joint": each.joint,
+                "parameters": [_estimate(estimate) for estimate in each.parameters.values()],
+                "width": each.width and _estimate(each.width),
+                "speed": each.speed and _estimate(each.speed),
+                "evidence": dict(each.evidence),
+                "error": each.error,
+                "plain_error": each.plain_error,
+            }
+            for each in result.curves.values()
+        ],
         "sensors": [
             {
                 "joint": each.joint,
@@ -67,31 +75,20 @@ def to_document(result: IdentifiedModel) -> dict[str, Any]:
         "logged_speeds": dict(result.logged_speeds),
         "statistics": dict(result.statistics),
         "requirements": [asdict(each) | {"met": each.met} for each in result.requirements],
-        "alternatives": [_alternative(each) for each in result.alternatives],
+        "alternatives": [
+            asdict(each) | {"subject": each.subject, "causes": list(map(finding_document, each.causes))}
+            for each in result.alternatives
+        ],
         "singularities": [asdict(each) for each in result.singularities],
         "temperatures": result.temperatures and asdict(result.temperatures),
         "geometry": result.geometry and geometry_document(result.geometry),
-        "audit": result.audit and _audit(result.audit),
+        "audit": result.audit
+        and asdict(result.audit)
+        | {"stated_error": result.audit.stated_error, "identified_error": result.audit.identified_error},
         "notes": [note_document(note) for note in result.notes],
         "covariance": {"names": list(result.covariance_names), "matrix": result.covariance.tolist()},
         "robot_file": native_text(result.robot),
         "standard": None if result.consistency is None else _standard(result.consistency, result.robot),
-    }
-
-
-def _audit(audit: InertiaAudit) -> dict[str, Any]:
-    return asdict(audit) | {"stated_error": audit.stated_error, "identified_error": audit.identified_error}
-
-
-def _curve(curve: FrictionCurve) -> dict[str, Any]:
-    return {
-        "joint": curve.joint,
-        "parameters": [_estimate(each) for each in curve.parameters.values()],
-        "width": curve.width and _estimate(curve.width),
-        "speed": curve.speed and _estimate(curve.speed),
-        "evidence": dict(curve.evidence),
-        "error": curve.error,
-        "plain_error": curve.plain_error,
     }
 
 
@@ -152,15 +149,3 @@ def _estimate(estimate: Estimate, key: str = "name") -> dict[str, Any]:
 def _verdict(verdict: Verdict) -> dict[str, Any]:
     finding = None if verdict.finding is None else finding_document(verdict.finding)
     return {"outcome": verdict.outcome.value, "finding": finding, "why": verdict.why, "advice": verdict.advice}
-
-
-def _alternative(each: AlternativeMoves) -> dict[str, Any]:
-    return asdict(each) | {"subject": each.subject, "causes": list(map(finding_document, each.causes))}
-
-
-def _parameter(estimate: Estimate) -> dict[str, Any]:
-    return _estimate(estimate) | {
-        "regrouping": estimate.regrouping,
-        "spread": estimate.spread,
-        "essential": estimate.essential,
-    }

@@ -70,10 +70,11 @@ def _gathered(entry: Any) -> Any:
     return {"name": entry.get("joint"), **entry, "verdict": entry}
 
 
-def _by_name(estimates: tuple[Estimate, ...]) -> tuple[Estimate, ...]:
-    if len({each.name for each in estimates}) < len(estimates):
+def _by_name(estimates: tuple[Estimate, ...]) -> dict[str, Estimate]:
+    named = {each.name: each for each in estimates}
+    if len(named) < len(estimates):
         raise ValueError("a name is used twice; remove one entry")
-    return estimates
+    return named
 
 
 def _method(name: str) -> str:
@@ -116,7 +117,7 @@ class _Sensor(_Group):
     ratio: _Estimate | None
 
     def made(self) -> SensorEstimate:
-        return SensorEstimate(self.joint, _named(self.parameters), self.delay, self.residual, self.ratio)
+        return SensorEstimate(**dict(self))
 
 
 class _Curve(_Group):
@@ -136,8 +137,7 @@ class _Curve(_Group):
         return self
 
     def made(self) -> FrictionCurve:
-        parts = (self.width, self.speed, self.evidence, self.error, self.plain_error)
-        return FrictionCurve(self.joint, _named(self.parameters), *parts)
+        return FrictionCurve(**dict(self))
 
 
 class _Preparation(_Group):
@@ -236,37 +236,21 @@ class _Model(_Group):
 
     def made(self, path: Path, make: type[Model]) -> Model:
         """Assemble the result."""
+        rest = dict(self)
+        del rest["robot_file"], rest["standard"]
         return make(
-            robot=parse_native(self.robot_file, path),
-            method=self.method,
-            kind=self.kind,
-            drive_gains=_named(self.drive_gains),
-            delays=_named(self.delays),
-            parameters=_named(self.parameters),
-            friction=_named(self.friction),
-            curves={each.joint: each.made() for each in self.curves},
-            sensors=tuple(each.made() for each in self.sensors),
-            payloads=tuple(each.made() for each in self.payloads),
-            residuals=self.residuals,
-            covariance_names=self.covariance.names,
-            covariance=np.array(self.covariance.matrix),
-            preparation=self.preparation.made(),
-            logged_speeds=self.logged_speeds,
-            statistics=self.statistics,
-            runs=self.runs,
-            notes=self.notes,
-            temperatures=self.temperatures,
-            geometry=self.geometry,
-            consistency=None if self.standard is None else self.standard.made(),
-            alternatives=self.alternatives,
-            singularities=self.singularities,
-            requirements=self.requirements,
-            audit=self.audit,
+            **rest
+            | {
+                "robot": parse_native(self.robot_file, path),
+                "curves": {each.joint: each.made() for each in self.curves},
+                "sensors": tuple(each.made() for each in self.sensors),
+                "payloads": tuple(each.made() for each in self.payloads),
+                "covariance_names": self.covariance.names,
+                "covariance": np.array(self.covariance.matrix),
+                "preparation": self.preparation.made(),
+                "consistency": None if self.standard is None else self.standard.made(),
+            }
         )
-
-
-def _named(estimates: tuple[Estimate, ...]) -> dict[str, Estimate]:
-    return {each.name: each for each in estimates}
 
 
 def model_text(result: IdentifiedModel) -> str:

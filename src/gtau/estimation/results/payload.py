@@ -92,22 +92,22 @@ class PayloadBody:
 def payload_body(name: str, run: str, weighed: Weighed, frame: str, placement: Placement) -> PayloadBody:
     """Find the body that was weighed, in a ``frame`` whose pose in that of the carrier is ``placement``."""
     R, p = placement.rotation, placement.position
-    mass = _seen(weighed, np.eye(10)[9:])
-    if not mass.shown[0] or mass.values[0] < SEEN * mass.stds[0]:
+    (seen,), (mass,), (std_of_mass,) = _seen(weighed, np.eye(10)[9:])
+    if not seen or mass < SEEN * std_of_mass:
         lost = {key: Estimate(key, None, None, unit) for key, unit in zip(QUANTITIES, UNITS, strict=True)}
         return PayloadBody(name, run, frame, lost, None)
-    chi = _consistent(weighed, float(mass.values[0]))
+    chi = _consistent(weighed, float(mass))
     values = quantities(chi, R, p)
     J = np.stack([quantities(chi + 1j * STEP * unit, R, p).imag / STEP for unit in np.eye(10)], axis=1)
-    found = _seen(weighed, J)
+    seen_of, _, stds = _seen(weighed, J)
     rigid = rigid_of(values)
     moment = max(compact_moment(values[0]), NARROW * np.trace(rigid.inertia) / 3)
     widest = np.repeat([np.inf, weighed.reach, moment], [1, 3, 6])  # wider intervals say nothing
     estimates = {}
     for k, (key, unit) in enumerate(zip(QUANTITIES, UNITS, strict=True)):
-        std = float(found.stds[k]) or None
+        std = float(stds[k]) or None
         each = Estimate(key, float(values[k]), std, unit, freedom=weighed.freedom)
-        shown = found.shown[k] and (each.half_interval() or 0.0) <= widest[k]
+        shown = seen_of[k] and (each.half_interval() or 0.0) <= widest[k]
         estimates[key] = each if shown else replace(each, value=None, std=None)
     return PayloadBody(name, run, frame, estimates, rigid)
 
@@ -135,34 +135,25 @@ def rigid_of(values: np.ndarray) -> RigidBody:
     return RigidBody(float(values[0]), values[1:4], np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
 
 
-@dataclass(frozen=True, eq=False)
-class _Seen:
-    """Linear functions of chi (q,): whether sums show them, values without regard to consistency, and stds."""
+def _seen(weighed: Weighed, J: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Express linear functions J (q, 10) of chi by the sums and what is stated.
 
-    shown: np.ndarray
-    values: np.ndarray
-    stds: np.ndarray
-
-
-def _seen(weighed: Weighed, J: np.ndarray) -> _Seen:
-    """Express rows J (q, 10) by the sums and what is stated."""
+    Returns whether these show them, their values without regard to consistency, and standard deviations, (q,) each.
+    """
     unit = np.array([weighed.reach**2] * 6 + [weighed.reach] * 3 + [1.0])
     rows, k = np.concatenate([weighed.sums, weighed.exact]) * unit, len(weighed.sums)
     sizes = np.linalg.norm(rows, axis=1)
     W = np.linalg.lstsq((rows / sizes[:, None]).T, (J * unit).T, rcond=1e-12)[0].T / sizes
     rest = np.linalg.norm(J * unit - W @ rows, axis=1)
     variances = np.einsum("qi,ij,qj->q", W[:, :k], weighed.covariance, W[:, :k])
-    return _Seen(
-        rest <= IN_SUMS * np.linalg.norm(J * unit, axis=1),
-        W @ np.concatenate([weighed.values, weighed.stated]),
-        np.sqrt(np.maximum(variances, 0.0)),
-    )
+    shown = rest <= IN_SUMS * np.linalg.norm(J * unit, axis=1)
+    return shown, W @ np.concatenate([weighed.values, weighed.stated]), np.sqrt(np.maximum(variances, 0.0))
 
 
 def _consistent(weighed: Weighed, mass: float) -> np.ndarray:
     """Find the physically consistent parameters (10,) nearest to the sums, compact where these are uninformative."""
-    moments = _seen(weighed, np.eye(10)[6:9])
-    center = np.where(moments.shown, moments.values, 0.0) / mass
+    shown, moments, _ = _seen(weighed, np.eye(10)[6:9])
+    center = np.where(shown, moments, 0.0) / mass
     ball = RigidBody(mass, center, compact_moment(mass) * np.eye(3))
     supposed = np.array([inertial_parameters(ball)[kind] for kind in INERTIAL])
     length = float(np.hypot(np.linalg.norm(center), np.sqrt(compact_moment(mass) / mass)))
@@ -238,8 +229,7 @@ def payload_estimates(
     known payloads, by name; ``freedom`` the degrees of freedom behind each.
     """
     robot = dataset.robot
-    found = named_values(system.problem, theta, np.sqrt(np.diag(covariance)))
-    free = named_freedoms(system.problem, freedom)
+    found = named_estimates(system.problem, theta, np.sqrt(np.diag(covariance)), freedom)
     payloads = []
     for each in system.payloads:
         known = known_values(each.payload)
@@ -251,17 +241,15 @@ def payload_estimates(
                 deviation = each.payload.mass_std or None if kind == "m" else None
                 estimates[kind] = Estimate(kind, known[kind], deviation, unit, kind)
             elif kind in each.regroupings:
-                value, deviation = found.get(label[kind], (None, None))
-                verdict = parameter_verdict(value, deviation)
-                estimates[kind] = Estimate(
-                    kind, value, deviation, unit, each.regroupings[kind], verdict=verdict, freedom=free.get(label[kind])
-                )
+                lost = Estimate(kind, None, None, unit, verdict=parameter_verdict(None, None))
+                own = found.get(label[kind], lost)
+                estimates[kind] = replace(own, name=kind, unit=unit, regrouping=each.regroupings[kind])
         if "m" in estimates and each.payload.center is not None:
             unit = unit_of("mx", robot, robot.tool)
             moments = zip(FIRST_MOMENTS, each.payload.center, strict=True)
             estimates |= {kind: _of_mass(kind, estimates["m"], at, unit) for kind, at in moments}
         name, run = each.payload.name, dataset.runs[each.run].name
-        weighed = None if "m" in known else _weighed(dataset, system.problem, each, theta, covariance, free)
+        weighed = None if "m" in known else _weighed(dataset, system.problem, each, covariance, found)
         payloads.append(PayloadEstimate(name, run, estimates, frozenset(known), masses.get(name, GOOD), weighed))
     return tuple(payloads)
 
@@ -270,15 +258,16 @@ def _weighed(
     dataset: Dataset,
     problem: Problem,
     carried: CarriedPayload,
-    theta: np.ndarray,
     covariance: np.ndarray,
-    freedoms: Mapping[str, float],
+    estimates: Mapping[str, Estimate],
 ) -> Weighed:
     """Collect the identified sums of parameters, and the stated values of the others."""
-    found = [k for k, name in enumerate(carried.unknown) if name in problem.parameters]
-    places = [problem.parameters.index(list(carried.unknown)[k]) for k in found]
+    found = [name for name in carried.unknown if name in problem.parameters]
+    places = [problem.parameters.index(name) for name in found]
     sums = np.zeros((len(found), len(INERTIAL)))
-    sums[:, [INERTIAL.index(kind) for kind in carried.free]] = carried.sums[found]
+    rows = [list(carried.unknown).index(name) for name in found]
+    sums[:, [INERTIAL.index(kind) for kind in carried.free]] = carried.sums[rows]
+    freedoms = (estimates[name].freedom for name in found)
     unit = dict(zip(INERTIAL, np.eye(len(INERTIAL)), strict=True))
     stated = [(unit[kind], value) for kind, value in known_values(carried.payload).items()]
     center = zip(FIRST_MOMENTS, carried.payload.center or (), strict=False)
@@ -286,11 +275,11 @@ def _weighed(
     return Weighed(
         dataset.robot.tool,
         sums,
-        theta[places],
+        np.array([estimates[name].value for name in found], dtype=float),
         covariance[np.ix_(places, places)],
         np.reshape([row for row, _ in stated], (len(stated), len(INERTIAL))),
         np.array([value for _, value in stated]),
-        min((freedoms[name] for name in carried.unknown if name in freedoms), default=None),
+        min((each for each in freedoms if each is not None), default=None),
         longest_placement(dataset.robot),
     )
 
@@ -301,11 +290,14 @@ def _of_mass(kind: str, mass: Estimate, at: float, unit: str) -> Estimate:
     return replace(mass, name=kind, value=value, std=std, unit=unit, regrouping=f"{at:.5g} m")
 
 
-def named_values(problem: Problem, theta: np.ndarray, std: np.ndarray) -> dict[str, tuple[float, float]]:
-    """Return value and standard deviation of each parameter of a problem, by name."""
-    return {name: (float(theta[k]), float(std[k])) for k, name in enumerate(problem.parameters)}
-
-
-def named_freedoms(problem: Problem, freedom: np.ndarray | None) -> dict[str, float]:
-    """Return the degrees of freedom of each parameter of a problem, by name; empty without ``freedom``."""
-    return {} if freedom is None else dict(zip(problem.parameters, map(float, freedom), strict=False))
+def named_estimates(
+    problem: Problem, theta: np.ndarray, std: np.ndarray, freedom: np.ndarray | None
+) -> dict[str, Estimate]:
+    """Name the estimates of a problem's parameters; their units are those of what they are estimates of."""
+    found = {}
+    for k, name in enumerate(problem.parameters):
+        value, deviation = float(theta[k]), float(std[k])
+        of_freedom = None if freedom is None else float(freedom[k])
+        verdict = parameter_verdict(value, deviation)
+        found[name] = Estimate(name, value, deviation, "", verdict=verdict, freedom=of_freedom)
+    return found

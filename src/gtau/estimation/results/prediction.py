@@ -67,9 +67,9 @@ def predict(result: IdentifiedModel, run: Run) -> Prediction:
 
     predicted, measured, rubbing = [], [], []
     for part in stream_torques(model, regressor, prepared, decimator, load, friction):
-        predicted.append(part.torques.T)
-        rubbing.append(part.friction.T)
-        v, v_d, v_dd = part.commands  # eq. (17), each current at its delayed time
+        torque, of_friction, v, v_d, v_dd = part  # eq. (17), each current at its delayed time
+        predicted.append(torque.T)
+        rubbing.append(of_friction.T)
         measured.append((gains[:, None] * (v - delays * v_d + delays**2 / 2 * v_dd)).T)
     n = len(gains)
     keep = np.concatenate([prepared.samples(*span).usable[:, :n] for span in spans(len(prepared))])

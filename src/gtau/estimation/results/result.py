@@ -37,11 +37,7 @@ class Result(IdentifiedModel):
         return text
 
     def torques(
-        self,
-        q: np.ndarray,
-        qd: np.ndarray,
-        qdd: np.ndarray,
-        payload: Payload | Mapping[str, Any] | None = None,
+        self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, payload: Payload | Mapping[str, Any] | None = None
     ) -> np.ndarray:
         """Compute torques of the identified model at given states, including all its friction.
 
@@ -66,11 +62,7 @@ class Result(IdentifiedModel):
         return torques(self, q, qd, qdd, as_payload(payload))
 
     def currents(
-        self,
-        q: np.ndarray,
-        qd: np.ndarray,
-        qdd: np.ndarray,
-        payload: Payload | Mapping[str, Any] | None = None,
+        self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, payload: Payload | Mapping[str, Any] | None = None
     ) -> np.ndarray:
         """Compute the currents (N, n), A, for the torques of :meth:`torques`: ``v = tau / g_tau``.
 

@@ -87,7 +87,7 @@ def _sentences(scales: Sequence[TorqueScale]) -> Iterator[str]:
     wrong = [each for each in scales if each.state == "wrong"]
     if wrong:
         parts = [f"{_reported(each)}{' of the torque' * (k == 0)} at '{each.joint}'" for k, each in enumerate(wrong)]
-        yield f"The arm reports {_listed(parts)} (95 % intervals)."
+        yield f"The arm reports {listed(parts)} (95 % intervals)."
     right = [each for each in scales if each.state == "consistent with 1"]
     if right:
         widest = percent_text(max(each.gain.half_width or 0.0 for each in right))
@@ -117,10 +117,11 @@ def _reported(each: TorqueScale) -> str:
 
 
 def _names(members: Sequence[TorqueScale]) -> str:
-    return _listed([f"'{each.joint}'" for each in members])
+    return listed([f"'{each.joint}'" for each in members])
 
 
-def _listed(parts: Sequence[str]) -> str:
+def listed(parts: Sequence[str]) -> str:
+    """Join parts by commas, and the last by 'and'."""
     return parts[0] if len(parts) == 1 else ", ".join(parts[:-1]) + f" and {parts[-1]}"
 
 

@@ -2,65 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from gtau.estimation.diagnostics.parameter_checks import parameter_verdict
 from gtau.estimation.estimators.estimator import Fit, jackknife
-from gtau.estimation.friction.law import FrictionLaw, Shape
+from gtau.estimation.friction.law import FrictionLaw
 from gtau.estimation.friction.normal_equations import FINER, Group, normal_equations, sites_of
-from gtau.estimation.friction.selection import KINDS, WORDS, Chosen, Trial, choose, shape_values, with_shapes
+from gtau.estimation.friction.selection import KINDS, WORDS, Trial, choose, shape_values, with_shapes
+from gtau.estimation.regression.friction import TEMPERATURE_TERMS, UNITS
+from gtau.estimation.results.estimate import Estimate, FrictionCurve, ReferenceTemperatures
+from gtau.robots.parameter import Parameter
+from gtau.robots.robot import Robot
+from gtau.robots.units import position_unit, unit_of
 
 # Standard deviation of the logarithm of a width or speed between those tried, whose columns are interpolated: over 18
 # widths and 9 speeds of a simulated UR10e and Puma 560 the rms was this where noise gave a fifth of it.
 BETWEEN = {"width": 0.09, "speed": 0.07}
 
 
-@dataclass(frozen=True, eq=False)
-class IdentifiedFriction:
-    """Friction of a joint identified from its logs.
-
-    Attributes
-    ----------
-    joint : str
-        Its name.
-    shape : Shape
-        Width of presliding and speed of bending.
-    spread : Shape
-        Their standard deviations.
-    values, std : dict
-        By kind (``off``, ``fv``, ``fs``, ``fb``, ``fl``, ``fvt``, ``fst``), SI units; one that would be negative is 0.
-    freedom : float
-        Degrees of freedom behind the standard deviations.
-    evidence : dict
-        Of each term taken (``presliding``, ``bent``, ``load``, ``temperature``): by how many standard errors blocks
-        that were left out are better for it.
-    error, plain_error : float
-        Of blocks left out, with this friction and with the plain law, rms over the rms torque left to friction; of all
-        joints that share motors.
-    """
-
-    joint: str
-    shape: Shape
-    spread: Shape
-    values: Mapping[str, float]
-    std: Mapping[str, float | None]
-    freedom: float
-    evidence: Mapping[str, float]
-    error: float
-    plain_error: float
-
-
-@dataclass(frozen=True)
-class FrictionStep:
-    """The friction of every ``joint``, and by motor the rms ``errors`` and torque over all samples, N m or N."""
-
-    joints: tuple[IdentifiedFriction, ...] = ()
-    errors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-
-
-def identify_friction(fit: Fit, covariance: np.ndarray) -> FrictionStep:
+def friction_curves(
+    fit: Fit, covariance: np.ndarray
+) -> tuple[dict[str, FrictionCurve], dict[str, tuple[float, float]]]:
     """Identify the friction of every joint on all samples.
 
     Parameters
@@ -70,24 +34,51 @@ def identify_friction(fit: Fit, covariance: np.ndarray) -> FrictionStep:
     covariance : ndarray
         Of (theta, gains, delays), whose share in the friction's standard deviations is that of the torque left to it.
 
+    Returns
+    -------
+    curves : dict
+        Of every joint, by name.
+    errors : dict
+        By motor, the rms of error and torque over all samples, N m or N.
+
     Raises
     ------
     GtauError
         Where the closures refuse a sample.
     """
-    law = FrictionLaw(fit.dataset.model, {})
+    model, temperatures = fit.dataset.model, reference_temperatures(fit)
+    law = FrictionLaw(model, {})
     sites = sites_of(fit.dataset, law)
-    found: list[IdentifiedFriction] = []
+    found: dict[str, FrictionCurve] = {}
     errors: dict[str, tuple[float, float]] = {}
+
+    def unit(kind: str, joint: str) -> str:
+        return friction_unit(kind, joint, model.robot, temperatures)
+
     of_rows = normal_equations(fit, law, sites)  # behind whose filter errors are stated
     for group, rows in zip(normal_equations(fit, law, sites, FINER), of_rows, strict=True):
         if len(group.G):
-            chosen = choose(group)
-            found += _of_group(group, chosen, _fixed(fit, covariance))
-            motors = (fit.dataset.model.actuated[j] for j in group.motors)
-            errors |= dict(zip(motors, _errors(rows, chosen.trial), strict=True))
-    order = {site.joint: k for k, site in enumerate(sites)}
-    return FrictionStep(tuple(sorted(found, key=lambda each: order[each.joint])), errors)
+            trial, plain, evidence = choose(group)
+            found |= curves_of(group, trial, plain, evidence, _fixed(fit, covariance), unit)
+            motors = (model.actuated[j] for j in group.motors)
+            errors |= dict(zip(motors, _errors(rows, trial), strict=True))
+    return {site.joint: found[site.joint] for site in sites if site.joint in found}, errors
+
+
+def reference_temperatures(fit: Fit) -> ReferenceTemperatures | None:
+    """Return the mean temperatures of the runs, None where none were logged."""
+    warm = fit.dataset.temperatures
+    return None if warm is None else ReferenceTemperatures(warm.unit, warm.reference)
+
+
+def friction_unit(kind: str, joint: str, robot: Robot, temperatures: ReferenceTemperatures | None) -> str:
+    """Return the unit of a joint's friction parameter of a kind; ``width`` is that of presliding, ``vs`` a speed."""
+    if kind in ("width", "vs"):
+        return position_unit(robot, joint) + ("/s" if kind == "vs" else "")
+    of_terms = UNITS[robot.joint(joint).kind]
+    if kind not in of_terms:
+        return unit_of(kind, robot, joint)
+    return of_terms[kind] + (f"/{temperatures.per}" if temperatures and kind in TEMPERATURE_TERMS else "")
 
 
 def _errors(group: Group, trial: Trial) -> list[tuple[float, float]]:
@@ -129,16 +120,29 @@ def _between_values(group: Group, whole: Trial, A: np.ndarray) -> np.ndarray:
     return found
 
 
-def _of_group(group: Group, chosen: Chosen, fixed: np.ndarray) -> list[IdentifiedFriction]:
-    trial, whole = chosen.trial, with_shapes(group, chosen.trial)
+def curves_of(
+    group: Group,
+    trial: Trial,
+    plain: Trial,
+    evidence: Mapping[tuple[int, str], float],
+    fixed: np.ndarray,
+    unit: Callable[[str, str], str],
+) -> dict[str, FrictionCurve]:
+    """Estimate the friction of the joints of a group, whose parameters by kind and joint have a ``unit``."""
+    whole = with_shapes(group, trial)
     A = np.einsum("pa,pq,qc->ac", whole.M, group.G.sum(axis=(0, 1))[:-1, :-1], whole.M)
     size = np.sqrt(np.maximum(np.diag(A), 1e-300))[:, None]
     S = np.linalg.pinv(A / size / size.T, rcond=1e-9, hermitian=True) @ (whole.M.T @ group.cross / size) / size
     covariance = jackknife(whole.left) + S @ fixed @ S.T + _between_values(group, whole, A)
-    places = {name: k for k, name in enumerate(whole.names)}
+    places, freedom = {name: k for k, name in enumerate(whole.names)}, float(len(group.G) - 1)
     signal = max(float(group.G[..., -1, -1].sum()), 1e-300)
-    error, plain = (float(np.sqrt(max(each.errors.sum(), 0.0) / signal)) for each in (trial, chosen.plain))
-    made = []
+    error, plain_error = (100 * float(np.sqrt(max(each.errors.sum(), 0.0) / signal)) for each in (trial, plain))
+
+    def estimate(kind: str, joint: str, value: float, std: float | None) -> Estimate:
+        name, verdict = Parameter(kind, joint).name, parameter_verdict(value, std)
+        return Estimate(name, value, std, unit(kind, joint), verdict=verdict, freedom=freedom)
+
+    made = {}
     for s, (site, structure) in enumerate(zip(group.sites, trial.structures, strict=True)):
         own = {kind: k for k, (of, kind) in enumerate(trial.names) if of == s}
         values: dict[str, float] = dict.fromkeys(structure.columns(site), 0.0)
@@ -146,22 +150,27 @@ def _of_group(group: Group, chosen: Chosen, fixed: np.ndarray) -> list[Identifie
         std: dict[str, float | None] = dict.fromkeys(values)
         std |= {kind: float(np.sqrt(covariance[k, k])) for kind, k in own.items()}
         if "fr" in values:  # friction at rest, and what of it is gone in sliding
-            unit = np.zeros(len(whole.x))
+            of_excess = np.zeros(len(whole.x))
             for kind, sign in (("fr", 1.0), ("fs", -1.0)):
                 if kind in own:
-                    unit[own[kind]] = sign
-            values["fb"], std["fb"] = values.pop("fr") - values["fs"], float(np.sqrt(unit @ covariance @ unit)) or None
-            del std["fr"]
-        shape: dict[str, float] = {}
-        spread: dict[str, float] = {}
-        for kind in ("width", "speed"):
+                    of_excess[own[kind]] = sign
+            values["fb"] = values.pop("fr") - values["fs"]
+            std["fb"] = float(np.sqrt(of_excess @ covariance @ of_excess)) or None
+        parameters = [estimate(kind, site.joint, value, std[kind]) for kind, value in values.items()]
+        shape: dict[str, Estimate] = {}
+        for kind, name in (("width", "width"), ("speed", "vs")):
             if (number := getattr(structure, kind)) is not None:
                 tried = shape_values(group, s, kind)
-                shape[kind] = float(tried[0] * (tried[1] / tried[0]) ** number)
-                if (s, kind) in places:
-                    k = places[s, kind]
-                    spread[kind] = shape[kind] * float(np.sqrt(covariance[k, k]))
-        evidence = {WORDS[kind]: chosen.evidence[s, kind] for kind in KINDS if (s, kind) in chosen.evidence}
-        shapes, freedom = (Shape(**shape), Shape(**spread)), float(len(group.G) - 1)
-        made.append(IdentifiedFriction(site.joint, *shapes, values, std, freedom, evidence, error, plain))
+                value, k = float(tried[0] * (tried[1] / tried[0]) ** number), places.get((s, kind))
+                spread = None if k is None else value * float(np.sqrt(covariance[k, k]))
+                shape[kind] = estimate(name, site.joint, value, spread)
+        made[site.joint] = FrictionCurve(
+            site.joint,
+            {each.name: each for each in parameters},
+            shape.get("width"),
+            shape.get("speed"),
+            {WORDS[kind]: float(evidence[s, kind]) for kind in KINDS if (s, kind) in evidence},
+            error,
+            plain_error,
+        )
     return made
