@@ -280,5 +280,5 @@ def _vector(values: np.ndarray) -> Vector:
 
 def _zeros(robot: Robot) -> Iterator[Constant]:
     for k, name in enumerate(robot.actuated):
-        unit = "rad" if robot.joint(name).kind == "revolute" else "m"
+        unit = robot.joint(name).unit
         yield Constant(f"zero of '{name}'", 0.0, unit, joint=k)

@@ -9,6 +9,7 @@ from math import atan2, cos, pi, sin
 
 import numpy as np
 
+from gtau.documents.validation import some_of
 from gtau.robots.robot import GROUND, Attachment, Mdh, Placement, Pose, Robot
 
 ROUNDING = 1e-10  # exporters write pi/2 as 1.57079632679 and zero as 2.8e-17
@@ -91,12 +92,11 @@ def largest_change(given: Iterable[float], taken: Iterable[float]) -> float:
 
 def short_angles_note(changes: Mapping[str, float]) -> tuple[str, ...]:
     """Note the places of angles written short, with the largest change, rad; no note without such angles."""
-    if not (listed := [name for name, change in changes.items() if change]):
+    if not (listed := [f"'{name}'" for name, change in changes.items() if change]):
         return ()
-    shown = ", ".join(f"'{name}'" for name in listed[:6]) + (f" and {len(listed) - 6} more" if len(listed) > 6 else "")
     return (
         "rounded angles, such as 1.5708, were taken as the multiples of 15 degrees that they stand for, changed by up "
-        f"to {max(changes.values()):.2g} rad: {shown}",
+        f"to {max(changes.values()):.2g} rad: {some_of(listed, 6)}",
     )
 
 
