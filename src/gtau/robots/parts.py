@@ -15,10 +15,10 @@ import numpy as np
 
 from gtau.documents.validation import some_of, unknown
 from gtau.errors import GtauError
-from gtau.robots.geometry import compose, euler_angles, pose_of, rounded, turn
+from gtau.robots.geometry import compose, euler_angles, moved_ends, pose_of, rounded, turn
 from gtau.robots.parameter import parameter_of
 from gtau.robots.rigid_body import lumped, rigid_body
-from gtau.robots.robot import GROUND, INERTIAL, Attachment, Closure, Coupling, Joint, Placement, Pose, Robot
+from gtau.robots.robot import GROUND, INERTIAL, Attachment, Coupling, Joint, Placement, Pose, Robot
 
 NAMED = 6  # joints that a note lists
 COAXIAL = 1e-8  # rad, and share of the length of the closure's arms
@@ -107,8 +107,7 @@ def lock_joints(robot: Robot, positions: Mapping[str, float]) -> Robot:
         at = carried[end.body]
         return end if at.body == end.body else Attachment(at.body, compose(at.placement, end.placement))
 
-    closures = (Closure(each.kind, moved(each.a), moved(each.b)) for each in robot.closures)
-    springs = (replace(each, a=moved(each.a), b=moved(each.b)) for each in robot.springs)
+    closures, springs = moved_ends(robot, moved)
     tool = carried[robot.named_tool].body if robot.named_tool else ""
     return replace(
         robot,
