@@ -15,7 +15,7 @@ from gtau.model.base_parameters import base_parameters, symmetric_order
 from gtau.model.home import close_home, load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.geometry import identical_legs, pose_of
-from gtau.robots.readers.urdf import turning
+from gtau.robots.readers.urdf_tree import turning
 from gtau.robots.robot import Attachment, Closure, Coupling, Joint, Mdh, Platform, Pose, Robot
 
 

@@ -19,7 +19,7 @@ from gtau.estimation.regression.rows import stream_rows
 from gtau.model import inverse_dynamics as inverse_dynamics_module
 from gtau.model.home import load_robot
 from gtau.model.interpreter import layout as interpreter
-from gtau.model.interpreter.layout import LANES
+from gtau.model.interpreter.instructions import LANES
 from gtau.model.interpreter.program import compile_program
 from gtau.model.inverse_dynamics import PATH, InverseDynamics
 from gtau.model.loop_paths import follow

@@ -15,7 +15,7 @@ from gtau.model.home import close_home, load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import coordinates
 from gtau.model.loop_closure import CLOSED, loop_errors
-from gtau.robots.readers.idle_joints import without_idle_pins
+from gtau.robots.parts import without_idle_pins
 from gtau.robots.readers.native import read_native
 from gtau.robots.readers.native_text import write_native
 from gtau.robots.readers.read import read_robot
@@ -90,7 +90,7 @@ def test_home_does_not_depend_on_the_processors_rounding(shared: Path, rng: np.r
 
 def test_as_drawn_the_models_have_idle_pins(shared: Path) -> None:
     """Mobility before the pins are locked, from the null space of the closures at a generic closed pose."""
-    from gtau.robots.readers.urdf_loops import read_urdf_tree
+    from gtau.robots.readers.urdf_tree import read_urdf_tree
 
     names = {"5bar_linkage": [("A", "B")], "robot_delta": [("A", "B"), ("B", "A"), ("A", "B")]}
     mobility = {}

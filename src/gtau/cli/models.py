@@ -293,7 +293,7 @@ def use(
 
 def _frame(result: Result, frame: str, experiment: Path | None) -> tuple[str, Placement]:
     """Find a frame on the body that carries the payload, as for 'gtau payload'."""
-    from gtau.robots.readers.frames import frame_on
+    from gtau.robots.readers.urdf import frame_on
     from gtau.signals.experiment import read_experiment
 
     robot = None if experiment is None else read_experiment(experiment).robot

@@ -205,3 +205,8 @@ def expect(what: str, value: object, accepted: Accepted) -> None:
     words, types = accepted
     if not isinstance(value, types) or (isinstance(value, bool) and bool not in types):
         raise GtauError(f"{what} cannot be of type {type(value).__name__}; give {words}.")
+
+
+def some_of(texts: Sequence[str], most: int, between: str = ", ") -> str:
+    """List texts in a sentence, the first ``most`` of many."""
+    return between.join(texts[:most]) + (f" and {len(texts) - most} more" if len(texts) > most else "")

@@ -108,7 +108,7 @@ def usages_of_motion(point: Point, share: np.ndarray | None = None) -> Iterator[
 def _kinematic(point: Point) -> Iterator[ConstraintUsage]:
     task, limits = point.task, point.task.limits
     for j, joint in enumerate(task.model.actuated):
-        unit = "rad" if task.model.robot.joint(joint).kind == "revolute" else "m"
+        unit = task.model.robot.joint(joint).unit
         low, high = limits.position[j]
         middle, half = (low + high) / 2, (high - low) / 2
         scales = [(middle, half), *((0.0, float(getattr(limits, order)[j])) for order in ORDERS[1:])]

@@ -115,23 +115,14 @@ def evaluate_one(
 
 def information(points: Sequence[Point]) -> np.ndarray:
     """Compute the triangular factor (P, P) of the information of all runs of all motions."""
-    return triangle(*(each.factor for each in map(_informed, points)))
+    return triangle(*(point.task.information.factor(*_weighted_rows(point)) for point in points))
 
 
-@dataclass(frozen=True, eq=False)
-class _Informed:
-    """Rows of a motion's runs, (n, N, P) each, their weights (n, N), and the factor of their information."""
-
-    rows: list[np.ndarray]
-    counts: np.ndarray
-    factor: np.ndarray
-
-
-def _informed(point: Point) -> _Informed:
+def _weighted_rows(point: Point) -> tuple[list[np.ndarray], np.ndarray]:
+    """Compute the rows of a motion's runs, (n, N, P) each, and their weights (n, N)."""
     info, step = point.task.information, point.grid.step
     counts = info.counts(point.task.window(step).weights(point.joints[1]), step)
-    rows = [info.jacobians(point.W, run, step) for run in point.runs]
-    return _Informed(rows, counts, info.factor(rows, counts))
+    return [info.jacobians(point.W, run, step) for run in point.runs], counts
 
 
 def objective(points: Sequence[Point], criterion: Criterion, of_regressor: bool) -> tuple[float, np.ndarray]:
@@ -142,10 +133,11 @@ def objective(points: Sequence[Point], criterion: Criterion, of_regressor: bool)
     if of_regressor:
         value, F, f = criterion(triangle(*(point.W.reshape(-1, point.W.shape[2]) for point in points)))
         return value, np.concatenate([_slope_of_regressor(point, F, f) for point in points])
-    informed = [_informed(point) for point in points]
-    value, F, f = criterion(triangle(*(each.factor for each in informed)))
+    weighted = [_weighted_rows(point) for point in points]
+    factors = (point.task.information.factor(*each) for point, each in zip(points, weighted, strict=True))
+    value, F, f = criterion(triangle(*factors))
     return value, np.concatenate(
-        [_slope_of_information(point, each, F, f) for point, each in zip(points, informed, strict=True)]
+        [_slope_of_information(point, *each, F, f) for point, each in zip(points, weighted, strict=True)]
     )
 
 
@@ -154,12 +146,14 @@ def _slope_of_regressor(point: Point, F: np.ndarray, f: np.ndarray) -> np.ndarra
     return point.to_rows(point.to_joints(point.task.regressor.slopes(point.motion, by_W))).sum(axis=0)
 
 
-def _slope_of_information(point: Point, informed: _Informed, F: np.ndarray, f: np.ndarray) -> np.ndarray:
+def _slope_of_information(
+    point: Point, rows: list[np.ndarray], counts: np.ndarray, F: np.ndarray, f: np.ndarray
+) -> np.ndarray:
     info, step = point.task.information, point.grid.step
-    by_W, by_counts = np.zeros_like(point.W), np.zeros_like(informed.counts)
-    for run, A in zip(point.runs, informed.rows, strict=True):
+    by_W, by_counts = np.zeros_like(point.W), np.zeros_like(counts)
+    for run, A in zip(point.runs, rows, strict=True):
         along = A @ F
-        by_W += info.back(2 * informed.counts[:, :, None] * ((along * f) @ F.T), run, step)
+        by_W += info.back(2 * counts[:, :, None] * ((along * f) @ F.T), run, step)
         by_counts += along**2 @ f
     by_joints = point.to_joints(point.task.regressor.slopes(point.motion, by_W))
     by_joints[1] += point.task.window(step).back(point.joints[1], info.counts(by_counts, step))

@@ -25,7 +25,7 @@ from gtau.model.interpreter.program import Program, compile_program
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import Coordinates, configuration_rates, constant
 from gtau.model.loops import Motion
-from gtau.robots.geometry import characteristic_length
+from gtau.robots.geometry import characteristic_length, moved_ends
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint, Limits, Pose, Robot
 
@@ -200,7 +200,7 @@ def in_platform_space(robot: Robot) -> Robot:
         joints=(*chain, *(replace(joint, actuated=False) for joint in robot.joints)),
         platforms=(),
         springs=(),  # which no closure equation holds
-        closures=tuple(replace(closure, a=moved(closure.a), b=moved(closure.b)) for closure in robot.closures),
+        closures=moved_ends(robot, moved)[0],
     )
 
 
@@ -252,16 +252,9 @@ class SmoothRegressor:
 
 def smooth_regressor(model: InverseDynamics, names: Sequence[str], width: np.ndarray) -> SmoothRegressor:
     """Compile the columns ``names`` of a robot's regressor and their pullback."""
-    layout, n = model.layout, len(model.actuated)
-    joints = layout.robot.joints
-    sizes = (("c", layout.n_c), ("yd", layout.n_y), ("ydd", layout.n_y), ("width", len(joints)))
-    c, yd, ydd, wide = (ca.SX.sym(s, k) for s, k in sizes)
-    passive = ca.SX.sym("J", len(layout.passive), n)
-    J = ca.SX(layout.n_y, n)
-    for k, row in enumerate(layout.actuated):
-        J[int(row), k] = 1
-    for k, row in enumerate(layout.passive):
-        J[int(row), :] = passive[k, :]
+    layout, joints = model.layout, model.robot.joints
+    (c, yd, ydd, passive), J = model.symbols
+    wide = ca.SX.sym("width", len(joints))
     chi = {name: ca.SX.sym(name) for name in model.parameter_names}
     tau = torques(layout, c, yd, ydd, J, {name: each for name, each in chi.items() if not name.startswith("fs_")})
     for k, joint in enumerate(joints):
@@ -271,8 +264,8 @@ def smooth_regressor(model: InverseDynamics, names: Sequence[str], width: np.nda
     rows, columns = (np.array(index, dtype=int) for index in W.sparsity().get_triplet())
     entries = ca.vec(W.nz[:])
     weights = ca.SX.sym("weights", entries.numel())
-    inputs = [c, yd, ydd, passive.T, wide]
-    back = ca.gradient(ca.dot(weights, entries), ca.veccat(c, yd, ydd, passive.T))
+    inputs = [c, yd, ydd, passive, wide]
+    back = ca.gradient(ca.dot(weights, entries), ca.veccat(c, yd, ydd, passive))
     return SmoothRegressor(
         model,
         tuple(names),

@@ -102,9 +102,13 @@ def solve(programme: Programme, x: np.ndarray, stop: Callable[[], bool]) -> np.n
     rows, columns = np.nonzero(jacobian(x))
     pattern = ca.Sparsity.triplet(len(low), len(x), rows.tolist(), columns.tolist())
     dense = ca.Sparsity.dense(1, len(x))
-    f = _Callback("f", len(x), 1, lambda x: programme.value(x)[0], lambda x: programme.value(x)[1][None], dense)
-    g = _Callback("g", len(x), len(low), constraints, jacobian, pattern)
-    ended = _Stop("stop", len(x), len(low), stop)
+    given, scalar, values = {"x": len(x)}, ca.Sparsity.scalar(), ca.Sparsity.dense(len(low), 1)
+    slope = dense, lambda x: programme.value(x)[1][None]
+    f = _Function("f", given, scalar, lambda x: programme.value(x)[0], slope)
+    g = _Function("g", given, values, constraints, (pattern, jacobian))
+    sizes = {"x": len(x), "f": 1, "g": len(low), "lam_x": len(x), "lam_g": len(low)}
+    results = {name: sizes.get(name, 0) for name in map(ca.nlpsol_out, range(ca.nlpsol_n_out()))}
+    ended = _Function("stop", results, scalar, lambda *_: int(stop()))  # polled after every iteration
     solver = ca.nlpsol(
         "design",
         "ipopt",
@@ -134,105 +138,56 @@ def solve(programme: Programme, x: np.ndarray, stop: Callable[[], bool]) -> np.n
     return np.array(found["x"]).ravel()
 
 
-class _Callback(ca.Callback):
-    """A function of x with a Jacobian, both written in NumPy."""
+class _Function(ca.Callback):
+    """A function written in NumPy, of vectors of these sizes to an array of this pattern; its Jacobian if given."""
 
     def __init__(
         self,
         name: str,
-        inputs: int,
-        outputs: int,
-        function: Callable[[np.ndarray], Any],
-        jacobian: Callable[[np.ndarray], np.ndarray],
+        sizes: Mapping[str, int],
         pattern: ca.Sparsity,
+        function: Callable[..., Any],
+        jacobian: tuple[ca.Sparsity, Callable[[np.ndarray], np.ndarray]] | None = None,
+        options: Mapping[str, Any] | None = None,
     ):
         ca.Callback.__init__(self)
-        self._sizes, self._function, self._jacobian, self._pattern = (inputs, outputs), function, jacobian, pattern
+        self._sizes, self._pattern, self._function, self._jacobian = sizes, pattern, function, jacobian
         self._held: list[ca.Callback] = []
-        self.construct(name, {})
+        self.construct(name, dict(options or {}))
 
     def get_n_in(self) -> int:
-        return 1
-
-    def get_n_out(self) -> int:
-        return 1
-
-    def get_sparsity_in(self, k: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(self._sizes[0], 1)
-
-    def get_sparsity_out(self, k: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(self._sizes[1], 1)
-
-    def eval(self, arguments: Sequence[ca.DM]) -> list[Any]:
-        return [self._function(np.array(arguments[0]).ravel())]
-
-    def has_jacobian(self) -> bool:
-        return True
-
-    def get_jacobian(
-        self, name: str, inames: Sequence[str], onames: Sequence[str], options: Mapping[str, Any]
-    ) -> ca.Function:
-        self._held.append(_Jacobian(name, self._sizes, self._jacobian, self._pattern, options))
-        return self._held[-1]
-
-
-class _Jacobian(ca.Callback):
-    """The Jacobian of a callback: a function of x, and of the value, which it does not need."""
-
-    def __init__(
-        self,
-        name: str,
-        sizes: tuple[int, int],
-        jacobian: Callable[[np.ndarray], np.ndarray],
-        pattern: ca.Sparsity,
-        options: Mapping[str, Any],
-    ):
-        ca.Callback.__init__(self)
-        self._sizes, self._jacobian, self._pattern = sizes, jacobian, pattern
-        self._places = np.array(pattern.row()), np.repeat(np.arange(sizes[0]), np.diff(pattern.colind()))
-        self.construct(name, dict(options))
-
-    def get_n_in(self) -> int:
-        return 2
-
-    def get_n_out(self) -> int:
-        return 1
-
-    def get_sparsity_in(self, k: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(self._sizes[k], 1)
-
-    def get_sparsity_out(self, k: int) -> ca.Sparsity:
-        return self._pattern
-
-    def eval(self, arguments: Sequence[ca.DM]) -> list[ca.DM]:
-        return [ca.DM(self._pattern, self._jacobian(np.array(arguments[0]).ravel())[self._places])]
-
-
-class _Stop(ca.Callback):
-    """Stop request, polled after every iteration."""
-
-    def __init__(self, name: str, variables: int, constraints: int, stop: Callable[[], bool]):
-        ca.Callback.__init__(self)
-        self._sizes, self._stop = (
-            {"x": variables, "f": 1, "g": constraints, "lam_x": variables, "lam_g": constraints},
-            stop,
-        )
-        self.construct(name, {})
-
-    def get_n_in(self) -> int:
-        return int(ca.nlpsol_n_out())
+        return len(self._sizes)
 
     def get_n_out(self) -> int:
         return 1
 
     def get_name_in(self, k: int) -> str:
-        return str(ca.nlpsol_out(k))
+        return list(self._sizes)[k]
 
     def get_sparsity_in(self, k: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(self._sizes.get(ca.nlpsol_out(k), 0), 1)
+        return ca.Sparsity.dense(list(self._sizes.values())[k], 1)
 
-    def eval(self, arguments: Sequence[ca.DM]) -> list[int]:
-        return [int(self._stop())]
+    def get_sparsity_out(self, k: int) -> ca.Sparsity:
+        return self._pattern
+
+    def eval(self, arguments: Sequence[ca.DM]) -> list[Any]:
+        return [self._function(*(np.array(each).ravel() for each in arguments))]
+
+    def has_jacobian(self) -> bool:
+        return self._jacobian is not None
+
+    def get_jacobian(
+        self, name: str, inames: Sequence[str], onames: Sequence[str], options: Mapping[str, Any]
+    ) -> ca.Function:
+        """Return a function of x and of the value, which it does not need."""
+        assert self._jacobian is not None
+        pattern, jacobian = self._jacobian
+        places = np.array(pattern.row()), np.repeat(np.arange(pattern.shape[1]), np.diff(pattern.colind()))
+        sizes = dict(zip(inames, (*self._sizes.values(), self._pattern.numel()), strict=True))
+        self._held.append(
+            _Function(name, sizes, pattern, lambda x, _: ca.DM(pattern, jacobian(x)[places]), options=options)
+        )
+        return self._held[-1]
 
 
 TRIES = 40  # of a scale

@@ -154,8 +154,8 @@ class DesignProblem:
         joints = self.model.robot.joints
         length = self.model.loops.equations.length if self.model.loops else 1.0
         speed = np.where(np.isfinite(self.limits.velocity), self.limits.velocity, 1.0)
-        turn = float(np.median(speed)) / (1.0 if joints[self.model.layout.actuated[0]].kind == "revolute" else length)
-        width = np.array([SMOOTH * turn * (1.0 if joint.kind == "revolute" else length) for joint in joints])
+        turn = float(np.median(speed)) / (1.0 if joints[self.model.layout.actuated[0]].turns else length)
+        width = np.array([SMOOTH * turn * (1.0 if joint.turns else length) for joint in joints])
         width[self.model.layout.actuated] = SPEED_FRACTION * SMOOTH * speed  # rows in which these jump do not count
         return smooth_regressor(self.model, self.base.standard, width)
 

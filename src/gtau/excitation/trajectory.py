@@ -60,14 +60,10 @@ class FourierSeries:
         # amplitudes that fall with k give every harmonic the same speed
         sine, cosine = np.sin(angle) / k, np.cos(angle) / k
         parts = [
-            np.concatenate([factor * first, factor * second], axis=1)
-            for factor, first, second in (
-                (np.ones_like(omega), sine, cosine),
-                (omega, cosine, -sine),
-                (-(omega**2), sine, cosine),
-                (-(omega**3), cosine, -sine),
-            )
-            for factor in [np.broadcast_to(factor, sine.shape)]
+            np.hstack([sine, cosine]),
+            np.hstack([omega * cosine, omega * -sine]),
+            np.hstack([-(omega**2) * sine, -(omega**2) * cosine]),
+            np.hstack([-(omega**3) * cosine, -(omega**3) * -sine]),
         ]
         # speed at t = 0: sum of a_k = 0; acceleration at t = 0: sum of k b_k = 0
         at_rest = np.zeros((2, 2 * self.harmonics))

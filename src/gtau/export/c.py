@@ -66,7 +66,7 @@ def _fields(model: Identified, made: Functions) -> dict[str, str]:
     result, n = model.result, len(model.joints)
     loops = result.model.loops
     home = made.home[made.actuated]
-    turns = [result.robot.joint(joint).kind == "revolute" for joint in model.joints]
+    turns = [result.robot.joint(joint).turns for joint in model.joints]
     length = 1.0 if loops is None else loops.equations.length
     fields = {
         "title": f"Inverse dynamics of the robot '{in_c(result.robot.name)}'",

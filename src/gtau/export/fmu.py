@@ -60,7 +60,7 @@ def _document(model: Identified, made: Functions) -> dict[str, object]:
             {
                 "name": joint,
                 "identifier": ends[joint],
-                "position_unit": "rad" if robot.joint(joint).kind == "revolute" else "m",
+                "position_unit": robot.joint(joint).unit,
                 "torque_unit": unit,
                 "current_unit": "A" if model.result.kind == "current" else unit,
             }

@@ -128,7 +128,7 @@ def _geometry(robot: Robot) -> str:
     for joint in robot.joints:
         at = joint.placement
         assert isinstance(at, Mdh)
-        turns = joint.kind == "revolute"
+        turns = joint.turns
         variable = f"q_{{{in_latex_index(label[joint.name])}}}"
         theta, r = _angle(at.theta), _number(at.r)
         if turns:

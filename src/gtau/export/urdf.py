@@ -201,7 +201,7 @@ def inertial_element(body: RigidBody) -> Element:
 
 
 def _joint(root: Element, joint: Joint, placement: Placement, parent: str) -> Element:
-    limits, turns = joint.limits, joint.kind == "revolute"
+    limits, turns = joint.limits, joint.turns
     endless = turns and limits.position is None
     kind = "continuous" if endless else "revolute" if turns else "prismatic"
     element = SubElement(root, "joint", name=joint.name, type=kind)
@@ -268,7 +268,7 @@ def drives_text(model: ConsistentModel) -> str:
                 "value": model.gains[joint.name],
                 "unit": gain_unit(model.result.robot, joint.name, model.result.kind),
             }
-        turns = joint.kind == "revolute"
+        turns = joint.turns
         if armature := model.of("ia", joint.name):
             entry["armature"] = {"value": armature, "unit": "kg m2" if turns else "kg"}
         if offset := model.of("off", joint.name):

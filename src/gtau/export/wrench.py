@@ -115,7 +115,7 @@ def wrench_along_log(
     result, run, prediction : Result, Run, Prediction
         The model, the run, and :meth:`gtau.Result.predict` of it.
     frame : tuple
-        Name and placement on the body, by :func:`gtau.robots.readers.frames.frame_on`.
+        Name and placement on the body, by :func:`gtau.robots.readers.urdf.frame_on`.
     force_only : bool
         True if the contact exerts no moment about the frame's origin, so that three motors suffice for the force.
 
@@ -137,7 +137,7 @@ def wrench_along_log(
     length = characteristic_length(result.robot)
     scale = np.repeat([0.0 if force_only else 1.0 / length, 1.0], 3)  # of unknowns: forces, and moments over a length
     at_frame = _to_body(placement) * scale
-    turning = [result.robot.joint(joint).kind == "revolute" for joint in prediction.joints]
+    turning = [result.robot.joint(joint).turns for joint in prediction.joints]
     rows = np.where(turning, length, 1.0)  # torques over a length are forces too
     parts, first = [], 0
     for J_t, covariance in _along(result, run, residual):

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from gtau.documents.validation import MAPPING, NAMES, takes, validate
+from gtau.documents.validation import MAPPING, NAMES, some_of, takes, validate
 from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError
 from gtau.model.kinematics import Coordinates, coordinates
@@ -34,7 +34,7 @@ from gtau.model.rounded_loops import DRAWN, with_exact_loops
 from gtau.robots.geometry import pose_of
 from gtau.robots.readers.read import read_robot
 from gtau.robots.readers.source import RobotSource
-from gtau.robots.robot import Joint, Pose, Robot
+from gtau.robots.robot import Pose, Robot
 
 # Below, lengths are in characteristic lengths of the robot, angles in rad.
 KEPT = 1e-9  # a home displaced by less than this by the solution is kept as written
@@ -184,7 +184,7 @@ def _within_limits(robot: Robot, looped: set[int]) -> Robot:
         if k not in looped and joint.limits.position is not None and limit_excess(joint, joint.home) > LIMITS:
             nearest = float(np.clip(joint.home, *joint.limits.position))
             joints[k] = replace(joint, home=nearest)
-            moved.append(f"'{joint.name}' from {joint.home:.4g} to {nearest:.4g} {_unit(joint)}")
+            moved.append(f"'{joint.name}' from {joint.home:.4g} to {nearest:.4g} {joint.unit}")
     if not moved:
         return robot
     note = f"home lay outside the position limits and was moved to the nearest one: joint {', '.join(moved)}"
@@ -214,7 +214,7 @@ def _displacements(errors: LoopErrors, given: np.ndarray, found: np.ndarray) -> 
     layout, apart = errors.layout, errors.apart(given, found)
     parts = []
     for k, joint in enumerate(layout.robot.joints):
-        text = f"joint '{joint.name}' from {given[k]:.4g} to {found[k]:.4g} {_unit(joint)}"
+        text = f"joint '{joint.name}' from {given[k]:.4g} to {found[k]:.4g} {joint.unit}"
         parts.append((bool(not joint.actuated), -apart[k], text))
     for slots in layout.platforms:
         change = slots.displacement(given, found)
@@ -224,13 +224,8 @@ def _displacements(errors: LoopErrors, given: np.ndarray, found: np.ndarray) -> 
         sizes += [f"{np.degrees(turn):.4g} degrees"] * (turn > NEAR)
         parts.append((False, -apart[slots.rates].max(), f"platform '{slots.platform.name}' by {' and '.join(sizes)}"))
     parts = sorted(part for part in parts if -part[1] > NEAR)
-    named = [text for _, _, text in parts[:NAMED]]
-    return ", ".join(named) + (f" and {len(parts) - NAMED} more" if len(parts) > NAMED else "")
+    return some_of([text for _, _, text in parts], NAMED)
 
 
 def _motors(layout: Coordinates, c: np.ndarray) -> str:
     return ", ".join(f"{layout.names[k]} = {c[k]:.4g}" for k in layout.actuated)
-
-
-def _unit(joint: Joint) -> str:
-    return "rad" if joint.kind == "revolute" else "m"

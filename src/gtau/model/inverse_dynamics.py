@@ -201,7 +201,7 @@ class InverseDynamics:
         """
         frames = tuple(frames)
         if frames not in self._wrenches:
-            inputs, J = self._inputs
+            inputs, J = self.symbols
             wrench = ca.SX.sym("w", 6 * len(frames))
             matrix = ca.jacobian(wrench_torques(self.layout, inputs[0], J, frames, wrench), wrench)
             names = tuple(Parameter(kind, frame.body).name for frame in frames for kind in WRENCH)
@@ -209,7 +209,7 @@ class InverseDynamics:
         return self._wrenches[frames]
 
     @cached_property
-    def _inputs(self) -> tuple[list[ca.SX], ca.SX]:
+    def symbols(self) -> tuple[list[ca.SX], ca.SX]:
         """Symbols of c, yd, ydd and the passive rows of J, and J (n_y, n) itself."""
         layout, n = self.layout, len(self.actuated)
         c, yd, ydd = (ca.SX.sym(s, k) for s, k in (("c", layout.n_c), ("yd", layout.n_y), ("ydd", layout.n_y)))
@@ -222,7 +222,7 @@ class InverseDynamics:
     @cached_property
     def _symbolic(self) -> tuple[list[ca.SX], ca.SX]:
         """Inputs, and the regressor (n, n_st)."""
-        inputs, J = self._inputs
+        inputs, J = self.symbols
         chi = {name: ca.SX.sym(name) for name in self.parameter_names}
         c, yd, ydd, _ = inputs
         tau = torques(self.layout, c, yd, ydd, J, chi)
@@ -233,7 +233,7 @@ class InverseDynamics:
 
         Its program takes values of the standard parameters ``names``, the others being zero, as parameters.
         """
-        (c, yd, ydd, passive), J = self._inputs
+        (c, yd, ydd, passive), J = self.symbols
         gravity, values = ca.SX.sym("g", 3), ca.SX.sym("chi", len(names))
         chi = {name: ca.SX(1, 1) for name in self.parameter_names} | dict(zip(names, ca.vertsplit(values), strict=True))
         tau = torques(self.layout, c, ca.SX(*yd.shape), ca.SX(*ydd.shape), J, chi, gravity)

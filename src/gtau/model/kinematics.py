@@ -97,7 +97,7 @@ def coordinates(robot: Robot) -> Coordinates:
     """Lay out the coordinates of ``robot``."""
     n_c = n_y = len(robot.joints)
     names = [joint.name for joint in robot.joints]
-    angular = [joint.kind == "revolute" for joint in robot.joints]
+    angular = [joint.turns for joint in robot.joints]
     platforms = []
     for platform in robot.platforms:
         turns = any(dof in ROTATIONS for dof in platform.dof)
@@ -245,7 +245,7 @@ def twists(layout: Coordinates, frame: dict[str, Frame], rates: ca.SX) -> dict[s
         axis = constant(np.array(joint.axis))
         angular = at.R.T @ before.angular
         linear = at.R.T @ (before.linear + ca.cross(before.angular, at.p))
-        if joint.kind == "revolute":
+        if joint.turns:
             angular = angular + axis * rates[k]
         else:
             linear = linear + axis * rates[k]
@@ -285,7 +285,7 @@ def accelerations(
             before.linear + ca.cross(before.angular, at.p) + ca.cross(omega, ca.cross(omega, at.p))
         )  # fmt: skip
         turning = ca.cross(twist[joint.name].angular, axis) * yd[k]
-        if joint.kind == "revolute":
+        if joint.turns:
             angular = angular + axis * ydd[k] + turning
         else:
             linear = linear + axis * ydd[k] + 2 * turning

@@ -17,7 +17,7 @@ from gtau.model.closures import closure_expressions
 from gtau.model.interpreter.program import Program, compile_program
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import Coordinates, Shifted, coordinates, frames, twists
-from gtau.robots.geometry import characteristic_length, pose_of
+from gtau.robots.geometry import characteristic_length, moved_ends, pose_of
 from gtau.robots.robot import Mdh, Placement, Pose, Robot
 
 # Measured on 17 robots, those of the catalog and of third-party robot files: the shortest length is 0.046 of the
@@ -211,29 +211,14 @@ def _places(robot: Robot, springs: bool = False) -> Iterator[tuple[str, Placemen
 def _shifted(robot: Robot, shifts: Sequence[ca.SX]) -> Robot:
     """Shift the placements of joints and closures, and of springs where there are shifts of these too."""
     of_place = chain(shifts, repeat(ca.SX(3, 1)))
-    joints = tuple(replace(joint, placement=_moved(joint.placement, next(of_place))) for joint in robot.joints)
-    closures = tuple(
-        replace(
-            closure,
-            a=replace(closure.a, placement=_moved(closure.a.placement, next(of_place))),
-            b=replace(closure.b, placement=_moved(closure.b.placement, next(of_place))),
-        )
-        for closure in robot.closures
-    )
-    springs = tuple(
-        replace(
-            spring,
-            a=replace(spring.a, placement=_moved(spring.a.placement, next(of_place))),
-            b=replace(spring.b, placement=_moved(spring.b.placement, next(of_place))),
-        )
-        for spring in robot.springs
-    )
+
+    def shifted(placement: Placement) -> Shifted:
+        pose = placement if isinstance(placement, Pose) else pose_of(placement.rotation, placement.position)
+        return Shifted(pose.xyz, pose.rpy, next(of_place))
+
+    joints = tuple(replace(joint, placement=shifted(joint.placement)) for joint in robot.joints)
+    closures, springs = moved_ends(robot, lambda end: replace(end, placement=shifted(end.placement)))
     return replace(robot, joints=joints, closures=closures, springs=springs)
-
-
-def _moved(placement: Placement, shift: ca.SX) -> Shifted:
-    pose = placement if isinstance(placement, Pose) else pose_of(placement.rotation, placement.position)
-    return Shifted(pose.xyz, pose.rpy, shift)
 
 
 def _constants(robot: Robot, places: Sequence[tuple[str, Placement]]) -> Iterator[Constant]:
@@ -280,5 +265,5 @@ def _vector(values: np.ndarray) -> Vector:
 
 def _zeros(robot: Robot) -> Iterator[Constant]:
     for k, name in enumerate(robot.actuated):
-        unit = "rad" if robot.joint(name).kind == "revolute" else "m"
+        unit = robot.joint(name).unit
         yield Constant(f"zero of '{name}'", 0.0, unit, joint=k)

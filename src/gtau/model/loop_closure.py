@@ -204,7 +204,7 @@ def _unwound(errors: LoopErrors, given: np.ndarray, found: np.ndarray) -> np.nda
     coupled = {name for each in errors.layout.robot.couplings for name in (each.joint, *dict(each.ratios))}
     unwound = found.copy()
     for k, joint in enumerate(errors.layout.robot.joints):
-        if joint.kind == "revolute" and joint.name not in coupled:
+        if joint.turns and joint.name not in coupled:
             unwound[k] = given[k] + np.remainder(found[k] - given[k] + np.pi, 2 * np.pi) - np.pi
     return unwound
 
@@ -213,7 +213,7 @@ def _scattered(errors: LoopErrors, given: np.ndarray, rng: np.random.Generator) 
     c = given.copy()
     for k, joint in enumerate(errors.layout.robot.joints):
         if k in errors.looped:
-            reach = np.pi if joint.kind == "revolute" else errors.length
+            reach = np.pi if joint.turns else errors.length
             low, high = joint.limits.position or (-np.inf, np.inf)
             low, high = max(low, given[k] - reach), min(high, given[k] + reach)
             c[k] = rng.uniform(low, high) if low < high else given[k]

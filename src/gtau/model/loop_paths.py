@@ -14,7 +14,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.model.interpreter.compiled import loops as compiled
-from gtau.model.interpreter.layout import FOLLOWER, LANES, TILE
+from gtau.model.interpreter.instructions import FOLLOWER, LANES, TILE
 from gtau.model.interpreter.program import Bound, address, addresses, aligned
 from gtau.model.interpreter.threads import share
 from gtau.model.loops import Labels, Loops, Numbers, pose_words

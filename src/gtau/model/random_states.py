@@ -22,7 +22,7 @@ REGULAR = CONDITION / 10  # condition number of regular poses
 def _range(joint: Joint, length: float) -> tuple[float, float]:
     if joint.limits.position is not None:
         return joint.limits.position
-    reach = np.pi if joint.kind == "revolute" else length
+    reach = np.pi if joint.turns else length
     return joint.home - reach, joint.home + reach
 
 

@@ -80,7 +80,7 @@ def singularities(idm: InverseDynamics) -> Singularities:
     GtauError
         The loops cannot be closed, or hardly any pose is regular.
     """
-    program = compile_program(*_tool_jacobian(idm.layout))
+    program = compile_program(*_tool_jacobian(idm))
     found = Singularities(idm.layout, program, 0, 0.0)
     motion = random_motion(idm, POSES, np.random.default_rng(0))
     s = np.linalg.svd(found.jacobian(motion), compute_uv=False)
@@ -88,21 +88,18 @@ def singularities(idm: InverseDynamics) -> Singularities:
     return Singularities(idm.layout, program, rank, float(s.max()))
 
 
-def _tool_jacobian(layout: Coordinates) -> tuple[list[ca.SX], list[ca.SX]]:
+def _tool_jacobian(idm: InverseDynamics) -> tuple[list[ca.SX], list[ca.SX]]:
     """Express the tool's scaled Jacobian, row by row; inputs are c and the passive rows of J."""
-    robot, n, length = layout.robot, len(layout.actuated), characteristic_length(layout.robot)
-    c, passive = ca.SX.sym("c", layout.n_c), ca.SX.sym("J", len(layout.passive), n)
-    J = ca.SX(layout.n_y, n)
-    J[layout.actuated.tolist(), :] = ca.SX.eye(n)
-    J[layout.passive.tolist(), :] = passive
+    layout, robot, length = idm.layout, idm.robot, characteristic_length(idm.robot)
+    (c, _, _, passive), J = idm.symbols
     frame = frames(layout, c)
     ends = [end for closure in robot.closures if closure.kind == "connect" for end in (closure.a, closure.b)]
     points = [] if robot.platforms else [end.placement.position for end in ends if end.body == robot.tool]
-    speeds = ca.SX.sym("qd", n)
+    speeds = ca.SX.sym("qd", len(layout.actuated))
     twist = twists(layout, frame, J @ speeds)[robot.tool]
     if points:
         rows = (twist.linear + ca.cross(twist.angular, constant(points[0]))) / length
     else:
         rows = ca.vertcat(twist.linear / length, twist.angular)
     scaled = ca.jacobian(rows, speeds) @ ca.diag(ca.DM(np.where(layout.angular[layout.actuated], 1.0, length)))
-    return [c, passive.T], [scaled.T]
+    return [c, passive], [scaled.T]

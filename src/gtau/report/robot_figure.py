@@ -122,7 +122,7 @@ def _skeleton(scene: Scene, scale: float) -> Iterator[Item]:
     if robot.tool not in {body for body, _ in scene.lines} | {platform.name for platform in robot.platforms}:
         yield replace(RING, place=on_page(tool)[0])
     for joint in sorted(scene.joints, key=lambda joint: joint.name in robot.driven):  # driven ones on top
-        if joint.kind == "revolute":
+        if joint.turns:
             half = (0.06 if joint.name in robot.driven else 0.04) * scene.size
             axis, place = half * (found[joint.name][0] @ np.array(joint.axis)), _place(scene, joint)
             yield replace(AXLE, points=on_page(place - axis, place + axis))
@@ -140,7 +140,7 @@ def _place(scene: Scene, joint: Joint) -> np.ndarray:
 
 def _mark(joint: Joint, robot: Robot, place: np.ndarray) -> Mark:
     style = DRIVEN if joint.name in robot.driven else PASSIVE
-    return replace(style, place=place, shape="disc" if joint.kind == "revolute" else "square")
+    return replace(style, place=place, shape="disc" if joint.turns else "square")
 
 
 def _names(scene: Scene, scale: float, drawn: list[Item]) -> list[Item]:

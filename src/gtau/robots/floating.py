@@ -15,8 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.robots.geometry import moved_ends
 from gtau.robots.parameter import Parameter, parameter_of
-from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint, Robot, base_rows
+from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Joint, Robot, base_rows
 
 WRENCH = ("moment_x", "moment_y", "moment_z", "force_x", "force_y", "force_z")
 """Components of a wrench, N m and N."""
@@ -71,15 +72,12 @@ def float_base(robot: Robot, name: str = "base") -> Robot:
     for problem in _fixed_to_ground(robot):
         raise GtauError(f"robot '{robot.name}': {problem}.")
     joints = tuple(replace(joint, antecedent=_on(name, joint.antecedent)) for joint in robot.joints)
-
-    def moved(end: Attachment) -> Attachment:
-        return replace(end, body=_on(name, end.body))
-
+    closures, springs = moved_ends(robot, lambda end: replace(end, body=_on(name, end.body)))
     return replace(
         robot,
         joints=base_joints(name) + joints,
-        closures=tuple(replace(each, a=moved(each.a), b=moved(each.b)) for each in robot.closures),
-        springs=tuple(replace(each, a=moved(each.a), b=moved(each.b)) for each in robot.springs),
+        closures=closures,
+        springs=springs,
         floating=name,
         inertias=tuple((_own(name, each), value) for each, value in robot.inertias),
     )

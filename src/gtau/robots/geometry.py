@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from decimal import Decimal
 from math import atan2, cos, pi, sin
 
 import numpy as np
 
-from gtau.robots.robot import GROUND, Attachment, Mdh, Placement, Pose, Robot
+from gtau.documents.validation import some_of
+from gtau.robots.robot import GROUND, Attachment, Closure, Mdh, Placement, Pose, Robot, Spring
 
 ROUNDING = 1e-10  # exporters write pi/2 as 1.57079632679 and zero as 2.8e-17
 
@@ -91,12 +92,11 @@ def largest_change(given: Iterable[float], taken: Iterable[float]) -> float:
 
 def short_angles_note(changes: Mapping[str, float]) -> tuple[str, ...]:
     """Note the places of angles written short, with the largest change, rad; no note without such angles."""
-    if not (listed := [name for name, change in changes.items() if change]):
+    if not (listed := [f"'{name}'" for name, change in changes.items() if change]):
         return ()
-    shown = ", ".join(f"'{name}'" for name in listed[:6]) + (f" and {len(listed) - 6} more" if len(listed) > 6 else "")
     return (
         "rounded angles, such as 1.5708, were taken as the multiples of 15 degrees that they stand for, changed by up "
-        f"to {max(changes.values()):.2g} rad: {shown}",
+        f"to {max(changes.values()):.2g} rad: {some_of(listed, 6)}",
     )
 
 
@@ -170,6 +170,14 @@ def longest_placement(robot: Robot) -> float:
     """Return the largest distance (m) from a body's frame to that of a joint or closure on it; 1 without any."""
     lengths = [2 * extent(robot, body)[1] for body in robot.bodies]
     return max(lengths, default=0.0) or 1.0
+
+
+def moved_ends(
+    robot: Robot, moved: Callable[[Attachment], Attachment]
+) -> tuple[tuple[Closure, ...], tuple[Spring, ...]]:
+    """Move both ends of all closures and springs."""
+    closures = tuple(replace(each, a=moved(each.a), b=moved(each.b)) for each in robot.closures)
+    return closures, tuple(replace(each, a=moved(each.a), b=moved(each.b)) for each in robot.springs)
 
 
 def attached(end: Attachment, found: dict[str, Frame]) -> Frame:

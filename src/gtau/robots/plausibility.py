@@ -66,7 +66,7 @@ def _lengths(robot: Robot) -> Iterator[str]:
     long += [
         f"the position limits of joint '{joint.name}' are {_limits(joint)}"
         for joint in robot.joints
-        if joint.kind == "prismatic" and _reach(joint) > FAR
+        if not joint.turns and _reach(joint) > FAR
     ]
     if long:
         yield f"{'; '.join(long)}: lengths are in m, so check whether these are mm"
@@ -77,7 +77,7 @@ def _angles(robot: Robot) -> Iterator[str]:
         f"joint '{joint.name}' ({_limits(joint)})"
         for joint in robot.joints
         # a motor's shaft, before its gear, does turn that often
-        if joint.kind == "revolute" and joint.parameters != "drive" and _reach(joint) > TURNS * 2 * pi
+        if joint.turns and joint.parameters != "drive" and _reach(joint) > TURNS * 2 * pi
     ]
     if far:
         yield (
@@ -91,7 +91,7 @@ def _homes(robot: Robot) -> Iterator[str]:
     for joint in robot.joints:
         low, high = joint.limits.position or (-np.inf, np.inf)
         if not low - REACHED <= joint.home <= high + REACHED:
-            outside.append(f"joint '{joint.name}' ({joint.home:.4g} {_unit(joint)}, limits {_limits(joint)})")
+            outside.append(f"joint '{joint.name}' ({joint.home:.4g} {joint.unit}, limits {_limits(joint)})")
     if outside:
         names = ", ".join(outside)
         yield f"home lies outside the position limits of {names}; write a 'home' within them in the robot file"
@@ -104,8 +104,4 @@ def _reach(joint: Joint) -> float:
 def _limits(joint: Joint) -> str:
     assert joint.limits.position is not None
     low, high = joint.limits.position
-    return f"{low:.4g} to {high:.4g} {_unit(joint)}"
-
-
-def _unit(joint: Joint) -> str:
-    return "rad" if joint.kind == "revolute" else "m"
+    return f"{low:.4g} to {high:.4g} {joint.unit}"

@@ -31,19 +31,13 @@ SPRING = (PRELOAD, STIFFNESS, DAMPING)
 """Terms of the force of a spring between two points."""
 
 
-def _rotation_x(angle: float) -> np.ndarray:
-    c, s = cos(angle), sin(angle)
-    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-
-
-def _rotation_y(angle: float) -> np.ndarray:
-    c, s = cos(angle), sin(angle)
-    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-
-
-def _rotation_z(angle: float) -> np.ndarray:
-    c, s = cos(angle), sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+def _rotation(axis: int, angle: float) -> np.ndarray:
+    """Compute the rotation (3, 3) about x, y or z: axis 0, 1 or 2."""
+    (second, third), R = ((axis + 1) % 3, (axis + 2) % 3), np.eye(3)
+    R[second, second] = R[third, third] = cos(angle)
+    R[third, second] = sin(angle)
+    R[second, third] = -R[third, second]
+    return R
 
 
 @dataclass(frozen=True)
@@ -64,12 +58,12 @@ class Mdh:
     @property
     def rotation(self) -> np.ndarray:
         """Orientation of the placed frame, (3, 3)."""
-        return _rotation_z(self.gamma) @ _rotation_x(self.alpha) @ _rotation_z(self.theta)
+        return _rotation(2, self.gamma) @ _rotation(0, self.alpha) @ _rotation(2, self.theta)
 
     @property
     def position(self) -> np.ndarray:
         """Origin of the placed frame, (3,) in m."""
-        before = _rotation_z(self.gamma) @ _rotation_x(self.alpha)
+        before = _rotation(2, self.gamma) @ _rotation(0, self.alpha)
         return np.array([0.0, 0.0, self.b]) + before @ np.array([self.d, 0.0, self.r])
 
 
@@ -84,7 +78,7 @@ class Pose:
     def rotation(self) -> np.ndarray:
         """Orientation of the placed frame, (3, 3)."""
         roll, pitch, yaw = self.rpy
-        return _rotation_z(yaw) @ _rotation_y(pitch) @ _rotation_x(roll)
+        return _rotation(2, yaw) @ _rotation(1, pitch) @ _rotation(0, roll)
 
     @property
     def position(self) -> np.ndarray:
@@ -126,6 +120,16 @@ class Joint:
     limits: Limits = Limits()
     parameters: Literal["all", "inertial", "drive", "none"] = "all"
     spring: float | None = None
+
+    @property
+    def turns(self) -> bool:
+        """True for a revolute joint, False for a prismatic one."""
+        return self.kind == "revolute"
+
+    @property
+    def unit(self) -> str:
+        """Unit of its position: rad or m."""
+        return "rad" if self.turns else "m"
 
     @property
     def has_mass(self) -> bool:
@@ -232,7 +236,10 @@ class Robot:
     inertias: tuple[tuple[str, float], ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
-        _check(self)
+        if problem := name_problem(self.name):
+            raise GtauError(f"robot: {problem}.")
+        for problem in _problems(self):
+            raise GtauError(f"robot '{self.name}': {problem}.")
 
     def __repr__(self) -> str:
         return (
@@ -391,10 +398,3 @@ def _limit_problems(joint: Joint) -> Iterator[str]:
         value = getattr(limits, quantity)
         if value is not None and not value > 0.0:
             yield f"the {quantity} limit of joint '{joint.name}' is {value:g}; write a positive number, or leave it out"
-
-
-def _check(robot: Robot) -> None:
-    if problem := name_problem(robot.name):
-        raise GtauError(f"robot: {problem}.")
-    for problem in _problems(robot):
-        raise GtauError(f"robot '{robot.name}': {problem}.")

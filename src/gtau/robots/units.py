@@ -24,7 +24,7 @@ def unit_of(kind: str, robot: Robot, joint: str) -> str:
         return "kg m"
     if kind == "m":
         return "kg"
-    turns = robot.joint(joint).kind == "revolute"
+    turns = robot.joint(joint).turns
     if kind == "ia":
         return "kg m2" if turns else "kg"
     if kind == STIFFNESS:
@@ -36,7 +36,7 @@ def unit_of(kind: str, robot: Robot, joint: str) -> str:
 
 def position_unit(robot: Robot, joint: str) -> str:
     """Return the unit of a joint's position, rad or m."""
-    return "rad" if robot.joint(joint).kind == "revolute" else "m"
+    return robot.joint(joint).unit
 
 
 def command_unit(robot: Robot, joint: str, kind: str) -> str:
@@ -46,7 +46,7 @@ def command_unit(robot: Robot, joint: str, kind: str) -> str:
 
 def torque_unit(robot: Robot, joint: str) -> str:
     """Return N m for a revolute joint, N for a prismatic one."""
-    return "N m" if robot.joint(joint).kind == "revolute" else "N"
+    return "N m" if robot.joint(joint).turns else "N"
 
 
 def gain_unit(robot: Robot, joint: str, kind: str) -> str:

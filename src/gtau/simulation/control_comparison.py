@@ -144,7 +144,7 @@ def compare_control(
             rms = np.mean([np.sqrt(np.mean(each**2, axis=0)) for each in errors], axis=0)
             tracking.append(Tracking(described.name, strategy, maximum, rms, reference.time, made[0].error))
     progress("control laws", total, total)
-    units = tuple("rad" if robot.joint(joint).kind == "revolute" else "m" for joint in robot.actuated)
+    units = tuple(robot.joint(joint).unit for joint in robot.actuated)
     return ControlComparison(robot.actuated, units, tuple(tracking), references, models)
 
 

@@ -113,10 +113,9 @@ def _check_limits(made: tuple[np.ndarray, np.ndarray, np.ndarray], robot: Robot,
     for j, name in enumerate(robot.actuated):
         joint, limits = robot.joint(name), robot.joint(name).limits
         check_positions(q[:, j], joint, where)
-        unit = "rad" if joint.kind == "revolute" else "m"
         for most, limit, what in (
-            (np.abs(qd[:, j]).max(), limits.velocity, f"{unit}/s"),
-            (np.abs(qdd[:, j]).max(), limits.acceleration, f"{unit}/s2"),
+            (np.abs(qd[:, j]).max(), limits.velocity, f"{joint.unit}/s"),
+            (np.abs(qdd[:, j]).max(), limits.acceleration, f"{joint.unit}/s2"),
         ):
             if limit is not None and most > ROUNDED * limit:
                 raise GtauError(

@@ -165,7 +165,7 @@ def robot_spec(mujoco: ModuleType, robot: Robot, chi: Mapping[str, float]) -> An
         body[joint.name] = _add_body(mujoco, body[joint.antecedent], joint.placement, joint.name, chi)
         made = body[joint.name].add_joint(
             name=joint.name,
-            type=hinge if joint.kind == "revolute" else slide,
+            type=hinge if joint.turns else slide,
             axis=joint.axis,
             armature=chi.get(Parameter("ia", joint.name).name, 0.0),
             damping=chi.get(Parameter("fv", joint.name).name, 0.0),

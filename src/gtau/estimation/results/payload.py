@@ -26,7 +26,7 @@ from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
 from gtau.estimation.results.estimate import Estimate
 from gtau.robots.geometry import longest_placement
-from gtau.robots.readers.frames import frame_on
+from gtau.robots.readers.urdf import frame_on
 from gtau.robots.rigid_body import RigidBody, inertial_parameters
 from gtau.robots.robot import INERTIAL, Placement, Pose
 from gtau.robots.units import unit_of

@@ -9,8 +9,8 @@ from __future__ import annotations
 from numba import carray  # type: ignore[attr-defined]
 
 from gtau.model.interpreter import lanes
+from gtau.model.interpreter.instructions import LANES, NOWHERE, ROW, TILE, WIDE
 from gtau.model.interpreter.lanes import compiled, lane, to_addresses, to_doubles, to_flags, to_followers
-from gtau.model.interpreter.layout import LANES, NOWHERE, ROW, TILE, WIDE
 
 ITERATIONS = 8
 

@@ -15,7 +15,7 @@ from numba.core import cgutils
 from numba.core.datamodel import models
 from numba.extending import intrinsic, register_model
 
-from gtau.model.interpreter.layout import FOLLOWER, LANES, WIDE
+from gtau.model.interpreter.instructions import FOLLOWER, LANES, WIDE
 
 compiled: Any = numba.njit(nogil=True, error_model="numpy")
 

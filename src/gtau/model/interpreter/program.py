@@ -14,8 +14,7 @@ import casadi as ca
 import numpy as np
 
 from gtau.model.interpreter.compiled import loops
-from gtau.model.interpreter.instructions import instructions
-from gtau.model.interpreter.layout import LANES, ROW, WIDE
+from gtau.model.interpreter.instructions import LANES, ROW, WIDE, instructions
 from gtau.model.interpreter.threads import share
 
 NONE = np.zeros(0)

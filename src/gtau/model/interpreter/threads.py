@@ -11,7 +11,7 @@ from functools import cache
 
 from threadpoolctl import threadpool_limits
 
-from gtau.model.interpreter.layout import LANES
+from gtau.model.interpreter.instructions import LANES
 
 _inside = threading.local()
 SHARE = 16 * LANES  # minimum number of samples per thread

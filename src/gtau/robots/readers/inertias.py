@@ -1,15 +1,16 @@
-"""Read inertias from robot files, to compare with the identified ones or to use as priors."""
+"""Masses and inertias in robot files: read, to compare with the identified ones or to use as priors, and checked."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from gtau.documents.validation import some_of
 from gtau.robots.parameter import Parameter
-from gtau.robots.readers.xml_document import numbers
+from gtau.robots.readers.xml_document import decimals, line_of, numbers
 from gtau.robots.rigid_body import RigidBody, lumped
 from gtau.robots.robot import Attachment, Pose
 
@@ -17,6 +18,10 @@ if TYPE_CHECKING:
     import mujoco
 
 TENSOR = [[0, 3, 4], [3, 1, 5], [4, 5, 2]]  # places of xx yy zz xy xz yz in a tensor
+TINY = 1e-9  # kg m2: smaller inertias are those of frames that have none
+SLACK = 1e-2  # by which the largest principal moment may exceed the sum of the others: files round to a few digits
+HEAVIEST = 1000.0  # kg, and times the median mass of the file
+SHOWN = 4  # bodies that a note lists
 
 
 def urdf_inertias(root: Element, frames: Mapping[str, Attachment]) -> tuple[tuple[str, float], ...]:
@@ -84,3 +89,85 @@ def mjcf_inertias(
 
 def _stated(found: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
     return tuple(found.items()) if any(found.values()) else ()
+
+
+def urdf_masses(root: Element, carried: Mapping[str, str]) -> Iterator[str]:
+    """Note implausible masses and inertias of a URDF file.
+
+    Parameters
+    ----------
+    root : Element
+    carried : mapping
+        Links by the moving joint whose link they are part of; links of the ground are left out.
+    """
+    masses, odd, bodies = {}, [], {}
+    for link in root.findall("link"):
+        name, inertial = link.get("name", ""), link.find("inertial")
+        given = None if inertial is None else inertial.find("mass")
+        masses[name] = 0.0 if given is None else numbers(given.get("value", ""), 1, f"mass of link '{name}'")[0]
+        bodies[name] = link
+        if inertial is not None and name in carried and (tensor := inertial.find("inertia")) is not None:
+            xx, yy, zz, xy, xz, yz = (_number(tensor, f"i{key}") or 0.0 for key in ("xx", "yy", "zz", "xy", "xz", "yz"))
+            odd += _impossible(f"link '{name}'", link, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+    typical = float(np.median([mass for mass in masses.values() if mass > 1e-6] or [1.0]))
+    for name, mass in masses.items():
+        if mass < 0.0 or mass > max(HEAVIEST * typical, HEAVIEST):
+            odd.append(f"link '{name}' (line {line_of(bodies[name])}) weighs {mass:,.0f} kg")
+    yield from _note(odd)
+    if any(masses.values()):  # else the file has no masses at all
+        moved = {
+            joint: [link for link in carried if carried[link] == joint] for joint in dict.fromkeys(carried.values())
+        }
+        light = [links[0] for links in moved.values() if not any(masses[link] for link in links)]
+        if light:
+            names = some_of([f"'{name}' (line {line_of(bodies[name])})" for name in light], SHOWN)
+            yield (
+                f"these links have no mass in the file, though a joint moves them: {names}; here they have parameters "
+                "all the same, and where one is really massless, write 'parameters: none' for it in a saved robot file"
+            )
+
+
+def mjcf_masses(roots: Iterable[Element]) -> Iterator[str]:
+    """Note implausible explicit masses and inertias of an MJCF file."""
+    odd = []
+    for body in (each for root in roots for each in root.iter("body")):
+        if (inertial := body.find("inertial")) is None:
+            continue
+        name = f"body '{body.get('name', '')}'"
+        mass = _number(inertial, "mass")
+        if mass is not None and mass <= 0.0 and body.find("joint") is not None:
+            odd.append(f"{name} (line {line_of(inertial)}) weighs {mass:g} kg")
+        diagonal, full = (decimals(inertial.get(key, "")) or [] for key in ("diaginertia", "fullinertia"))
+        if len(diagonal) == 3:
+            odd += _impossible(name, inertial, np.diag(diagonal))
+        elif len(full) == 6:
+            xx, yy, zz, xy, xz, yz = full
+            odd += _impossible(name, inertial, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+    yield from _note(odd)
+
+
+def _impossible(name: str, element: Element, tensor: np.ndarray) -> list[str]:
+    """Report impossible moments of an inertia (3, 3), kg m2: negative ones, or one above the sum of the others."""
+    moments = np.linalg.eigvalsh(tensor)
+    if np.abs(moments).max() < TINY:
+        return []
+    shown = ", ".join(f"{moment:.3g}" for moment in moments)
+    where = f"{name} (line {line_of(element)}) has the principal moments {shown} kg m2"
+    if moments[0] < -SLACK * abs(moments[2]):
+        return [f"{where}, one of them negative"]
+    if moments[2] > (1.0 + SLACK) * (moments[0] + moments[1]):
+        return [f"{where}, the largest above the sum of the others"]
+    return []
+
+
+def _note(odd: list[str]) -> Iterator[str]:
+    if odd:
+        yield (
+            f"physically impossible masses and inertias: {some_of(odd, SHOWN, '; ')}; they are identified, not read, "
+            "but correct them before you use the file elsewhere"
+        )
+
+
+def _number(element: Element, key: str) -> float | None:
+    found = decimals(element.get(key, "")) or []
+    return found[0] if len(found) == 1 else None

@@ -17,13 +17,12 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.robots.geometry import rounded
-from gtau.robots.parts import hold_joints, listed
-from gtau.robots.readers.idle_joints import without_idle_pins
-from gtau.robots.readers.inertias import mjcf_inertias
+from gtau.robots.parts import hold_joints, listed, without_idle_pins
+from gtau.robots.readers.inertias import mjcf_inertias, mjcf_masses
 from gtau.robots.readers.mjcf_bodies import fixed_tendons, read_bodies, read_ties, site_springs
 from gtau.robots.readers.mjcf_file import MjcfFile, angle_notes, compile_mjcf, name_in
 from gtau.robots.readers.source import Base, BaseChoice
-from gtau.robots.readers.xml_document import mjcf_masses, read_xml
+from gtau.robots.readers.xml_document import read_xml
 from gtau.robots.robot import GROUND, Coupling, Joint, Robot, base_rows
 
 if TYPE_CHECKING:
@@ -74,21 +73,22 @@ def read_mjcf(path: str | Path, base: BaseChoice = None) -> Robot:
 def _robot(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
     qpos, home_given, notes = _home(file)
     bodies = read_bodies(file.model, qpos, base)
-    ties = read_ties(file, bodies.carried, {joint.name: joint.kind for joint in bodies.joints})
+    kinds = {joint.name: joint.kind for joint in bodies.joints}
+    closures, tied_joints, held, ties_notes = read_ties(file, bodies.carried, kinds)
     motors = read_motors(file, bodies.joints)
     joints = (*bodies.joints, *motors.shafts)
-    couplings = (*ties.couplings, *motors.couplings)
+    couplings = (*tied_joints, *motors.couplings)
     rows = set(base_rows(bodies.floating))
     driven = motors.driven if file.actuators else {joint.name for joint in joints} - {tie.joint for tie in couplings}
-    _check_motors(joints, driven - rows, bool(ties.closures and not file.actuators))
-    tied = {end.body for closure in ties.closures for end in (closure.a, closure.b)}
+    _check_motors(joints, driven - rows, bool(closures and not file.actuators))
+    tied = {end.body for closure in closures for end in (closure.a, closure.b)}
     loose = [platform.name for platform in bodies.platforms if platform.name not in tied]
     springs = (each for each in site_springs(file, bodies.carried) if {each.a.body, each.b.body}.isdisjoint(loose))
     robot = Robot(
         path.stem,
         tuple(replace(joint, actuated=joint.name in driven | rows) for joint in joints),
         tuple(platform for platform in bodies.platforms if platform.name in tied),
-        ties.closures,
+        tuple(closures),
         couplings,
         _gravity(file.model),
         path.name,
@@ -96,7 +96,7 @@ def _robot(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
             *notes,
             *bodies.notes,
             *_left_out(loose),
-            *ties.notes,
+            *ties_notes,
             *motors.notes,
             *_simulated_alone(file, bodies.floating),
         ),
@@ -105,7 +105,7 @@ def _robot(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
         springs=tuple(springs),
         inertias=mjcf_inertias(file.inertias, bodies.carried, file.armatures),
     )
-    return _without_idle_joints(robot, ties.held, motors.pulled, base)
+    return _without_idle_joints(robot, held, motors.pulled, base)
 
 
 def _home(file: MjcfFile) -> tuple[np.ndarray, bool, list[str]]:

@@ -15,7 +15,7 @@ from gtau.robots.geometry import compose, pose_of, rounded, turn
 from gtau.robots.parts import listed
 from gtau.robots.readers.mjcf_file import MjcfFile, TiedTendons, name_in, pose_in, rotation_in
 from gtau.robots.readers.source import BASE_ADVICE, FLOATING, BaseChoice
-from gtau.robots.readers.urdf import turning
+from gtau.robots.readers.urdf_tree import turning
 from gtau.robots.readers.xml_document import numbers, position_limits
 from gtau.robots.robot import (
     GROUND,
@@ -161,20 +161,17 @@ Of slides no file was at hand; MuJoCo's grippers have joint limits of 20 to 50 m
 """
 
 
-@dataclass(frozen=True)
-class Ties:
-    """Closures, couplings, the positions at which an equality holds joints, and notes."""
-
-    closures: tuple[Closure, ...]
-    couplings: tuple[Coupling, ...]
-    held: dict[str, float]
-    notes: tuple[str, ...]
-
-
-def read_ties(file: MjcfFile, carried: Mapping[int, Attachment], kinds: Mapping[str, str]) -> Ties:
+def read_ties(
+    file: MjcfFile, carried: Mapping[int, Attachment], kinds: Mapping[str, str]
+) -> tuple[list[Closure], list[Coupling], dict[str, float], list[str]]:
     """Read the active equalities, and tendons with limits as narrow; ``carried`` places the frames of the bodies.
 
     Kinds of joints are given by their names.
+
+    Returns
+    -------
+    tuple
+        Closures, couplings, the positions at which an equality holds joints, and notes.
 
     Raises
     ------
@@ -193,7 +190,7 @@ def read_ties(file: MjcfFile, carried: Mapping[int, Attachment], kinds: Mapping[
     for coupling, note in _within_limits(file, tendons, kinds, {each.joint for each in couplings} | held.keys()):
         couplings.append(coupling)
         notes.append(note)
-    return Ties(tuple(closures), tuple(couplings), held, tuple(notes))
+    return closures, couplings, held, notes
 
 
 def _equalities(
@@ -298,18 +295,18 @@ def _within_limits(
     """Couple joints without a motor that a fixed tendon lets move only a little against its others, as gears do."""
     targets = {target for _, _, target, _ in file.actuators}
     known = targets | tied | {joint for target in targets for joint in tendons.get(target, {})}
-    for limits in file.limited_tendons if targets else ():
-        terms = {name: value for name, value in tendons.get(limits.name, {}).items() if value}
-        if not limits.name or len(terms) < 2:
+    for tendon, low, high in file.limited_tendons if targets else ():
+        terms = {name: value for name, value in tendons.get(tendon, {}).items() if value}
+        if not tendon or len(terms) < 2:
             continue
         for joint in [name for name in terms if name in kinds and name not in known]:
-            play, (most, unit) = (limits.high - limits.low) / abs(terms[joint]), PLAY[kinds[joint]]
+            play, (most, unit) = (high - low) / abs(terms[joint]), PLAY[kinds[joint]]
             if play <= most:
                 known |= {joint}
-                coupling = _solved(terms, joint, (limits.low + limits.high) / 2)
+                coupling = _solved(terms, joint, (low + high) / 2)
                 yield (
                     coupling,
                     f"'{joint}' follows {listed([name for name, _ in coupling.ratios])} within the limits of tendon "
-                    f"'{limits.name}'; the play of {play:g} {unit} is not modelled",
+                    f"'{tendon}'; the play of {play:g} {unit} is not modelled",
                 )
                 break

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gtau.documents.validation import some_of
 from gtau.errors import GtauError, missing_extra
 from gtau.robots.geometry import (
     MEANT,
@@ -99,15 +100,6 @@ class TiedTendons:
 
 
 @dataclass(frozen=True)
-class LimitedTendon:
-    """A tendon, and the limits that its length stays within."""
-
-    name: str
-    low: float
-    high: float
-
-
-@dataclass(frozen=True)
 class SiteSpring:
     """A tendon straight from one site to another that is a spring or a damper, and which parameters it has."""
 
@@ -131,7 +123,8 @@ class MjcfFile:
         Name, transmission, target and gear of each.
     tied_tendons : list of TiedTendons
         Active equalities between tendons.
-    limited_tendons : list of LimitedTendon
+    limited_tendons : list
+        Name of each tendon with limits of its length, and these.
     springs : list of SiteSpring
     notes : list of str
         Omitted elements.
@@ -146,7 +139,7 @@ class MjcfFile:
     keys: dict[str, np.ndarray]
     actuators: list[tuple[str, mujoco.mjtTrn, str, float]]
     tied_tendons: list[TiedTendons]
-    limited_tendons: list[LimitedTendon]
+    limited_tendons: list[tuple[str, float, float]]
     springs: list[SiteSpring]
     notes: list[str]
     inertias: dict[int, RigidBody]
@@ -175,37 +168,32 @@ def _straight(elements: list[Element]) -> dict[str, tuple[str, str]]:
     return found
 
 
-@dataclass(frozen=True)
-class _Force:
-    """Force of actuators without gain on a tendon: their numbers, and a force affine in length and speed."""
+def _biased(spec: mujoco.MjSpec, elements: list[Element]) -> tuple[list[int], dict[str, np.ndarray]]:
+    """Find the actuators whose force along a straight tendon no control changes, and the forces by tendon.
 
-    actuators: tuple[int, ...]
-    terms: np.ndarray  # (3,)
-
-
-def _biased(spec: mujoco.MjSpec, elements: list[Element]) -> dict[str, _Force]:
-    """Find the control-independent forces along straight tendons, by tendon."""
+    A force (3,) is affine in the length and the speed of the tendon.
+    """
     import mujoco
 
-    straight = _straight(elements)
-    found: dict[str, _Force] = {}
+    straight, numbers = _straight(elements), []
+    forces: dict[str, np.ndarray] = {}
     for k, actuator in enumerate(spec.actuators):
         affine = actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE and not np.any(actuator.gainprm)
         if affine and actuator.trntype == mujoco.mjtTrn.mjTRN_TENDON and actuator.target in straight:
-            before = found.get(actuator.target, _Force((), np.zeros(3)))
+            numbers.append(k)
             terms = np.asarray(actuator.biasprm[:3], dtype=float)
-            found[actuator.target] = _Force((*before.actuators, k), before.terms + terms)
-    return found
+            forces[actuator.target] = forces.get(actuator.target, np.zeros(3)) + terms
+    return numbers, forces
 
 
 def _springs(
-    spec: mujoco.MjSpec, elements: list[Element], biased: Mapping[str, _Force]
+    spec: mujoco.MjSpec, elements: list[Element], biased: Mapping[str, np.ndarray]
 ) -> tuple[list[SiteSpring], list[str]]:
     """Find the tendons that are springs between two sites, and note others that are springs too."""
     straight, springs, notes = _straight(elements), [], []
     for tendon in spec.tendons:
         k, c = (np.asarray(getattr(tendon, key), dtype=float).ravel() for key in ("stiffness", "damping"))
-        f0, by_length, by_speed = biased[tendon.name].terms if tendon.name in biased else np.zeros(3)
+        f0, by_length, by_speed = biased.get(tendon.name, np.zeros(3))
         linear = not (np.any(k[1:]) or np.any(c[1:]) or np.any(tendon.frictionloss))
         has = {PRELOAD: f0 or k[0], STIFFNESS: by_length or k[0], DAMPING: by_speed or c[0]}
         rest = np.asarray(tendon.springlength, dtype=float).ravel()
@@ -281,10 +269,9 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
             raise GtauError("it holds a flexible body (flex); only rigid bodies are read, so remove it.")
         keys = {key.name: np.array(key.qpos, dtype=float) for key in spec.keys}
         _name_tendons(spec, elements)
-        biased = _biased(spec, elements)
+        parts, biased = _biased(spec, elements)
         springs, notes = _springs(spec, elements, biased)
         notes += _with_exact_orientations(spec)
-        parts = [each for force in biased.values() for each in force.actuators]
         actuators = [
             (each.name, each.trntype, each.target, float(each.gear[0]))
             for k, each in enumerate(spec.actuators)
@@ -299,7 +286,7 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
             else:
                 continue
             spec.delete(each)
-        limits = [LimitedTendon(each.name, *map(float, each.range)) for each in spec.tendons if _is_limited(spec, each)]
+        limits = [(each.name, *map(float, each.range)) for each in spec.tendons if _is_limited(spec, each)]
         tied = {name for each in spec.equalities for name in (each.name1, each.name2)}
         tied |= {site for each in springs for site in each.sites}
         for kind in DELETED:
@@ -367,10 +354,9 @@ def angle_notes(roots: list[Element]) -> Iterator[str]:
         if _in_radians(angle)
     ]
     if meant:
-        more = f" and {len(meant) - SHOWN} more" if len(meant) > SHOWN else ""
         yield (
             f"angles that look like radians, though the file counts in degrees (angle of <compiler>): "
-            f"{', '.join(meant[:SHOWN])}{more}; they were taken as degrees"
+            f"{some_of(meant, SHOWN)}; they were taken as degrees"
         )
 
 

@@ -108,7 +108,7 @@ def _joint_data(joint: Joint, passive: bool) -> dict[str, Any]:
             "place it by a Pose, or turn its frame so that z is the axis."
         )
     else:
-        moving = "theta" if joint.kind == "revolute" else "r"
+        moving = "theta" if joint.turns else "r"
         data |= _mdh_data(joint.placement)
         offset = data.pop(moving, 0.0)
         data[moving] = f"q {'-' if offset < 0 else '+'} {abs(offset)!r}" if offset else "q"

@@ -142,7 +142,7 @@ def _read(source: str | Path, base: BaseChoice) -> Robot:
 
 
 def _from_yaml(path: Path) -> Robot:
-    from gtau.robots.readers.urdf_loops import is_loops_file, read_urdf_with_loops
+    from gtau.robots.readers.urdf import is_loops_file, read_urdf_with_loops
 
     if is_loops_file(path):
         return read_urdf_with_loops(path.with_suffix(".urdf"), path)
@@ -152,11 +152,9 @@ def _from_yaml(path: Path) -> Robot:
 
 
 def _from_urdf(path: Path, base: BaseChoice) -> Robot:
-    from gtau.robots.readers.urdf_loops import is_loops_file, read_urdf_with_loops
+    from gtau.robots.readers.urdf import is_loops_file, read_urdf, read_urdf_with_loops
 
     for loops in (path.with_suffix(".yaml"), path.with_suffix(".yml")):
         if is_loops_file(loops):
             return read_urdf_with_loops(path, loops)
-    from gtau.robots.readers.urdf import read_urdf
-
     return read_urdf(path, base)

@@ -1,80 +1,33 @@
-"""URDF files of serial arms and trees: their geometry and limits.
+"""URDF files: geometry and limits of serial arms and trees, and of loops described beside them.
 
-Masses and inertias in the file are kept beside the robot, for comparison with the identified ones.
+Masses and inertias in the file are kept beside the robot, for comparison with the identified ones. Loops are in the
+side YAML of the Gepetto models of parallel robots: ``closed_loop`` names pairs of frames that a loop ties, ``type``
+says how (``3d`` or ``6d``, the default), ``name_mot`` names the motors, and ``joint_name`` with ``joint_type`` names
+joints that a URDF cannot describe.
 """
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 from xml.etree.ElementTree import Element
 
-import numpy as np
+from pydantic import BaseModel, ConfigDict, field_validator
 
+from gtau.documents.validation import unknown, validate
+from gtau.documents.yaml_document import Document, read_yaml
 from gtau.errors import GtauError
-from gtau.robots.geometry import ROUNDING, compose, rounded, short_angles_note, written_pose
-from gtau.robots.readers.inertias import urdf_inertias
-from gtau.robots.readers.source import BASE_ADVICE, FLOATING, BaseChoice
-from gtau.robots.readers.urdf_base import without_motors_of_base
-from gtau.robots.readers.xml_document import (
-    LARGEST,
-    attribute,
-    decimals,
-    line_of,
-    numbers,
-    position_limits,
-    read_xml,
-    urdf_masses,
-)
-from gtau.robots.robot import GROUND, Attachment, Coupling, Joint, Limits, Placement, Pose, Robot
-from gtau.robots.units import in_degrees
+from gtau.robots.floating import drawn_base
+from gtau.robots.parts import without_idle_pins
+from gtau.robots.readers.source import Base, BaseChoice
+from gtau.robots.readers.urdf_tree import UrdfTree, read_urdf_tree
+from gtau.robots.readers.xml_document import decimals
+from gtau.robots.robot import GROUND, Attachment, Closure, Placement, Pose, Robot
 
-Kind = Literal["revolute", "prismatic"]
-LOOSE = ("floating", "planar")
-TURNS = {"SPHERICAL": "xyz", "CARDAN": "xy", "UJOINT_XY": "xy", "UJOINT_YZ": "yz", "UJOINT_ZX": "zx"}
-"""Axes, in turn, of joints that a URDF cannot describe."""
-KINDS: dict[str, Kind | None] = {
-    "revolute": "revolute",
-    "continuous": "revolute",
-    "prismatic": "prismatic",
-    "fixed": None,
-}
-AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-
-
-@dataclass(frozen=True)
-class _Edge:
-    """A URDF joint as written in the file."""
-
-    name: str
-    kind: Kind | None  # None where nothing moves
-    parent: str
-    child: str
-    origin: Pose
-    short: float  # largest change (rad) of an angle of its origin
-    element: Element
-
-
-@dataclass(frozen=True)
-class UrdfTree:
-    """Tree described by a URDF file.
-
-    ``frames`` says where the frame of every joint (after its motion) and of every link is fixed; as in Pinocchio, a
-    joint's frame and that of the link it moves are the same. ``carried`` are the links by the moving joint whose link
-    they are part of, ``root`` is the file's outermost element.
-    """
-
-    name: str
-    joints: tuple[Joint, ...]
-    couplings: tuple[Coupling, ...]
-    frames: Mapping[str, Attachment]
-    notes: tuple[str, ...]
-    root: Element
-    carried: Mapping[str, str]
-    inertias: tuple[tuple[str, float], ...]
+KEYS = ("closed_loop", "name_mot")
+"""Keys that distinguish a file of loops from a robot file."""
 
 
 def read_urdf(path: str | Path, base: BaseChoice = None) -> Robot:
@@ -118,276 +71,185 @@ def read_urdf(path: str | Path, base: BaseChoice = None) -> Robot:
             notes=notes,
             inertias=tree.inertias,
         )
-        return without_motors_of_base(robot, tree.root, tree.carried)
+        return _without_motors_of_base(robot, tree.root, tree.carried)
     except GtauError as error:
         raise GtauError(f"{path}: {error}") from None
 
 
-def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None) -> UrdfTree:
-    """Read the tree of a URDF file, with the joints named in ``types`` read as FIXED or as one of ``TURNS`` instead.
+def _without_motors_of_base(robot: Robot, root: Element, carried: Mapping[str, str]) -> Robot:
+    """Remove the motors of six joints that carry all others and represent a floating base.
 
-    A spherical joint becomes three revolute ones, about x, y and z, a universal joint two; the links in between are
-    massless, and the last one has the joint's name.
+    A URDF does not define which joints have motors. These six have none if all joints beyond them have what they lack:
+    a transmission (or ros2_control interface), which decides alone, an effort, or the masses of links in between.
+
+    Parameters
+    ----------
+    robot : Robot
+        As its file describes it, every joint with a motor that mimics no other.
+    root : Element
+        Of the file.
+    carried : mapping
+        Links by the moving joint whose link they are part of.
     """
-    try:
-        root = _parse(path)
-        edges = [_edge(element, base) for element in root.findall("joint")]
-        links = [attribute(element, "name", "a link") for element in root.findall("link")]
-        ordered = _depth_first(links, edges)
-        if base == FLOATING:
-            _check_floating(ordered)
-        joints, frames = _moving(ordered, types)
-        couplings = tuple(coupling for edge in ordered if (coupling := _mimic(edge)) is not None)
-        moving = {joint.name for joint in joints}
-        for coupling in couplings:
-            if (master := coupling.ratios[0][0]) not in moving:
-                raise GtauError(
-                    f"joint '{coupling.joint}' mimics '{master}', which is not a joint that moves; correct its "
-                    "<mimic>, or remove it where the joint has a motor of its own."
-                )
-        _check_circles(couplings)
-        slaves = {coupling.joint for coupling in couplings}
-        joints = tuple(replace(joint, actuated=joint.name not in slaves) for joint in joints)
-        carried = _carried(ordered)
-        notes = (*urdf_masses(root, carried), *_limit_notes(ordered))
-        notes += (*_reduction_notes(root), *short_angles_note({edge.name: edge.short for edge in ordered}))
-        inertias = urdf_inertias(root, frames)
-        return UrdfTree(root.get("name") or path.stem, joints, couplings, frames, notes, root, carried, inertias)
-    except GtauError as error:
-        raise GtauError(f"{path}: {error}") from None
-
-
-def _parse(path: Path) -> Element:
-    root = read_xml(path)
-    if root.tag != "robot":
-        raise GtauError(f"the outermost element is <{root.tag}>, not <robot>; give a URDF file.")
-    if any("/xacro}" in str(element.tag) or str(element.tag).startswith("xacro.") for element in root.iter()):
-        raise GtauError("the file holds xacro macros; expand it with the program xacro first.")
-    return root
-
-
-def _edge(element: Element, base: BaseChoice) -> _Edge:
-    name = attribute(element, "name", "a joint")
-    kind = attribute(element, "type", f"joint '{name}'")
-    if kind == "planar" and base == FLOATING:
-        raise GtauError(
-            f"joint '{name}' is planar, so unknown guiding forces act on the base; fix the base by "
-            "'base: fixed', or --base fixed."
-        )
-    if kind in LOOSE and base is not None:
-        kind = "fixed"
-    if kind in LOOSE:
-        raise GtauError(f"joint '{name}' is {kind}; {BASE_ADVICE}.")
-    if kind not in KINDS:
-        raise GtauError(
-            f"joint '{name}' is {kind}; only revolute, continuous, prismatic and fixed joints are read, "
-            "so build it from these or describe the robot in a robot file (YAML)."
-        )
-    ends = []
-    for tag in ("parent", "child"):
-        end = element.find(tag)
-        if end is None:
-            raise GtauError(f"joint '{name}' has no <{tag} link=...>; add it.")
-        ends.append(attribute(end, "link", f"<{tag}> of joint '{name}'"))
-    return _Edge(name, KINDS[kind], ends[0], ends[1], *_origin(element, name), element)
-
-
-def _check_floating(ordered: list[_Edge]) -> None:
-    """Refuse a floating joint anywhere but between the root link and the rest of the tree."""
-    root = ordered[0].parent if ordered else ""
-    for edge in ordered:
-        if edge.element.get("type") in LOOSE and (edge.parent != root or sum(e.parent == root for e in ordered) > 1):
-            raise GtauError(
-                f"joint '{edge.name}' floats and does not carry the whole robot; give the file of the robot alone."
-            )
-
-
-def _depth_first(links: list[str], edges: list[_Edge]) -> list[_Edge]:
-    """Order the joints from the root outwards, in the order of the file; refuse what is not a tree."""
-    for kind, names in (("link", links), ("joint", [edge.name for edge in edges])):
-        if repeated := _repeated(names):
-            raise GtauError(f"two {kind}s are called '{repeated}'; give each its own name.")
-    known = set(links)
-    followers: dict[str, list[_Edge]] = {link: [] for link in links}
-    for edge in edges:
-        for link in (edge.parent, edge.child):
-            if link not in known:
-                raise GtauError(f"joint '{edge.name}' refers to the link '{link}', which is not in the file; add it.")
-        followers[edge.parent].append(edge)
-    children = [edge.child for edge in edges]
-    if shared := _repeated(children):
-        raise GtauError(
-            f"link '{shared}' is the child of two joints; a URDF is a tree, so describe loops "
-            "with closures in a robot file (YAML)."
-        )
-    roots = sorted(known.difference(children))
-    if len(roots) > 1:
-        raise GtauError(
-            f"the links {', '.join(roots)} are no joint's child; a robot has one root link, "
-            "so join the others to it or remove them."
-        )
-    ordered: list[_Edge] = []
-    pending = [edge for root in roots for edge in reversed(followers[root])]
-    while pending:
-        edge = pending.pop()
-        ordered.append(edge)
-        pending += reversed(followers[edge.child])
-    if len(ordered) < len(edges):
-        lost = next(edge for edge in edges if edge not in ordered)
-        raise GtauError(
-            f"joint '{lost.name}' is in a loop of parents and children; a URDF is a tree, so correct its parent."
-        )
-    return ordered
-
-
-def _repeated(names: list[str]) -> str | None:
-    return next((name for name, count in Counter(names).items() if count > 1), None)
-
-
-def _moving(ordered: list[_Edge], types: Mapping[str, str]) -> tuple[tuple[Joint, ...], dict[str, Attachment]]:
-    """Place each moving joint in the frame of the previous moving one, and locate the frames."""
-    joints: list[Joint] = []
-    frames: dict[str, Attachment] = {}
-    for edge in ordered:
-        before = frames.setdefault(edge.parent, Attachment(GROUND))
-        placement = compose(before.placement, edge.origin)
-        type_ = types.get(edge.name)
-        if type_ == "FIXED" or (type_ is None and edge.kind is None):
-            frames[edge.child] = frames[edge.name] = Attachment(before.body, placement)
-            continue
-        if type_ is None and edge.kind is not None:
-            joints.append(Joint(edge.name, before.body, edge.kind, placement, _axis(edge), limits=_limits(edge)))
-        else:
-            joints += turning(edge.name, before.body, placement, TURNS[type_ or ""])
-        frames[edge.child] = frames[edge.name] = Attachment(edge.name)
-    return tuple(joints), frames
-
-
-def turning(name: str, antecedent: str, placement: Placement, axes: str) -> list[Joint]:
-    """Make a spherical or universal joint: revolute ones about `axes` in turn, with massless links in between."""
-    chain = [f"{name}_{axis}" for axis in axes[:-1]] + [name]
-    return [
-        Joint(
-            link,
-            chain[k - 1] if k else antecedent,
-            "revolute",
-            Pose() if k else placement,
-            AXES[axes[k]],
-            parameters="inertial" if link == name else "none",
-        )
-        for k, link in enumerate(chain)
-    ]
-
-
-def _carried(ordered: list[_Edge]) -> dict[str, str]:
-    """Map each moving link to the moving joint that carries it."""
-    found: dict[str, str] = {}
-    for edge in ordered:
-        if edge.kind is not None:
-            found[edge.child] = edge.name
-        elif edge.parent in found:
-            found[edge.child] = found[edge.parent]
-    return found
-
-
-def _mimic(edge: _Edge) -> Coupling | None:
-    mimic = edge.element.find("mimic")
-    if mimic is None or edge.kind is None:
-        return None
-    master = attribute(mimic, "joint", f"<mimic> of joint '{edge.name}'")
-    ratio, offset = (
-        numbers(mimic.get(key, default), 1, f"{key} of <mimic> of joint '{edge.name}'")[0]
-        for key, default in (("multiplier", "1"), ("offset", "0"))
+    if len(robot.joints) <= 6:
+        return robot
+    six = drawn_base(
+        replace(robot, joints=tuple(replace(each, actuated=k >= 6) for k, each in enumerate(robot.joints)))
     )
-    return Coupling(edge.name, ((master, ratio),), offset)
-
-
-def _check_circles(couplings: Sequence[Coupling]) -> None:
-    """Refuse circular mimic joints."""
-    master = {coupling.joint: coupling.ratios[0][0] for coupling in couplings}
-    for first in master:
-        circle = [first]
-        while (following := master.get(circle[-1], "")) not in ("", *circle):
-            circle.append(following)
-        if following == first:
-            raise GtauError(
-                f"joint {' mimics '.join(repr(name) for name in (*circle, first))}, so none of them leads; remove the "
-                "<mimic> of the one that has the motor."
-            )
-
-
-def _reduction_notes(root: Element) -> Iterator[str]:
-    """Note the gear ratios of transmissions, which are not geometry but predict the gains."""
-    ratios = []
-    for transmission in root.findall("transmission"):
-        joint = transmission.find("joint")
-        for reduction in transmission.iter("mechanicalReduction"):
-            ratio, *_ = decimals(reduction.text or "1") or [1.0]
-            if joint is not None and ratio not in (0.0, 1.0):
-                ratios.append(f"'{joint.get('name', '')}' {ratio:g}")
-    if ratios:
-        yield (
-            f"gear ratios of the file's transmissions: {', '.join(dict.fromkeys(ratios))}; positions and gains are "
-            "those at the joint, and with the motors' data sheets they go under 'drives' in the experiment file"
-        )
-
-
-def _origin(element: Element, name: str) -> tuple[Pose, float]:
-    origin = element.find("origin")
-    if origin is None:
-        return Pose(), 0.0
-    xyz, rpy = (numbers(origin.get(key, "0 0 0"), 3, f"{key} of joint '{name}'") for key in ("xyz", "rpy"))
-    if degrees := [angle for angle in rpy if in_degrees(angle)]:
-        raise GtauError(
-            f"line {line_of(origin)}: rpy of joint '{name}' holds {degrees[0]:g}; angles are in rad, so divide it by "
-            f"57.2958 if it is in degrees."
-        )
-    return written_pose(xyz, rpy)
-
-
-def _axis(edge: _Edge) -> tuple[float, float, float]:
-    axis = edge.element.find("axis")
-    if axis is None:
-        return (1.0, 0.0, 0.0)  # as the URDF specification says
-    vector = np.array(numbers(axis.get("xyz", "1 0 0"), 3, f"axis of joint '{edge.name}'"))
-    length = float(np.linalg.norm(vector))
-    if length < ROUNDING:
-        raise GtauError(f"the axis of joint '{edge.name}' is zero; give it a direction.")
-    x, y, z = (rounded(component) for component in vector / length)
-    return (x, y, z)
-
-
-def _limits(edge: _Edge) -> Limits:
-    limit = edge.element.find("limit")
-    if limit is None:
-        return Limits()
-    values = {
-        key: numbers(text, 1, f"{key} of joint '{edge.name}'", endless=True)[0]
-        for key in ("lower", "upper", "velocity", "effort")
-        if (text := limit.get(key)) is not None
+    rest = set(robot.actuated).difference(six)
+    if not six or not rest:
+        return robot
+    driven = {
+        joint.get("name", "") for parent in ("transmission", "ros2_control") for of in root.iter(parent) for joint in of
     }
-    endless = edge.element.get("type") == "continuous" or not values.keys() & {"lower", "upper"}
-    low, high = values.get("lower", 0.0), values.get("upper", 0.0)
-    velocity, effort = values.get("velocity", 0.0), values.get("effort", 0.0)
-    return Limits(
-        position=None if endless else position_limits(low, high),
-        velocity=velocity if 0.0 < velocity <= LARGEST else None,
-        effort=effort if 0.0 < effort <= LARGEST else None,
-    )
+    strong = {each.name for each in robot.joints if each.limits.effort}
+    heavy = {carried[link.get("name", "")] for link in root.iter("link") if link.get("name") in carried and _mass(link)}
+    if rest <= driven:
+        drawn = driven.isdisjoint(six)
+    else:
+        drawn = (rest <= strong and strong.isdisjoint(six)) or (rest <= heavy and heavy.isdisjoint(six[:-1]))
+    if not drawn:
+        return robot
+    joints = (replace(each, actuated=each.actuated and each.name not in six) for each in robot.joints)
+    return replace(robot, joints=tuple(joints))
 
 
-def _limit_notes(ordered: list[_Edge]) -> Iterator[str]:
-    """Note position limits with an empty range, which are ignored."""
-    dropped = []
-    for edge in ordered:
-        limit = edge.element.find("limit")
-        if edge.kind is None or limit is None or _limits(edge).position or edge.element.get("type") == "continuous":
-            continue
-        low, high = (
-            numbers(limit.get(key, "0"), 1, f"{key} of joint '{edge.name}'", endless=True)[0]
-            for key in ("lower", "upper")
+def _mass(link: Element) -> float:
+    mass = link.find("inertial/mass")
+    return 0.0 if mass is None else next(iter(decimals(mass.get("value", "")) or []), 0.0)
+
+
+class _Loops(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    closed_loop: list[tuple[str, str]] = []
+    type: list[Literal["3d", "6d"]] = []
+    name_mot: list[str]
+    joint_name: list[str] = []
+    joint_type: list[Literal["SPHERICAL", "CARDAN", "UJOINT_XY", "UJOINT_YZ", "UJOINT_ZX", "FIXED"]] = []
+
+    @field_validator("type", mode="before")
+    @classmethod
+    def _lower(cls, types: object) -> object:
+        return [kind.lower() if isinstance(kind, str) else kind for kind in types] if isinstance(types, list) else types
+
+
+def is_loops_file(path: Path) -> bool:
+    """Decide whether the file at `path` exists and defines loops beside a URDF."""
+    return path.is_file() and any(key in read_yaml(path).data for key in KEYS)
+
+
+def read_urdf_with_loops(urdf: str | Path, loops: str | Path) -> Robot:
+    """Read a robot from a URDF file and the YAML file beside it.
+
+    The tree is that of :func:`gtau.robots.readers.urdf.read_urdf`. One of two coaxial pins at a loop is locked; notes
+    of the robot say so.
+
+    Parameters
+    ----------
+    urdf, loops : str or Path
+
+    Returns
+    -------
+    Robot
+        Only the joints in ``name_mot`` are actuated.
+
+    Raises
+    ------
+    GtauError
+        One of the files is not accepted, they do not fit each other, or no joint is actuated.
+    """
+    document = read_yaml(loops)
+    entry = validate(_Loops, document)
+    for key, other in (("type", "closed_loop"), ("joint_type", "joint_name")):
+        count, needed = len(getattr(entry, key)), len(getattr(entry, other))
+        if count != needed and (count or key == "joint_type"):
+            raise document.error(
+                (key,), f"{count} types are written for {needed} entries of {other}; write one for each"
+            )
+    tree = read_urdf_tree(Path(urdf), dict(zip(entry.joint_name, entry.joint_type, strict=True)))
+    names = [joint.name for joint in tree.joints]
+    for position, name in enumerate(entry.name_mot):
+        if name not in names:
+            raise document.error(("name_mot", position), unknown(f"joint '{name}'", name, names))
+    for position, name in enumerate(entry.joint_name):
+        if name not in tree.frames:
+            raise document.error(("joint_name", position), unknown(f"joint '{name}'", name, names))
+    types = entry.type or ["6d"] * len(entry.closed_loop)
+    try:
+        robot = Robot(
+            tree.name,
+            tuple(replace(joint, actuated=joint.name in entry.name_mot) for joint in tree.joints),
+            closures=tuple(_closure(document, tree, k, types[k], pair) for k, pair in enumerate(entry.closed_loop)),
+            couplings=tree.couplings,
+            source=f"{Path(urdf).name} with {Path(loops).name}",
+            notes=tree.notes,
+            home_given=False,
+            inertias=tree.inertias,
         )
-        if {"lower", "upper"}.intersection(limit.keys()) and low >= high:
-            dropped.append(f"'{edge.name}' ({low:g} to {high:g})")
-    if dropped:
-        yield f"empty position limits were ignored: joint {', '.join(dropped)}"
+        return without_idle_pins(robot)
+    except GtauError as error:
+        raise error if str(error).startswith(str(document.path)) else GtauError(f"{document.path}: {error}") from None
+
+
+def _closure(document: Document, tree: UrdfTree, k: int, kind: str, pair: tuple[str, str]) -> Closure:
+    ends: list[Attachment] = []
+    for position, name in enumerate(pair):
+        if name not in tree.frames:
+            raise document.error(("closed_loop", k, position), unknown(f"frame '{name}'", name, tree.frames))
+        ends.append(tree.frames[name])
+    return Closure("connect" if kind == "3d" else "weld", *ends)
+
+
+def frame_on(body: str, frame: str | Pose, file: str | Path | None) -> tuple[str, Placement]:
+    """Find a frame fixed to a ``body``: its name, and its pose in the body's own frame.
+
+    Parameters
+    ----------
+    body : str
+        The joint or platform that has the body's name.
+    frame : str or Pose
+        Empty for the body's own frame; a link of the URDF ``file``, or the six numbers ``x y z roll pitch yaw``
+        (m, rad) from the body's frame, or these as a pose.
+    file : path, optional
+        The robot's file.
+
+    Raises
+    ------
+    GtauError
+        The frame does not exist, or is on another body.
+    """
+    own = f"the frame of '{body}'"
+    if isinstance(frame, Pose):
+        return f"a frame on '{body}'", frame
+    if not frame:
+        return own, Pose()
+    words = frame.replace(",", " ").split()
+    try:
+        numbers = [float(word) for word in words]
+    except ValueError:
+        return frame, _link(body, frame, file)
+    if len(numbers) != 6:
+        raise GtauError(
+            f"frame '{frame}' has {len(numbers)} numbers; write 'x y z roll pitch yaw' (m, rad) from {own}."
+        )
+    x, y, z, roll, pitch, yaw = numbers
+    return f"{x:g} {y:g} {z:g} m, {roll:g} {pitch:g} {yaw:g} rad from {own}", Pose((x, y, z), (roll, pitch, yaw))
+
+
+def _link(body: str, link: str, file: str | Path | None) -> Placement:
+    if file is None or Path(file).suffix.lower() != ".urdf":
+        raise GtauError(
+            f"frame '{link}' is the name of a link, which only a URDF has; give the URDF, or the frame as 'x y z roll "
+            f"pitch yaw' (m, rad) from the frame of '{body}'."
+        )
+    tree = read_urdf_tree(Path(file), {}, Base())
+    on_body = [name for name, each in tree.frames.items() if each.body == body]
+    if link not in tree.frames:
+        raise GtauError(f"{file} has no link '{link}'; on '{body}' are {', '.join(on_body) or 'none'}.")
+    if link not in on_body:
+        raise GtauError(
+            f"link '{link}' of {file} is not fixed to '{body}', which carries the payload; choose from "
+            f"{', '.join(on_body) or 'none, and write the pose'}."
+        )
+    return tree.frames[link].placement

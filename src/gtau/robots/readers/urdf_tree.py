@@ -1,0 +1,342 @@
+"""The tree of a URDF file: joints with their limits, frames of links, mimic joints and stated inertias."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.robots.geometry import ROUNDING, compose, rounded, short_angles_note, written_pose
+from gtau.robots.readers.inertias import urdf_inertias, urdf_masses
+from gtau.robots.readers.source import BASE_ADVICE, FLOATING, BaseChoice
+from gtau.robots.readers.xml_document import (
+    LARGEST,
+    attribute,
+    decimals,
+    line_of,
+    numbers,
+    position_limits,
+    read_xml,
+)
+from gtau.robots.robot import GROUND, Attachment, Coupling, Joint, Limits, Placement, Pose
+from gtau.robots.units import in_degrees
+
+Kind = Literal["revolute", "prismatic"]
+LOOSE = ("floating", "planar")
+TURNS = {"SPHERICAL": "xyz", "CARDAN": "xy", "UJOINT_XY": "xy", "UJOINT_YZ": "yz", "UJOINT_ZX": "zx"}
+"""Axes, in turn, of joints that a URDF cannot describe."""
+KINDS: dict[str, Kind | None] = {
+    "revolute": "revolute",
+    "continuous": "revolute",
+    "prismatic": "prismatic",
+    "fixed": None,
+}
+AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+
+
+@dataclass(frozen=True)
+class _Edge:
+    """A URDF joint as written in the file."""
+
+    name: str
+    kind: Kind | None  # None where nothing moves
+    parent: str
+    child: str
+    origin: Pose
+    short: float  # largest change (rad) of an angle of its origin
+    element: Element
+
+
+@dataclass(frozen=True)
+class UrdfTree:
+    """Tree described by a URDF file.
+
+    ``frames`` says where the frame of every joint (after its motion) and of every link is fixed; as in Pinocchio, a
+    joint's frame and that of the link it moves are the same. ``carried`` are the links by the moving joint whose link
+    they are part of, ``root`` is the file's outermost element.
+    """
+
+    name: str
+    joints: tuple[Joint, ...]
+    couplings: tuple[Coupling, ...]
+    frames: Mapping[str, Attachment]
+    notes: tuple[str, ...]
+    root: Element
+    carried: Mapping[str, str]
+    inertias: tuple[tuple[str, float], ...]
+
+
+def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None) -> UrdfTree:
+    """Read the tree of a URDF file, with the joints named in ``types`` read as FIXED or as one of ``TURNS`` instead.
+
+    A spherical joint becomes three revolute ones, about x, y and z, a universal joint two; the links in between are
+    massless, and the last one has the joint's name.
+    """
+    try:
+        root = _parse(path)
+        edges = [_edge(element, base) for element in root.findall("joint")]
+        links = [attribute(element, "name", "a link") for element in root.findall("link")]
+        ordered = _depth_first(links, edges)
+        if base == FLOATING:
+            _check_floating(ordered)
+        joints, frames = _moving(ordered, types)
+        couplings = tuple(coupling for edge in ordered if (coupling := _mimic(edge)) is not None)
+        moving = {joint.name for joint in joints}
+        for coupling in couplings:
+            if (master := coupling.ratios[0][0]) not in moving:
+                raise GtauError(
+                    f"joint '{coupling.joint}' mimics '{master}', which is not a joint that moves; correct its "
+                    "<mimic>, or remove it where the joint has a motor of its own."
+                )
+        _check_circles(couplings)
+        slaves = {coupling.joint for coupling in couplings}
+        joints = tuple(replace(joint, actuated=joint.name not in slaves) for joint in joints)
+        carried = _carried(ordered)
+        notes = (*urdf_masses(root, carried), *_limit_notes(ordered))
+        notes += (*_reduction_notes(root), *short_angles_note({edge.name: edge.short for edge in ordered}))
+        inertias = urdf_inertias(root, frames)
+        return UrdfTree(root.get("name") or path.stem, joints, couplings, frames, notes, root, carried, inertias)
+    except GtauError as error:
+        raise GtauError(f"{path}: {error}") from None
+
+
+def _parse(path: Path) -> Element:
+    root = read_xml(path)
+    if root.tag != "robot":
+        raise GtauError(f"the outermost element is <{root.tag}>, not <robot>; give a URDF file.")
+    if any("/xacro}" in str(element.tag) or str(element.tag).startswith("xacro.") for element in root.iter()):
+        raise GtauError("the file holds xacro macros; expand it with the program xacro first.")
+    return root
+
+
+def _edge(element: Element, base: BaseChoice) -> _Edge:
+    name = attribute(element, "name", "a joint")
+    kind = attribute(element, "type", f"joint '{name}'")
+    if kind == "planar" and base == FLOATING:
+        raise GtauError(
+            f"joint '{name}' is planar, so unknown guiding forces act on the base; fix the base by "
+            "'base: fixed', or --base fixed."
+        )
+    if kind in LOOSE and base is not None:
+        kind = "fixed"
+    if kind in LOOSE:
+        raise GtauError(f"joint '{name}' is {kind}; {BASE_ADVICE}.")
+    if kind not in KINDS:
+        raise GtauError(
+            f"joint '{name}' is {kind}; only revolute, continuous, prismatic and fixed joints are read, "
+            "so build it from these or describe the robot in a robot file (YAML)."
+        )
+    ends = []
+    for tag in ("parent", "child"):
+        end = element.find(tag)
+        if end is None:
+            raise GtauError(f"joint '{name}' has no <{tag} link=...>; add it.")
+        ends.append(attribute(end, "link", f"<{tag}> of joint '{name}'"))
+    return _Edge(name, KINDS[kind], ends[0], ends[1], *_origin(element, name), element)
+
+
+def _check_floating(ordered: list[_Edge]) -> None:
+    """Refuse a floating joint anywhere but between the root link and the rest of the tree."""
+    root = ordered[0].parent if ordered else ""
+    for edge in ordered:
+        if edge.element.get("type") in LOOSE and (edge.parent != root or sum(e.parent == root for e in ordered) > 1):
+            raise GtauError(
+                f"joint '{edge.name}' floats and does not carry the whole robot; give the file of the robot alone."
+            )
+
+
+def _depth_first(links: list[str], edges: list[_Edge]) -> list[_Edge]:
+    """Order the joints from the root outwards, in the order of the file; refuse what is not a tree."""
+    for kind, names in (("link", links), ("joint", [edge.name for edge in edges])):
+        if repeated := _repeated(names):
+            raise GtauError(f"two {kind}s are called '{repeated}'; give each its own name.")
+    known = set(links)
+    followers: dict[str, list[_Edge]] = {link: [] for link in links}
+    for edge in edges:
+        for link in (edge.parent, edge.child):
+            if link not in known:
+                raise GtauError(f"joint '{edge.name}' refers to the link '{link}', which is not in the file; add it.")
+        followers[edge.parent].append(edge)
+    children = [edge.child for edge in edges]
+    if shared := _repeated(children):
+        raise GtauError(
+            f"link '{shared}' is the child of two joints; a URDF is a tree, so describe loops "
+            "with closures in a robot file (YAML)."
+        )
+    roots = sorted(known.difference(children))
+    if len(roots) > 1:
+        raise GtauError(
+            f"the links {', '.join(roots)} are no joint's child; a robot has one root link, "
+            "so join the others to it or remove them."
+        )
+    ordered: list[_Edge] = []
+    pending = [edge for root in roots for edge in reversed(followers[root])]
+    while pending:
+        edge = pending.pop()
+        ordered.append(edge)
+        pending += reversed(followers[edge.child])
+    if len(ordered) < len(edges):
+        lost = next(edge for edge in edges if edge not in ordered)
+        raise GtauError(
+            f"joint '{lost.name}' is in a loop of parents and children; a URDF is a tree, so correct its parent."
+        )
+    return ordered
+
+
+def _repeated(names: list[str]) -> str | None:
+    return next((name for name, count in Counter(names).items() if count > 1), None)
+
+
+def _moving(ordered: list[_Edge], types: Mapping[str, str]) -> tuple[tuple[Joint, ...], dict[str, Attachment]]:
+    """Place each moving joint in the frame of the previous moving one, and locate the frames."""
+    joints: list[Joint] = []
+    frames: dict[str, Attachment] = {}
+    for edge in ordered:
+        before = frames.setdefault(edge.parent, Attachment(GROUND))
+        placement = compose(before.placement, edge.origin)
+        type_ = types.get(edge.name)
+        if type_ == "FIXED" or (type_ is None and edge.kind is None):
+            frames[edge.child] = frames[edge.name] = Attachment(before.body, placement)
+            continue
+        if type_ is None and edge.kind is not None:
+            joints.append(Joint(edge.name, before.body, edge.kind, placement, _axis(edge), limits=_limits(edge)))
+        else:
+            joints += turning(edge.name, before.body, placement, TURNS[type_ or ""])
+        frames[edge.child] = frames[edge.name] = Attachment(edge.name)
+    return tuple(joints), frames
+
+
+def turning(name: str, antecedent: str, placement: Placement, axes: str) -> list[Joint]:
+    """Make a spherical or universal joint: revolute ones about `axes` in turn, with massless links in between."""
+    chain = [f"{name}_{axis}" for axis in axes[:-1]] + [name]
+    return [
+        Joint(
+            link,
+            chain[k - 1] if k else antecedent,
+            "revolute",
+            Pose() if k else placement,
+            AXES[axes[k]],
+            parameters="inertial" if link == name else "none",
+        )
+        for k, link in enumerate(chain)
+    ]
+
+
+def _carried(ordered: list[_Edge]) -> dict[str, str]:
+    """Map each moving link to the moving joint that carries it."""
+    found: dict[str, str] = {}
+    for edge in ordered:
+        if edge.kind is not None:
+            found[edge.child] = edge.name
+        elif edge.parent in found:
+            found[edge.child] = found[edge.parent]
+    return found
+
+
+def _mimic(edge: _Edge) -> Coupling | None:
+    mimic = edge.element.find("mimic")
+    if mimic is None or edge.kind is None:
+        return None
+    master = attribute(mimic, "joint", f"<mimic> of joint '{edge.name}'")
+    ratio, offset = (
+        numbers(mimic.get(key, default), 1, f"{key} of <mimic> of joint '{edge.name}'")[0]
+        for key, default in (("multiplier", "1"), ("offset", "0"))
+    )
+    return Coupling(edge.name, ((master, ratio),), offset)
+
+
+def _check_circles(couplings: Sequence[Coupling]) -> None:
+    """Refuse circular mimic joints."""
+    master = {coupling.joint: coupling.ratios[0][0] for coupling in couplings}
+    for first in master:
+        circle = [first]
+        while (following := master.get(circle[-1], "")) not in ("", *circle):
+            circle.append(following)
+        if following == first:
+            raise GtauError(
+                f"joint {' mimics '.join(repr(name) for name in (*circle, first))}, so none of them leads; remove the "
+                "<mimic> of the one that has the motor."
+            )
+
+
+def _reduction_notes(root: Element) -> Iterator[str]:
+    """Note the gear ratios of transmissions, which are not geometry but predict the gains."""
+    ratios = []
+    for transmission in root.findall("transmission"):
+        joint = transmission.find("joint")
+        for reduction in transmission.iter("mechanicalReduction"):
+            ratio, *_ = decimals(reduction.text or "1") or [1.0]
+            if joint is not None and ratio not in (0.0, 1.0):
+                ratios.append(f"'{joint.get('name', '')}' {ratio:g}")
+    if ratios:
+        yield (
+            f"gear ratios of the file's transmissions: {', '.join(dict.fromkeys(ratios))}; positions and gains are "
+            "those at the joint, and with the motors' data sheets they go under 'drives' in the experiment file"
+        )
+
+
+def _origin(element: Element, name: str) -> tuple[Pose, float]:
+    origin = element.find("origin")
+    if origin is None:
+        return Pose(), 0.0
+    xyz, rpy = (numbers(origin.get(key, "0 0 0"), 3, f"{key} of joint '{name}'") for key in ("xyz", "rpy"))
+    if degrees := [angle for angle in rpy if in_degrees(angle)]:
+        raise GtauError(
+            f"line {line_of(origin)}: rpy of joint '{name}' holds {degrees[0]:g}; angles are in rad, so divide it by "
+            f"57.2958 if it is in degrees."
+        )
+    return written_pose(xyz, rpy)
+
+
+def _axis(edge: _Edge) -> tuple[float, float, float]:
+    axis = edge.element.find("axis")
+    if axis is None:
+        return (1.0, 0.0, 0.0)  # as the URDF specification says
+    vector = np.array(numbers(axis.get("xyz", "1 0 0"), 3, f"axis of joint '{edge.name}'"))
+    length = float(np.linalg.norm(vector))
+    if length < ROUNDING:
+        raise GtauError(f"the axis of joint '{edge.name}' is zero; give it a direction.")
+    x, y, z = (rounded(component) for component in vector / length)
+    return (x, y, z)
+
+
+def _limits(edge: _Edge) -> Limits:
+    limit = edge.element.find("limit")
+    if limit is None:
+        return Limits()
+    values = {
+        key: numbers(text, 1, f"{key} of joint '{edge.name}'", endless=True)[0]
+        for key in ("lower", "upper", "velocity", "effort")
+        if (text := limit.get(key)) is not None
+    }
+    endless = edge.element.get("type") == "continuous" or not values.keys() & {"lower", "upper"}
+    low, high = values.get("lower", 0.0), values.get("upper", 0.0)
+    velocity, effort = values.get("velocity", 0.0), values.get("effort", 0.0)
+    return Limits(
+        position=None if endless else position_limits(low, high),
+        velocity=velocity if 0.0 < velocity <= LARGEST else None,
+        effort=effort if 0.0 < effort <= LARGEST else None,
+    )
+
+
+def _limit_notes(ordered: list[_Edge]) -> Iterator[str]:
+    """Note position limits with an empty range, which are ignored."""
+    dropped = []
+    for edge in ordered:
+        limit = edge.element.find("limit")
+        if edge.kind is None or limit is None or _limits(edge).position or edge.element.get("type") == "continuous":
+            continue
+        low, high = (
+            numbers(limit.get(key, "0"), 1, f"{key} of joint '{edge.name}'", endless=True)[0]
+            for key in ("lower", "upper")
+        )
+        if {"lower", "upper"}.intersection(limit.keys()) and low >= high:
+            dropped.append(f"'{edge.name}' ({low:g} to {high:g})")
+    if dropped:
+        yield f"empty position limits were ignored: joint {', '.join(dropped)}"
