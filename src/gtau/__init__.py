@@ -31,12 +31,13 @@ if TYPE_CHECKING:
     from gtau.model.inverse_dynamics import InverseDynamics
     from gtau.robots.readers.source import RobotSource
     from gtau.robots.robot import Robot
-    from gtau.signals.columns import Signals, Units
+    from gtau.signals.columns import Signals
     from gtau.signals.experiment import Experiment, Prior, read_experiment
     from gtau.signals.payload import Payload
     from gtau.signals.run import Run, read_run
     from gtau.signals.samples import Part
     from gtau.signals.settings import PreparationSettings
+    from gtau.signals.units import Units
     from gtau.simulation.experiment_files import simulate_experiment as simulate
     from gtau.simulation.simulation_file import Simulation
     from gtau.watch.watch import Watch
@@ -110,7 +111,7 @@ _HOMES = {
     "Signals": "signals.columns",
     "Simulation": "simulation.simulation_file",
     "TorqueError": "estimation.results.estimate",
-    "Units": "signals.columns",
+    "Units": "signals.units",
     "Watch": "watch.watch",
     "base_parameters": "model.base_parameters",
     "check": "estimation.check_logs",

@@ -19,7 +19,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.signals.draft_file import guesses
 from gtau.signals.drafting import draft_logs, with_sensors, write_draft
 from gtau.signals.experiment import read_experiment
-from gtau.signals.formats import is_log_folder
+from gtau.signals.log_file import is_log_folder
 from gtau.signals.run import read_run
 
 LINK = """<link name="{0}"><inertial><origin xyz="{2} 0.01 0.02"/><mass value="{1}"/>

@@ -17,10 +17,11 @@ from typer.testing import CliRunner
 from gtau.cli.commands import app
 from gtau.excitation.design_file import DesignFile
 from gtau.robots.readers.read import catalog_names, read_robot
-from gtau.signals.columns import SampleRate, Signals, Units
+from gtau.signals.columns import SampleRate, Signals
 from gtau.signals.data_sheets import Drive
 from gtau.signals.experiment import Experiment, Prior, read_experiment
 from gtau.signals.payload import Payload
+from gtau.signals.units import Units
 from gtau.simulation.simulation_file import (
     Fourier,
     Friction,

@@ -13,6 +13,7 @@ from five_bar_logs import STEEL, TOOL, Plant, five_bar
 from scipy.spatial.transform import Rotation
 
 from gtau import identify, load_robot
+from gtau.documents.validation import read_group
 from gtau.errors import GtauError
 from gtau.estimation.check_logs import check_logs
 from gtau.estimation.diagnostics.geometry import geometry_test
@@ -27,8 +28,9 @@ from gtau.report.render.html import html
 from gtau.report.render.terminal import plain
 from gtau.robots.robot import Mdh, Robot
 from gtau.signals.body_columns import PoseColumns
-from gtau.signals.columns import as_signals, as_units
+from gtau.signals.columns import Signals
 from gtau.signals.side_signals import LoggedPoses, read_poses
+from gtau.signals.units import Units
 
 NOISE = 1e-4  # m and rad
 
@@ -202,7 +204,9 @@ def test_real_parallel_robot(
         text = text.replace(f"{name}: 0.3,", f"{name}: {robot_constants[name]},")
     (tmp_path / "robot.yaml").write_text(text)
     joints = {"p1": "q0", "p2": "q1", "p3": "q2", "p4": "q3"}
-    signals = as_signals(
+    signals = read_group(
+        Signals,
+        "signals",
         {
             "time": "t",
             "position": joints,
@@ -212,9 +216,9 @@ def test_real_parallel_robot(
                 "position": {"x": f"{kind}0", "z": f"{kind}1"},
                 "angles": {"sequence": "YZ", "columns": [f"{kind}2", f"{kind}3"]},
             },
-        }
+        },
     )
-    found = [read_poses([folder / f"4dof_N_{run}.csv"], signals, as_units(None)) for run in "abc"]
+    found = [read_poses([folder / f"4dof_N_{run}.csv"], signals, Units()) for run in "abc"]
     model = InverseDynamics(load_robot(tmp_path / "robot.yaml"))
     result = geometry_test(model, signals.pose, signals.joints, found)
     if largest is not None:
@@ -239,9 +243,9 @@ def test_refused_columns() -> None:
         ({"source": "elsewhere", "position": {"x": "c"}}, "'controller'"),
     ):
         with pytest.raises(GtauError, match=words):
-            as_signals(signals | {"pose": pose})
+            read_group(Signals, "signals", signals | {"pose": pose})
     with pytest.raises(GtauError, match="not a unit of length"):
-        as_units({"pose": {"length": "deg"}})
+        read_group(Units, "units", {"pose": {"length": "deg"}})
 
 
 @pytest.fixture(scope="module")

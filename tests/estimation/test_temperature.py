@@ -10,10 +10,11 @@ import pytest
 from five_bar_logs import CHI, GAINS, JOINTS, STEEL, Plant, path
 
 from gtau import identify, load_robot, read_run
+from gtau.documents.validation import read_group
 from gtau.errors import GtauError
 from gtau.estimation.results.conclusions import without_temperature
 from gtau.estimation.results.result import Result
-from gtau.signals.columns import as_signals
+from gtau.signals.columns import Signals
 from gtau.signals.payload import Payload
 from gtau.signals.run import Run
 from gtau.signals.side_signals import Temperature
@@ -130,9 +131,9 @@ def test_a_run_without_temperature_among_others_is_refused() -> None:
 
 def test_logs_without_temperatures_are_said_to_be_taken_at_the_reference(found: Result) -> None:
     signals = {"time": "t", "position": {"left": "q1", "right": "q2"}, "current": {"left": "v1", "right": "v2"}}
-    (note,) = without_temperature(found, as_signals(signals))
+    (note,) = without_temperature(found, read_group(Signals, "signals", signals))
     assert f"'left' {found.temperatures.of_joint['left']:.4g}" in str(note)
-    assert not without_temperature(found, as_signals(signals | {"temperature": "T"}))
+    assert not without_temperature(found, read_group(Signals, "signals", signals | {"temperature": "T"}))
     run = warm("check", seconds=6.0)
     in_kelvin = replace(run, temperature=replace(run.temperature, unit="K"))
     with pytest.raises(GtauError, match="are in K, but those of the model in degC"):

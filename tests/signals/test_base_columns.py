@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 from gtau.errors import GtauError
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.floating import float_base
-from gtau.signals.body_columns import BaseColumns, BaseUnits, at_origins
+from gtau.signals.body_columns import BaseColumns, at_origins
+from gtau.signals.units import BaseUnits
 
 AT = (0.3, -0.2, 0.5)
 
@@ -89,6 +90,6 @@ def test_a_base_close_to_singular_angles_is_refused() -> None:
 
 
 def test_units_of_the_position() -> None:
-    assert base("world").scale(BaseUnits(length="mm")) == [1e-3] * 3 + [1.0] * 4
+    assert BaseUnits(length="mm").scale(base("world")) == [1e-3] * 3 + [1.0] * 4
     with pytest.raises(ValueError, match="'deg' is not a unit of length"):
         BaseUnits(length="deg")

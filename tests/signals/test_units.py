@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gtau.documents.validation import read_group
 from gtau.errors import GtauError
-from gtau.signals.columns import as_signals, as_units
+from gtau.signals.columns import Signals
 from gtau.signals.run import read_run
-from gtau.signals.units import si_factor
+from gtau.signals.units import Units, si_factor
 
 SIGNALS = {"time": "t", "position": {"a": "qa", "b": "qb"}, "current": {"a": "va", "b": "vb"}}
 TORQUES = {"time": "t", "position": {"a": "qa", "b": "qb"}, "torque": {"a": "va", "b": "vb"}}
@@ -98,16 +99,17 @@ def test_contradictions_are_refused(log: Path, signals: dict, units: dict, sente
 
 def test_presets(tmp_path: Path) -> None:
     joints = ["pan", "lift"]
-    ur = as_signals({"preset": "ur_rtde", "joints": joints})
+    ur = read_group(Signals, "signals", {"preset": "ur_rtde", "joints": joints})
     assert ur.time == "timestamp"
     assert ur.position == {"pan": "actual_q_0", "lift": "actual_q_1"}
     assert ur.current == {"pan": "actual_current_0", "lift": "actual_current_1"}
-    target = as_signals({"preset": "ur_rtde", "joints": joints, "current": {"pan": "target_current_0", "lift": "x"}})
-    assert target.command == {"pan": "target_current_0", "lift": "x"}
-    ros = as_signals({"preset": "plotjuggler", "joints": joints})
+    by_hand = {"pan": "target_current_0", "lift": "x"}
+    target = read_group(Signals, "signals", {"preset": "ur_rtde", "joints": joints, "current": by_hand})
+    assert target.command == by_hand
+    ros = read_group(Signals, "signals", {"preset": "plotjuggler", "joints": joints})
     assert ros.torque == {"pan": "/joint_states/pan/effort", "lift": "/joint_states/lift/effort"}
     with pytest.raises(GtauError, match=r"the preset 'franka' needs the joints in their order; add 'joints:"):
-        as_signals({"preset": "franka"})
+        read_group(Signals, "signals", {"preset": "franka"})
 
 
 def test_a_log_of_libfranka(tmp_path: Path) -> None:
@@ -118,4 +120,5 @@ def test_a_log_of_libfranka(tmp_path: Path) -> None:
     run = read_run(tmp_path / "log.csv", {"preset": "franka", "joints": ["a", "b"]})
     np.testing.assert_allclose(run.time, TIME, atol=1e-12)
     np.testing.assert_allclose(run.command, TABLE[:, 3:], rtol=1e-12)
-    assert as_units({"time": "s"}).scale(as_signals({"preset": "franka", "joints": ["a"]}))[2] == 1.0
+    franka = read_group(Signals, "signals", {"preset": "franka", "joints": ["a"]})
+    assert Units(time="s").scale(franka)[2] == 1.0

@@ -104,7 +104,7 @@ def init(
     with refusals(json_):
         from gtau.signals.draft_file import UNSURE
         from gtau.signals.drafting import draft_logs, write_draft
-        from gtau.signals.formats import is_rosbag
+        from gtau.signals.log_file import is_rosbag
 
         if out.exists():
             raise GtauError(f"{out} exists already; give another name (--out FILE), or remove it.")
@@ -285,7 +285,7 @@ def experiment_of(
 
 
 def _is_log(path: Path) -> bool:
-    from gtau.signals.formats import READERS, is_log_folder
+    from gtau.signals.log_file import READERS, is_log_folder
 
     return path.suffix.lower() in (*READERS, ".csv") or (is_log_folder(path) if path.is_dir() else kind_of(path) == LOG)
 

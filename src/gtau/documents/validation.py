@@ -77,6 +77,11 @@ def validate(model_class: type[Model], document: Document, context: Any = None) 
     raise document.error(keys, _sentence(error))
 
 
+def read_group(model_class: type[Model], name: str, value: Any) -> Model:
+    """Take an instance, or read a mapping as in a file called ``name``; raises GtauError."""
+    return value if isinstance(value, model_class) else validate(model_class, Document.of(name, value))
+
+
 def name_problem(name: str) -> str | None:
     """Explain why a name cannot appear in tables, files and generated code, or return None."""
     if len(name) > LONGEST_NAME:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from gtau.errors import GtauError
@@ -31,6 +32,11 @@ class Document:
     data: dict[str, Any]
     lines: Mapping[KeyPath, int]
 
+    @classmethod
+    def of(cls, name: str, data: Any) -> Document:
+        """Convert a mapping to the document read from a file called ``name``, with keys and integers as texts."""
+        return cls(Path(name), _as_written(data), {})
+
     def line(self, keys: KeyPath) -> int | None:
         """Find the line (from 1) of the value at `keys`, or of the nearest value around it that is written."""
         while keys and keys not in self.lines:
@@ -45,6 +51,12 @@ class Document:
         if keys:
             place.append(".".join(str(key + 1) if isinstance(key, int) else key for key in keys))
         return GtauError(f"{', '.join(place)}: {problem}{'' if problem.endswith('?') else '.'}")
+
+
+def _as_written(data: Any) -> Any:
+    if isinstance(data, Mapping):
+        return {str(key): _as_written(value) for key, value in data.items()}
+    return str(data) if isinstance(data, (int, np.integer)) and not isinstance(data, bool) else data
 
 
 def read_yaml(path: str | Path) -> Document:

@@ -8,7 +8,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from gtau.documents.validation import MAPPING, NUMBER, expect, validate
+from gtau.documents.validation import MAPPING, NUMBER, expect, read_group
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.regression.priors import inertia_priors
@@ -17,7 +17,6 @@ from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Limits, Robot
-from gtau.signals.columns import document_of
 from gtau.signals.experiment import Experiment, Prior, StatedGain, as_priors, check_robot, read_experiment
 from gtau.signals.logged_run import LoggedRun
 from gtau.signals.payload import Payload
@@ -126,7 +125,7 @@ def _as_gains(gains: Mapping[str, float | Mapping[str, float]]) -> tuple[dict[st
     for joint, gain in gains.items():
         name = f"prior gain of joint '{joint}'"
         if isinstance(gain, Mapping):
-            stated = validate(StatedGain, document_of(name, gain))
+            stated = read_group(StatedGain, name, gain)
             gain, stds[str(joint)] = stated.value, stated.std
         expect(f"the {name}", gain, NUMBER)
         if not isfinite(gain) or gain == 0:

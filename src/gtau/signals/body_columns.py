@@ -7,7 +7,7 @@ so that later stages treat them like any other joint; wrenches on the base are w
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import Field, FiniteFloat, field_validator, model_validator
@@ -17,23 +17,11 @@ from gtau.errors import GtauError
 from gtau.robots.floating import WrenchFrame
 from gtau.robots.geometry import turn
 from gtau.robots.robot import base_rows
-from gtau.signals.units import checked_unit, si_factor
 
 VERTICAL = np.array([0.0, 0.0, 1.0])
 
 Vector = tuple[str, str, str]
 Point = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-
-
-class WrenchUnits(Keys):
-    """Units of measured wrenches."""
-
-    force: Annotated[str, checked_unit("force")] = "N"
-    moment: Annotated[str, checked_unit("torque")] = "N m"
-
-    def scale(self, wrench: Wrench) -> list[float]:
-        """Return the factors to SI units of a wrench's columns."""
-        return [si_factor(self.force, "force")] * 3 + [si_factor(self.moment, "torque")] * (3 if wrench.moment else 0)
 
 
 class Wrench(Keys):
@@ -95,12 +83,6 @@ STEEPEST = np.radians(80.0)  # pitch at which the angles' accelerations are 1 / 
 UNIT = 0.01  # tolerance of a quaternion's norm: logs round to 2 digits and more
 
 
-class BaseUnits(Keys):
-    """Unit of the position of a base."""
-
-    length: Annotated[str, checked_unit("position", "length")] = "m"
-
-
 class BaseColumns(Keys):
     """Columns of the pose of a floating ``body`` in a world whose z axis points up, and of the wrenches on it.
 
@@ -146,11 +128,6 @@ class BaseColumns(Keys):
     def forces(self) -> tuple[str, ...]:
         """Columns of the wrenches, (w,)."""
         return tuple(column for each in self.wrenches for column in each.columns)
-
-    def scale(self, units: BaseUnits) -> list[float]:
-        """Return the factors to SI units of the pose's columns."""
-        lengths = [si_factor(units.length, "position")] * len(self.position or ())
-        return lengths + [1.0] * (len(self.pose) - len(lengths))
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -280,16 +257,3 @@ class PoseColumns(Keys):
         angles = () if self.angles is None else self.angles.turning[1]
         turned = () if self.quaternion is None else tuple(self.quaternion[axis] for axis in ("w", "x", "y", "z"))
         return (*self.position.values(), *angles, *turned, *(self.rotation_vector or ()))
-
-
-class PoseUnits(Keys):
-    """Units of the lengths and the angles of a pose."""
-
-    length: Annotated[str, checked_unit("position", "length")] = "m"
-    angle: Annotated[str, checked_unit("position", "angle")] = "rad"
-
-    def scale(self, pose: PoseColumns) -> list[float]:
-        """Return the factors to SI units of the pose's columns."""
-        angles = 3 if pose.rotation_vector else 0 if pose.angles is None else len(pose.angles.columns)
-        length, angle = si_factor(self.length, "position"), si_factor(self.angle, "position")
-        return [length] * len(pose.position) + [angle] * angles + [1.0] * (4 if pose.quaternion else 0)

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from pydantic import (
     Discriminator,
     Field,
@@ -16,12 +13,10 @@ from pydantic import (
     model_validator,
 )
 
-from gtau.documents.validation import Keys, Positive, validate
-from gtau.documents.yaml_document import Document
-from gtau.signals.body_columns import BaseColumns, BaseUnits, BodyWrench, PoseColumns, PoseUnits, WrenchUnits
+from gtau.documents.validation import Keys, Positive
+from gtau.signals.body_columns import BaseColumns, BodyWrench, PoseColumns
 from gtau.signals.channel import Channel, channels_of
-from gtau.signals.column_names import expanded, time_unit
-from gtau.signals.units import SHARES, Kind, checked_unit, is_angle, si_factor
+from gtau.signals.column_names import expanded
 
 
 def text_or_group(value: Any) -> str:
@@ -268,103 +263,3 @@ class Signals(Keys):
 
 def _columns_of_time(time: Any) -> tuple[str, ...]:
     return () if isinstance(time, SampleRate) else (time,) if isinstance(time, str) else tuple(time)
-
-
-def as_signals(signals: Signals | Mapping[str, Any]) -> Signals:
-    """Read a column map from a mapping as in the experiment file; raises GtauError."""
-    return signals if isinstance(signals, Signals) else validate(Signals, document_of("signals", signals))
-
-
-def document_of(name: str, data: Mapping[str, Any]) -> Document:
-    """Convert a mapping to the document read from a file called ``name``, with keys and integers as texts."""
-    return Document(Path(name), _as_written(data), {})
-
-
-def _as_written(data: Any) -> Any:
-    if isinstance(data, Mapping):
-        return {str(key): _as_written(value) for key, value in data.items()}
-    return str(data) if isinstance(data, (int, np.integer)) and not isinstance(data, bool) else data
-
-
-def _one_or_by_joint(kind: Kind) -> Any:
-    text = Annotated[str, checked_unit(kind, shares=kind in ("current", "torque"))]
-    return Annotated[
-        Annotated[text, Tag("text")] | Annotated[dict[str, text], Tag("group")], Discriminator(text_or_group)
-    ]
-
-
-class Units(Keys):
-    """Units of the log's columns, or the quantity per logged count (``0.0012 A``); SI by default.
-
-    ``joint_torque`` is that of the torque sensors. ``rated`` are the rated currents (A) or torques (N m, N) of which
-    ``%`` and ``‰`` are shares.
-    """
-
-    time: Annotated[str, checked_unit("time")] | None = None
-    position: _one_or_by_joint("position") | None = None  # type: ignore[valid-type]
-    current: _one_or_by_joint("current") | None = None  # type: ignore[valid-type]
-    torque: _one_or_by_joint("torque") | None = None  # type: ignore[valid-type]
-    joint_torque: _one_or_by_joint("torque") | None = None  # type: ignore[valid-type]
-    rated: dict[str, Positive] = Field(default_factory=dict)
-    base: BaseUnits = BaseUnits()
-    pose: PoseUnits = PoseUnits()
-    wrenches: WrenchUnits = WrenchUnits()
-    temperature: Literal["degC", "K", "s", "min", "h"] = "degC"
-
-    @model_validator(mode="after")
-    def _rated_values_of_shares(self) -> Units:
-        of_command = self.current if self.torque is None else self.torque
-        units = of_command.values() if isinstance(of_command, dict) else [of_command]
-        if self.rated and not any(unit in SHARES for unit in units):
-            raise ValueError("'rated' is given, but no unit is '%' or '‰'; remove it, or give that unit")
-        if not self.rated and any(unit in SHARES for unit in units):
-            raise ValueError(
-                "a unit is relative to the rated value, which is missing; add 'rated: {JOINT: ...}' in A (N m, N)"
-            )
-        return self
-
-    def of_position(self, joint: str) -> str | None:
-        """Return the position unit of a joint; None where nothing is stated."""
-        return _of(self.position, joint)
-
-    def measures_angle(self, joint: str) -> bool | None:
-        """Decide whether a joint's position unit is an angle and not a length; None where nothing is stated."""
-        unit = self.of_position(joint)
-        return None if unit is None else is_angle(unit)
-
-    def scale(self, signals: Signals) -> tuple[list[float], list[float], float]:
-        """Compute factors to SI of the columns of positions and base pose, of all measured ones, and of the time.
-
-        Raises
-        ------
-        GtauError
-            A share of a rated value is logged, but the rated value is not given.
-        """
-        positions = [si_factor(self.of_position(joint) or "rad", "position") for joint in signals.position]
-        positions += signals.base.scale(self.base) if signals.base else []
-        commands = [self._of_command(joint, signals) for joint in signals.position]
-        commands += [si_factor(_of(self.joint_torque, joint) or "N m", "torque") for joint in signals.sensors]
-        commands += [factor for each in signals.all_wrenches for factor in self.wrenches.scale(each)]
-        return positions, commands, si_factor(self.time or time_unit(signals.preset), "time")
-
-    def _of_command(self, joint: str, signals: Signals) -> float:
-        unit = _of(self.current if signals.kind == "current" else self.torque, joint)
-        ratio = (signals.gear_ratio or {}).get(joint, 1.0)
-        if unit is None:
-            return ratio
-        if unit not in SHARES:
-            return ratio * si_factor(unit, signals.kind)
-        if joint not in self.rated:
-            raise document_of("units", {}).error(
-                ("rated",), f"joint '{joint}' has no rated {signals.kind}, to which its column is relative; add it"
-            )
-        return ratio * SHARES[unit] * self.rated[joint]
-
-
-def _of(units: str | dict[str, str] | None, joint: str) -> str | None:
-    return units.get(joint) if isinstance(units, dict) else units
-
-
-def as_units(units: Units | Mapping[str, Any] | None) -> Units:
-    """Read units from a mapping as in the experiment file; raises GtauError."""
-    return units if isinstance(units, Units) else validate(Units, document_of("units", {} if units is None else units))

@@ -16,9 +16,8 @@ from gtau.robots.robot import Robot
 from gtau.signals.column_names import PRESETS
 from gtau.signals.discovery import Draft, discover
 from gtau.signals.draft_file import draft_text
-from gtau.signals.formats import is_rosbag
 from gtau.signals.formats.rosbag import robot_description
-from gtau.signals.log_file import find_columns
+from gtau.signals.log_file import find_columns, is_rosbag
 
 SEAL = "# as drafted: "  # a checksum of all above follows
 URDF = "robot.urdf"  # beside the experiment file, where a bag holds it

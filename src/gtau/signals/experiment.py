@@ -16,17 +16,18 @@ from pydantic import (
 )
 
 from gtau.documents.files import EXPERIMENT, refuse_other_kind
-from gtau.documents.validation import MAPPING, PATH, Keys, Positive, expect, takes, validate
+from gtau.documents.validation import MAPPING, PATH, Keys, Positive, expect, read_group, takes, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.robots.parameter import Parameter
 from gtau.robots.readers.source import AnySource, RobotSource
 from gtau.robots.robot import Robot
-from gtau.signals.columns import SampleRate, Signals, Units, document_of
+from gtau.signals.columns import SampleRate, Signals
 from gtau.signals.data_sheets import Drive, check_drives
 from gtau.signals.logged_run import Folders, LoggedRun, file_or_name
 from gtau.signals.payload import Payload
 from gtau.signals.settings import CHOSEN, PreparationSettings, Requirements
+from gtau.signals.units import Units
 
 
 class Prior(Keys):
@@ -61,10 +62,7 @@ def _with_std(gain: Any) -> Any:
 def as_priors(priors: Mapping[str, Prior | Mapping[str, Any]]) -> dict[str, Prior]:
     """Read priors by parameter from mappings as in the experiment file; raises GtauError."""
     expect("'priors'", priors, MAPPING)
-    return {
-        str(name): each if isinstance(each, Prior) else validate(Prior, document_of(f"prior of {name}", each))
-        for name, each in priors.items()
-    }
+    return {str(name): read_group(Prior, f"prior of {name}", each) for name, each in priors.items()}
 
 
 class Experiment(Keys):

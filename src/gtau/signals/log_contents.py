@@ -13,7 +13,7 @@ from gtau.errors import GtauError
 from gtau.robots.robot import Robot
 from gtau.signals.checks import LARGEST_RATE, LEAST_RATE
 from gtau.signals.column_names import ColumnName, parse_column_name, parse_item
-from gtau.signals.formats.table import Table
+from gtau.signals.formats import Table
 from gtau.signals.log_file import find_columns, read_log
 
 ROWS = 200_000  # of a log that are evaluated

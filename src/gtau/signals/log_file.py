@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -13,13 +13,30 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.signals.formats import open_table
-from gtau.signals.formats.table import Table
+from gtau.signals.formats import Table
+from gtau.signals.formats.arrays import open_hdf5, open_mat, open_npz
+from gtau.signals.formats.columnar import INFO, open_feather, open_parquet
+from gtau.signals.formats.rosbag import open_rosbag
+from gtau.signals.formats.text import open_text
 from gtau.signals.storage import store
 
 if TYPE_CHECKING:
     import polars as pl
 
+
+READERS: Mapping[str, Callable[[Path], Table]] = {
+    ".parquet": open_parquet,
+    ".feather": open_feather,
+    ".arrow": open_feather,
+    ".npz": open_npz,
+    ".mat": open_mat,
+    ".h5": open_hdf5,
+    ".hdf5": open_hdf5,
+    ".db3": open_rosbag,
+    ".mcap": open_rosbag,
+    ".bag": open_rosbag,
+}
+"""By the ending of the file's name; anything else is text."""
 
 ALL = range(1 << 62)  # rows
 
@@ -69,7 +86,7 @@ class LogFile:
 def read_log(path: str | Path, names: Iterable[str]) -> LogFile:
     """Locate columns of a log by name, as a :class:`LogFile`.
 
-    The file name extension gives the format; see :data:`gtau.signals.formats.READERS`.
+    The file name extension gives the format; see :data:`READERS`.
 
     Parameters
     ----------
@@ -95,9 +112,22 @@ def read_log(path: str | Path, names: Iterable[str]) -> LogFile:
 
 
 def find_columns(path: Path) -> Table:
-    """Find all columns of a log; raises GtauError where it cannot be read."""
+    """Find all columns of a log, whatever its format; raises GtauError where it cannot be read."""
     with _refusals(path):
-        return open_table(path)
+        if path.is_dir():
+            return open_rosbag(path) if (path / "metadata.yaml").is_file() else open_parquet(path)
+        path.open("rb").close()  # the system's reason, not a library's, where there is no such file
+        return READERS.get(path.suffix.lower(), open_text)(path)
+
+
+def is_log_folder(path: Path) -> bool:
+    """Decide whether a folder is one log: a rosbag2, Parquet files, or a LeRobot data set."""
+    return any((path / each).is_file() for each in ("metadata.yaml", INFO)) or any(path.glob("*.parquet"))
+
+
+def is_rosbag(path: Path) -> bool:
+    """Decide by its name whether a path is a bag."""
+    return (path / "metadata.yaml").is_file() or READERS.get(path.suffix.lower()) is open_rosbag
 
 
 @contextmanager

@@ -11,11 +11,12 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.signals.body_columns import at_origins
-from gtau.signals.columns import SampleRate, Signals, Units
+from gtau.signals.columns import SampleRate, Signals
 from gtau.signals.log_file import ALL, LogFile, read_log
 from gtau.signals.notes import Kind, Note
 from gtau.signals.samples import Source
 from gtau.signals.storage import block, spans, store
+from gtau.signals.units import Units
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,8 +21,7 @@ from pydantic import (
 from gtau.documents.files import matching
 from gtau.documents.validation import Keys, Positive
 from gtau.errors import GtauError
-from gtau.signals.formats import is_log_folder
-from gtau.signals.log_file import find_columns
+from gtau.signals.log_file import find_columns, is_log_folder
 from gtau.signals.payload import Payload
 from gtau.signals.samples import Part
 

@@ -12,9 +12,8 @@ from pydantic import (
     model_validator,
 )
 
-from gtau.documents.validation import Keys, Positive, name_problem, validate
+from gtau.documents.validation import Keys, Positive, name_problem, read_group
 from gtau.robots.robot import INERTIAL
-from gtau.signals.columns import document_of
 
 FIRST_MOMENTS = ("mx", "my", "mz")
 PAYLOAD_KINDS = ("m", *FIRST_MOMENTS, *INERTIAL[:6])
@@ -72,6 +71,4 @@ class Payload(Keys):
 
 def as_payload(payload: Payload | Mapping[str, Any] | None) -> Payload | None:
     """Read a payload from a mapping as in the experiment file; raises GtauError."""
-    if payload is None or isinstance(payload, Payload):
-        return payload
-    return validate(Payload, document_of("payload", payload))
+    return None if payload is None else read_group(Payload, "payload", payload)

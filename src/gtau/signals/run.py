@@ -9,21 +9,22 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gtau.documents.validation import FUNCTION, name_problem, takes
+from gtau.documents.validation import FUNCTION, name_problem, read_group, takes
 from gtau.errors import GtauError
 from gtau.robots.floating import WrenchFrame
 from gtau.robots.robot import base_rows
 from gtau.signals.channel import Channel, channels_of
 from gtau.signals.checks import check
-from gtau.signals.columns import EXACT, Calibration, Signals, Units, as_signals, as_units
+from gtau.signals.columns import EXACT, Calibration, Signals
 from gtau.signals.log_file import as_log
 from gtau.signals.log_set import find_logs
 from gtau.signals.notes import Note
 from gtau.signals.payload import Payload, as_payload
 from gtau.signals.samples import WHOLE, Part
-from gtau.signals.settings import CHOSEN, PreparationSettings, as_settings
+from gtau.signals.settings import CHOSEN, PreparationSettings
 from gtau.signals.side_signals import Temperature, read_temperature
 from gtau.signals.storage import block, spans, store
+from gtau.signals.units import Units
 
 
 @dataclass(frozen=True)
@@ -143,7 +144,8 @@ def read_run(
     GtauError
         A file cannot be read, lacks a column, or fails the checks of :func:`gtau.signals.checks.check`.
     """
-    signals, units, settings = as_signals(signals), as_units(units), as_settings(settings)
+    signals, units = read_group(Signals, "signals", signals), read_group(Units, "units", {} if units is None else units)
+    settings = read_group(PreparationSettings, "settings", settings)
     if not (isinstance(log, (str, Path)) or (isinstance(log, (list, tuple)) and all(map(_is_path, log)))):
         with as_log(log) as path:
             return replace(read_run(path, signals, payload, units, progress, settings, part), log=None)

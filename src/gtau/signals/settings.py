@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, FiniteFloat
 
-from gtau.documents.validation import Keys, Positive, validate
-from gtau.documents.yaml_document import Document
+from gtau.documents.validation import Keys, Positive
 
 
 class PreparationSettings(Keys):
@@ -46,13 +43,6 @@ class PreparationSettings(Keys):
 
 
 CHOSEN = PreparationSettings()
-
-
-def as_settings(settings: PreparationSettings | Mapping[str, Any]) -> PreparationSettings:
-    """Read settings from a mapping as in the experiment file; raises GtauError."""
-    if isinstance(settings, PreparationSettings):
-        return settings
-    return validate(PreparationSettings, Document(Path("settings"), settings, {}))  # type: ignore[arg-type]
 
 
 def _per_cent(value: Any) -> Any:

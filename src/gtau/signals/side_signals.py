@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gtau.errors import GtauError
-from gtau.signals.columns import Signals, Units
+from gtau.signals.columns import Signals
 from gtau.signals.log_file import read_log
 from gtau.signals.log_set import instants
 from gtau.signals.samples import WHOLE, Part
 from gtau.signals.storage import store
+from gtau.signals.units import Units
 
 FEWEST = 20  # rows of a run that hold a pose
 
@@ -39,7 +40,7 @@ def read_poses(paths: Sequence[Path], signals: Signals, units: Units, part: Part
     ----------
     paths : sequence of Path
         Its log, or two.
-    signals, units : Signals, Units
+    signals, units : Signals
         Of the experiment, with a pose.
     part : Part
         Which part of the log is used.
@@ -86,7 +87,7 @@ def read_temperature(paths: Sequence[Path], signals: Signals, units: Units, part
     ----------
     paths : sequence of Path
         Its log, or two.
-    signals, units : Signals, Units
+    signals, units : Signals
         Of the experiment.
     part : Part
         Which part of the log is used.

@@ -5,9 +5,15 @@ from __future__ import annotations
 import math
 import re
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator
+from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
+
+from gtau.documents.validation import Keys, Positive
+from gtau.documents.yaml_document import Document
+from gtau.signals.body_columns import BaseColumns, PoseColumns, Wrench
+from gtau.signals.column_names import time_unit
+from gtau.signals.columns import Signals, text_or_group
 
 Kind = Literal["time", "position", "current", "torque", "force"]
 
@@ -101,3 +107,117 @@ def _registry() -> Any:
     import pint
 
     return pint.UnitRegistry(cache_folder=None)
+
+
+class WrenchUnits(Keys):
+    """Units of measured wrenches."""
+
+    force: Annotated[str, checked_unit("force")] = "N"
+    moment: Annotated[str, checked_unit("torque")] = "N m"
+
+    def scale(self, wrench: Wrench) -> list[float]:
+        """Return the factors to SI units of a wrench's columns."""
+        return [si_factor(self.force, "force")] * 3 + [si_factor(self.moment, "torque")] * (3 if wrench.moment else 0)
+
+
+class BaseUnits(Keys):
+    """Unit of the position of a base."""
+
+    length: Annotated[str, checked_unit("position", "length")] = "m"
+
+    def scale(self, base: BaseColumns) -> list[float]:
+        """Return the factors to SI units of the pose's columns."""
+        lengths = [si_factor(self.length, "position")] * len(base.position or ())
+        return lengths + [1.0] * (len(base.pose) - len(lengths))
+
+
+class PoseUnits(Keys):
+    """Units of the lengths and the angles of a pose."""
+
+    length: Annotated[str, checked_unit("position", "length")] = "m"
+    angle: Annotated[str, checked_unit("position", "angle")] = "rad"
+
+    def scale(self, pose: PoseColumns) -> list[float]:
+        """Return the factors to SI units of the pose's columns."""
+        angles = 3 if pose.rotation_vector else 0 if pose.angles is None else len(pose.angles.columns)
+        length, angle = si_factor(self.length, "position"), si_factor(self.angle, "position")
+        return [length] * len(pose.position) + [angle] * angles + [1.0] * (4 if pose.quaternion else 0)
+
+
+def _one_or_by_joint(kind: Kind) -> Any:
+    text = Annotated[str, checked_unit(kind, shares=kind in ("current", "torque"))]
+    return Annotated[
+        Annotated[text, Tag("text")] | Annotated[dict[str, text], Tag("group")], Discriminator(text_or_group)
+    ]
+
+
+class Units(Keys):
+    """Units of the log's columns, or the quantity per logged count (``0.0012 A``); SI by default.
+
+    ``joint_torque`` is that of the torque sensors. ``rated`` are the rated currents (A) or torques (N m, N) of which
+    ``%`` and ``‰`` are shares.
+    """
+
+    time: Annotated[str, checked_unit("time")] | None = None
+    position: _one_or_by_joint("position") | None = None  # type: ignore[valid-type]
+    current: _one_or_by_joint("current") | None = None  # type: ignore[valid-type]
+    torque: _one_or_by_joint("torque") | None = None  # type: ignore[valid-type]
+    joint_torque: _one_or_by_joint("torque") | None = None  # type: ignore[valid-type]
+    rated: dict[str, Positive] = Field(default_factory=dict)
+    base: BaseUnits = BaseUnits()
+    pose: PoseUnits = PoseUnits()
+    wrenches: WrenchUnits = WrenchUnits()
+    temperature: Literal["degC", "K", "s", "min", "h"] = "degC"
+
+    @model_validator(mode="after")
+    def _rated_values_of_shares(self) -> Units:
+        of_command = self.current if self.torque is None else self.torque
+        units = of_command.values() if isinstance(of_command, dict) else [of_command]
+        if self.rated and not any(unit in SHARES for unit in units):
+            raise ValueError("'rated' is given, but no unit is '%' or '‰'; remove it, or give that unit")
+        if not self.rated and any(unit in SHARES for unit in units):
+            raise ValueError(
+                "a unit is relative to the rated value, which is missing; add 'rated: {JOINT: ...}' in A (N m, N)"
+            )
+        return self
+
+    def of_position(self, joint: str) -> str | None:
+        """Return the position unit of a joint; None where nothing is stated."""
+        return _of(self.position, joint)
+
+    def measures_angle(self, joint: str) -> bool | None:
+        """Decide whether a joint's position unit is an angle and not a length; None where nothing is stated."""
+        unit = self.of_position(joint)
+        return None if unit is None else is_angle(unit)
+
+    def scale(self, signals: Signals) -> tuple[list[float], list[float], float]:
+        """Compute factors to SI of the columns of positions and base pose, of all measured ones, and of the time.
+
+        Raises
+        ------
+        GtauError
+            A share of a rated value is logged, but the rated value is not given.
+        """
+        positions = [si_factor(self.of_position(joint) or "rad", "position") for joint in signals.position]
+        positions += self.base.scale(signals.base) if signals.base else []
+        commands = [self._of_command(joint, signals) for joint in signals.position]
+        commands += [si_factor(_of(self.joint_torque, joint) or "N m", "torque") for joint in signals.sensors]
+        commands += [factor for each in signals.all_wrenches for factor in self.wrenches.scale(each)]
+        return positions, commands, si_factor(self.time or time_unit(signals.preset), "time")
+
+    def _of_command(self, joint: str, signals: Signals) -> float:
+        unit = _of(self.current if signals.kind == "current" else self.torque, joint)
+        ratio = (signals.gear_ratio or {}).get(joint, 1.0)
+        if unit is None:
+            return ratio
+        if unit not in SHARES:
+            return ratio * si_factor(unit, signals.kind)
+        if joint not in self.rated:
+            raise Document.of("units", {}).error(
+                ("rated",), f"joint '{joint}' has no rated {signals.kind}, to which its column is relative; add it"
+            )
+        return ratio * SHARES[unit] * self.rated[joint]
+
+
+def _of(units: str | dict[str, str] | None, joint: str) -> str | None:
+    return units.get(joint) if isinstance(units, dict) else units

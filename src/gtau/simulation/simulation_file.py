@@ -11,11 +11,10 @@ from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_
 
 from gtau.documents.files import SIMULATION, refuse_other_kind
 from gtau.documents.validation import Keys, Positive, expect, validate
-from gtau.documents.yaml_document import read_yaml
+from gtau.documents.yaml_document import Document, read_yaml
 from gtau.errors import GtauError
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import DAMPING, Robot
-from gtau.signals.columns import document_of
 from gtau.signals.logged_run import RobotName
 from gtau.signals.payload import Payload
 from gtau.simulation.closed_loop import BANDWIDTH, JointHardware, NotNegative
@@ -217,7 +216,7 @@ def as_simulation(source: str | Path | Simulation | Mapping[str, Any]) -> Simula
     if isinstance(source, Simulation):
         return source
     expect("a simulation", source, ("the path of a simulation file, or a mapping with its keys", (Mapping,)))
-    return validate(Simulation, document_of("simulation", source), context=Path())
+    return validate(Simulation, Document.of("simulation", source), context=Path())
 
 
 def check_joints(simulation: Simulation, robot: Robot, path: str | Path) -> None:

@@ -1,44 +1,67 @@
-"""Log formats, by family. A new one is a module here, or a function of its family, and a line in ``READERS``."""
+"""Readers of log formats, one module per family, and what each returns: a :class:`Table` of columns, not yet read."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from gtau.signals.formats.arrays import open_hdf5, open_mat, open_npz
-from gtau.signals.formats.columnar import INFO, open_feather, open_parquet
-from gtau.signals.formats.rosbag import open_rosbag
-from gtau.signals.formats.table import Table
-from gtau.signals.formats.text import open_text
+from gtau.errors import GtauError
+from gtau.signals.notes import Note
 
-READERS: Mapping[str, Callable[[Path], Table]] = {
-    ".parquet": open_parquet,
-    ".feather": open_feather,
-    ".arrow": open_feather,
-    ".npz": open_npz,
-    ".mat": open_mat,
-    ".h5": open_hdf5,
-    ".hdf5": open_hdf5,
-    ".db3": open_rosbag,
-    ".mcap": open_rosbag,
-    ".bag": open_rosbag,
-}
-"""By the ending of the file's name; anything else is text."""
+if TYPE_CHECKING:
+    import polars as pl
+
+WIDEST = 256  # columns of one array; a wider one is an image or a map, not signals
 
 
-def open_table(path: Path) -> Table:
-    """Find the columns of a log, whatever its format; raises GtauError and OSError."""
-    if path.is_dir():
-        return open_rosbag(path) if (path / "metadata.yaml").is_file() else open_parquet(path)
-    path.open("rb").close()  # the system's reason, not a library's, where there is no such file
-    return READERS.get(path.suffix.lower(), open_text)(path)
+@dataclass(frozen=True)
+class Table:
+    """Columns of a log, found but not yet read.
+
+    ``frames`` reads columns by name, some rows of them: Polars frames, block by block, each with the fraction of the
+    log that is then read. Row 0 is in ``first_line`` of a text file; other logs have rows, counted from 1.
+    ``numbered``: the log has no header, and its columns are named by their number. ``notes`` report what the reader
+    left out; ``unusable`` says of columns that hold no numbers what to do. ``episodes`` are the rows of each, by its
+    number, where the log is of several. ``labels`` say what columns are whose names do not, and ``rate`` (Hz) how
+    often its rows were recorded, where files beside the log do.
+    """
+
+    columns: tuple[str, ...]
+    frames: Callable[[Sequence[str], range], Iterator[tuple[pl.DataFrame, float]]]
+    first_line: int = 1
+    line_word: str = "row"
+    numbered: bool = False
+    notes: tuple[Note, ...] = ()
+    unusable: Mapping[str, str] = field(default_factory=dict)
+    episodes: Mapping[int, range] = field(default_factory=dict)
+    labels: Mapping[str, str] = field(default_factory=dict)
+    rate: float | None = None
 
 
-def is_log_folder(path: Path) -> bool:
-    """Decide whether a folder is one log: a rosbag2, Parquet files, or a LeRobot data set."""
-    return any((path / each).is_file() for each in ("metadata.yaml", INFO)) or any(path.glob("*.parquet"))
+@contextmanager
+def readable(path: Path, kind: str) -> Iterator[None]:
+    """Turn whatever a library raises on a damaged file into one sentence; ``kind`` such as ``a MAT file``."""
+    try:
+        yield
+    except (GtauError, MemoryError):
+        raise
+    except Exception as error:  # libraries raise what they like, down to AssertionError
+        if isinstance(error, OSError) and error.errno is not None:  # of the system; HDF5's have no number
+            raise
+        reason = (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")
+        raise GtauError(f"{path} cannot be read as {kind} ({reason}); export the log again.") from None
 
 
-def is_rosbag(path: Path) -> bool:
-    """Decide by its name whether a path is a bag."""
-    return (path / "metadata.yaml").is_file() or READERS.get(path.suffix.lower()) is open_rosbag
+def common_length(path: Path, lengths: Mapping[str, int]) -> int:
+    """Count the rows of columns that must have as many; raises GtauError."""
+    if len(set(lengths.values())) > 1:
+        (one, rows), *others = lengths.items()
+        other = next(name for name, count in others if count != rows)
+        raise GtauError(
+            f"{path}: '{one}' has {rows} rows but '{other}' has {lengths[other]}; give columns that were sampled "
+            "together, or each topic's own stamps (time: {position: COLUMN, command: COLUMN})."
+        )
+    return next(iter(lengths.values()))

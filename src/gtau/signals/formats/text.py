@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from gtau.documents.files import BINARY, LOG, kind_of, refuse_other_kind
 from gtau.errors import GtauError
-from gtau.signals.formats.table import Table
+from gtau.signals.formats import Table
 from gtau.signals.notes import Kind, Note
 from gtau.signals.storage import sizes
 
