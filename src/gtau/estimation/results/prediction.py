@@ -13,7 +13,7 @@ from gtau.estimation.friction.law import carried
 from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.regression.dataset import at_rate_of, check_wrenches, motor_to_joint_speed
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
-from gtau.estimation.regression.rows import stream_torques
+from gtau.estimation.regression.rows import Law, stream_torques
 from gtau.estimation.results.estimate import Prediction, Requirement, TorqueError
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.model.loops import Motion
@@ -58,13 +58,8 @@ def predict(result: IdentifiedModel, run: Run) -> Prediction:
     chi = loaded_parameters(result, run.payload, f"run '{run.name}'")
     regressor, gains = model.columns(base.standard), result.gains
     delays = np.array([[result.delays[joint].value] for joint in model.actuated])
-    load, law = np.array(carried(np, base.standard, chi)), result.friction_law
-    states = law.followers(prepared.path)
+    load, friction = np.array(carried(np, base.standard, chi)), friction_along(result, prepared, chi)
     check_temperature_unit(result, run)
-
-    def friction(at: np.ndarray, motion: Motion, effort: np.ndarray) -> np.ndarray:
-        return law.torques(motion, friction_values(result, chi, run, at), effort, states(at))
-
     predicted, measured, rubbing = [], [], []
     for part in stream_torques(model, regressor, prepared, decimator, load, friction):
         torque, of_friction, v, v_d, v_dd = part  # eq. (17), each current at its delayed time
@@ -83,6 +78,17 @@ def predict(result: IdentifiedModel, run: Run) -> Prediction:
     made, found, rest = (np.concatenate(each) for each in (predicted, measured, rubbing))
     time = np.asarray(prepared.time)
     return Prediction(model.actuated, time, made, found, keep, valid, rest, decimator.factor)
+
+
+def friction_along(result: IdentifiedModel, prepared: PreparedRun, chi: np.ndarray) -> Law:
+    """Make the friction of a run, at its temperatures and with its presliding, for base parameters ``chi`` (n_b,)."""
+    law, run = result.friction_law, prepared.run
+    states = law.followers(prepared.path)
+
+    def friction(at: np.ndarray, motion: Motion, effort: np.ndarray) -> np.ndarray:
+        return law.torques(motion, friction_values(result, chi, run, at), effort, states(at))
+
+    return friction
 
 
 def check_temperature_unit(result: IdentifiedModel, run: Run) -> None:
