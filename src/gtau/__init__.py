@@ -15,8 +15,9 @@ if TYPE_CHECKING:
     from gtau.estimation.check_logs import check_logs as check
     from gtau.estimation.compare import EstimatorComparison, compare
     from gtau.estimation.identify import identify
-    from gtau.estimation.results.estimate import Estimate, Prediction, TorqueError
+    from gtau.estimation.results.estimate import Estimate, TorqueError
     from gtau.estimation.results.payload import PayloadBody, PayloadEstimate
+    from gtau.estimation.results.prediction import Prediction
     from gtau.estimation.results.result import Result
     from gtau.estimation.weigh import weigh
     from gtau.excitation.design import Design
@@ -101,7 +102,7 @@ _HOMES = {
     "Payload": "signals.payload",
     "PayloadBody": "estimation.results.payload",
     "PayloadEstimate": "estimation.results.payload",
-    "Prediction": "estimation.results.estimate",
+    "Prediction": "estimation.results.prediction",
     "PreparationSettings": "signals.settings",
     "Prior": "signals.experiment",
     "Result": "estimation.results.result",

@@ -13,7 +13,8 @@ from friction_logs import PLAIN, experiment, robot, run
 
 import gtau
 from gtau.estimation.friction.law import Follower, FrictionLaw, Shape, stop
-from gtau.estimation.friction.selection import Structure
+from gtau.estimation.friction.normal_equations import SPEEDS, WIDTHS, Site
+from gtau.estimation.friction.selection import parameter_columns
 from gtau.estimation.pipeline import DEFAULT, estimate
 
 SHAPES = {"left": Shape(width=1.5e-3), "right": Shape(speed=0.2)}
@@ -127,6 +128,8 @@ def test_friction_of_curves_takes_energy_at_every_speed_and_load(result: gtau.Re
 
 def test_the_first_width_is_a_width() -> None:
     """Its number is 0, which is not none."""
-    assert Structure(width=0).has("width")
-    assert not Structure().has("width")
-    assert not Structure().has("load")
+    site = Site("j", 0, np.ones(1), 0, WIDTHS, SPEEDS, 1.0, ("off", "fv", "fs"), False)
+    assert parameter_columns({"width": 0}, site)["fs"] == {"1:1": 1.0}
+    assert parameter_columns({}, site)["fs"] == {"0:1": 1.0}
+    assert "fl" not in parameter_columns({}, site)
+    assert "fl" in parameter_columns({"load": 0}, site)

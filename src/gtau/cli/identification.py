@@ -118,7 +118,7 @@ def identify(
                 progress=progress,
                 prior_inertias=prior_inertias,
             )
-        from gtau.estimation.results.singularity_distances import write_distances
+        from gtau.estimation.results.estimate import write_distances
         from gtau.estimation.results.torque_scale import torque_scale_text, torque_scales
         from gtau.report.write import write_identification
 

@@ -26,8 +26,7 @@ import numpy as np
 from gtau.documents.files import in_csv, write_atomically
 from gtau.documents.validation import NUMBER, takes
 from gtau.errors import GtauError
-from gtau.estimation.results.estimate import Prediction
-from gtau.estimation.results.prediction import loaded_parameters, suited
+from gtau.estimation.results.prediction import Prediction, loaded_parameters, suited
 from gtau.estimation.results.result import Result
 from gtau.export.functions import OBSERVED, functions
 from gtau.export.identified import identified

@@ -14,8 +14,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.rows import stream_motions
-from gtau.estimation.results.estimate import Prediction
-from gtau.estimation.results.prediction import prepared_for
+from gtau.estimation.results.prediction import Prediction, prepared_for
 from gtau.estimation.results.result import Result
 from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.loops import Motion

@@ -12,7 +12,7 @@ import numpy as np
 from gtau.estimation.check_logs import ExperimentCheck, LogCheck
 from gtau.estimation.diagnostics.geometry_findings import to_document as geometry_document
 from gtau.estimation.grades import Grade, by_grade, to_document
-from gtau.estimation.results.singularity_distances import write_distances
+from gtau.estimation.results.estimate import write_distances
 from gtau.report import logs
 from gtau.report.findings import findings_section, same_in_several
 from gtau.report.geometry import geometry_section

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.results.estimate import Prediction, TorqueError
+from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.identified_model import IdentifiedModel
-from gtau.estimation.results.prediction import predict, torque_errors
+from gtau.estimation.results.prediction import Prediction, predict, torque_errors
 from gtau.progress import Progress, silent
 from gtau.signals.run import Run
 

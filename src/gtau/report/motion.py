@@ -8,8 +8,8 @@ from itertools import combinations
 
 import numpy as np
 
+from gtau.estimation.results.estimate import Distances, NearestPose
 from gtau.estimation.results.identified_model import IdentifiedModel
-from gtau.estimation.results.singularity_distances import Distances, NearestPose
 from gtau.estimation.thresholds.logs import NEAR_SINGULAR
 from gtau.report.evidence import RunEvidence
 from gtau.report.page import (

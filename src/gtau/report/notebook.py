@@ -8,8 +8,9 @@ from pathlib import Path
 from gtau.documents.files import write_atomically
 from gtau.estimation.check_logs import ExperimentCheck
 from gtau.estimation.compare import EstimatorComparison
-from gtau.estimation.results.estimate import Named, Prediction
+from gtau.estimation.results.estimate import Named
 from gtau.estimation.results.payload import PayloadEstimate
+from gtau.estimation.results.prediction import Prediction
 from gtau.estimation.results.result import Result
 from gtau.report.check import check_page
 from gtau.report.comparison import comparison_page

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gtau.estimation.results.estimate import Prediction, TorqueError
+from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.estimation.results.prediction import Prediction
 from gtau.report.evidence import RunEvidence
 from gtau.report.logs import payload_words
 from gtau.report.motion import TIME

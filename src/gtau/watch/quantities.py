@@ -31,8 +31,7 @@ from gtau.estimation.regression.equations import STRETCHES, delayed
 from gtau.estimation.regression.rows import Labels, Rows, stream_rows
 from gtau.estimation.regression.stretches import stretch_edges, stretch_of
 from gtau.estimation.results.identified_model import IdentifiedModel
-from gtau.estimation.results.prediction import check_temperature_unit, friction_values, loaded_parameters
-from gtau.model.loops import Motion
+from gtau.estimation.results.prediction import check_temperature_unit, friction_along, loaded_parameters
 from gtau.robots.parameter import Parameter
 from gtau.robots.units import unit_of
 from gtau.signals.payload import Payload
@@ -122,12 +121,7 @@ def normal_equations(model: IdentifiedModel, run: Run) -> NormalEquations:
     (prepared,) = prepare_runs(idm, [run], preparation)
     decimator, n = preparation.at(run.rate).decimator, len(idm.actuated)
     chi = loaded_parameters(model, run.payload, f"run '{run.name}'")
-    load, law = np.array(carried(np, base.standard, chi)), model.friction_law
-    states = law.followers(prepared.path)
-
-    def friction(at: np.ndarray, motion: Motion, effort: np.ndarray) -> np.ndarray:
-        return law.torques(motion, friction_values(model, chi, run, at), effort, states(at))
-
+    load, friction = np.array(carried(np, base.standard, chi)), friction_along(model, prepared, chi)
     payload = carried_payload(idm, base, 0, Payload(name="load"))
     quantities, sigma = quantities_of(model, payload.unknown.values()), _sigma(model)
     p = len(quantities)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,64 +18,45 @@ TILT = 0.01  # of the way to the next width or speed tried, for derivatives
 WORDS = {"width": "presliding", "speed": "bent", "load": "load", "warm": "temperature"}
 
 
-@dataclass(frozen=True)
-class Structure:
-    """Structure of a joint's friction: indices of a width and of a speed, None for none; load; temperature.
+Structure = Mapping[str, float]
+"""What a joint's friction has beyond the plain law: the numbers of a ``width`` and a ``speed`` among those tried, and
+``load`` and ``warm`` (temperature), 0.
 
-    A number between two stands for a value between theirs, whose column is interpolated. ``gradual`` presliding has all
-    widths at once; no friction has it in the end, but terms are to pay beyond it.
+A number between two stands for a value between theirs, whose column is interpolated. ``gradual`` presliding has all
+widths at once; no friction has it in the end, but terms are to pay beyond it.
+"""
+
+
+def options(site: Site, kind: str) -> range:
+    """List the numbers that a term of a kind may have at a site."""
+    numbers = {"width": len(site.widths), "speed": len(site.speeds), "load": site.motor is not None, "warm": site.warm}
+    return range(numbers[kind])
+
+
+def parameter_columns(structure: Structure, site: Site) -> dict[str, dict[str, float]]:
+    """Combine a site's columns to those of the parameters of a structure, of which all but some are not negative.
+
+    ``fr`` is friction at rest, ``fs + fb``.
     """
+    z = between(structure["width"], len(site.widths), first=1) if "width" in structure else {0: 1.0}
 
-    width: float | None = None
-    gradual: bool = False
-    speed: float | None = None
-    load: bool = False
-    warm: bool = False
+    def sliding(what: str) -> dict[str, float]:
+        return {f"{k}:{what}": share for k, share in z.items()}
 
-    def options(self, site: Site, kind: str) -> Iterator[Structure]:
-        """List structures with another value of a kind, present or not."""
-        if kind == "width":
-            yield from (replace(self, width=k) for k in range(len(site.widths)))
-        elif kind == "speed":
-            yield from (replace(self, speed=k) for k in range(len(site.speeds)))
-        elif kind == "load" and site.motor is not None:
-            yield replace(self, load=True)
-        elif kind == "warm" and site.warm:
-            yield replace(self, warm=True)
-
-    def has(self, kind: str) -> bool:
-        """Whether it has a term of a kind."""
-        value = getattr(self, kind)
-        return value is not None and value is not False  # the first of the widths has the number 0
-
-    def columns(self, site: Site) -> dict[str, dict[str, float]]:
-        """Combine the site's columns to those of its parameters, of which all but some are not negative.
-
-        ``fr`` is friction at rest, ``fs + fb``.
-        """
-        z = {0: 1.0} if self.width is None else between(self.width, len(site.widths), first=1)
-
-        def sliding(what: str) -> dict[str, float]:
-            return {f"{k}:{what}": share for k, share in z.items()}
-
-        made: dict[str, dict[str, float]] = {}
-        if "off" in site.plain:
-            made["off"] = {"off": 1.0}
-        if "fv" in site.plain:
-            made["fv"] = {"fv": 1.0}
-        if "fs" in site.plain:
-            made["fs"] = sliding("1")
-            if self.speed is not None:
-                shares = between(self.speed, len(site.speeds)).items()
-                made["fr"] = {each: a * b for k, b in shares for each, a in sliding(f"s{k}").items()}
-                made["fs"] = made["fs"] | {each: -share for each, share in made["fr"].items()}
-            if self.gradual:
-                made |= {f"z{k}": {f"{k}:1": 1.0} for k in range(1, len(site.widths) + 1) if k not in z}
-            if self.load:
-                made["fl"] = sliding("fl")
-        if self.warm:
-            made |= {"fvt": {"fvt": 1.0}, "fst": sliding("fst")}
-        return made
+    made: dict[str, dict[str, float]] = {kind: {kind: 1.0} for kind in ("off", "fv") if kind in site.plain}
+    if "fs" in site.plain:
+        made["fs"] = sliding("1")
+        if "speed" in structure:
+            shares = between(structure["speed"], len(site.speeds)).items()
+            made["fr"] = {each: a * b for k, b in shares for each, a in sliding(f"s{k}").items()}
+            made["fs"] = made["fs"] | {each: -share for each, share in made["fr"].items()}
+        if "gradual" in structure:
+            made |= {f"z{k}": {f"{k}:1": 1.0} for k in range(1, len(site.widths) + 1) if k not in z}
+        if "load" in structure:
+            made["fl"] = sliding("fl")
+    if "warm" in structure:
+        made |= {"fvt": {"fvt": 1.0}, "fst": sliding("fst")}
+    return made
 
 
 def between(number: float, count: int, first: int = 0) -> dict[int, float]:
@@ -139,7 +120,7 @@ def columns_of(group: Group, structures: tuple[Structure, ...]) -> tuple[list[tu
     listed = [
         ((s, kind), made)
         for s, (structure, site) in enumerate(zip(structures, group.sites, strict=True))
-        for kind, made in structure.columns(site).items()
+        for kind, made in parameter_columns(structure, site).items()
     ]
     M = np.zeros((len(group.columns), len(listed)))
     for k, ((s, _), made) in enumerate(listed):
@@ -194,7 +175,7 @@ def choose(group: Group) -> tuple[Trial, Trial, dict[tuple[int, str], float]]:
     A term enters where it takes the squared error of blocks left out down by a share that the eye sees and by more
     standard errors, over the blocks, than the best of many widths and speeds does by chance.
     """
-    plain = attempt(group, tuple(Structure() for _ in group.sites))
+    plain = attempt(group, ({},) * len(group.sites))
     best = plain
     evidence: dict[tuple[int, str], float] = {}
     if len(group.G) < FEWEST_BLOCKS:
@@ -202,7 +183,7 @@ def choose(group: Group) -> tuple[Trial, Trial, dict[tuple[int, str], float]]:
     while True:
         offers = []
         for s, kind in ((s, kind) for s in range(len(group.sites)) for kind in KINDS):
-            if not best.structures[s].has(kind):
+            if kind not in best.structures[s]:
                 trials = _with(group, best, s, kind)
                 if trials:
                     least = min(trials, key=lambda trial: trial.errors.sum())
@@ -223,26 +204,28 @@ def _beyond(group: Group, after: Trial, s: int) -> bool:
     is slow still. One stop turns at once, and friction that bends below a hundredth of the rms speed made up for it.
     Faster ones are not asked: on motor 6 of a TX40 one takes the error of unused samples from 16.0 to 10.4 %.
     """
-    if (after.structures[s].speed or 0.0) > SLOW:
+    own = {**after.structures[s], "gradual": 0.0}
+    if own["speed"] > SLOW:
         return True
-
-    def gradual(speed: float | None) -> Trial:
-        of_site = replace(after.structures[s], speed=speed, gradual=True)
-        return attempt(group, (*after.structures[:s], of_site, *after.structures[s + 1 :]))
-
-    t, share = gained(gradual(None), gradual(after.structures[s].speed))
+    bare = {kind: number for kind, number in own.items() if kind != "speed"}
+    t, share = gained(*(attempt(group, _changed(after, s, each)) for each in (bare, own)))
     return t > TERM_T and share > TERM_SHARE
 
 
 def _with(group: Group, trial: Trial, s: int, kind: str) -> list[Trial]:
-    own, others = trial.structures[s], trial.structures
-    return [attempt(group, (*others[:s], option, *others[s + 1 :])) for option in own.options(group.sites[s], kind)]
+    numbers = options(group.sites[s], kind)
+    return [attempt(group, _changed(trial, s, {**trial.structures[s], kind: number})) for number in numbers]
+
+
+def _changed(trial: Trial, s: int, structure: Structure) -> tuple[Structure, ...]:
+    """Return the structures of a trial, with another one of site ``s``."""
+    return (*trial.structures[:s], structure, *trial.structures[s + 1 :])
 
 
 def _refined(group: Group, trial: Trial) -> Trial:
     """Choose widths and speeds again, given the terms added since."""
     for s, kind in ((s, kind) for s in range(len(group.sites)) for kind in ("width", "speed")):
-        if trial.structures[s].has(kind):
+        if kind in trial.structures[s]:
             trial = min([trial, *_with(group, trial, s, kind)], key=lambda each: float(each.errors.sum()))
     return trial
 
@@ -261,8 +244,8 @@ def polished(group: Group, trial: Trial) -> Trial:
             values = shape_values(group, s, kind)
             if kind == "speed" and x.get((s, "fr"), 0.0) < x.get((s, "fs"), 0.0):
                 continue
-            moved = getattr(structures[s], kind) + np.clip(step / np.log(values[1] / values[0]), -1.0, 1.0)
-            structures[s] = _moved(structures[s], kind, float(np.clip(moved, 0, len(values) - 1)))
+            moved = structures[s][kind] + np.clip(step / np.log(values[1] / values[0]), -1.0, 1.0)
+            structures[s] = {**structures[s], kind: float(np.clip(moved, 0, len(values) - 1))}
         after = attempt(group, tuple(structures))
         if after.errors.sum() >= best.errors.sum():
             break
@@ -275,9 +258,9 @@ def with_shapes(group: Group, trial: Trial) -> Trial:
     names, columns = list(trial.names), [trial.M]
     for s, structure in enumerate(trial.structures):
         for kind in ("width", "speed"):
-            number, values = getattr(structure, kind), shape_values(group, s, kind)
-            if number is None:
+            if kind not in structure:
                 continue
+            number, values = structure[kind], shape_values(group, s, kind)
             ends = [min(max(number + way, 0.0), len(values) - 1.0) for way in (-TILT, TILT)]
             low, high = (_columns_with(group, trial, s, kind, end) @ trial.x for end in ends)
             slope = (high - low) / ((ends[1] - ends[0]) * np.log(values[1] / values[0]))
@@ -296,12 +279,6 @@ def shape_values(group: Group, s: int, kind: str) -> np.ndarray:
 
 def _columns_with(group: Group, trial: Trial, s: int, kind: str, number: float) -> np.ndarray:
     """Build M (p, k) of a trial's parameters with another width or speed of a site."""
-    structures = list(trial.structures)
-    structures[s] = _moved(structures[s], kind, number)
-    listed, M = columns_of(group, tuple(structures))
+    listed, M = columns_of(group, _changed(trial, s, {**trial.structures[s], kind: number}))
     place = {name: k for k, name in enumerate(listed)}
     return M[:, [place[name] for name in trial.names]]
-
-
-def _moved(structure: Structure, kind: str, number: float) -> Structure:
-    return replace(structure, width=number) if kind == "width" else replace(structure, speed=number)

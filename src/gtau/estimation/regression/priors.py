@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 
 import numpy as np
@@ -68,17 +68,11 @@ def inertia_priors(robot: Robot, std: float) -> dict[str, Prior]:
             f"the file of robot '{robot.name}'{where} states no inertias, which 'prior_inertias' asks for; give a URDF "
             "or MJCF file with <inertial> elements, or leave it out."
         )
-    return dict(_priors(robot, stated, std))
-
-
-def _priors(robot: Robot, stated: dict[str, float], std: float) -> Iterator[tuple[str, Prior]]:
+    sizes: dict[str, float] = {}
     for body in _heavy(robot):
-        for kind, size in (sizes_of(stated, body) or {}).items():
-            name = Parameter(kind, body).name
-            yield name, Prior(value=stated[name], std=std * size)
-    for name, value in stated.items():
-        if parameter_of(name).kind == "ia" and value > 0:
-            yield name, Prior(value=value, std=std * value)
+        sizes |= {Parameter(kind, body).name: size for kind, size in (sizes_of(stated, body) or {}).items()}
+    sizes |= {name: value for name, value in stated.items() if parameter_of(name).kind == "ia" and value > 0}
+    return {name: Prior(value=stated[name], std=std * size) for name, size in sizes.items()}
 
 
 def _heavy(robot: Robot) -> list[str]:

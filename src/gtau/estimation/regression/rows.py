@@ -178,17 +178,11 @@ def configurations(idm: InverseDynamics, window: InMemoryRun) -> np.ndarray:
         Where the loops cannot be closed at a sample, or a pose is too close to a singularity.
     """
     whole = window if window.whole is None else window.whole
-    return _configurations(idm, whole)[:, window.first : window.first + len(window)]
+    return _along_whole(idm, whole)[1][:, window.first : window.first + len(window)]
 
 
-@lru_cache(maxsize=8)  # of few runs: hypotheses and estimators look at their windows again and again
-def _configurations(idm: InverseDynamics, whole: InMemoryRun) -> np.ndarray:
-    of = whole.samples()
-    return idm.path(of.q.T.copy(), Labels(whole.run.name, of.time))
-
-
-@lru_cache(maxsize=8)  # of few runs: the factors and then friction are streamed along the same ones
-def _along_short(idm: InverseDynamics, prepared: PreparedRun) -> tuple[SampleWindow, np.ndarray]:
+@lru_cache(maxsize=16)  # of few runs: factors, friction, and windows of hypotheses are streamed along the same ones
+def _along_whole(idm: InverseDynamics, prepared: PreparedRun | InMemoryRun) -> tuple[SampleWindow, np.ndarray]:
     of = prepared.samples()
     return of, idm.path(of.q.T.copy(), Labels(prepared.run.name, of.time))
 
@@ -200,7 +194,7 @@ def _along(
     begin, end = 0, 0  # the stretch that ``of`` and ``c`` are for
     c = np.zeros((idm.layout.n_c, 0))
     if isinstance(prepared, PreparedRun) and len(prepared) <= SHORT:
-        end, (of, c) = len(prepared), _along_short(idm, prepared)
+        end, (of, c) = len(prepared), _along_whole(idm, prepared)
     for block in blocks:
         at = block.samples
         if at.stop > end:

@@ -85,13 +85,9 @@ class System:
         joints, bodies = self.whole.joints, [parameter_of(name).body for name in self.base.standard]
         return [joints.index(body) if body in joints else 0 for body in bodies]
 
-    @cached_property
-    def _transmitted(self) -> np.ndarray:
-        return transmitted(self.base.names)
-
     def load(self, run: int, theta: np.ndarray) -> np.ndarray:
         """Return the base columns' values in ``run`` that joints transmit: with payload, without friction, (n_b,)."""
-        return self.motion(run, theta) * self._transmitted
+        return self.motion(run, theta) * transmitted(self.base.names)
 
     def loads(self, theta: np.ndarray) -> list[np.ndarray | None]:
         """Return :meth:`load` of each run, None where no friction depends on it."""

@@ -20,11 +20,18 @@ from gtau.estimation.regression.equations import triangle
 from gtau.estimation.regression.friction import BEARING, TEMPERATURE_TERMS, TERMS
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
-from gtau.estimation.results.estimate import AlternativeMoves, Estimate, FrictionCurve, SensorEstimate, TorqueError
+from gtau.estimation.results.estimate import (
+    AlternativeMoves,
+    Estimate,
+    FrictionCurve,
+    SensorEstimate,
+    TorqueError,
+    distances_of,
+    nearest_poses,
+)
 from gtau.estimation.results.friction_curves import friction_unit, reference_temperatures
 from gtau.estimation.results.payload import named_estimates, payload_estimates
 from gtau.estimation.results.result import Result
-from gtau.estimation.results.singularity_distances import distances_of, nearest_poses
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import Robot
 from gtau.robots.units import gain_unit, torque_unit, unit_of

@@ -10,10 +10,9 @@ from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.sentences import note, percent_text
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
-from gtau.estimation.results.estimate import Estimate
+from gtau.estimation.results.estimate import Estimate, NearestPose
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.payload import PayloadEstimate
-from gtau.estimation.results.singularity_distances import NearestPose
 from gtau.estimation.results.torque_scale import listed, torque_headline
 from gtau.estimation.thresholds.estimates import INFLATED
 from gtau.estimation.thresholds.logs import NEAR_SINGULAR

@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from io import BytesIO
 from numbers import Integral
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from gtau import display
+from gtau.documents.files import write_atomically
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.sentences import named
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict
+from gtau.model.singularities import TYPES
+from gtau.signals.decimation import Decimator
+from gtau.signals.preparation import PreparedRun
+from gtau.signals.storage import rows_at
 
 if TYPE_CHECKING:
-    import polars as pl
+    pass
 
 
 @dataclass(frozen=True, repr=False)
@@ -250,84 +257,59 @@ class Requirement:
         return self.found is not None and self.found <= self.limit
 
 
-@dataclass(frozen=True)
-class Prediction:
-    """Torques at every sample of a run: ``time`` (N,) in s, ``predicted`` and ``measured`` (N, n) in N m or N.
+@dataclass(frozen=True, eq=False)
+class Distances:
+    """Distances to singularities along a run: ``time`` (K,) in s, and of each type ``values`` (K, 2).
 
-    ``friction`` (N, n) is the part of what is predicted that friction and offsets take.
-
-    All are behind the low-pass of identification, whose rows are one sample of ``factor``. ``keep`` (N, n) is False
-    near a joint's reversals and rests, which identification of gains and inertia leaves out, and near gaps; ``valid``
-    (N, n) is False near gaps and repaired samples, and at the ends of the log up to where the motion begins.
+    Reciprocal condition numbers, 1 at best and 0 at a singularity; NaN for type 2 without closures.
     """
 
-    joints: tuple[str, ...]
+    run: str
     time: np.ndarray
-    predicted: np.ndarray
-    measured: np.ndarray
-    keep: np.ndarray
-    valid: np.ndarray
-    friction: np.ndarray
-    factor: int = 1
+    values: np.ndarray
 
-    @property
-    def rows(self) -> Prediction:
-        """One sample of ``factor``, whose residuals are as independent as the low-pass lets them be."""
-        return replace(self.part(slice(self.factor // 2, None, self.factor)), factor=1)
 
-    def part(self, samples: slice | np.ndarray) -> Prediction:
-        """Take some of the samples."""
-        names = ("time", "predicted", "measured", "friction", "keep", "valid")
-        return replace(self, **{name: getattr(self, name)[samples] for name in names})
+@dataclass(frozen=True)
+class NearestPose:
+    """Nearest pose of a run to a singularity of ``type`` 1 or 2: distance, time (s) since the run's start, pose.
 
-    def of(self, joints: Sequence[str]) -> Prediction:
-        """Take some of the joints."""
-        chosen = [self.joints.index(joint) for joint in joints]
-        names = ("predicted", "measured", "friction", "keep", "valid")
-        return replace(self, joints=tuple(joints), **{name: getattr(self, name)[:, chosen] for name in names})
+    The pose is in rad or m.
+    """
 
-    def __repr__(self) -> str:
-        return (
-            f"Prediction({len(self.time)} samples of joints {', '.join(self.joints)}, {self.time[0]:.4g} to "
-            f"{self.time[-1]:.4g} s)"
-        )
+    run: str
+    type: Literal[1, 2]
+    distance: float
+    time: float
+    pose: Mapping[str, float]
 
-    def table(self) -> pl.DataFrame:
-        """Return the torques as a Polars table, one row per sample.
 
-        Columns: ``t`` (s); for each joint ``motor_J`` (drive gain times current), ``model_J`` (what the motion takes),
-        ``external_J`` (the torque that the environment exerts on the joint, model minus motor; N m or N), ``usable_J``
-        (``keep``) and ``valid_J``.
-        """
-        import polars as pl
+def distances_of(prepared: PreparedRun, decimator: Decimator, values: np.ndarray) -> Distances:
+    """Combine the distances ``values`` (K, 2) with the times of the run's decimated samples."""
+    return Distances(prepared.run.name, rows_at(prepared.time, decimator.instants(len(prepared))), values)
 
-        columns = {"t": self.time}
-        for j, joint in enumerate(self.joints):
-            columns |= {
-                f"motor_{joint}": self.measured[:, j],
-                f"model_{joint}": self.predicted[:, j],
-                f"external_{joint}": self.predicted[:, j] - self.measured[:, j],
-                f"usable_{joint}": self.keep[:, j],
-                f"valid_{joint}": self.valid[:, j],
-            }
-        return pl.DataFrame(columns)
 
-    def to_frame(self) -> pl.DataFrame:
-        """Return the prediction as a Polars table, one row per instant and joint; ``.to_pandas()`` converts it."""
-        import polars as pl
+def nearest_poses(prepared: PreparedRun, decimator: Decimator, values: np.ndarray) -> Iterator[NearestPose]:
+    """Find the pose of a run nearest to singularities of each type that the robot can have."""
+    instants = decimator.instants(len(prepared.time))
+    for kind, distances in zip(TYPES, values.T, strict=True):
+        if distances.size and not np.isnan(distances).all():
+            k = int(np.nanargmin(distances))
+            at = int(instants[k])
+            q = prepared.samples(at, at + 1).q[0]
+            pose = {joint: float(value) for joint, value in zip(prepared.run.joints, q, strict=True)}
+            since_start = float(prepared.time[at] - prepared.run.time[0])
+            yield NearestPose(prepared.run.name, kind, float(distances[k]), since_start, pose)
 
-        samples, n = self.measured.shape
-        return pl.DataFrame(
-            {
-                "time": np.repeat(self.time, n),
-                "joint": np.tile(np.array(self.joints), samples),
-                "measured": self.measured.reshape(-1),
-                "predicted": self.predicted.reshape(-1),
-                "kept": self.keep.reshape(-1),
-                "valid": self.valid.reshape(-1),
-            }
-        )
 
-    def _repr_html_(self) -> str:
-        html: str = display.views().html(self)
-        return html
+def write_distances(runs: Sequence[Distances], path: str | Path) -> None:
+    """Write a table ``run, time, type_1, type_2`` as a Parquet file, atomically; NaN is written as null."""
+    import polars
+
+    tables = []
+    for each in runs:
+        values = {f"type_{kind}": distances for kind, distances in zip(TYPES, each.values.T, strict=True)}
+        table = polars.DataFrame({"time": each.time} | values)
+        tables.append(table.select(polars.lit(each.run).alias("run"), polars.all()))
+    content = BytesIO()
+    polars.concat(tables).fill_nan(None).write_parquet(content)
+    write_atomically(path, content.getvalue())

@@ -10,7 +10,15 @@ from gtau.estimation.diagnostics.parameter_checks import parameter_verdict
 from gtau.estimation.estimators.estimator import Fit, jackknife
 from gtau.estimation.friction.law import FrictionLaw
 from gtau.estimation.friction.normal_equations import FINER, Group, normal_equations, sites_of
-from gtau.estimation.friction.selection import KINDS, WORDS, Trial, choose, shape_values, with_shapes
+from gtau.estimation.friction.selection import (
+    KINDS,
+    WORDS,
+    Trial,
+    choose,
+    parameter_columns,
+    shape_values,
+    with_shapes,
+)
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS, UNITS
 from gtau.estimation.results.estimate import Estimate, FrictionCurve, ReferenceTemperatures
 from gtau.robots.parameter import Parameter
@@ -111,7 +119,7 @@ def _between_values(group: Group, whole: Trial, A: np.ndarray) -> np.ndarray:
     found = np.zeros_like(A)
     for k, (s, kind) in enumerate(whole.names):
         if kind in BETWEEN:
-            tried, number = shape_values(group, s, kind), getattr(whole.structures[s], kind)
+            tried, number = shape_values(group, s, kind), whole.structures[s][kind]
             std = np.log(tried[1] / tried[0]) / np.sqrt(12) if number == round(number) else BETWEEN[kind]
             others = np.arange(len(A)) != k
             change = np.ones(len(A))
@@ -145,7 +153,7 @@ def curves_of(
     made = {}
     for s, (site, structure) in enumerate(zip(group.sites, trial.structures, strict=True)):
         own = {kind: k for k, (of, kind) in enumerate(trial.names) if of == s}
-        values: dict[str, float] = dict.fromkeys(structure.columns(site), 0.0)
+        values: dict[str, float] = dict.fromkeys(parameter_columns(structure, site), 0.0)
         values |= {kind: float(trial.x[k]) for kind, k in own.items()}
         std: dict[str, float | None] = dict.fromkeys(values)
         std |= {kind: float(np.sqrt(covariance[k, k])) for kind, k in own.items()}
@@ -159,7 +167,7 @@ def curves_of(
         parameters = [estimate(kind, site.joint, value, std[kind]) for kind, value in values.items()]
         shape: dict[str, Estimate] = {}
         for kind, name in (("width", "width"), ("speed", "vs")):
-            if (number := getattr(structure, kind)) is not None:
+            if (number := structure.get(kind)) is not None:
                 tried = shape_values(group, s, kind)
                 value, k = float(tried[0] * (tried[1] / tried[0]) ** number), places.get((s, kind))
                 spread = None if k is None else value * float(np.sqrt(covariance[k, k]))

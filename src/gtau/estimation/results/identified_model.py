@@ -15,16 +15,17 @@ from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.friction.law import FrictionLaw, Shape
 from gtau.estimation.results.estimate import (
     AlternativeMoves,
+    Distances,
     Estimate,
     FrictionCurve,
     Named,
+    NearestPose,
     ReferenceTemperatures,
     Requirement,
     SensorEstimate,
     TorqueError,
 )
 from gtau.estimation.results.payload import PayloadEstimate
-from gtau.estimation.results.singularity_distances import Distances, NearestPose
 from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import parameter_of

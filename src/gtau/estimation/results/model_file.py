@@ -36,6 +36,7 @@ from gtau.estimation.results.estimate import (
     AlternativeMoves,
     Estimate,
     FrictionCurve,
+    NearestPose,
     ReferenceTemperatures,
     Requirement,
     SensorEstimate,
@@ -44,7 +45,6 @@ from gtau.estimation.results.estimate import (
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.model_document import OLDER, SCHEMA, to_document
 from gtau.estimation.results.payload import PayloadEstimate
-from gtau.estimation.results.singularity_distances import NearestPose
 from gtau.robots.parameter import Parameter
 from gtau.robots.readers.native import parse_native
 from gtau.signals.decimation import Decimator

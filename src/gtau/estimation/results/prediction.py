@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gtau import display
 from gtau.errors import GtauError
 from gtau.estimation.friction.law import carried
 from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.regression.dataset import at_rate_of, check_wrenches, motor_to_joint_speed
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
-from gtau.estimation.regression.rows import stream_torques
-from gtau.estimation.results.estimate import Prediction, Requirement, TorqueError
+from gtau.estimation.regression.rows import Law, stream_torques
+from gtau.estimation.results.estimate import Requirement, TorqueError
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter, parameter_of
@@ -24,6 +25,92 @@ from gtau.signals.preparation import PreparedRun, prepare
 from gtau.signals.run import Run, arrange
 from gtau.signals.settings import Requirements
 from gtau.signals.storage import spans
+
+if TYPE_CHECKING:
+    import polars as pl
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Torques at every sample of a run: ``time`` (N,) in s, ``predicted`` and ``measured`` (N, n) in N m or N.
+
+    ``friction`` (N, n) is the part of what is predicted that friction and offsets take.
+
+    All are behind the low-pass of identification, whose rows are one sample of ``factor``. ``keep`` (N, n) is False
+    near a joint's reversals and rests, which identification of gains and inertia leaves out, and near gaps; ``valid``
+    (N, n) is False near gaps and repaired samples, and at the ends of the log up to where the motion begins.
+    """
+
+    joints: tuple[str, ...]
+    time: np.ndarray
+    predicted: np.ndarray
+    measured: np.ndarray
+    keep: np.ndarray
+    valid: np.ndarray
+    friction: np.ndarray
+    factor: int = 1
+
+    @property
+    def rows(self) -> Prediction:
+        """One sample of ``factor``, whose residuals are as independent as the low-pass lets them be."""
+        return replace(self.part(slice(self.factor // 2, None, self.factor)), factor=1)
+
+    def part(self, samples: slice | np.ndarray) -> Prediction:
+        """Take some of the samples."""
+        names = ("time", "predicted", "measured", "friction", "keep", "valid")
+        return replace(self, **{name: getattr(self, name)[samples] for name in names})
+
+    def of(self, joints: Sequence[str]) -> Prediction:
+        """Take some of the joints."""
+        chosen = [self.joints.index(joint) for joint in joints]
+        names = ("predicted", "measured", "friction", "keep", "valid")
+        return replace(self, joints=tuple(joints), **{name: getattr(self, name)[:, chosen] for name in names})
+
+    def __repr__(self) -> str:
+        return (
+            f"Prediction({len(self.time)} samples of joints {', '.join(self.joints)}, {self.time[0]:.4g} to "
+            f"{self.time[-1]:.4g} s)"
+        )
+
+    def table(self) -> pl.DataFrame:
+        """Return the torques as a Polars table, one row per sample.
+
+        Columns: ``t`` (s); for each joint ``motor_J`` (drive gain times current), ``model_J`` (what the motion takes),
+        ``external_J`` (the torque that the environment exerts on the joint, model minus motor; N m or N), ``usable_J``
+        (``keep``) and ``valid_J``.
+        """
+        import polars as pl
+
+        columns = {"t": self.time}
+        for j, joint in enumerate(self.joints):
+            columns |= {
+                f"motor_{joint}": self.measured[:, j],
+                f"model_{joint}": self.predicted[:, j],
+                f"external_{joint}": self.predicted[:, j] - self.measured[:, j],
+                f"usable_{joint}": self.keep[:, j],
+                f"valid_{joint}": self.valid[:, j],
+            }
+        return pl.DataFrame(columns)
+
+    def to_frame(self) -> pl.DataFrame:
+        """Return the prediction as a Polars table, one row per instant and joint; ``.to_pandas()`` converts it."""
+        import polars as pl
+
+        samples, n = self.measured.shape
+        return pl.DataFrame(
+            {
+                "time": np.repeat(self.time, n),
+                "joint": np.tile(np.array(self.joints), samples),
+                "measured": self.measured.reshape(-1),
+                "predicted": self.predicted.reshape(-1),
+                "kept": self.keep.reshape(-1),
+                "valid": self.valid.reshape(-1),
+            }
+        )
+
+    def _repr_html_(self) -> str:
+        html: str = display.views().html(self)
+        return html
 
 
 def suited(result: IdentifiedModel, run: Run) -> Run:
@@ -58,13 +145,8 @@ def predict(result: IdentifiedModel, run: Run) -> Prediction:
     chi = loaded_parameters(result, run.payload, f"run '{run.name}'")
     regressor, gains = model.columns(base.standard), result.gains
     delays = np.array([[result.delays[joint].value] for joint in model.actuated])
-    load, law = np.array(carried(np, base.standard, chi)), result.friction_law
-    states = law.followers(prepared.path)
+    load, friction = np.array(carried(np, base.standard, chi)), friction_along(result, prepared, chi)
     check_temperature_unit(result, run)
-
-    def friction(at: np.ndarray, motion: Motion, effort: np.ndarray) -> np.ndarray:
-        return law.torques(motion, friction_values(result, chi, run, at), effort, states(at))
-
     predicted, measured, rubbing = [], [], []
     for part in stream_torques(model, regressor, prepared, decimator, load, friction):
         torque, of_friction, v, v_d, v_dd = part  # eq. (17), each current at its delayed time
@@ -83,6 +165,17 @@ def predict(result: IdentifiedModel, run: Run) -> Prediction:
     made, found, rest = (np.concatenate(each) for each in (predicted, measured, rubbing))
     time = np.asarray(prepared.time)
     return Prediction(model.actuated, time, made, found, keep, valid, rest, decimator.factor)
+
+
+def friction_along(result: IdentifiedModel, prepared: PreparedRun, chi: np.ndarray) -> Law:
+    """Make the friction of a run, at its temperatures and with its presliding, for base parameters ``chi`` (n_b,)."""
+    law, run = result.friction_law, prepared.run
+    states = law.followers(prepared.path)
+
+    def friction(at: np.ndarray, motion: Motion, effort: np.ndarray) -> np.ndarray:
+        return law.torques(motion, friction_values(result, chi, run, at), effort, states(at))
+
+    return friction
 
 
 def check_temperature_unit(result: IdentifiedModel, run: Run) -> None:

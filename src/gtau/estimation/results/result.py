@@ -11,10 +11,10 @@ import numpy as np
 
 from gtau import display
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.results.estimate import Prediction, TorqueError
+from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.identified_model import IdentifiedModel, estimates_frame
 from gtau.estimation.results.model_file import load, save
-from gtau.estimation.results.prediction import predict, torque_errors, torques
+from gtau.estimation.results.prediction import Prediction, predict, torque_errors, torques
 from gtau.signals.payload import Payload, as_payload
 from gtau.signals.run import Run
 
