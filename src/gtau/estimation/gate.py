@@ -37,10 +37,12 @@ def require_inputs(
     ------
     GtauError
         Where it takes neither torque sensors nor known parameters, and there are some (``consistent`` parameters are
-        sought with the latter whatever the estimator); where it takes gains and some joint has none.
+        sought with the latter whatever the estimator); where it does not support a floating base; where it takes gains
+        and some joint has none.
     """
-    _require_priors_taken(estimator, robot, runs, priors, consistent)
-    return _gains_for(estimator, robot, runs, prior_gains)
+    if not estimator.takes_priors:
+        _refuse_priors(estimator, robot, runs, priors, consistent)
+    return given_gains(robot, runs, prior_gains, estimator.name) if estimator.gains == Gains.GIVEN else None
 
 
 def require_identifiable(
@@ -97,19 +99,10 @@ def tests_torques(system: System) -> bool:
     return any(each.acts for each in known) or bool(problem.wrenches) or not problem.free.all()
 
 
-def _require_priors_taken(
-    estimator: Estimator, robot: Robot, runs: Sequence[Run], priors: Mapping[str, Prior], consistent: bool = False
+def _refuse_priors(
+    estimator: Estimator, robot: Robot, runs: Sequence[Run], priors: Mapping[str, Prior], consistent: bool
 ) -> None:
-    """Check that an estimator accepts torque sensors and known parameters.
-
-    Raises
-    ------
-    GtauError
-        Where it takes neither torque sensors nor known parameters, and there are some; ``consistent`` parameters are
-        sought with the latter whatever the estimator.
-    """
-    if estimator.takes_priors:
-        return
+    """Refuse torque sensors, known parameters and floating bases for an estimator that takes none; raises GtauError."""
     takers = ", ".join(each.name for each in ESTIMATORS.values() if each.takes_priors)
     stated, valued = dict(robot.inertias), {name: each.value for name, each in priors.items() if each.value is not None}
     of_file = all(name in stated and stated[name] == value for name, value in valued.items())
@@ -124,30 +117,16 @@ def _require_priors_taken(
                 f"method '{estimator.name}' takes no {what}, and '{key}' gives some; remove '{key}', or choose from "
                 f"{takers} with --method."
             )
+    if robot.floating:
+        raise GtauError(
+            f"method '{estimator.name}' does not support floating bases, and that of robot '{robot.name}' floats; "
+            f"choose from {takers} with --method."
+        )
 
 
 def usable(estimator: Estimator, priors: Mapping[str, Prior]) -> Mapping[str, Prior]:
     """Return the priors that an estimator uses as equations; others use them only for consistent parameters."""
     return priors if estimator.takes_priors else {}
-
-
-def _gains_for(
-    estimator: Estimator, robot: Robot, runs: Sequence[Run], prior_gains: Mapping[str, float] | None
-) -> np.ndarray | None:
-    """Return the given gains (n,) of an estimator: prior ones, 1 for torques; None if it estimates them.
-
-    Raises
-    ------
-    GtauError
-        Where it takes them and some joint has no prior gain.
-    """
-    if robot.floating and not estimator.takes_priors:
-        takers = ", ".join(each.name for each in ESTIMATORS.values() if each.takes_priors)
-        raise GtauError(
-            f"method '{estimator.name}' does not support floating bases, and that of robot '{robot.name}' floats; "
-            f"choose from {takers} with --method."
-        )
-    return given_gains(robot, runs, prior_gains, estimator.name) if estimator.gains == Gains.GIVEN else None
 
 
 def given_gains(robot: Robot, runs: Sequence[Run], prior_gains: Mapping[str, float] | None, method: str) -> np.ndarray:

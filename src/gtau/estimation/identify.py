@@ -26,7 +26,7 @@ from gtau.estimation.gate import (
     require_inputs,
     usable,
 )
-from gtau.estimation.pipeline import AS_PAPER, DEFAULT, estimate
+from gtau.estimation.pipeline import estimate
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.results.prediction import judge
@@ -110,14 +110,12 @@ def identify(
     GtauError
         If a file is wrong, the data cannot be used, or they lack an input of the method.
     """
-    options = AS_PAPER if as_paper else DEFAULT
     if method is not None:
         estimator_of(method)  # before logs are read
     if not 0 < accuracy <= 0.5:
         raise GtauError(f"an accuracy of {accuracy:g} cannot be asked for; write 0.03 for 3 %.")
     if ratio is not None and not ratio >= 1:
         raise GtauError(f"a ratio of {ratio:g} cannot be asked for; write one of the paper's, 10 to 30.")
-    options = replace(options, accuracy=accuracy, ratio=options.ratio if ratio is None else ratio)
     subject = subject_of(source, runs, prior_gains, priors, progress, prior_inertias)
     robot, experiment, known = subject.robot, subject.experiment, subject.priors
     estimator = choose_estimator(method, subject.runs, as_paper)
@@ -127,7 +125,7 @@ def identify(
         dataset = reduce_runs(
             robot,
             subject.runs,
-            decimator=options.decimator,
+            decimator="chebyshev" if as_paper else "fir",
             progress=progress,
             priors=usable(estimator, known),
             prior_inertias=subject.prior_inertias,
@@ -139,7 +137,16 @@ def identify(
 
         def run(by: Estimator, given: np.ndarray | None) -> Result:
             try:
-                result = estimate(dataset, by, Given(given, known, progress), options, subject.prior_gains, consistent)
+                result = estimate(
+                    dataset,
+                    by,
+                    Given(given, known, progress),
+                    subject.prior_gains,
+                    consistent,
+                    as_paper,
+                    ratio,
+                    accuracy,
+                )
             except GtauError:
                 require_felt_payload(system)
                 raise

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,60 +22,18 @@ from gtau.estimation.results.friction_curves import friction_curves
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import ACCURACY
 
-
-@dataclass(frozen=True)
-class Options:
-    """Options of an identification beside the estimator.
-
-    Attributes
-    ----------
-    decimator : {"fir", "chebyshev"}
-        The compact FIR, or the paper's filter.
-    select_friction : bool
-        Select friction terms from the data, or take the paper's: viscous and Coulomb friction, the same in all runs.
-    delays : bool
-        Estimate a delay of each joint's current.
-    correlated : bool
-        Covariances by the block jackknife, which allows for residuals correlated in time, or by the method's formula.
-    ratio : float, optional
-        The paper's r_sigma for the essential parameters; without one the Bayesian information criterion decides.
-    all_samples : bool
-        Identify friction on all samples, at these gains and inertial parameters; predictions take it.
-    joint_reduction : bool
-        Estimate the gains again together with the essential parameters, as the paper does.
-    accuracy : float
-        Half the relative width of the 95 % interval up to which a gain is good.
-    """
-
-    decimator: Literal["fir", "chebyshev"] = "fir"
-    select_friction: bool = True
-    delays: bool = True
-    correlated: bool = True
-    ratio: float | None = None
-    all_samples: bool = True
-    joint_reduction: bool = False
-    accuracy: float = ACCURACY
-
-
-DEFAULT = Options()
-AS_PAPER = Options(
-    "chebyshev",
-    select_friction=False,
-    delays=False,
-    correlated=False,
-    ratio=10.0,
-    all_samples=False,
-    joint_reduction=True,
-)
+PAPER_RATIO = 10.0  # the paper's r_sigma for the essential parameters
 
 
 def estimate(
     dataset: Dataset,
     estimator: Estimator,
     given: Given,
-    options: Options = DEFAULT,
     prior_gains: Mapping[str, float] | None = None,
     consistent: bool = False,
+    as_paper: bool = False,
+    ratio: float | None = None,
+    accuracy: float = ACCURACY,
 ) -> Result:
     """Estimate parameters, drive gains and their uncertainties from reduced runs, with verdicts.
 
@@ -88,12 +45,20 @@ def estimate(
         From the registry.
     given : Given
         Gains, where the estimator takes them, and priors.
-    options : Options
-        Options beside the estimator.
     prior_gains : mapping, optional
         Expected gains, N m/A or N/A, by joint, to compare the estimates with.
     consistent : bool
         Also find physically consistent standard parameters.
+    as_paper : bool
+        As the paper does: viscous and Coulomb friction, the same in all runs, no delays, covariances by the method's
+        formula, and the gains estimated again together with the essential parameters. Otherwise friction terms are
+        selected from the data, then identified on all samples at these gains and inertial parameters, and covariances
+        are by the block jackknife, which allows for residuals correlated in time.
+    ratio : float, optional
+        The paper's r_sigma for the essential parameters; without one the Bayesian information criterion decides, or it
+        is 10 ``as_paper``.
+    accuracy : float
+        Half the relative width of the 95 % interval up to which a gain is good.
 
     Raises
     ------
@@ -101,28 +66,29 @@ def estimate(
         Where the data do not suit the estimator.
     """
     progress = given.progress
-    if options.select_friction:
-        dataset, system = select_friction(dataset, estimator.solver(given), progress)
+    if as_paper:
+        system = dataset.system(PAPER, delays=False)  # eqs. (29) to (33)
+        ratio = PAPER_RATIO if ratio is None else ratio
     else:
-        system = dataset.system(PAPER, options.delays)  # eqs. (29) to (33)
+        dataset, system = select_friction(dataset, estimator.solver(given), progress)
     progress("estimation", 0, 1)
     fit = estimator.fit(dataset, system, given)  # eqs. (24) to (28), or (34) to (39)
     examined = examine(fit, progress)
-    uncertainty = uncertainty_of(fit, examined, options.correlated)
-    essential, reduced, loss = essential_fit(fit, options.ratio, options.correlated, options.joint_reduction)
+    uncertainty = uncertainty_of(fit, examined, correlated=not as_paper)
+    essential, reduced, loss = essential_fit(fit, ratio, correlated=not as_paper, joint=as_paper)
     bare = without_file_inertias(fit, uncertainty.covariance, uncertainty.effective_freedom)
     audit = bare and audit_inertias(*bare, fit.dataset.prior_inertias)
-    payloads = weigh_known(bare[0], estimator.name, options.accuracy) if bare else {}
+    payloads = weigh_known(bare[0], estimator.name, accuracy) if bare else {}
     bodies = find_consistent(dataset, fit.system, fit.solution, given.priors, fit.free_gains) if consistent else None
     progress("estimation", 1, 1)
-    if options.joint_reduction:  # the gains that go with the essential parameters
+    if as_paper:  # the gains that go with the essential parameters
         fit = replace(fit, system=replace(fit.system, problem=essential), solution=reduced)
         covariance = reduced.covariance
         nothing = np.zeros_like(covariance)
         uncertainty = replace(uncertainty, scatter=covariance, scale=nothing, model=nothing)
-    diagnosis = diagnose(fit, examined, uncertainty, payloads, prior_gains or {}, options.accuracy)
+    diagnosis = diagnose(fit, examined, uncertainty, payloads, prior_gains or {}, accuracy)
     diagnosis = replace(diagnosis, notes=(*diagnosis.notes, *map(note, prior_findings(audit))))
-    curves, errors = friction_curves(fit, uncertainty.covariance) if options.all_samples else ({}, {})
+    curves, errors = ({}, {}) if as_paper else friction_curves(fit, uncertainty.covariance)
     return build_result(
         fit, estimator, examined, uncertainty, essential, loss, diagnosis, curves, errors, bodies, audit
     )

@@ -7,7 +7,7 @@ are as identified on both sides. A rotor inertia that the file does not state ma
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -20,7 +20,6 @@ from gtau.estimation.estimators.estimator import Fit, Iterate, Solution
 from gtau.estimation.estimators.newton import degrees_of_freedom, residuals, stacked
 from gtau.estimation.regression.equations import MODEL
 from gtau.estimation.regression.priors import inertia_priors, sizes_of, stated_inertias
-from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import INERTIA_CHANCE, INERTIA_EXPLAINED
@@ -216,12 +215,9 @@ class _Comparison:
     @property
     def rows(self) -> np.ndarray:
         """Weighted Jacobian of the residuals with respect to the whole problem's parameters, (., n_whole)."""
-        return _rows(self.system.whole, self.solution)
-
-
-def _rows(problem: Problem, solution: Solution) -> np.ndarray:
-    weights = 1 / (solution.gains * np.maximum(solution.sigma, problem.smallest_sigma))
-    return np.concatenate([w * R[:, MODEL] for w, R in zip(weights, problem.triangles, strict=True)])
+        problem, solution = self.system.whole, self.solution
+        weights = 1 / (solution.gains * np.maximum(solution.sigma, problem.smallest_sigma))
+        return np.concatenate([w * R[:, MODEL] for w, R in zip(weights, problem.triangles, strict=True)])
 
 
 def _parameters(
@@ -295,7 +291,8 @@ def _links(fit: Fit, comparison: _Comparison, stated: Mapping[str, float]) -> li
     freed = base.matrix[:, [k for k, name in enumerate(names) if name[:3] == "ia_" and name not in stated]]
     least, total = float(torque @ torque), float(torque @ torque)
     while len(found) < len(bodies) and least > (1 - INERTIA_EXPLAINED) * total:
-        tried = {body: _freed(rows, torque, np.hstack([freed, G])) for body, G in _left(bodies, found)}
+        named = {each.name for each in found}
+        tried = {body: _freed(rows, torque, np.hstack([freed, G])) for body, G in bodies.items() if body not in named}
         body = min(tried, key=lambda name: tried[name][0])
         least, change = tried[body]
         freed = np.hstack([freed, bodies[body]])
@@ -303,10 +300,6 @@ def _links(fit: Fit, comparison: _Comparison, stated: Mapping[str, float]) -> li
         theta[: base.count] += change
         found.append(AuditedLink(body, _rms(comparison.errors(theta))))
     return found
-
-
-def _left(bodies: Mapping[str, np.ndarray], found: Sequence[AuditedLink]) -> list[tuple[str, np.ndarray]]:
-    return [(body, G) for body, G in bodies.items() if body not in {each.name for each in found}]
 
 
 def _freed(rows: np.ndarray, torque: np.ndarray, G: np.ndarray) -> tuple[float, np.ndarray]:

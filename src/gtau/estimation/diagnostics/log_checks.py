@@ -79,21 +79,11 @@ def unexplained(dataset: Dataset) -> np.ndarray:
 
     Each joint is fitted by itself, with other parameters for each payload.
     """
-    n, regressor = len(dataset.model.actuated), dataset.model.columns(dataset.base.standard)
-    loads = [None if run.payload is None else run.payload.name for run in dataset.runs]
-    kinds = list(dict.fromkeys(loads))
-    rows: list[list[np.ndarray]] = [[] for _ in range(n)]
-    currents: list[list[np.ndarray]] = [[] for _ in range(n)]
-    for run, piece in central_windows(dataset):
-        mine = np.array([loads[run] == kind for kind in kinds], dtype=float)
-        for part in stream_rows(dataset.model, regressor, piece, dataset.preparation.at(piece.run.rate).decimator):
-            for j in range(n):
-                own = part.entries[regressor.rows == j][:, part.keep[j]].T
-                rows[j].append(np.kron(mine, own))
-                currents[j].append(part.currents[0, :n, part.keep[j]])
+    n, windows = len(dataset.model.actuated), list(_windows(dataset))
     left = np.zeros((n, n))
     for j in range(n):
-        W, V = np.concatenate(rows[j]), np.concatenate(currents[j])
+        W = np.concatenate([each.own[j] for each in windows])
+        V = np.concatenate([each.currents[0, :n, each.kept[j]] for each in windows])
         rest = V + W @ least_squares_step(W, V)
         left[j] = np.linalg.norm(rest, axis=0) / np.maximum(np.linalg.norm(V, axis=0), 1e-300)
     return left
@@ -112,9 +102,9 @@ def swapped_channels(dataset: Dataset) -> tuple[Finding, ...]:
 
 @dataclass(frozen=True, eq=False)
 class _Window:
-    """Rows of a window, with margins for shifts: ``currents`` (3, n, K) with derivatives, every ``step`` (s).
+    """Rows of a window, with margins for shifts: ``currents`` (3, c, K) with derivatives, every ``step`` (s).
 
-    Of each joint the rows ``kept`` and its own columns there, (., k).
+    Of each joint the rows ``kept`` and its own columns there, (., k), other ones for each payload.
     """
 
     currents: np.ndarray
@@ -170,7 +160,7 @@ def late_currents(dataset: Dataset, slowest: float) -> tuple[Finding, ...]:
     return tuple(found)
 
 
-def _windows(dataset: Dataset, reach: float) -> Iterator[_Window]:
+def _windows(dataset: Dataset, reach: float = 0.0) -> Iterator[_Window]:
     """Iterate over the middle of the runs, with currents available up to ``reach`` (s) before and after."""
     joints, regressor = range(len(dataset.model.actuated)), dataset.model.columns(dataset.base.standard)
     loads = [None if run.payload is None else run.payload.name for run in dataset.runs]

@@ -143,33 +143,21 @@ class LegDifference:
     ----------
     leg : tuple of str
         Names of its joints.
-    others : tuple of tuple of str
-        The legs that it is compared with.
     compared : tuple of str
         Names of its parameters that have counterparts of the same regrouping in all these legs.
     deviations : ndarray
         (compared,): differences from the mean of the others, in their standard deviations.
     relative : ndarray
         (compared,): the same differences in per cent of the mean of the others.
-    distance : float
-        All differences together, in joint standard deviations (Mahalanobis).
     probability : float
-        That legs which are alike differ by as much or more.
+        That legs which are alike differ by as much or more, all differences together (Mahalanobis).
     """
 
     leg: tuple[str, ...]
-    others: tuple[tuple[str, ...], ...]
     compared: tuple[str, ...]
     deviations: np.ndarray
     relative: np.ndarray
-    distance: float
     probability: float
-
-    @property
-    def worst(self) -> tuple[str, float]:
-        """Parameter with the largest difference, and that difference in standard deviations."""
-        k = int(np.abs(self.deviations).argmax())
-        return self.compared[k], float(self.deviations[k])
 
 
 def leg_differences(
@@ -224,11 +212,9 @@ def leg_differences(
             found.append(
                 LegDifference(
                     group[k],
-                    tuple(leg for j, leg in enumerate(group) if j != k),
                     tuple(names[tables[k][meaning]] for meaning in shared),
                     deviations,
                     100 * np.abs(np.divide(difference, others, out=np.full(len(shared), np.inf), where=others != 0)),
-                    float(np.sqrt(square)),
                     float(chi2.sf(square, rank)),
                 )
             )

@@ -273,20 +273,6 @@ def prior_contradictions(fit: Fit, covariance: np.ndarray, accuracy: float) -> l
     return found
 
 
-@dataclass(frozen=True)
-class Freed:
-    """A payload's value estimated without stating it, its standard deviation, the residual and the gains' move.
-
-    ``explained`` are the joints whose torque this value alone leaves unexplained.
-    """
-
-    value: float
-    std: float
-    left: float
-    moves: float
-    explained: tuple[str, ...]
-
-
 def weigh_known(fit: Fit, method: str, accuracy: float) -> dict[str, Verdict]:
     """Estimate each known value of a payload in turn, with given gains or gains from the other constants.
 
@@ -299,33 +285,21 @@ def weigh_known(fit: Fit, method: str, accuracy: float) -> dict[str, Verdict]:
     dict
         Verdicts by name, of payloads with a value that the others can be tested against.
     """
-    dataset = fit.dataset
-    known = {run.payload.name: run.payload for run in dataset.runs if run.payload and run.payload.mass is not None}
+    runs = fit.dataset.runs
+    known = {run.payload.name: run.payload for run in runs if run.payload and run.payload.mass is not None}
     verdicts = {}
     for name, payload in known.items():
         of_mass = not fit.free_gains or len(known) > 1 or fit.system.problem.scaled
         tested = (*(("m",) if of_mass else ()), *payload.parameters)
-        freed = {kind: _freed(fit, method, payload, kind) for kind in tested}
-        found_of_kind = {kind: found for kind, found in freed.items() if found is not None}
-        if not found_of_kind:
-            continue
-        kind = min(found_of_kind, key=lambda kind: found_of_kind[kind].left)
-        found, unit = found_of_kind[kind], unit_of(kind, dataset.robot, dataset.robot.tool)
-        declared = known_values(payload)[kind]
-        if fit.free_gains:
-            small = kind != "m" and found.moves < PAYLOAD_MOVES
-        else:
-            small = abs(found.value - declared) <= accuracy * abs(declared)
-        given = "" if fit.free_gains else dataset.runs[0].kind
-        before = fit.system.problem.total_rows @ np.log(fit.solution.sigma)
-        remains = float(np.exp(2 * (found.left - before) / fit.system.problem.total_rows.sum()))
-        verdict = known_verdict(kind, declared, found.value, found.std, unit, given, found.explained, remains)
-        verdicts[name] = GOOD if small else verdict
+        freed = [_freed(fit, method, payload, kind, accuracy) for kind in tested]
+        found = [each for each in freed if each is not None]
+        if found:
+            verdicts[name] = min(found, key=lambda each: each[0])[1]
     return verdicts
 
 
-def _freed(fit: Fit, method: str, payload: Payload, kind: str) -> Freed | None:
-    """Estimate a payload's parameter without stating it; None where it is not identifiable."""
+def _freed(fit: Fit, method: str, payload: Payload, kind: str, accuracy: float) -> tuple[float, Verdict] | None:
+    """Estimate a payload's parameter without stating it: what that leaves, and a verdict; None if not identifiable."""
     dataset, system = fit.dataset, fit.system
     values = {other: value for other, value in payload.parameters.items() if other != kind}
     mass = None if kind == "m" else payload.mass
@@ -348,17 +322,27 @@ def _freed(fit: Fit, method: str, payload: Payload, kind: str) -> Freed | None:
     if not columns or not set(other.unexcited) <= set(system.unexcited):
         return None  # or it cannot be separated from what is not declared
     best = min(columns, key=lambda k: float(std[k]))
-    value = float(free.theta[best])
-    of_mass = payload.mass_std if mass is None else value * payload.mass_std / mass
+    value, declared = float(free.theta[best]), known_values(payload)[kind]
+    if fit.free_gains:
+        small = kind != "m" and float(np.abs(free.gains / fit.solution.gains - 1).max()) < PAYLOAD_MOVES
+    else:
+        small = abs(value - declared) <= accuracy * abs(declared)
     left = float(other.problem.total_rows @ np.log(free.sigma))
-    moves = float(np.abs(free.gains / fit.solution.gains - 1).max())
+    if small:
+        return left, GOOD
+    of_mass = payload.mass_std if mass is None else value * payload.mass_std / mass
     misfits = [unexplained_shares(*each) for each in ((system.problem, fit.solution), (other.problem, free))]
-    explained = [
+    explained = tuple(
         joint
         for joint, before, after in zip(system.problem.joints, *misfits, strict=False)
         if before > MISFIT_GIVEN >= after
-    ]
-    return Freed(value, float(np.hypot(std[best], of_mass)), left, moves, tuple(explained))
+    )
+    rows = system.problem.total_rows
+    remains = float(np.exp(2 * (left - rows @ np.log(fit.solution.sigma)) / rows.sum()))
+    unit = unit_of(kind, dataset.robot, dataset.robot.tool)
+    given = "" if fit.free_gains else dataset.runs[0].kind
+    std_of_value = float(np.hypot(std[best], of_mass))
+    return left, known_verdict(kind, declared, value, std_of_value, unit, given, explained, remains)
 
 
 def _with_payload(dataset: Dataset, name: str, other: Payload) -> Sequence[Payload | None]:

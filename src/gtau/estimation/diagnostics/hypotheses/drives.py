@@ -13,6 +13,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from gtau.estimation.diagnostics.finding import RELATIVE, Finding
@@ -108,12 +110,12 @@ def _friction_drift(fit: Fit) -> Candidates:
     fv, fs = friction_levels(fit) * np.array(
         [Parameter("fvt", j).name not in terms and Parameter("fst", j).name not in terms for j in joints]
     )
-    spans = {id(each.run): (each.time[0], each.time[-1]) for each in fit.dataset.prepared}
+    along = _along_runs(fit)
 
     def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
-        of, (begin, end) = window.samples(), spans[id(window.run)]
-        along = ((of.time - begin) / max(end - begin, 1e-12) - 0.5)[:, None]
-        return at_full_rate(window, fit.dataset, np.stack([(fv * of.qd * along).T, (fs * np.sign(of.qd) * along).T]))
+        of = window.samples()
+        friction = np.stack([fv * of.qd, fs * np.sign(of.qd)]) * along(window, of.time)[:, None]
+        return at_full_rate(window, fit.dataset, friction.swapaxes(1, 2))
 
     return Candidates(
         [Finding(VISCOUS_DRIFT.kind), Finding(COULOMB_DRIFT.kind)],
@@ -121,6 +123,17 @@ def _friction_drift(fit: Fit) -> Candidates:
         np.full((2, len(joints)), FRICTION_CHANGE),
         offer,
     )
+
+
+def _along_runs(fit: Fit) -> Callable[[InMemoryRun, np.ndarray], np.ndarray]:
+    """Return a function that takes instants in a window's run to -0.5 at its beginning, 0.5 at its end."""
+    spans = {id(each.run): (each.time[0], each.time[-1]) for each in fit.dataset.prepared}
+
+    def along(window: InMemoryRun, time: np.ndarray) -> np.ndarray:
+        begin, end = spans[id(window.run)]
+        return np.asarray((time - begin) / max(end - begin, 1e-12) - 0.5)
+
+    return along
 
 
 FRICTION_DRIFT = Hypothesis("friction drift", False, _friction_drift, (VISCOUS_DRIFT, COULOMB_DRIFT))
@@ -181,16 +194,10 @@ DRIFTING_CONSTANT = Cause(
 def _gain_drift(fit: Fit) -> Candidates:
     """Add a torque constant that changes along the runs."""
     regressor, n = fit.dataset.model.columns(fit.dataset.base.standard), len(fit.gains)
-    spans = {id(each.run): (each.time[0], each.time[-1]) for each in fit.dataset.prepared}
+    along = _along_runs(fit)
 
     def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
-        begin, end = spans[id(window.run)]
-
-        def columns(rows: Rows) -> np.ndarray:
-            along = (rows.time - begin) / max(end - begin, 1e-12) - 0.5
-            return (regressor.torques(rows.entries, values, n) * along)[:, :, None]
-
-        return columns
+        return lambda rows: (regressor.torques(rows.entries, values, n) * along(window, rows.time))[:, :, None]
 
     return Candidates(
         [Finding(DRIFTING_CONSTANT.kind)],
