@@ -29,8 +29,7 @@ from gtau.errors import GtauError
 from gtau.estimation.results.estimate import Prediction
 from gtau.estimation.results.prediction import loaded_parameters, suited
 from gtau.estimation.results.result import Result
-from gtau.export.functions import OBSERVED, functions
-from gtau.export.identified import identified
+from gtau.export.identified import OBSERVED, functions, identified
 from gtau.export.wrench import WrenchAlongLog, wrench_along_log
 from gtau.robots.floating import refuse_floating
 from gtau.robots.robot import Placement
