@@ -35,8 +35,8 @@ from gtau.simulation.closed_loop import (
     simulate,
 )
 from gtau.simulation.experiment_files import apparatus
-from gtau.simulation.motions import make_trajectory
 from gtau.simulation.simulation_file import read_simulation
+from gtau.simulation.trajectories import make_trajectory
 
 DURATION = 8.0  # s, of each log that the model is identified from
 NAME = "orthoglide"

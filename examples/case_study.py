@@ -40,8 +40,8 @@ from gtau.report.torques import part_of, torques_chart
 from gtau.signals.experiment import read_experiment
 from gtau.simulation.closed_loop import sample
 from gtau.simulation.control_comparison import STRATEGIES, ControlComparison, compare_control
-from gtau.simulation.motions import make_trajectory
 from gtau.simulation.simulation_file import read_simulation
+from gtau.simulation.trajectories import make_trajectory
 
 DURATION = 20.0  # s, the paper's exciting trajectories
 

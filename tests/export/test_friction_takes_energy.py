@@ -19,8 +19,7 @@ from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
 from gtau.export.c import c_files
 from gtau.export.fmu import export as export_fmu
-from gtau.export.functions import functions
-from gtau.export.identified import identified, torques
+from gtau.export.identified import functions, identified, torques
 from gtau.export.matlab import matlab_files
 from gtau.export.mjcf import export as export_mjcf
 from gtau.export.registry import export_model

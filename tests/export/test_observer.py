@@ -19,8 +19,7 @@ import gtau
 from gtau.estimation.results.estimate import Estimate
 from gtau.export.c import export
 from gtau.export.external_torques import momentum_observer, observed
-from gtau.export.functions import functions
-from gtau.export.identified import identified
+from gtau.export.identified import functions, identified
 from gtau.robots.robot import Robot
 from gtau.simulation.plant import Plant, PlantState
 

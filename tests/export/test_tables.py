@@ -23,8 +23,8 @@ import gtau
 from gtau.documents.files import in_csv
 from gtau.estimation.results.result import Result
 from gtau.export.exported import identifier, suffixes
-from gtau.export.latex import SPACE, TEXT_WIDTH, in_latex, in_latex_index, symbol, width
 from gtau.export.parameter_orders import ORDERS, from_order, to_order
+from gtau.export.tables import SPACE, TEXT_WIDTH, in_latex, in_latex_index, symbol, width
 from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
 

@@ -33,10 +33,9 @@ from gtau.simulation.closed_loop import (
 )
 from gtau.simulation.control_comparison import STRATEGIES, ControlComparison, Tracking
 from gtau.simulation.experiment_files import simulate_experiment
-from gtau.simulation.motions import make_trajectory, moves_through
 from gtau.simulation.plant import Plant
-from gtau.simulation.simulation_file import MotionEntry, read_simulation
-from gtau.simulation.trajectories import Envelope, envelope, sines
+from gtau.simulation.simulation_file import read_simulation
+from gtau.simulation.trajectories import Envelope, MotionEntry, envelope, make_trajectory, moves_through, sines
 
 RATE = 1000.0
 

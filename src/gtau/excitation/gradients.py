@@ -25,7 +25,7 @@ from gtau.model.interpreter.program import Program, compile_program
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import Coordinates, configuration_rates, constant
 from gtau.model.loops import Motion
-from gtau.robots.geometry import characteristic_length, moved_ends
+from gtau.robots.geometry import characteristic_length, compose, moved_ends
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint, Limits, Pose, Robot
 
@@ -187,13 +187,10 @@ def in_platform_space(robot: Robot) -> Robot:
         placement = Pose(platform.home.xyz if k == 0 else (0.0, 0.0, 0.0))
         chain.append(Joint(name, before, kind, placement, axis, True, 0.0, Limits(), "none"))  # type: ignore[arg-type]
         before = name
-    held = Pose((0.0, 0.0, 0.0), platform.home.rpy)
+    held = Pose(rpy=platform.home.rpy)
 
     def moved(end: Attachment) -> Attachment:
-        if end.body != platform.name:
-            return end
-        rotation = held.rotation @ end.placement.rotation
-        return Attachment(end.body, _pose(rotation, held.rotation @ end.placement.position))
+        return end if end.body != platform.name else replace(end, placement=compose(held, end.placement))
 
     return replace(
         robot,
@@ -202,15 +199,6 @@ def in_platform_space(robot: Robot) -> Robot:
         springs=(),  # which no closure equation holds
         closures=moved_ends(robot, moved)[0],
     )
-
-
-def _pose(rotation: np.ndarray, position: np.ndarray) -> Pose:
-    pitch = float(np.arcsin(np.clip(-rotation[2, 0], -1.0, 1.0)))
-    if abs(rotation[2, 0]) < 1 - 1e-12:
-        roll, yaw = np.arctan2(rotation[2, 1], rotation[2, 2]), np.arctan2(rotation[1, 0], rotation[0, 0])
-    else:  # roll and yaw turn about one axis
-        roll, yaw = 0.0, np.arctan2(-rotation[0, 1], rotation[1, 1])
-    return Pose((float(position[0]), float(position[1]), float(position[2])), (float(roll), pitch, float(yaw)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,8 +28,7 @@ from gtau.documents.validation import NUMBER, takes
 from gtau.errors import GtauError
 from gtau.estimation.results.prediction import Prediction, loaded_parameters, suited
 from gtau.estimation.results.result import Result
-from gtau.export.functions import OBSERVED, functions
-from gtau.export.identified import identified
+from gtau.export.identified import OBSERVED, functions, identified
 from gtau.export.wrench import WrenchAlongLog, wrench_along_log
 from gtau.robots.floating import refuse_floating
 from gtau.robots.robot import Placement

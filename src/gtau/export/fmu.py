@@ -14,8 +14,7 @@ from gtau.errors import missing_extra
 from gtau.estimation.results.result import Result
 from gtau.export.c import CLOSED, NEWTON_STEPS, STARTING_STEPS, TEMPLATES
 from gtau.export.exported import Exported, suffixes, written
-from gtau.export.functions import Functions, functions
-from gtau.export.identified import Identified, identified, notes_on
+from gtau.export.identified import Functions, Identified, functions, identified, notes_on
 from gtau.model.loop_paths import CONTRACTION
 from gtau.model.loops import CONDITION
 

@@ -13,8 +13,7 @@ import numpy as np
 from gtau.estimation.results.result import Result
 from gtau.export.c import CLOSED, NEWTON_STEPS, STARTING_STEPS
 from gtau.export.exported import Exported, written
-from gtau.export.functions import OUTPUTS, Functions, functions
-from gtau.export.identified import Identified, identified, notes_on
+from gtau.export.identified import OUTPUTS, Functions, Identified, functions, identified, notes_on
 from gtau.model.loop_paths import CONTRACTION
 from gtau.model.loops import CONDITION
 

@@ -23,10 +23,9 @@ from gtau.export.consistent import (
 )
 from gtau.export.exported import Exported, identifier, written
 from gtau.robots.parameter import Parameter
-from gtau.robots.robot import GROUND, STIFFNESS, Robot
-from gtau.simulation.mujoco_plant import LIGHTEST, STEP, platform_coordinates, robot_spec, spring_attributes
+from gtau.robots.robot import GROUND, Robot
+from gtau.simulation.mujoco_plant import LIGHTEST, STEP, STIFF, platform_coordinates, robot_spec, spring_attributes
 
-STIFF = ([2 * STEP, 1.0], [0.9999, 0.9999, 1e-3, 0.5, 2.0])  # solref and solimp of closures, as of the plant
 JOINT = ("range", "armature", "damping", "frictionloss", "stiffness", "springref")
 THICKNESS = 0.012  # m: of the links as drawn
 
@@ -106,9 +105,6 @@ def _spec(mujoco: ModuleType, model: ConsistentModel) -> tuple[Any, dict[str, fl
         placed.frictionloss = model.of("fs", joint.name)
         if cubic:
             placed.damping = (model.of("fv", joint.name), 0.0, model.cubic(joint.name))
-        if joint.spring is not None:
-            stiffness = model.of(STIFFNESS, joint.name)
-            placed.stiffness = (stiffness, 0.0, 0.0) if np.size(placed.stiffness) == 3 else stiffness
         if joint.limits.position is not None:
             placed.range = joint.limits.position
     _draw(mujoco, robot, spec)

@@ -125,7 +125,7 @@ def to_order(chi: Mapping[str, float], body: str, program: str) -> dict[str, flo
             )
         return dict.fromkeys(order.names, 0.0)
     rigid = rigid_body(chi, body)
-    tensor = rigid.inertia if order.about == "center" else _about_origin(rigid)
+    tensor = rigid.inertia if order.about == "center" else rigid.about_origin
     scale = rigid.mass if order.per_mass else 1.0
     return _named(order, [rigid.mass, *rigid.center, *(tensor[_ENTRIES[kind]] / scale for kind in order.inertia)])
 
@@ -135,16 +135,16 @@ def from_order(values: Mapping[str, float] | Sequence[float], body: str, program
     order = _order(program)
     named = dict(values) if isinstance(values, Mapping) else dict(zip(order.names, values, strict=True))
     listed = _listed(order, named)
-    m, first, entries = listed[0], np.array(listed[1:4]), dict(zip(order.inertia, listed[4:], strict=True))
-    if order.moments:
-        found = {"m": m, **dict(zip(("mx", "my", "mz"), map(float, first), strict=True)), **entries}
-    else:
+    m, first, entries = listed[0], np.array(listed[1:4]), np.array(listed[4:]) * (listed[0] if order.per_mass else 1.0)
+    if order.about == "center":
         tensor = np.zeros((3, 3))
-        for kind, (row, column) in _ENTRIES.items():
-            tensor[row, column] = tensor[column, row] = entries[kind] * (m if order.per_mass else 1.0)
-        if order.about == "origin":
-            tensor -= m * (first @ first * np.eye(3) - np.outer(first, first))
+        for kind, value in zip(order.inertia, entries, strict=True):
+            row, column = _ENTRIES[kind]
+            tensor[row, column] = tensor[column, row] = value
         found = inertial_parameters(RigidBody(m, first, tensor))
+    else:
+        moments = first if order.moments else m * first
+        found = dict(zip(("m", "mx", "my", "mz", *order.inertia), (m, *moments, *entries), strict=True))
     return {Parameter(kind, body).name: float(found[kind]) for kind in INERTIAL}
 
 
@@ -152,11 +152,6 @@ def _order(program: str) -> Order:
     if program not in ORDERS:
         raise GtauError(f"there is no parameter order of '{program}'; choose from {', '.join(ORDERS)}.")
     return ORDERS[program]
-
-
-def _about_origin(body: RigidBody) -> np.ndarray:
-    c = body.center
-    return np.asarray(body.inertia + body.mass * (c @ c * np.eye(3) - np.outer(c, c)))
 
 
 def _named(order: Order, values: Sequence[float]) -> dict[str, float]:

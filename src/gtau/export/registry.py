@@ -38,7 +38,7 @@ EXPORTERS = {
     "urdf": "urdf.export",
     "yaml": "tables.export_yaml",
     "csv": "tables.export_csv",
-    "latex": "latex.export",
+    "latex": "tables.export_latex",
     "orders": "parameter_orders.export",
     "matlab": "matlab.export",
     "fmu": "fmu.export",

@@ -154,8 +154,9 @@ def _follow_segments(loops: Loops, q: np.ndarray, c: np.ndarray, starts: np.ndar
 
 
 def _unreachable(loops: Loops, q: np.ndarray, label: str) -> GtauError:
+    robot = loops.layout.robot
     return GtauError(
-        f"robot '{loops.layout.robot.name}': at {label} ({pose_words(loops, q)}) the loops cannot be closed, or only "
-        "beyond a singular pose (type 2), outside the assembly mode of home; check the units, signs and zeros of the "
-        "positions and the robot's geometry, or leave these samples out."
+        f"robot '{robot.name}': at {label} ({pose_words(robot, q)}) the loops cannot be closed, or only beyond a "
+        "singular pose (type 2), outside the assembly mode of home; check the units, signs and zeros of the positions "
+        "and the robot's geometry, or leave these samples out."
     )

@@ -172,9 +172,9 @@ def _by_held(name: str) -> str:
     return f"by 'held: {{{name}: POSITION}}' or a list of the moving 'joints' beside the robot's 'file'"
 
 
-def pose_words(loops: Loops, q: np.ndarray) -> str:
+def pose_words(robot: Robot, q: np.ndarray) -> str:
     """Name the positions ``q`` (n,) of the actuated joints, for a message."""
-    return ", ".join(f"q_{name} = {value:.4g}" for name, value in zip(loops.layout.robot.actuated, q, strict=True))
+    return ", ".join(f"q_{name} = {value:.4g}" for name, value in zip(robot.actuated, q, strict=True))
 
 
 def differentiate(
@@ -210,10 +210,10 @@ def differentiate(
     singular = condition >= CONDITION
     if singular.any():
         worst = int(np.argmax(condition))
-        label = (labels or Numbers())[worst]
+        label, pose = (labels or Numbers())[worst], pose_words(layout.robot, c[layout.actuated, worst])
         raise GtauError(
-            f"robot '{layout.robot.name}': at {label} ({pose_words(loops, c[layout.actuated, worst])}) the pose is too "
-            "close to a singularity of type 2, where passive joints can move although the actuated ones stand still "
+            f"robot '{layout.robot.name}': at {label} ({pose}) the pose is too close to a singularity of type 2, "
+            "where passive joints can move although the actuated ones stand still "
             f"(condition number {condition[worst]:.3g}, at most {CONDITION:g} allowed), the worst of "
             f"{int(singular.sum())} such among {samples} samples; leave them out or keep the motion away from it."
         )

@@ -25,6 +25,12 @@ class RigidBody:
         return RigidBody(self.mass, center, rotation.T @ self.inertia @ rotation)
 
     @property
+    def about_origin(self) -> np.ndarray:
+        """Inertia tensor (3, 3) about the frame's origin."""
+        c = self.center
+        return np.asarray(self.inertia + self.mass * (c @ c * np.eye(3) - np.outer(c, c)))
+
+    @property
     def principal(self) -> tuple[np.ndarray, np.ndarray]:
         """Principal moments (3,), and axes as the columns of a rotation (3, 3)."""
         moments, axes = np.linalg.eigh(self.inertia)
@@ -42,9 +48,7 @@ def rigid_body(chi: Mapping[str, float], body: str) -> RigidBody:
 
 def inertial_parameters(body: RigidBody) -> dict[str, float]:
     """Compute the ten parameters by kind, at the frame's origin: the inverse of :func:`rigid_body`."""
-    c = body.center
-    about_origin = body.inertia + body.mass * (c @ c * np.eye(3) - np.outer(c, c))
-    values = (*about_origin[np.triu_indices(3)], *(body.mass * c), body.mass)
+    values = (*body.about_origin[np.triu_indices(3)], *(body.mass * body.center), body.mass)
     return dict(zip(INERTIAL, map(float, values), strict=True))
 
 

@@ -28,12 +28,11 @@ from gtau.robots.parameter import Parameter
 from gtau.signals.payload import Payload
 from gtau.signals.run import Run
 from gtau.simulation.plant import PlantState
-from gtau.simulation.trajectories import Trajectory
+from gtau.simulation.trajectories import NotNegative, Trajectory
 
 BANDWIDTH = 100.0  # rad/s
 FILTER = 10.0  # the derivative is filtered at this multiple of the bandwidth
 DIGITS = 9  # decimals of what is logged, finer than any encoder
-NotNegative = Annotated[FiniteFloat, Field(ge=0)]
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,8 +29,8 @@ from gtau.simulation.closed_loop import (
     simulate,
 )
 from gtau.simulation.experiment_files import apparatus
-from gtau.simulation.motions import make_trajectory
 from gtau.simulation.simulation_file import Simulation, check_joints, read_simulation
+from gtau.simulation.trajectories import make_trajectory
 
 ERROR_ON_GAINS = 1.25  # the paper's 25 % on the manufacturer's gains
 STRATEGIES = (

@@ -34,10 +34,10 @@ from gtau.simulation.closed_loop import (
     write_log,
 )
 from gtau.simulation.joint_friction import TERMS, JointFriction, of_model
-from gtau.simulation.motions import check_positions, make_trajectory
 from gtau.simulation.mujoco_plant import MujocoPlant
 from gtau.simulation.plant import Plant
 from gtau.simulation.simulation_file import SimulatedRun, Simulation, as_simulation, check_joints
+from gtau.simulation.trajectories import check_positions, make_trajectory
 
 HELD = 10  # samples over which the controller keeps an inertia matrix
 

@@ -19,10 +19,10 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import PlatformSlots
 from gtau.model.loop_paths import follow
 from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.rigid_body import rigid_body
 from gtau.robots.robot import (
     DAMPING,
     GROUND,
-    INERTIAL,
     PRELOAD,
     ROTATIONS,
     STIFFNESS,
@@ -35,6 +35,7 @@ from gtau.simulation.joint_friction import JointFriction, plain_friction
 from gtau.simulation.plant import Compiled, PlantState
 
 STEP = 1e-4  # s
+STIFF = ([2 * STEP, 1.0], [0.9999, 0.9999, 1e-3, 0.5, 2.0])  # solref and solimp of closures
 LIGHTEST = 1e-6  # kg, kg m2: MuJoCo moves no body without mass and inertia
 
 
@@ -195,8 +196,8 @@ def robot_spec(mujoco: ModuleType, robot: Robot, chi: Mapping[str, float]) -> An
             name2=f"b {number}",
             objtype=mujoco.mjtObj.mjOBJ_SITE,
             type=mujoco.mjtEq.mjEQ_WELD if weld else mujoco.mjtEq.mjEQ_CONNECT,
-            solref=[2 * STEP, 1.0],
-            solimp=[0.9999, 0.9999, 1e-3, 0.5, 2.0],
+            solref=STIFF[0],
+            solimp=STIFF[1],
         )
         if weld:
             tie.data[10] = 1.0  # torques count as much as forces
@@ -238,19 +239,15 @@ def _add_spring(
 
 
 def _add_body(mujoco: ModuleType, parent: Any, placement: Placement, name: str, chi: Mapping[str, float]) -> Any:
-    xx, xy, xz, yy, yz, zz, mx, my, mz, m = (chi.get(Parameter(kind, name).name, 0.0) for kind in INERTIAL)
-    center = np.array([mx, my, mz]) / m if m else np.zeros(3)
-    about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    about_center = about_origin - m * (center @ center * np.eye(3) - np.outer(center, center))
-    moments, axes = np.linalg.eigh(about_center)
-    axes[:, 0] *= np.linalg.det(axes)
+    body = rigid_body(chi, name)
+    moments, axes = body.principal
     return parent.add_body(
         name=name,
         pos=placement.position,
         quat=Rotation.from_matrix(placement.rotation).as_quat(scalar_first=True),
         explicitinertial=True,
-        mass=m,
-        ipos=center,
+        mass=body.mass,
+        ipos=body.center,
         iquat=Rotation.from_matrix(axes).as_quat(scalar_first=True),
         inertia=moments,
     )

@@ -27,7 +27,7 @@ from gtau.model.dynamics import spring_length, torques
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import configuration_rates, frames
 from gtau.model.loop_paths import follow
-from gtau.model.loops import Loops
+from gtau.model.loops import Loops, pose_words
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import PRELOAD, STIFFNESS
 from gtau.simulation.joint_friction import JointFriction, plain_friction
@@ -235,23 +235,17 @@ class Plant:
     def _symbolic_dynamics(self) -> ca.Function:
         """Compile (c, yd, ydd, J) to the mass matrix and the torques of eq. (15), friction and offsets left out."""
         layout = self.layout
-        c, yd, ydd = (ca.SX.sym(s, k) for s, k in (("c", layout.n_c), ("yd", layout.n_y), ("ydd", layout.n_y)))
-        J_passive, J = self._motions()
+        (c, yd, ydd, passive), J = self.model.symbols
         still = {name: ca.SX(value) for name, value in self.chi.items() if parameter_of(name).kind not in PLAIN}
         tau = torques(layout, c, yd, ydd, J, still)
-        return ca.Function("dynamics", [c, yd, ydd, J_passive], [ca.jacobian(tau, ydd) @ J, tau], {"cse": True})
+        return ca.Function("dynamics", [c, yd, ydd, passive.T], [ca.jacobian(tau, ydd) @ J, tau], {"cse": True})
 
     def _symbolic_effort(self) -> ca.Function:
         """Compile (yd, J, force, z) to the forces less friction."""
-        yd, force = ca.SX.sym("yd", self.layout.n_y), ca.SX.sym("force", len(self.layout.actuated))
-        z, (J_passive, J) = ca.SX.sym("z", len(self.friction.law.states)), self._motions()
+        force, z = ca.SX.sym("force", len(self.layout.actuated)), ca.SX.sym("z", len(self.friction.law.states))
+        (_, yd, _, passive), J = self.model.symbols
         effort = ca.densify(self.friction.effort(yd, J, force, z))
-        return ca.Function("effort", [yd, J_passive, force, z], [effort], {"cse": True})
-
-    def _motions(self) -> tuple[ca.SX, ca.SX]:
-        """Make ``dy/dq`` of the passive coordinates, and of all (n_y, n)."""
-        J_passive = ca.SX.sym("J", len(self.layout.passive), len(self.layout.actuated))
-        return J_passive, self._selection(self.layout.actuated) + self._selection(self.layout.passive) @ J_passive
+        return ca.Function("effort", [yd, passive.T, force, z], [effort], {"cse": True})
 
     def _selection(self, rows: np.ndarray) -> ca.DM:
         """Place a vector (len(rows),) in the ``rows`` of one of (n_y,)."""
@@ -320,9 +314,7 @@ class Plant:
         return move(c, -self._selection(layout.passive) @ ca.solve(G_passive, phi, "qr"))
 
     def _lost(self, c: np.ndarray) -> GtauError:
-        pose = ", ".join(
-            f"q_{name} = {value:.4g}" for name, value in zip(self.model.actuated, c[self.layout.actuated], strict=True)
-        )
+        pose = pose_words(self.model.robot, c[self.layout.actuated])
         return GtauError(
             f"robot '{self.model.robot.name}': the simulated motion cannot be continued at {pose}, a singular pose "
             "or a motion without bounds; check the masses and frictions, the controller, and that the trajectory stays "

@@ -17,76 +17,9 @@ from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import DAMPING, Robot
 from gtau.signals.logged_run import RobotName
 from gtau.signals.payload import Payload
-from gtau.simulation.closed_loop import BANDWIDTH, JointHardware, NotNegative
+from gtau.simulation.closed_loop import BANDWIDTH, JointHardware
 from gtau.simulation.joint_friction import WIDTH
-
-PerJoint = dict[str, FiniteFloat]
-
-
-def existing(path: Path, info: ValidationInfo) -> Path:
-    """Return a path of the simulation file from its folder; raises ValueError where there is no file."""
-    path = path if info.context is None else info.context / path
-    if not path.is_file():
-        raise ValueError(f"there is no file '{path}'; paths are relative to the simulation file")
-    return path
-
-
-class RandomMotion(Keys):
-    """A random trajectory within a share of the joints' limits."""
-
-    seed: Annotated[int, Field(ge=0)] = 0
-    duration: Annotated[FiniteFloat, Field(ge=3, le=3600)] = 20.0
-    share: Annotated[FiniteFloat, Field(gt=0, le=1)] = 0.9
-
-
-class Points(Keys):
-    """Fifth-order moves from point to point, each as fast as a share of the joints' limits allows."""
-
-    through: tuple[PerJoint, ...] = Field(min_length=2)
-    rest: NotNegative = 0.05
-    share: Annotated[FiniteFloat, Field(gt=0, le=1)] = 0.9
-
-
-class Fourier(Keys):
-    """``center + sum amplitude sin(2 pi frequency t + phase)``, faded in and out; rad or m, Hz, rad, s."""
-
-    duration: Annotated[FiniteFloat, Field(ge=3, le=3600)]
-    frequency: tuple[Positive, ...] = Field(min_length=1)
-    center: PerJoint
-    amplitude: dict[str, tuple[FiniteFloat, ...]]
-    phase: dict[str, tuple[FiniteFloat, ...]]
-
-    @model_validator(mode="after")
-    def _one_of_each_frequency(self) -> Fourier:
-        for what, values in (("amplitude", self.amplitude), ("phase", self.phase)):
-            for joint, each in values.items():
-                if len(each) != len(self.frequency):
-                    raise ValueError(
-                        f"joint '{joint}' has {len(each)} values of '{what}' for {len(self.frequency)} frequencies; "
-                        "write one for each"
-                    )
-        return self
-
-
-class MotionEntry(Keys):
-    """A trajectory, of one kind; ``csv`` holds the columns ``t`` and ``q_<joint>``, as 'gtau excite' writes them."""
-
-    sines: RandomMotion | None = None
-    moves: RandomMotion | None = None
-    points: Points | None = None
-    fourier: Fourier | None = None
-    csv: Path | None = None
-
-    @field_validator("csv")
-    @classmethod
-    def _existing(cls, csv: Path, info: ValidationInfo) -> Path:
-        return existing(csv, info)
-
-    @model_validator(mode="after")
-    def _one_kind(self) -> MotionEntry:
-        if len(self.model_fields_set) != 1:
-            raise ValueError("give one trajectory: 'sines', 'moves', 'points', 'fourier' or 'csv'")
-        return self
+from gtau.simulation.trajectories import MotionEntry, PerJoint, existing
 
 
 class SimulatedRun(Keys):

@@ -1,4 +1,6 @@
-"""Exciting trajectories of the actuated joints: sums of sines, and moves from point to point.
+"""Trajectories of the actuated joints, as a simulation file describes them, within the robot's limits.
+
+They are sums of sines, moves from point to point, Fourier series, or samples of a CSV file.
 
 A trajectory takes instants (N,) in s and returns positions, velocities and accelerations, each (N, n)
 in rad or m and s. It starts and ends at rest, and is constant outside its duration.
@@ -6,20 +8,28 @@ in rad or m and s. It starts and ends at rest, and is constant outside its durat
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
+from gtau.documents.validation import Keys, Positive
 from gtau.errors import GtauError
-from gtau.robots.robot import Robot
+from gtau.robots.robot import Joint, Robot
+from gtau.signals.log_file import read_log
 
 Trajectory = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 FREQUENCIES = np.array([0.1, 0.2, 0.35, 0.55, 0.85, 1.35, 2.15, 3.45])  # Hz
 RAMP = 1.5  # s, from rest to full motion and back
 REST = 0.05  # s, between two moves
+ROUNDED = 1.01  # times a limit: tolerance on speeds and accelerations of rounded samples
+PerJoint = dict[str, FiniteFloat]
+NotNegative = Annotated[FiniteFloat, Field(ge=0)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,3 +173,191 @@ def through(within: Envelope, duration: float, targets: Iterator[np.ndarray], re
         starts.append(now)
         spans.append(span)
         now += span + rest
+
+
+@dataclass(frozen=True, eq=False)
+class SampledTrajectory:
+    """A fifth-order spline through samples ``q`` (N, n) at ``time`` (N,), s."""
+
+    time: np.ndarray
+    q: np.ndarray
+
+    def __call__(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Evaluate positions, velocities and accelerations (N, n)."""
+        from scipy.interpolate import make_interp_spline
+
+        spline = make_interp_spline(self.time, self.q, k=5)
+        inside = ((time >= self.time[0]) & (time <= self.time[-1]))[:, None]
+        t = np.clip(time, self.time[0], self.time[-1])
+        return spline(t), inside * spline(t, 1), inside * spline(t, 2)
+
+
+def moves_through(points: np.ndarray, within: Envelope, rest: float) -> PointToPoint:
+    """Plan fifth-order moves through ``points`` (K, n), as fast as the envelope allows, ``rest`` s between them."""
+    way = np.abs(np.diff(points, axis=0))
+    # the greatest speed and acceleration of the polynomial are 15/8 and 10/sqrt(3)
+    spans = np.maximum(1.875 * way / within.velocity, np.sqrt(10 / np.sqrt(3) * way / within.acceleration)).max(axis=1)
+    spans = np.maximum(spans, 1e-3)  # a move to the same point
+    starts = np.concatenate([[0.0], np.cumsum(spans[:-1] + rest)])
+    return PointToPoint(points, starts, spans)
+
+
+def existing(path: Path, info: ValidationInfo) -> Path:
+    """Return a path of the simulation file from its folder; raises ValueError where there is no file."""
+    path = path if info.context is None else info.context / path
+    if not path.is_file():
+        raise ValueError(f"there is no file '{path}'; paths are relative to the simulation file")
+    return path
+
+
+class RandomMotion(Keys):
+    """A random trajectory within a share of the joints' limits."""
+
+    seed: Annotated[int, Field(ge=0)] = 0
+    duration: Annotated[FiniteFloat, Field(ge=3, le=3600)] = 20.0
+    share: Annotated[FiniteFloat, Field(gt=0, le=1)] = 0.9
+
+
+class Points(Keys):
+    """Fifth-order moves from point to point, each as fast as a share of the joints' limits allows."""
+
+    through: tuple[PerJoint, ...] = Field(min_length=2)
+    rest: NotNegative = 0.05
+    share: Annotated[FiniteFloat, Field(gt=0, le=1)] = 0.9
+
+
+class Fourier(Keys):
+    """``center + sum amplitude sin(2 pi frequency t + phase)``, faded in and out; rad or m, Hz, rad, s."""
+
+    duration: Annotated[FiniteFloat, Field(ge=3, le=3600)]
+    frequency: tuple[Positive, ...] = Field(min_length=1)
+    center: PerJoint
+    amplitude: dict[str, tuple[FiniteFloat, ...]]
+    phase: dict[str, tuple[FiniteFloat, ...]]
+
+    @model_validator(mode="after")
+    def _one_of_each_frequency(self) -> Fourier:
+        for what, values in (("amplitude", self.amplitude), ("phase", self.phase)):
+            for joint, each in values.items():
+                if len(each) != len(self.frequency):
+                    raise ValueError(
+                        f"joint '{joint}' has {len(each)} values of '{what}' for {len(self.frequency)} frequencies; "
+                        "write one for each"
+                    )
+        return self
+
+
+class MotionEntry(Keys):
+    """A trajectory, of one kind; ``csv`` holds the columns ``t`` and ``q_<joint>``, as 'gtau excite' writes them."""
+
+    sines: RandomMotion | None = None
+    moves: RandomMotion | None = None
+    points: Points | None = None
+    fourier: Fourier | None = None
+    csv: Path | None = None
+
+    @field_validator("csv")
+    @classmethod
+    def _existing(cls, csv: Path, info: ValidationInfo) -> Path:
+        return existing(csv, info)
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> MotionEntry:
+        if len(self.model_fields_set) != 1:
+            raise ValueError("give one trajectory: 'sines', 'moves', 'points', 'fourier' or 'csv'")
+        return self
+
+
+def make_trajectory(motion: MotionEntry, robot: Robot, where: str) -> tuple[Trajectory, float]:
+    """Make the trajectory that a file describes, and return its duration in s.
+
+    Parameters
+    ----------
+    motion : MotionEntry
+        From a simulation file.
+    robot : Robot
+        Whose actuated joints move.
+    where : str
+        Name of the run in messages.
+
+    Raises
+    ------
+    GtauError
+        Where the description lacks a joint, leaves the robot's limits, or needs limits that the robot lacks.
+    """
+    made: Trajectory
+    if (random := motion.sines or motion.moves) is not None:
+        kind = sines if motion.sines else point_to_point
+        rng = np.random.default_rng(random.seed)
+        made, duration = kind(envelope(robot, random.share), random.duration, rng), random.duration
+    elif motion.points is not None:
+        points = np.array([_of_joints(point, robot, where) for point in motion.points.through])
+        moves = moves_through(points, envelope(robot, motion.points.share), motion.points.rest)
+        made, duration = moves, float(moves.starts[-1] + moves.spans[-1] + motion.points.rest)
+    elif (series := motion.fourier) is not None:
+        center, amplitude, phase = (
+            np.array(_of_joints(each, robot, where)) for each in (series.center, series.amplitude, series.phase)
+        )
+        made, duration = Sines(center, amplitude, phase, np.array(series.frequency), series.duration), series.duration
+    else:
+        assert motion.csv is not None
+        made, duration = _from_csv(motion.csv, robot)
+    _check_limits(made(np.arange(0.0, duration, 0.005)), robot, where)
+    return made, duration
+
+
+def _of_joints(values: Mapping[str, Any], robot: Robot, where: str) -> Sequence[Any]:
+    missing = [joint for joint in robot.actuated if joint not in values]
+    extra = [joint for joint in values if joint not in robot.actuated]
+    if missing or extra:
+        raise GtauError(
+            f"{where}: the trajectory "
+            + (f"lacks the joint '{missing[0]}'" if missing else f"names '{extra[0]}'")
+            + f"; give one value for each actuated joint, {', '.join(robot.actuated)}."
+        )
+    return [values[joint] for joint in robot.actuated]
+
+
+def _from_csv(path: Path, robot: Robot) -> tuple[SampledTrajectory, float]:
+    names = [f"q_{joint}" for joint in robot.actuated]  # as 'gtau excite' writes them
+    columns = read_log(path, ("t", *names)).columns
+    time, q = columns["t"], np.column_stack([columns[name] for name in names])
+    if not (np.isfinite(time).all() and np.isfinite(q).all() and len(time) > 5 and (np.diff(time) > 0).all()):
+        raise GtauError(
+            f"{path}: the columns t and {', '.join(names)} must hold at least six rows of numbers with rising times; "
+            "correct the file."
+        )
+    return SampledTrajectory(time - time[0], q), float(time[-1] - time[0])
+
+
+def _check_limits(made: tuple[np.ndarray, np.ndarray, np.ndarray], robot: Robot, where: str) -> None:
+    """Refuse positions, velocities and accelerations (N, n) beyond the limits that the robot's file has."""
+    q, qd, qdd = made
+    for j, name in enumerate(robot.actuated):
+        joint, limits = robot.joint(name), robot.joint(name).limits
+        check_positions(q[:, j], joint, where)
+        for most, limit, what in (
+            (np.abs(qd[:, j]).max(), limits.velocity, f"{joint.unit}/s"),
+            (np.abs(qdd[:, j]).max(), limits.acceleration, f"{joint.unit}/s2"),
+        ):
+            if limit is not None and most > ROUNDED * limit:
+                raise GtauError(
+                    f"{where}: joint '{name}' is to reach {most:.4g} {what}, beyond its limit of {limit:.4g} {what}; "
+                    "make the motion slower, smaller or smoother."
+                )
+
+
+def check_positions(q: np.ndarray, joint: Joint, where: str) -> None:
+    """Refuse positions (N,) of a joint, rad or m, beyond its limits; ``where`` names the run in the message.
+
+    Raises
+    ------
+    GtauError
+        Where there are some.
+    """
+    low, high = joint.limits.position or (-np.inf, np.inf)
+    if q.min() < low - 1e-9 or q.max() > high + 1e-9:
+        raise GtauError(
+            f"{where}: joint '{joint.name}' is to move from {q.min():.4g} to {q.max():.4g}, beyond its limits "
+            f"{low:.4g} to {high:.4g}; make the motion smaller."
+        )

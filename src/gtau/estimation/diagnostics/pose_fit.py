@@ -207,7 +207,7 @@ def _fit_delayed(
 ) -> PoseFit:
     """Fit the frames, with the positions of the joints taken by a ``delay`` earlier than the poses."""
     order = [list(joints).index(joint) for joint in model.actuated]
-    turning = [model.robot.joint(joint).kind == "revolute" for joint in model.actuated]
+    turning = [model.robot.joint(joint).turns for joint in model.actuated]
     parts: list[tuple[np.ndarray, ...]] = []
     for k, each in enumerate(logged):
         q, time = np.array(each.q[:, order]), np.asarray(each.time)

@@ -252,7 +252,7 @@ def within_reach(robot: Robot, bodies: Sequence[Body], count: int) -> np.ndarray
 
 def _mass_scale(robot: Robot, problem: Problem, solution: Solution, length: float) -> float:
     """Compute the mass that the largest rms torque would hold against gravity, kg."""
-    lever = [length if robot.joint(joint).kind == "revolute" else 1.0 for joint in problem.joints]
+    lever = [length if robot.joint(joint).turns else 1.0 for joint in problem.joints]
     torques = (np.abs(solution.gains) * problem.signal)[: len(lever)]
     return float(np.max(torques / np.array(lever)) / STANDARD_GRAVITY)
 
@@ -265,7 +265,7 @@ def natural_size(name: str, robot: Robot, mass: float, length: float) -> float:
     if any(spring.name == body for spring in robot.springs):
         return mass * STANDARD_GRAVITY / (length if kind == STIFFNESS else 1.0)
     joint = body if body in robot.bodies else body.removesuffix("_sensor")
-    turns = robot.joint(joint).kind == "revolute"
+    turns = robot.joint(joint).turns
     if kind == "ia":
         return mass * length**2 if turns else mass
     if kind == "fl":

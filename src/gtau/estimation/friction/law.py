@@ -237,7 +237,7 @@ class FrictionLaw:
 
     def logged(self, joint: str) -> str:
         """Write V of a joint with its unit."""
-        unit = "rad/s" if self.model.robot.joint(joint).kind == "revolute" else "m/s"
+        unit = f"{self.model.robot.joint(joint).unit}/s"
         return f"{self.fastest(joint):.3g} {unit}"
 
     @property

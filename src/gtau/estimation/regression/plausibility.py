@@ -177,8 +177,8 @@ def clock_advice(rate: float | None) -> str:
 
 
 def _judge(run: str, joint: Joint, low: float, high: float, speed: float) -> Iterator[Note]:
-    unit = "rad" if joint.kind == "revolute" else "m"
-    other = "deg" if joint.kind == "revolute" else "mm"
+    unit = joint.unit
+    other = "deg" if joint.turns else "mm"
     repair = (
         f"if the log is in {other}, write that under 'units'; otherwise check the columns and the time, or "
         f"{write_limits(joint.name)}."

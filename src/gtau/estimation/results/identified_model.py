@@ -220,8 +220,7 @@ def estimates_table(result: IdentifiedModel) -> Iterator[Row]:
     friction = {name: parameter_of(name).kind in FRICTION for name in result.parameters}
     robot = result.robot
     speeds = [
-        Estimate(joint, speed, None, "rad/s" if robot.joint(joint).kind == "revolute" else "m/s")
-        for joint, speed in result.logged_speeds.items()
+        Estimate(joint, speed, None, f"{robot.joint(joint).unit}/s") for joint, speed in result.logged_speeds.items()
     ]
     groups: list[tuple[str, Iterable[Estimate]]] = [
         ("drive gain", result.drive_gains.values()),

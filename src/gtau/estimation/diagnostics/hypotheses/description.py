@@ -40,7 +40,7 @@ def _encoder_zeros(fit: Fit) -> Candidates:
     """Add a constant error of a joint's position."""
     dataset = fit.dataset
     model, n = dataset.model, len(dataset.model.actuated)
-    turns = [dataset.robot.joint(joint).kind == "revolute" for joint in model.actuated]
+    turns = [dataset.robot.joint(joint).turns for joint in model.actuated]
     unit = np.array([DEGREE if turn else MILLIMETRE for turn in turns])
     regressor = model.columns(dataset.base.standard)
 
