@@ -13,8 +13,7 @@ from gtau import display
 from gtau.documents.validation import FUNCTION, NUMBER, TEXT, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
-from gtau.estimation.diagnostics.log_checks import command_lag, require_felt_payload
-from gtau.estimation.diagnostics.logged_torques import doubtful_commands
+from gtau.estimation.diagnostics.log_checks import command_lag, doubtful_commands, require_felt_payload
 from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.estimators.estimator import Estimator
 from gtau.estimation.estimators.registry import estimator_of

@@ -11,16 +11,17 @@ from gtau.estimation.diagnostics.examine import Examination, Uncertainty
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.gain_checks import (
+    common_scale,
     efforts_exceeded,
     estimated_gains,
     gains_apart,
     given_gains,
     in_context,
+    logged_torques,
     motors,
     prior_gains_off,
     wrench_contradictions,
 )
-from gtau.estimation.diagnostics.logged_torques import common_scale, logged_torques
 from gtau.estimation.diagnostics.other_estimators import position_noise
 from gtau.estimation.diagnostics.parameter_checks import delay_verdicts, unlike_legs
 from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings, ripple_findings

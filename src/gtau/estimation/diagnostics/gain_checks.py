@@ -6,7 +6,9 @@ interval lies within the required accuracy, and contradictory only where the dat
 logs and the gain would move by more than that.
 
 An error of a unit scales all gains, or a payload, and fits the data as well as the truth; only other knowledge reveals
-it: gains from data sheets, and the limits of the joints' effort. Gains and parameters also absorb part of a wrench of
+it: gains from data sheets, and the limits of the joints' effort. Every scale of logged torques is proportional to the
+stated mass of the payload too; but torques of different motors rarely share one scale error, while a mistyped mass, or
+a gripper that was not weighed with its load, has that effect. Gains and parameters also absorb part of a wrench of
 wrong sign, body or axes, and lengths or single currents look wrong instead: so wherever wrenches are measured, the
 advice names them first.
 """
@@ -22,10 +24,13 @@ import numpy as np
 from gtau.estimation.diagnostics.examine import Examination, Uncertainty
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.hypotheses.hypothesis import friction_levels, rms_speeds, rms_torques
+from gtau.estimation.diagnostics.log_checks import doubtful_commands
 from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
 from gtau.estimation.diagnostics.verdict import Verdict
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.thresholds.estimates import (
+    APART,
     APART_REFUTED,
     BASE_MISFIT,
     EFFORT_FACTOR,
@@ -37,7 +42,9 @@ from gtau.estimation.thresholds.estimates import (
     NEGATIVE_STD,
     PRIOR_FACTOR,
 )
+from gtau.estimation.thresholds.logs import ALIKE, FRICTIONLESS, GEARED, MODEL_RESIDUAL
 from gtau.model.base_parameters import whole_mass
+from gtau.robots.parameter import Parameter
 from gtau.robots.units import gain_unit, torque_unit
 
 
@@ -227,3 +234,43 @@ def base_misfit(fit: Fit) -> dict[str, float]:
         what: float(np.sqrt(left[of].sum() / max(whole[of].sum(), terms[of].sum() / 9, 1e-300)))
         for what, of in parts.items()
     }
+
+
+def logged_torques(fit: Fit, uncertainty: Uncertainty) -> Iterator[Finding]:
+    """Find motor-side torques, by their scale, and torques or currents computed by a model."""
+    kind = fit.dataset.runs[0].kind
+    yield from doubtful_commands(fit.dataset.runs, fit.dataset.robot)
+    if fit.free_gains and kind == "torque":
+        scales = np.abs(fit.gains)[half_widths(fit, uncertainty) < 1]
+        if len(scales) and scales.min() > GEARED:
+            yield Finding(F.MOTOR_SIDE, values={"least": float(scales.min()), "most": float(scales.max())})
+    joints, known = fit.dataset.robot.motors, set(fit.system.problem.parameters)
+    if any({f"fs_{joint}R", Parameter("fs", joint).name}.isdisjoint(known) for joint in joints):
+        return
+    rows = [fit.dataset.model.actuated.index(joint) for joint in joints]
+    (fv, fs), torques = friction_levels(fit), rms_torques(fit)
+    friction = ((fv * rms_speeds(fit) + fs) / np.maximum(torques, 1e-300))[rows].max()
+    residual = unexplained_shares(fit.system.problem, fit.solution)[rows].max()
+    if friction < FRICTIONLESS and residual < MODEL_RESIDUAL:
+        values = {"kind": kind, "friction": float(friction), "residual": float(residual)}
+        yield Finding(F.MODEL_TORQUES, values=values)
+
+
+def common_scale(fit: Fit, uncertainty: Uncertainty, accuracy: float) -> Iterator[Finding]:
+    """Find one factor, other than 1, that explains the torque scales of all joints which rest on one payload's mass."""
+    from scipy.stats import chi2
+
+    masses = {run.payload.name: run.payload.mass for run in fit.dataset.runs if run.payload}
+    known = {name: mass for name, mass in masses.items() if mass is not None}
+    judged = np.flatnonzero(half_widths(fit, uncertainty) < 1)
+    if fit.dataset.runs[0].kind != "torque" or fit.system.problem.scaled or len(known) != 1 or len(judged) < 2:
+        return
+    rows = np.arange(fit.system.problem.n_theta, fit.system.problem.n_theta + len(fit.gains))[judged]
+    gains, precision = fit.gains[judged], np.linalg.pinv(uncertainty.covariance[np.ix_(rows, rows)])
+    variance = 1 / float(precision.sum())
+    scale = variance * float(precision.sum(axis=0) @ gains)
+    apart = float((gains - scale) @ precision @ (gains - scale))
+    if chi2.sf(apart, len(judged) - 1) > ALIKE and abs(scale - 1) > max(APART * np.sqrt(variance), accuracy):
+        ((name, mass),) = known.items()
+        values = {"scale": scale, "std": np.sqrt(variance), "mass": mass / scale, "declared": mass}
+        yield Finding(F.COMMON_SCALE, (), name, {key: float(each) for key, each in values.items()})

@@ -1,16 +1,18 @@
-"""Tests of the logs: lagging or late commands, swapped channels, currents without the effect of the payload.
+"""Tests of the logs: commands that lag, are late, swapped, no torques or currents, or never felt the payload.
 
 Torque causes acceleration, so the command of a drive comes before the motion by its delay. One that comes after the
 motion was filtered or stamped late. For a first-order low-pass with time constant T, ``v + T v'`` is the command that
 the motion requires; for any other filter and a late stamp, to first order. T follows from each joint's own equations,
 whether its gain is estimated, given, or 1.
 
-Units of positions are checked against the robot's size before (:mod:`gtau.estimation.regression.plausibility`).
+Units of positions are checked against the robot's size before (:mod:`gtau.estimation.regression.plausibility`), and
+magnitudes without sign are refused where logs are read. Torques without gravity are found by
+:mod:`gtau.estimation.diagnostics.other_gravity`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -27,7 +29,20 @@ from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.rows import stream_rows
 from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import SWAPPED, UNFELT_PAYLOAD
-from gtau.estimation.thresholds.logs import DELAY_MOTION, LAG_LEAST, LAG_LOSS, LAG_SAMPLES, LAG_STD, LATE
+from gtau.estimation.thresholds.logs import (
+    DELAY_MOTION,
+    LAG_LEAST,
+    LAG_LOSS,
+    LAG_SAMPLES,
+    LAG_STD,
+    LATE,
+    LIMIT_SHARE,
+    STEPS,
+    WHOLE,
+)
+from gtau.robots.robot import Robot
+from gtau.signals.run import Run
+from gtau.signals.storage import block, spans
 
 REACH = 0.3  # s: lags beyond are other runs, or clocks that were never set
 COARSE, FINE = 2, 16  # lags tried in the longest delay that the model describes, everywhere and about the best
@@ -177,6 +192,29 @@ def _windows(dataset: Dataset, reach: float = 0.0) -> Iterator[_Window]:
         kept = [np.arange(currents.shape[2])[inner][np.concatenate([p.keep[j] for p in parts])[inner]] for j in joints]
         own = [np.kron(mine, entries[regressor.rows == j][:, kept[j]].T) for j in joints]
         yield _Window(currents, step, kept, own)
+
+
+def doubtful_commands(runs: Sequence[Run], robot: Robot) -> Iterator[Finding]:
+    """Find integer-valued commands, and torques far below all effort limits, in all ``runs``."""
+    n, kind = len(runs[0].joints), runs[0].kind
+    whole, values, peaks = 0, 0, np.zeros(n)
+    for run in runs:
+        for span in spans(len(run.time)):
+            command = block(run.command, *span)[:, :n]
+            whole, values = whole + int(np.sum(command == np.round(command))), values + command.size
+            peaks = np.maximum(peaks, np.abs(command).max(axis=0))
+    if whole > WHOLE * values and peaks.max() >= STEPS:  # stale samples were interpolated
+        yield Finding(F.WHOLE_NUMBERS, values={"kind": kind, "largest": float(peaks.max())})
+        return
+    limits = {
+        each.name: each.limits.effort for each in robot.joints if each.limits.effort and each.name in robot.motors
+    }
+    shares = {joint: peak / limits[joint] for joint, peak in zip(runs[0].joints, peaks, strict=True) if joint in limits}
+    if kind != "torque" or len(set(limits.values())) < 2:  # the same for all joints is a placeholder
+        return
+    joint = max(shares, key=lambda name: shares[name])
+    if shares[joint] < LIMIT_SHARE:
+        yield Finding(F.MOTOR_SIDE, (joint,), values={"share": float(shares[joint]), "limit": limits[joint]})
 
 
 def require_felt_payload(system: System) -> None:

@@ -88,18 +88,18 @@ def alternatives_of(fit: Fit, differences: Sequence[Difference]) -> list[Alterna
             value, size, std = solution.stacked[k], each.moves[k], each.std[k]
             if not (std > 0 and plausible[k] > 0 and value) or (k < n_theta and abs(size) < DIFFERENT_STD * std):
                 continue
-            found_size = float(size / value), float(std / abs(value)), float(plausible[k] / abs(value))
-            factor, moment = support(*found_size)
+            relative, error, prior = float(size / value), float(std / abs(value)), float(plausible[k] / abs(value))
+            factor, moment = support(relative, error, prior)
             slopes = np.zeros(len(solution.stacked))
             slopes[k] = value
             found.append(
                 Alternative(
                     hypothesis=each.estimator.kind,
                     causes=(replace(each.estimator, joints=joints, subject=parameter),),
-                    size=found_size[0],
-                    std=found_size[1],
+                    size=relative,
+                    std=error,
                     unit=RELATIVE,
-                    plausible=found_size[2],
+                    plausible=prior,
                     group=("estimate", *joints, parameter),
                     log_factor=factor,
                     second_moment=moment,

@@ -303,7 +303,8 @@ def _freed(fit: Fit, method: str, payload: Payload, kind: str, accuracy: float) 
     dataset, system = fit.dataset, fit.system
     values = {other: value for other, value in payload.parameters.items() if other != kind}
     mass = None if kind == "m" else payload.mass
-    payloads = _with_payload(dataset, payload.name, payload.model_copy(update={"mass": mass, "parameters": values}))
+    changed = payload.model_copy(update={"mass": mass, "parameters": values})
+    payloads = [changed if run.payload and run.payload.name == payload.name else run.payload for run in dataset.runs]
     other = dataset.system(system.friction, system.problem.slowest > 0, payloads)
     try:
         if fit.free_gains:
@@ -343,8 +344,3 @@ def _freed(fit: Fit, method: str, payload: Payload, kind: str, accuracy: float) 
     given = "" if fit.free_gains else dataset.runs[0].kind
     std_of_value = float(np.hypot(std[best], of_mass))
     return left, known_verdict(kind, declared, value, std_of_value, unit, given, explained, remains)
-
-
-def _with_payload(dataset: Dataset, name: str, other: Payload) -> Sequence[Payload | None]:
-    """Replace the payload called ``name`` by ``other`` in the runs."""
-    return [other if run.payload and run.payload.name == name else run.payload for run in dataset.runs]
