@@ -17,6 +17,7 @@ import gtau.estimation
 from gtau.errors import GtauError
 from gtau.estimation import thresholds
 from gtau.estimation.compare import compare
+from gtau.estimation.diagnostics import hypotheses
 from gtau.estimation.diagnostics.hypotheses import HYPOTHESES
 from gtau.estimation.diagnostics.verdict import worst
 from gtau.estimation.estimators.registry import ESTIMATORS, NAMES
@@ -77,6 +78,9 @@ def test_every_threshold_says_what_it_rests_on() -> None:
         if name.isupper() and name != "NONE"
     }
     found |= {each.kind: each.plausible for of in HYPOTHESES for each in of.causes if each.plausible}
+    for module in iter_modules(hypotheses.__path__):
+        named = vars(import_module(f"{hypotheses.__name__}.{module.name}"))
+        found |= {f"{module.name}.{name}": value for name, value in named.items() if isinstance(value, Threshold)}
     assert len(found) > 70
     for name, value in found.items():
         assert isinstance(value, Threshold), name

@@ -265,8 +265,9 @@ def common_scale(fit: Fit, uncertainty: Uncertainty, accuracy: float) -> Iterato
     judged = np.flatnonzero(half_widths(fit, uncertainty) < 1)
     if fit.dataset.runs[0].kind != "torque" or fit.system.problem.scaled or len(known) != 1 or len(judged) < 2:
         return
-    rows = np.arange(fit.system.problem.n_theta, fit.system.problem.n_theta + len(fit.gains))[judged]
-    gains, precision = fit.gains[judged], np.linalg.pinv(uncertainty.covariance[np.ix_(rows, rows)])
+    rows = fit.system.problem.gain_rows
+    covariance = uncertainty.covariance[rows, rows][np.ix_(judged, judged)]
+    gains, precision = fit.gains[judged], np.linalg.pinv(covariance)
     variance = 1 / float(precision.sum())
     scale = variance * float(precision.sum(axis=0) @ gains)
     apart = float((gains - scale) @ precision @ (gains - scale))
