@@ -96,7 +96,8 @@ def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
     problem = assemble_system(
         task.model, task.base, factors, task.payloads, slowest, Friction((), len(runs) > 1)
     ).problem
-    theta = np.array([dict(zip(task.base.names, task.chi, strict=True)).get(name, 0.0) for name in problem.parameters])
+    prior = dict(zip(task.base.names, task.chi, strict=True))
+    theta = np.array([prior.get(name, 0.0) for name in problem.parameters])
     # a row is a mean over its filter, whose gain is one where the motion is: white noise is divided by the factor
     sigma = task.sigma / np.sqrt(preparation.decimator.factor)
     std = np.sqrt(np.diag(ml_covariance(problem, theta, task.gains, sigma)))

@@ -11,8 +11,8 @@ from gtau.estimation.results.result import Result
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.random_states import random_motion
+from gtau.robots.geometry import places_on
 from gtau.robots.parameter import Parameter
-from gtau.robots.robot import Robot
 
 FRICTION = 0.1  # rough Coulomb friction, and viscous friction at the speed limit, of the rms torque
 MODERATE = 0.15  # rough rms torque, of the effort limit
@@ -50,7 +50,7 @@ def rough_parameters(model: InverseDynamics, base: BaseParameters, payload: floa
     for body in robot.bodies:
         if Parameter("m", body).name not in model.parameter_names:
             continue
-        end = _far_end(robot, body)
+        end = np.mean(places_on(robot, body) or [np.zeros(3)], axis=0)
         inertia = (end @ end * np.eye(3) - np.outer(end, end)) / 3 + 1e-3 * np.eye(3)
         chi |= {
             Parameter(kind, body).name: float(value) for kind, value in zip(("mx", "my", "mz"), end / 2, strict=True)
@@ -73,12 +73,6 @@ def rough_noise(model: InverseDynamics, base: BaseParameters, chi: np.ndarray) -
     torque = rms_torque(model, base, chi) / MODERATE
     joints = [model.robot.joint(name) for name in model.actuated]
     return NOISE * np.array([joint.limits.effort or size for joint, size in zip(joints, torque, strict=True)])
-
-
-def _far_end(robot: Robot, body: str) -> np.ndarray:
-    places = [joint.placement.position for joint in robot.joints if joint.antecedent == body]
-    places += [end.placement.position for each in robot.closures for end in (each.a, each.b) if end.body == body]
-    return np.mean(places, axis=0) if places else np.zeros(3)
 
 
 def rms_torque(model: InverseDynamics, base: BaseParameters, chi: np.ndarray) -> np.ndarray:

@@ -24,7 +24,7 @@ from gtau.export.consistent import (
 from gtau.export.exported import Exported, identifier, written
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import GROUND, Robot
-from gtau.simulation.mujoco_plant import LIGHTEST, STEP, STIFF, platform_coordinates, robot_spec, spring_attributes
+from gtau.simulation.mujoco_plant import LIGHTEST, STEP, STIFF, mujoco_positions, robot_spec, spring_attributes
 
 JOINT = ("range", "armature", "damping", "frictionloss", "stiffness", "springref")
 THICKNESS = 0.012  # m: of the links as drawn
@@ -160,15 +160,8 @@ def _add_actuators(mujoco: ModuleType, spec: Any, model: ConsistentModel) -> Non
 def _add_home(spec: Any, compiled: Any, result: Result) -> None:
     """Add the keyframe 'home', in which the loops are closed."""
     layout, loops = result.model.layout, result.model.loops
-    c = layout.home if loops is None else loops.home
-    qpos = compiled.qpos0.copy()
-    for k, joint in enumerate(result.robot.joints):
-        qpos[compiled.joint(joint.name).qposadr[0]] = c[k]
-    for slots in layout.platforms:
-        for name, values in platform_coordinates(slots, c).items():
-            first = compiled.joint(name).qposadr[0]
-            qpos[first : first + len(values)] = values
-    spec.add_key(name="home", qpos=qpos)
+    home = layout.home if loops is None else loops.home
+    spec.add_key(name="home", qpos=mujoco_positions(compiled, layout, home))
     compile_spec(spec)
 
 

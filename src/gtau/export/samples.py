@@ -9,7 +9,7 @@ with distances in standard deviations (as in
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,9 +23,7 @@ from gtau.robots.geometry import characteristic_length
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import DAMPING, INERTIAL
 
-LEAST = (
-    1e-4  # share of the variance of a correlation that directions without scatter have: the jackknife has few blocks
-)
+LEAST = 1e-4  # share of a correlation's variance that directions without scatter have: the jackknife has few blocks
 LOOSE = 1e-3  # weight of staying where the data leave parameters open, in natural sizes
 MOVED = 0.1  # standard deviations: a draw that is moved less far is one of rigid bodies
 
@@ -152,11 +150,11 @@ def draw(result: Result, count: int, seed: int = 0) -> Samples:
     values = {name: each.value for name, each in result.parameters.items() if each.value is not None}
     values |= {Parameter("gain", joint).name: gain for joint, gain in zip(joints, result.gains, strict=True)}
     drawn = {name: value + changes.get(name, np.zeros(count)) for name, value in values.items()}
-    projection = _Projection.of(result, tuple(values))
+    nearest = _projection(result, tuple(values))
     x, moved = np.zeros((count, len(names))), np.zeros(count)
     gains = np.zeros((count, len(joints)))
     for k in range(count):
-        x[k], gains[k], moved[k] = projection.nearest(np.array([drawn[name][k] for name in values]))
+        x[k], gains[k], moved[k] = nearest(np.array([drawn[name][k] for name in values]))
     found = x @ base.matrix.T
     delays = [
         (each.value or 0.0) + changes.get(Parameter("delay", joint).name, np.zeros(count))
@@ -204,72 +202,56 @@ def _freedom(result: Result) -> dict[str, float]:
     return {name: each.freedom for name, each in named.items() if each.freedom is not None}
 
 
-@dataclass(frozen=True, eq=False)
-class _Projection:
-    """Projection of drawn base parameters and gains onto physically consistent ones."""
+def _projection(
+    result: Result, values: tuple[str, ...]
+) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, float]]:
+    """Prepare the projection of drawn ``values``, base parameters and gains, onto physically consistent ones.
 
-    R: np.ndarray
-    S: np.ndarray
-    centre: np.ndarray
-    unit: np.ndarray
-    bodies: tuple[Body, ...]
-    lower: np.ndarray
-    within: np.ndarray
-    mass: float
-    length: float
+    It gives standard parameters (n_st,), gains (n,), and the distance moved, in standard deviations.
+    """
+    robot, base, names = result.robot, result.base, result.model.parameter_names
+    assert result.consistency is not None
+    standard = np.array([result.consistency.standard[name] for name in names])
+    place = {name: k for k, name in enumerate(names)}
+    bodies = tuple(
+        Body(body, np.array([place[Parameter(kind, body).name] for kind in INERTIAL]), np.zeros(10))
+        for body in robot.bodies
+        if Parameter("m", body).name in place
+    )
+    length = characteristic_length(robot)
+    mass = sum(float(standard[place[Parameter("m", body.name).name]]) for body in bodies)
+    own = [base.names.index(name) for name in values if name in result.parameters]
+    n, gains = len(names), len(values) - len(own)
+    S = np.zeros((len(values), n + gains))
+    S[: len(own), :n], S[len(own) :, n:] = base.matrix[own], np.eye(gains)
+    order = {name: k for k, name in enumerate(result.covariance_names)}
+    rows = [order[name] for name in values if name in order]
+    C = np.eye(len(values))
+    there = np.array([name in order for name in values])
+    C[np.ix_(there, there)] = result.covariance[np.ix_(rows, rows)]
+    std = np.sqrt(np.diag(C))
+    given = std == 0  # a given gain is kept
+    std[given], C[given, given] = 1e-6, 1e-12
+    sizes, axes = np.linalg.eigh(C / np.outer(std, std))
+    R = (axes / np.sqrt(np.maximum(sizes, 0.0) + LEAST)).T / std
+    unit = np.array([natural_size(name, robot, mass, length) for name in names])
+    stay = np.zeros((n, n + gains))
+    stay[:, :n] = np.diag(LOOSE / unit)
+    lower = np.array([0.0 if parameter_of(name).kind in ("ia", *PLAIN[:2], DAMPING) else -np.inf for name in names])
+    within = np.pad(within_reach(robot, bodies, n), ((0, 0), (0, gains))) / (mass * length**2)
 
-    @classmethod
-    def of(cls, result: Result, values: tuple[str, ...]) -> _Projection:
-        robot, base, names = result.robot, result.base, result.model.parameter_names
-        assert result.consistency is not None
-        standard = np.array([result.consistency.standard[name] for name in names])
-        place = {name: k for k, name in enumerate(names)}
-        bodies = tuple(
-            Body(body, np.array([place[Parameter(kind, body).name] for kind in INERTIAL]), np.zeros(10))
-            for body in robot.bodies
-            if Parameter("m", body).name in place
-        )
-        length = characteristic_length(robot)
-        mass = sum(float(standard[place[Parameter("m", body.name).name]]) for body in bodies)
-        unit = np.array([natural_size(name, robot, mass, length) for name in names])
-        rest = len(values) - sum(name in result.parameters for name in values)
-        S = np.zeros((len(values), len(names) + rest))
-        S[: len(values) - rest, : len(names)] = base.matrix[
-            [base.names.index(name) for name in values[: len(values) - rest]]
-        ]
-        S[len(values) - rest :, len(names) :] = np.eye(rest)
-        order = {name: k for k, name in enumerate(result.covariance_names)}
-        rows = [order[name] for name in values if name in order]
-        C = np.eye(len(values))
-        there = np.array([name in order for name in values])
-        C[np.ix_(there, there)] = result.covariance[np.ix_(rows, rows)]
-        std = np.sqrt(np.diag(C))
-        given = std == 0  # a given gain is kept
-        std[given], C[given, given] = 1e-6, 1e-12
-        sizes, axes = np.linalg.eigh(C / np.outer(std, std))
-        R = (axes / np.sqrt(np.maximum(sizes, 0.0) + LEAST)).T / std
-        lower = np.array([0.0 if parameter_of(name).kind in ("ia", *PLAIN[:2], DAMPING) else -np.inf for name in names])
-        gains = np.full(rest, np.inf)
-        within = np.pad(within_reach(robot, bodies, len(names)), ((0, 0), (0, rest))) / (mass * length**2)
-        return cls(
-            R, S, standard, np.concatenate([unit, np.ones(rest)]), bodies, np.concatenate([lower, -gains]), within,
-            mass, length,
-        )  # fmt: skip
-
-    def nearest(self, drawn: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return standard parameters (n_st,), gains (n,), and the distance moved, in standard deviations."""
-        n = len(self.centre)
-        stay = np.zeros((n, self.S.shape[1]))
-        stay[:, :n] = np.diag(LOOSE / self.unit[:n])
+    def nearest(drawn: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         found = constrained_least_squares(
-            np.vstack([self.R @ self.S, stay]),
-            np.concatenate([self.R @ drawn, LOOSE * self.centre / self.unit[:n]]),
-            self.bodies,
-            self.lower,
-            np.full(len(self.lower), np.inf),
-            self.unit,
-            self.mass,
-            self.length,
-            self.within,
+            np.vstack([R @ S, stay]),
+            np.concatenate([R @ drawn, LOOSE * standard / unit]),
+            bodies,
+            np.concatenate([lower, np.full(gains, -np.inf)]),
+            np.full(n + gains, np.inf),
+            np.concatenate([unit, np.ones(gains)]),
+            mass,
+            length,
+            within,
         )
-        return found[:n], found[n:], float(np.linalg.norm(self.R @ (self.S @ found - drawn)))
+        return found[:n], found[n:], float(np.linalg.norm(R @ (S @ found - drawn)))
+
+    return nearest

@@ -154,13 +154,19 @@ def characteristic_length(robot: Robot) -> float:
     return float(np.mean(lengths)) if lengths else 1.0
 
 
+def places_on(robot: Robot, body: str) -> list[np.ndarray]:
+    """List the origins (3,), m, of the frames of joints and closures on a body, in its frame."""
+    joints = [joint.placement.position for joint in robot.joints if joint.antecedent == body]
+    ends = (end for closure in robot.closures for end in (closure.a, closure.b))
+    return joints + [end.placement.position for end in ends if end.body == body]
+
+
 def extent(robot: Robot, body: str) -> tuple[np.ndarray, float, bool]:
     """Bound a body's frames by a ball: centre (3,) and radius in m, in its frame, and whether the chain ends here.
 
     The frames are its own and those of the joints and closures on it; where there are none the chain ends.
     """
-    points = [joint.placement.position for joint in robot.joints if joint.antecedent == body]
-    points += [end.placement.position for each in robot.closures for end in (each.a, each.b) if end.body == body]
+    points = places_on(robot, body)
     frames = np.array([np.zeros(3), *points])
     centre = (frames.min(axis=0) + frames.max(axis=0)) / 2
     return centre, float(np.linalg.norm(frames - centre, axis=1).max()), not points

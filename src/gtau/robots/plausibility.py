@@ -18,10 +18,6 @@ REACHED = 1e-9  # rad or m; a home on a limit is within it
 def oddities(robot: Robot) -> tuple[str, ...]:
     """Note implausible entries: links of 350 m, limits of 130 rad, a home outside the limits.
 
-    Parameters
-    ----------
-    robot : Robot
-
     Returns
     -------
     tuple of str

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from gtau.errors import GtauError, missing_extra
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.kinematics import PlatformSlots
+from gtau.model.kinematics import Coordinates, PlatformSlots
 from gtau.model.loop_paths import follow
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.rigid_body import rigid_body
@@ -94,12 +94,7 @@ class MujocoPlant:
         """Return the state at rest at actuated positions ``q`` (n,); raises GtauError where they cannot be reached."""
         loops, layout = self.model.loops, self.model.layout
         c = follow(loops, q[:, None])[:, 0] if loops else np.array(q, dtype=float)
-        qpos = self._model.qpos0.copy()
-        qpos[self._position] = c[: len(self._position)]
-        for slots in layout.platforms:
-            for name, values in platform_coordinates(slots, c).items():
-                first = self._model.joint(name).qposadr[0]
-                qpos[first : first + len(values)] = values
+        qpos = mujoco_positions(self._model, layout, c)
         rest = np.zeros(len(self.friction.law.states))
         return PlantState(np.array(q, dtype=float), np.zeros(len(q)), qpos, np.zeros(self._model.nv), rest)
 
@@ -130,6 +125,18 @@ class MujocoPlant:
             )
         q, qd = data.qpos[place], data.qvel[self._rate[self._actuated]]
         return PlantState(q, qd, data.qpos.copy(), data.qvel.copy(), z)
+
+
+def mujoco_positions(compiled: Any, layout: Coordinates, c: np.ndarray) -> np.ndarray:
+    """Compute MuJoCo's coordinates ``qpos`` of a configuration (n_c,), by a compiled model of the robot."""
+    qpos: np.ndarray = compiled.qpos0.copy()
+    for k, joint in enumerate(layout.robot.joints):
+        qpos[compiled.joint(joint.name).qposadr[0]] = c[k]
+    for slots in layout.platforms:
+        for name, values in platform_coordinates(slots, c).items():
+            first = compiled.joint(name).qposadr[0]
+            qpos[first : first + len(values)] = values
+    return qpos
 
 
 def platform_coordinates(slots: PlatformSlots, c: np.ndarray) -> dict[str, np.ndarray]:

@@ -33,24 +33,19 @@ from gtau.robots.robot import PRELOAD, STIFFNESS
 from gtau.simulation.joint_friction import JointFriction, plain_friction
 
 
-@dataclass(frozen=True)
-class Constraints:
-    """Independent closure equations ``phi(c) = 0``, as many as there are passive coordinates.
-
-    ``position`` maps c to phi and to ``G = d(phi')/d(yd)`` of the passive and of the actuated coordinates;
-    ``drift`` maps c and yd to gamma of ``G ydd + gamma = 0``.
-    """
-
-    position: ca.Function
-    drift: ca.Function
-
-
-def constraints(loops: Loops) -> Constraints:
-    """Select independent closure equations of a robot.
+def constraints(loops: Loops) -> tuple[ca.Function, ca.Function]:
+    """Select independent closure equations ``phi(c) = 0``, as many as there are passive coordinates.
 
     Redundant rows, such as the rotations that the three welds of an Orthoglide share, are left out as found by
     QR with pivoting at home. The rows are those in the axes of each closure's second body: a linkage whose plane turns
     with the robot keeps the same redundant rows there, but not in base axes.
+
+    Returns
+    -------
+    position : Function
+        From c to phi and to ``G = d(phi')/d(yd)`` of the passive and of the actuated coordinates.
+    drift : Function
+        From c and yd to gamma of ``G ydd + gamma = 0``.
     """
     layout = loops.layout
     c, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
@@ -61,7 +56,7 @@ def constraints(loops: Loops) -> Constraints:
     at_home = np.array(ca.Function("G", [c], [G[:, passive]])(loops.home))
     _, _, order = scipy.linalg.qr(at_home.T, pivoting=True, mode="economic")
     rows = np.sort(order[: len(passive)]).tolist()
-    return Constraints(
+    return (
         ca.Function("position", [c], [phi[rows], G[rows, passive], G[rows, actuated]]),
         ca.Function("drift", [c, yd], [ca.densify(gamma[rows])]),
     )
@@ -203,7 +198,7 @@ class Plant:
         return float(kinetic + float(self._potential(state.c)))
 
     @cached_property
-    def _constraints(self) -> Constraints | None:
+    def _constraints(self) -> tuple[ca.Function, ca.Function] | None:
         return constraints(self.model.loops) if self.model.loops else None
 
     @cached_property
@@ -211,7 +206,7 @@ class Plant:
         if self._constraints is None:
             return None
         c = ca.SX.sym("c", self.layout.n_c)
-        return Compiled(ca.Function("passive", [c], [ca.densify(self._constraints.position(c)[1])]))
+        return Compiled(ca.Function("passive", [c], [ca.densify(self._constraints[0](c)[1])]))
 
     @cached_property
     def _potential(self) -> ca.Function:
@@ -260,10 +255,10 @@ class Plant:
         J, drift = ca.MX(0, len(layout.actuated)), ca.MX(0, 1)
         yd = self._selection(layout.actuated) @ qd
         if self._constraints is not None:
-            _, G_passive, G_actuated = self._constraints.position(c)
+            _, G_passive, G_actuated = self._constraints[0](c)
             J = -ca.solve(G_passive, G_actuated, "qr")
             yd += self._selection(layout.passive) @ (J @ qd)
-            drift = -ca.solve(G_passive, self._constraints.drift(c, yd), "qr")
+            drift = -ca.solve(G_passive, self._constraints[1](c, yd), "qr")
         M, tau = self._dynamics(c, yd, self._selection(layout.passive) @ drift, J)
         return ca.Function("inertia", [c, qd], [M, tau, yd, J])
 
@@ -310,7 +305,7 @@ class Plant:
             if slots.quaternion is not None:
                 moved[slots.quaternion] /= ca.norm_2(moved[slots.quaternion])
         move = ca.Function("move", [symbol, yd], [moved])
-        phi, G_passive, _ = self._constraints.position(c)
+        phi, G_passive, _ = self._constraints[0](c)
         return move(c, -self._selection(layout.passive) @ ca.solve(G_passive, phi, "qr"))
 
     def _lost(self, c: np.ndarray) -> GtauError:

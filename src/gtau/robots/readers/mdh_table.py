@@ -107,10 +107,6 @@ def read_mdh_csv(path: str | Path) -> Robot:
     such as ``pi/2``; ``theta`` or ``r`` of a joint may be written with its coordinate, ``q - a`` or ``q13 - a`` where
     13 is the joint's name. Lines ``name = value`` before the header give constants. Gravity is along -z.
 
-    Parameters
-    ----------
-    path : str or Path
-
     Returns
     -------
     Robot

@@ -222,10 +222,6 @@ def read_native(path: str | Path) -> Robot:
     path : str or Path
         See ``docs/lookup/robot-file.md`` for the format; SI units, angles in rad.
 
-    Returns
-    -------
-    Robot
-
     Raises
     ------
     GtauError

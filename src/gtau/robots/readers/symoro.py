@@ -28,10 +28,6 @@ def read_par(path: str | Path) -> Robot:
     massless link, and is welded to the fixed frame that the file gives on the other side. Lengths and angles must be
     numbers; symbols (``D3``) may get values on lines of their own, ``D3 = 0.45``.
 
-    Parameters
-    ----------
-    path : str or Path
-
     Returns
     -------
     Robot

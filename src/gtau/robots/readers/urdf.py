@@ -39,10 +39,6 @@ def read_urdf(path: str | Path, base: BaseChoice = None) -> Robot:
     below 1e-10 m, are taken as exact, and angles written short (1.5708) as the multiples they stand for, with a note.
     With a ``base`` a floating joint is fixed, its child then being the ground, which may float.
 
-    Parameters
-    ----------
-    path : str or Path
-
     Returns
     -------
     Robot
@@ -144,10 +140,6 @@ def read_urdf_with_loops(urdf: str | Path, loops: str | Path) -> Robot:
 
     The tree is that of :func:`gtau.robots.readers.urdf.read_urdf`. One of two coaxial pins at a loop is locked; notes
     of the robot say so.
-
-    Parameters
-    ----------
-    urdf, loops : str or Path
 
     Returns
     -------
