@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -236,15 +237,9 @@ class Signals(Keys):
         return self
 
     @model_validator(mode="after")
-    def _temperatures_of_joints(self) -> Signals:
-        for joint in self.temperature_columns:
-            if joint not in self.position:
-                raise ValueError(f"'temperature' names the joint '{joint}', which has no position; correct the name")
-        return self
-
-    @model_validator(mode="after")
-    def _ratios_of_motor_torques(self) -> Signals:
+    def _temperatures_and_ratios_of_joints(self) -> Signals:
         ratios = self.gear_ratio or {}
+        self._require_positions("temperature", self.temperature_columns)
         if self.motor_torque is None and ratios:
             raise ValueError(
                 "'gear_ratio' is given without 'motor_torque'; remove it, or name the torques 'motor_torque'"
@@ -255,10 +250,13 @@ class Signals(Keys):
                     f"joint '{joint}' has a motor torque but no gear ratio; add 'gear_ratio: {{{joint}: ...}}', motor "
                     "turns (or rad) for one turn (or m) of the joint, negative where they turn against each other"
                 )
-        for joint in ratios:
-            if joint not in self.position:
-                raise ValueError(f"'gear_ratio' names the joint '{joint}', which has no position; correct the name")
+        self._require_positions("gear_ratio", ratios)
         return self
+
+    def _require_positions(self, key: str, joints: Iterable[str]) -> None:
+        for joint in joints:
+            if joint not in self.position:
+                raise ValueError(f"'{key}' names the joint '{joint}', which has no position; correct the name")
 
 
 def _columns_of_time(time: Any) -> tuple[str, ...]:

@@ -151,22 +151,8 @@ class Decimator:
         return masked[2 * self.guard + 1 :] == masked[: -2 * self.guard - 1]
 
     def keep(self, usable: np.ndarray) -> np.ndarray:
-        """Mark the outputs computed from usable samples only.
-
-        Parameters
-        ----------
-        usable : ndarray (N,) or (N, n) of bool
-            False where a sample, or a joint's row of it, must not be used.
-
-        Returns
-        -------
-        ndarray (outputs,) or (outputs, n) of bool
-            True where no sample within ``guard`` is unusable.
-        """
-        instants = self.instants(len(usable))
-        masked = np.zeros((len(usable) + 1, *usable.shape[1:]), dtype=np.int64)
-        np.cumsum(~usable, axis=0, out=masked[1:])
-        return masked[instants + self.guard + 1] == masked[instants - self.guard]
+        """Mark the outputs (outputs, n) with no unusable sample (N, n) within ``guard``."""
+        return self.near(usable)[self.instants(len(usable))]
 
 
 @lru_cache
