@@ -5,14 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    Discriminator,
-    Field,
-    FiniteFloat,
-    Tag,
-    field_validator,
-    model_validator,
-)
+from pydantic import Discriminator, Field, FiniteFloat, Tag, field_validator, model_validator
 
 from gtau.documents.validation import Keys, Positive
 from gtau.signals.body_columns import BaseColumns, BodyWrench, PoseColumns

@@ -6,14 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import (
-    BeforeValidator,
-    Field,
-    FiniteFloat,
-    ValidationInfo,
-    field_validator,
-    model_validator,
-)
+from pydantic import BeforeValidator, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
 from gtau.documents.files import EXPERIMENT, refuse_other_kind
 from gtau.documents.validation import MAPPING, PATH, Keys, Positive, expect, read_group, takes, validate
