@@ -146,12 +146,13 @@ class Decimator:
         return oaconvolve(seen[..., : count + 2 * self.support], taps, mode="valid", axes=-1)
 
     def near(self, usable: np.ndarray) -> np.ndarray:
-        """Mark the samples (N, n) with no unusable sample and no end of the log within ``guard``."""
-        masked = np.cumsum(~np.pad(usable, ((self.guard + 1, self.guard), (0, 0))), axis=0)
+        """Mark the samples (N,) or (N, n) with no unusable sample and no end of the log within ``guard``."""
+        ends = [(self.guard + 1, self.guard), *[(0, 0)] * (usable.ndim - 1)]
+        masked = np.cumsum(~np.pad(usable, ends), axis=0)
         return masked[2 * self.guard + 1 :] == masked[: -2 * self.guard - 1]
 
     def keep(self, usable: np.ndarray) -> np.ndarray:
-        """Mark the outputs (outputs, n) with no unusable sample (N, n) within ``guard``."""
+        """Mark the outputs, (outputs,) or (outputs, n), with no unusable sample, (N,) or (N, n), within ``guard``."""
         return self.near(usable)[self.instants(len(usable))]
 
 
