@@ -208,7 +208,7 @@ class Signals(Keys):
 
     @model_validator(mode="after")
     def _calibration_of_sensors(self) -> Signals:
-        measured = {"joint_torque": self.sensors, "wrenches": self.wrenches or (self.base and self.base.wrenches)}
+        measured = {"joint_torque": self.sensors, "wrenches": self.all_wrenches}
         for kind, there in measured.items():
             if getattr(self.calibration, kind) is not None and not there:
                 raise ValueError(f"'calibration' is given for '{kind}', which the signals lack; remove it")
