@@ -131,10 +131,7 @@ class LogContents:
         for unit, factor in TIME_UNITS.items():
             if step > 0 and LEAST_RATE <= 1 / (step * factor) <= LARGEST_RATE and written in (None, unit):
                 return unit, f"median step {step:.4g} {unit}, {1 / (step * factor):.4g} Hz"
-        return (
-            "s",
-            f"median step {step:.4g}: not a plausible sampling rate in s, ms, us or ns; correct the column",
-        )
+        return "s", f"median step {step:.4g}: not a plausible sampling rate in s, ms, us or ns; correct the column"
 
     def rate_from_velocities(self, positions: Group) -> tuple[float | None, str]:
         """Find the sampling rate, Hz, at which logged velocities are the positions' derivatives, and the reason."""
