@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, FiniteFloat, Tag, field_validator, model_validator
@@ -232,7 +231,9 @@ class Signals(Keys):
     @model_validator(mode="after")
     def _temperatures_and_ratios_of_joints(self) -> Signals:
         ratios = self.gear_ratio or {}
-        self._require_positions("temperature", self.temperature_columns)
+        for joint in self.temperature_columns:
+            if joint not in self.position:
+                raise ValueError(f"'temperature' names the joint '{joint}', which has no position; correct the name")
         if self.motor_torque is None and ratios:
             raise ValueError(
                 "'gear_ratio' is given without 'motor_torque'; remove it, or name the torques 'motor_torque'"
@@ -243,13 +244,10 @@ class Signals(Keys):
                     f"joint '{joint}' has a motor torque but no gear ratio; add 'gear_ratio: {{{joint}: ...}}', motor "
                     "turns (or rad) for one turn (or m) of the joint, negative where they turn against each other"
                 )
-        self._require_positions("gear_ratio", ratios)
-        return self
-
-    def _require_positions(self, key: str, joints: Iterable[str]) -> None:
-        for joint in joints:
+        for joint in ratios:
             if joint not in self.position:
-                raise ValueError(f"'{key}' names the joint '{joint}', which has no position; correct the name")
+                raise ValueError(f"'gear_ratio' names the joint '{joint}', which has no position; correct the name")
+        return self
 
 
 def _columns_of_time(time: Any) -> tuple[str, ...]:
