@@ -33,8 +33,6 @@ class Clock:
         Of a regular clock, or mean step, s.
     regular : bool
         Instants are multiples of the period, by which the time column is corrected; otherwise they are the stamps.
-    gapless : bool
-        Regular, and no sample is missing.
     start : float
         Instant of the first sample, s.
     count : int
@@ -55,7 +53,6 @@ class Clock:
 
     period: float
     regular: bool
-    gapless: bool
     start: float
     count: int
     shortest: float
@@ -65,6 +62,11 @@ class Clock:
     gaps: tuple[tuple[int, int], ...] = ()
     late: float = 0.0
     packets: bool = False
+
+    @property
+    def gapless(self) -> bool:
+        """True where sampling is regular, and no sample is missing."""
+        return self.regular and not self.gaps
 
     @property
     def rate(self) -> float:
@@ -126,7 +128,6 @@ def clock_of(time: np.ndarray, position: np.ndarray, given: Literal["stamps", "r
     regular = Clock(
         period=period,
         regular=True,
-        gapless=not gaps,
         start=float(time[0]) if straight else float(time[0]) + offset,
         count=len(time) + sum(missing for _, missing in gaps),
         shortest=period,
@@ -160,7 +161,6 @@ def _by_stamps(time: np.ndarray, steps: np.ndarray) -> Clock:
     return Clock(
         period=period,
         regular=False,
-        gapless=False,
         start=float(time[0]),
         count=int((time[-1] - time[0]) / period * (1 + 1e-12)) + 1,
         shortest=shortest,
@@ -178,7 +178,7 @@ def _mean_step(steps: np.ndarray) -> float:
 
 def _line(time: np.ndarray, usual: float, gaps: tuple[tuple[int, int], ...]) -> tuple[float, float, float, bool]:
     """Fit period and offset (s) of the stamps by least squares; return their lateness, and whether it is rounding."""
-    numbered = Clock(usual, True, not gaps, 0.0, 0, 0.0, 0.0, 0, 0.0, gaps)
+    numbered = Clock(usual, True, 0.0, 0, 0.0, 0.0, 0, 0.0, gaps)
     sums, samples = np.zeros(4), len(time)
     for start, stop in spans(samples):
         number = numbered._numbers(start, stop)

@@ -4,14 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    Discriminator,
-    Field,
-    FiniteFloat,
-    Tag,
-    field_validator,
-    model_validator,
-)
+from pydantic import Discriminator, Field, FiniteFloat, Tag, field_validator, model_validator
 
 from gtau.documents.validation import Keys, Positive
 from gtau.signals.body_columns import BaseColumns, BodyWrench, PoseColumns
@@ -214,7 +207,7 @@ class Signals(Keys):
 
     @model_validator(mode="after")
     def _calibration_of_sensors(self) -> Signals:
-        measured = {"joint_torque": self.sensors, "wrenches": self.wrenches or (self.base and self.base.wrenches)}
+        measured = {"joint_torque": self.sensors, "wrenches": self.all_wrenches}
         for kind, there in measured.items():
             if getattr(self.calibration, kind) is not None and not there:
                 raise ValueError(f"'calibration' is given for '{kind}', which the signals lack; remove it")
@@ -236,15 +229,11 @@ class Signals(Keys):
         return self
 
     @model_validator(mode="after")
-    def _temperatures_of_joints(self) -> Signals:
+    def _temperatures_and_ratios_of_joints(self) -> Signals:
+        ratios = self.gear_ratio or {}
         for joint in self.temperature_columns:
             if joint not in self.position:
                 raise ValueError(f"'temperature' names the joint '{joint}', which has no position; correct the name")
-        return self
-
-    @model_validator(mode="after")
-    def _ratios_of_motor_torques(self) -> Signals:
-        ratios = self.gear_ratio or {}
         if self.motor_torque is None and ratios:
             raise ValueError(
                 "'gear_ratio' is given without 'motor_torque'; remove it, or name the torques 'motor_torque'"

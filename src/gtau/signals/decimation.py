@@ -146,27 +146,14 @@ class Decimator:
         return oaconvolve(seen[..., : count + 2 * self.support], taps, mode="valid", axes=-1)
 
     def near(self, usable: np.ndarray) -> np.ndarray:
-        """Mark the samples (N, n) with no unusable sample and no end of the log within ``guard``."""
-        masked = np.cumsum(~np.pad(usable, ((self.guard + 1, self.guard), (0, 0))), axis=0)
+        """Mark the samples (N,) or (N, n) with no unusable sample and no end of the log within ``guard``."""
+        ends = [(self.guard + 1, self.guard), *[(0, 0)] * (usable.ndim - 1)]
+        masked = np.cumsum(~np.pad(usable, ends), axis=0)
         return masked[2 * self.guard + 1 :] == masked[: -2 * self.guard - 1]
 
     def keep(self, usable: np.ndarray) -> np.ndarray:
-        """Mark the outputs computed from usable samples only.
-
-        Parameters
-        ----------
-        usable : ndarray (N,) or (N, n) of bool
-            False where a sample, or a joint's row of it, must not be used.
-
-        Returns
-        -------
-        ndarray (outputs,) or (outputs, n) of bool
-            True where no sample within ``guard`` is unusable.
-        """
-        instants = self.instants(len(usable))
-        masked = np.zeros((len(usable) + 1, *usable.shape[1:]), dtype=np.int64)
-        np.cumsum(~usable, axis=0, out=masked[1:])
-        return masked[instants + self.guard + 1] == masked[instants - self.guard]
+        """Mark the outputs, (outputs,) or (outputs, n), with no unusable sample, (N,) or (N, n), within ``guard``."""
+        return self.near(usable)[self.instants(len(usable))]
 
 
 @lru_cache

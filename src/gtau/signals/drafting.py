@@ -91,9 +91,11 @@ def with_preset(draft: Draft, name: str) -> Draft:
         raise GtauError(f"there is no preset '{name}'; choose from {', '.join(PRESETS)}.")
     preset = PRESETS[name]
     pattern = preset.current or preset.torque
-    joints = enumerate(draft.command.items())
-    expected = [column for k, (joint, _) in joints if (column := _column(pattern, k, joint)) is not None]
-    strange = [column for column, wanted in zip(draft.command.values(), expected, strict=False) if column != wanted]
+    strange = [
+        column
+        for k, (joint, column) in enumerate(draft.command.items())
+        if pattern is not None and column != pattern.format(k=k, n=k + 1, joint=joint)
+    ]
     if strange:
         raise GtauError(
             f"the logs have no columns of the preset '{name}', as '{strange[0]}' is not '{pattern}'; leave out "
@@ -102,10 +104,6 @@ def with_preset(draft: Draft, name: str) -> Draft:
     found = draft if pattern is None else with_kind(draft, "current" if preset.current else "torque")
     open_ = tuple(key for key in found.open if key != "gravity")
     return replace(found, gravity=preset.gravity, open=open_)
-
-
-def _column(pattern: str | None, k: int, joint: str) -> str | None:
-    return None if pattern is None else pattern.format(k=k, n=k + 1, joint=joint)
 
 
 def with_masses(draft: Draft, masses: Mapping[Path, float]) -> Draft:

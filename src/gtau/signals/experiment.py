@@ -6,14 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import (
-    BeforeValidator,
-    Field,
-    FiniteFloat,
-    ValidationInfo,
-    field_validator,
-    model_validator,
-)
+from pydantic import BeforeValidator, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
 from gtau.documents.files import EXPERIMENT, refuse_other_kind
 from gtau.documents.validation import MAPPING, PATH, Keys, Positive, expect, read_group, takes, validate
@@ -115,7 +108,7 @@ class Experiment(Keys):
             raise ValueError("a unit of 'joint_torque' is given, but the signals hold no torque sensor; remove it")
         if "pose" in units.model_fields_set and signals.pose is None:
             raise ValueError("units of a 'pose' are given, but the signals hold none; remove them")
-        if "wrenches" in units.model_fields_set and not (signals.wrenches or (signals.base and signals.base.wrenches)):
+        if "wrenches" in units.model_fields_set and not signals.all_wrenches:
             raise ValueError("units of 'wrenches' are given, but the signals hold none; remove them")
         if "temperature" in units.model_fields_set and signals.temperature is None:
             raise ValueError("a unit of 'temperature' is given, but the signals hold none; remove it")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -131,21 +131,14 @@ class LogContents:
         for unit, factor in TIME_UNITS.items():
             if step > 0 and LEAST_RATE <= 1 / (step * factor) <= LARGEST_RATE and written in (None, unit):
                 return unit, f"median step {step:.4g} {unit}, {1 / (step * factor):.4g} Hz"
-        return (
-            "s",
-            f"median step {step:.4g}: not a plausible sampling rate in s, ms, us or ns; correct the column",
-        )
+        return "s", f"median step {step:.4g}: not a plausible sampling rate in s, ms, us or ns; correct the column"
 
     def rate_from_velocities(self, positions: Group) -> tuple[float | None, str]:
         """Find the sampling rate, Hz, at which logged velocities are the positions' derivatives, and the reason."""
         velocities = self.group("velocity")
         if velocities is None:
             return None, "not in the log"
-        pairs = [
-            (self.values[column], self.values[velocities.columns[label]])
-            for label, column in positions.columns.items()
-            if label in velocities.columns
-        ]
+        pairs = _pairs(positions, velocities, self.values)
         rates = [rate for pair in pairs if (rate := _rate(*pair)) is not None]
         rate = float(np.median(rates)) if rates else 0.0
         if not LEAST_RATE <= rate <= LARGEST_RATE:
@@ -192,10 +185,7 @@ def _values(path: Path, names: Sequence[str], table: Table) -> dict[str, np.ndar
     """Read the first rows; of several episodes, those of the first one."""
     log = read_log(path, names)
     rows = next(iter(table.episodes.values()), range(ROWS))
-    parts, count = [], 0
-    for values, _ in log.blocks(rows[:ROWS]):
-        parts.append(values)
-        count += len(values)
+    parts = [values for values, _ in log.blocks(rows[:ROWS])]
     whole = np.vstack(parts) if parts else np.empty((0, len(log.names)))
     return {name: whole[:, k] for k, name in enumerate(log.names)}
 
@@ -243,25 +233,29 @@ def _classified(groups: Sequence[Group], values: Mapping[str, np.ndarray], path:
     return found
 
 
-def _follows(positions: Group, others: Group, values: Mapping[str, np.ndarray]) -> float:
-    """Compute the median distance of positions from other columns, rms, over the positions' standard deviation."""
-    found = []
+def _pairs(
+    positions: Group, others: Group, values: Mapping[str, np.ndarray]
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Pair the columns of positions with those of the same label, where both were read."""
     for label, column in positions.columns.items():
         if label in others.columns and column in values and others.columns[label] in values:
-            q, other = values[column], values[others.columns[label]]
-            if (spread := float(np.nanstd(q))) > 0 and len(q) == len(other):
-                found.append(float(np.sqrt(np.nanmean((q - other) ** 2))) / spread)
+            yield values[column], values[others.columns[label]]
+
+
+def _follows(positions: Group, others: Group, values: Mapping[str, np.ndarray]) -> float:
+    """Compute the median distance of positions from other columns, rms, over the positions' standard deviation."""
+    found = [
+        float(np.sqrt(np.nanmean((q - other) ** 2))) / spread
+        for q, other in _pairs(positions, others, values)
+        if (spread := float(np.nanstd(q))) > 0 and len(q) == len(other)
+    ]
     return float(np.median(found)) if found else np.inf
 
 
 def _derivative(positions: Group, others: Group, values: Mapping[str, np.ndarray]) -> float:
     """Compute the median correlation of other columns with the numerical derivatives of the positions."""
-    pairs = [
-        (values[column], values[others.columns[label]])
-        for label, column in positions.columns.items()
-        if label in others.columns and column in values and others.columns[label] in values
-    ]
-    return float(np.median([correlation(q, other) for q, other in pairs])) if pairs else 0.0
+    found = [correlation(q, other) for q, other in _pairs(positions, others, values)]
+    return float(np.median(found)) if found else 0.0
 
 
 def correlation(position: np.ndarray, other: np.ndarray) -> float:

@@ -38,11 +38,7 @@ class Logged:
     aligned: Aligned | None
     notes: tuple[Note, ...]
 
-    def blocks(
-        self,
-        rows: range = ALL,
-        progress: Callable[[float], None] = lambda done: None,
-    ) -> Iterator[np.ndarray]:
+    def blocks(self, rows: range = ALL, progress: Callable[[float], None] = lambda done: None) -> Iterator[np.ndarray]:
         """Read samples (M, n + c + 1) in order: positions, commands, torque sensors, wrenches and time.
 
         Parameters

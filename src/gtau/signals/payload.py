@@ -5,12 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any
 
-from pydantic import (
-    Field,
-    FiniteFloat,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, FiniteFloat, field_validator, model_validator
 
 from gtau.documents.validation import Keys, Positive, name_problem, read_group
 from gtau.robots.robot import INERTIAL

@@ -11,14 +11,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.signals.bandwidth import JointSpectrum, spectra
 from gtau.signals.decimation import Decimator
-from gtau.signals.filters import (
-    STENCIL,
-    below_nyquist,
-    differentiate,
-    filter_edge,
-    position_filter,
-    smooth_path,
-)
+from gtau.signals.filters import STENCIL, below_nyquist, differentiate, filter_edge, position_filter, smooth_path
 from gtau.signals.notes import Kind, Note
 from gtau.signals.run import Run
 from gtau.signals.storage import block, spans, stored

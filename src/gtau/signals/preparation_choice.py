@@ -11,10 +11,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.signals.bandwidth import JointSpectrum, spectra
 from gtau.signals.decimation import MAX_FACTOR, Decimator, decimation_factor
-from gtau.signals.filters import (
-    cutoff_frequency,
-    position_filter,
-)
+from gtau.signals.filters import cutoff_frequency, position_filter
 from gtau.signals.preparation import SPEED_FRACTION, Preparation, valid_samples
 from gtau.signals.run import Run
 from gtau.signals.storage import spans

@@ -8,6 +8,7 @@ has its stamps: ``/TOPIC/header/stamp``, where its messages have a header, and `
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,7 +58,7 @@ def open_rosbag(path: Path) -> Table:
     GtauError
         The package rosbags is not installed, or the bag is damaged.
     """
-    columns: dict[str, tuple[str, Callable[[Any, int], float]]] = {}  # topic, and its value in a message
+    columns: dict[str, tuple[str, Getter | None]] = {}  # topic, and what gets its value from a message; None: receipt
     counts: dict[str, int] = {}
     with readable(path, "a ROS bag"), _reader(path) as bag:
         for connection in bag.connections:
@@ -71,8 +72,8 @@ def open_rosbag(path: Path) -> Table:
             topic = connection.topic
             counts[topic] = counts.get(topic, 0) + connection.msgcount
             for name, getter in _getters(message, connection.msgtype):
-                columns[f"{topic}/{name}"] = topic, _of_message(getter)
-            columns[f"{topic}/received"] = topic, lambda message, received: received * 1e-9
+                columns[f"{topic}/{name}"] = topic, getter
+            columns[f"{topic}/received"] = topic, None
 
     def frames(names: Sequence[str], rows: range) -> Iterator[tuple[pl.DataFrame, float]]:
         import polars as pl
@@ -96,7 +97,7 @@ def open_rosbag(path: Path) -> Table:
                 if row >= rows.stop:
                     break
                 message = bag.deserialize(raw, connection.msgtype)
-                values[filled] = [getter(message, received) for getter in getters]
+                values[filled] = [getter(message) if getter else received * 1e-9 for getter in getters]
                 filled += 1
                 if filled == len(values):
                     yield pl.DataFrame(values, schema=list(names)), (row + 1) / count
@@ -107,10 +108,6 @@ def open_rosbag(path: Path) -> Table:
     return Table(tuple(columns), frames)
 
 
-def _of_message(getter: Getter) -> Callable[[Any, int], float]:
-    return lambda message, received: getter(message)
-
-
 def _getters(message: Any, kind: str) -> Iterator[tuple[str, Getter]]:
     """Name the numbers in a message, and find what gets each of them from the next ones."""
     if kind == JOINT_STATE:
@@ -119,7 +116,7 @@ def _getters(message: Any, kind: str) -> Iterator[tuple[str, Getter]]:
             for k, joint in enumerate(message.name[: len(getattr(message, field))]):
                 yield f"{joint}/{field}", _of_joint(field, joint, k)
         return
-    yield from _numbers(message, "", lambda message: message)
+    yield from _numbers(message, "")
 
 
 def _of_joint(field: str, joint: str, k: int) -> Getter:
@@ -131,7 +128,9 @@ def _of_joint(field: str, joint: str, k: int) -> Getter:
     return value
 
 
-def _numbers(value: Any, name: str, getter: Callable[[Any], Any]) -> Iterator[tuple[str, Getter]]:
+def _numbers(value: Any, name: str) -> Iterator[tuple[str, Getter]]:
+    """Name the numbers in a value, itself called ``name`` (``FIELD/FIELD``) in a message."""
+    getter = attrgetter(name.replace("/", "."))
     if isinstance(value, (bool, int, float, np.number)):
         yield name, lambda message: float(getter(message))
     elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.size <= WIDEST:
@@ -142,7 +141,7 @@ def _numbers(value: Any, name: str, getter: Callable[[Any], Any]) -> Iterator[tu
     elif hasattr(value, "__dataclass_fields__"):
         for field in value.__dataclass_fields__:
             if not field.startswith("__"):
-                yield from _numbers(getattr(value, field), f"{name}/{field}".lstrip("/"), _of_field(getter, field))
+                yield from _numbers(getattr(value, field), f"{name}/{field}".lstrip("/"))
 
 
 def _of_item(getter: Callable[[Any], Any], k: int) -> Getter:
@@ -151,10 +150,6 @@ def _of_item(getter: Callable[[Any], Any], k: int) -> Getter:
         return float(array[k]) if k < len(array) else np.nan
 
     return value
-
-
-def _of_field(getter: Callable[[Any], Any], field: str) -> Callable[[Any], Any]:
-    return lambda message: getattr(getter(message), field)
 
 
 def _seconds(stamp: Any) -> float:
