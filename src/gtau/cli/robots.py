@@ -115,8 +115,7 @@ def excite(
         ),
     ] = "gains",
     payload_mass: Annotated[
-        list[float] | None,
-        typer.Option(metavar="KG [KG...]", help="Also show the effect of other payload masses."),
+        list[float] | None, typer.Option(metavar="KG [KG...]", help="Also show the effect of other payload masses.")
     ] = None,
     starts: Annotated[
         int, typer.Option(metavar="N", min=1, help="Number of searches, each from the best of some random motions.")
@@ -136,13 +135,7 @@ def excite(
             from gtau.excitation.design import Design, Stopped
             from gtau.excitation.design import design as run
             from gtau.excitation.design_file import read_design
-            from gtau.report.design import (
-                design_document,
-                design_page,
-                design_report,
-                write_design,
-                write_trajectories,
-            )
+            from gtau.report.design import design_document, design_page, design_report, write_design, write_trajectories
             from gtau.report.write import write_report
 
             task, assumed = read_design(design)
@@ -246,11 +239,7 @@ def simulate(
                 typer.echo(f"without mass and inertia, because 'parameters' lists none for them: {', '.join(light)}")
 
 
-def compare_control(
-    simulation: SimulationFile,
-    experiment: ExperimentFile,
-    json_: Json = False,
-) -> None:
+def compare_control(simulation: SimulationFile, experiment: ExperimentFile, json_: Json = False) -> None:
     """Compare PID and computed torque with three sets of drive gains on a simulated robot (the paper's Table 4).
 
     SIMULATION.yaml lists the motions under 'control'; each is simulated with every control law. EXPERIMENT.yaml, with

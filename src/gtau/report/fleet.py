@@ -49,13 +49,7 @@ def fleet_document(found: FleetTable) -> dict[str, Any]:
 
 def fleet_page(found: FleetTable) -> Page:
     """Show each joint over the robots, outliers, and robots that were refused."""
-    return page(
-        "Drive gains of a fleet",
-        _verdict(found),
-        _joints(found),
-        _outliers(found),
-        _refused(found, LISTED),
-    )
+    return page("Drive gains of a fleet", _verdict(found), _joints(found), _outliers(found), _refused(found, LISTED))
 
 
 def fleet_report(found: FleetTable) -> Page:

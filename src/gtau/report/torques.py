@@ -12,20 +12,7 @@ from gtau.estimation.results.prediction import Prediction
 from gtau.report.evidence import RunEvidence
 from gtau.report.logs import payload_words
 from gtau.report.motion import TIME
-from gtau.report.page import (
-    Axis,
-    Chart,
-    Column,
-    Kind,
-    Panel,
-    Section,
-    Series,
-    Table,
-    Text,
-    joint_label,
-    section,
-    table,
-)
+from gtau.report.page import Axis, Chart, Column, Kind, Panel, Section, Series, Table, Text, joint_label, section, table
 from gtau.robots.units import torque_unit
 
 REVERSALS = (
