@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from gtau.cli.console import ExperimentFile, Json, base_choice, print_json, progress_bar, refusals, show
+from gtau.cli.console import ExperimentFile, Json, base_choice, print_json, progress_bar, refusals, show, show_written
 from gtau.cli.interruption import stop_request
 from gtau.documents.files import folder_of, refuse_as_folder
 from gtau.errors import GtauError
@@ -205,7 +205,7 @@ def tutorial(
         if json_:
             print_json({"files": [str(path) for path in written]})
             return
-        typer.echo("\n".join(f"written: {path}" for path in written))
+        show_written(written)
         typer.echo(f"next: cd {out} && gtau init empty_*.csv loaded_1200g.csv --robot five-bar --yes")
 
 
@@ -234,7 +234,7 @@ def simulate(
         if json_:
             print_json({"files": [str(path) for path in written], "massless": light})
         else:
-            typer.echo("\n".join(f"written: {path}" for path in written))
+            show_written(written)
             if light:
                 typer.echo(f"without mass and inertia, because 'parameters' lists none for them: {', '.join(light)}")
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from gtau.documents.files import in_csv, write_atomically
+from gtau.documents.files import write_atomically, write_table
 from gtau.excitation.design import Design, check
 from gtau.excitation.forecast import Expected, Forecast, Weak, forecast, sampled_motions, weak_unknowns
 from gtau.excitation.task import DesignProblem
@@ -55,7 +55,7 @@ def write_trajectories(design: Design, folder: Path) -> tuple[Path, ...]:
                 Parameter(kind, joint).name: np.round(row, DIGITS)
                 for joint, row in zip(design.task.model.actuated, rows, strict=True)
             }
-        write_atomically(path, in_csv(pl.DataFrame(columns)))
+        write_table(pl.DataFrame(columns), path)
     return paths
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from gtau.documents.files import in_csv, write_atomically
+from gtau.documents.files import write_table
 from gtau.fleet.gains import FleetGain, FleetTable, JointOfFleet, table_rows
 from gtau.report.page import (
     Axis,
@@ -199,11 +198,9 @@ def write_fleet(found: FleetTable, out: Path) -> list[Path]:
     from gtau.report.render.charts import save
 
     frame = pl.DataFrame(table_rows(found), schema=_SCHEMA)
-    parquet = io.BytesIO()
-    frame.write_parquet(parquet)
     written = [out / "gains.csv", out / "gains.parquet"]
-    write_atomically(written[0], in_csv(frame))
-    write_atomically(written[1], parquet.getvalue())
+    for path in written:
+        write_table(frame, path)
     models = list(dict.fromkeys(joint.model for joint in found.joints))
     for k, model in enumerate(models):
         panels = [fleet_chart(found, joint).panels[0] for joint in found.joints if joint.model == model]

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from gtau.documents.files import write_atomically
+from gtau.documents.files import write_table
 from gtau.estimation.results.model_document import torque_error
 from gtau.estimation.results.payload import PayloadBody, PayloadEstimate
 from gtau.estimation.results.result import Result
@@ -112,10 +111,8 @@ def write_torques(result: Result, runs: Sequence[RunEvidence], folder: Path) -> 
     for name, each in zip(names, runs, strict=True):
         written.append(save(validation_chart(result, each), folder / f"torques_{name}.png"))
         if each.samples is not None:
-            buffer, path = BytesIO(), folder / f"torques_{name}.parquet"
-            each.samples.table().write_parquet(buffer)
-            write_atomically(path, buffer.getvalue())
-            written.append(path)
+            written.append(folder / f"torques_{name}.parquet")
+            write_table(each.samples.table(), written[-1])
     return written
 
 
