@@ -31,6 +31,7 @@ from gtau.report.page import (
     page,
     section,
     table,
+    table_of,
 )
 from gtau.robots.robot import Robot
 from gtau.robots.units import command_unit, position_unit
@@ -145,30 +146,21 @@ def _preparation(checked: ExperimentCheck) -> Facts | None:
 
 
 def _logs_table(checked: ExperimentCheck) -> Table:
-    columns = (
-        Column("log"),
-        Column("used for"),
-        Column("payload"),
-        Column("samples", Kind.NUMBER, 8),
-        Column("rate, Hz", Kind.NUMBER, 5),
-        Column("duration, s", Kind.NUMBER),
-        Column("rows a joint", Kind.NUMBER),
-        Column("repaired, %", Kind.SHARE, 2, wide=True),
+    return table_of(
+        checked.logs,
+        (Column("log"), lambda log: log.run.name),
+        (Column("used for"), _purpose),
+        (Column("payload"), lambda log: logs.payload_words(log.run).removeprefix("payload ")),
+        (Column("samples", Kind.NUMBER, 8), lambda log: len(log.run.time)),
+        (Column("rate, Hz", Kind.NUMBER, 5), lambda log: log.run.rate),
+        (Column("duration, s", Kind.NUMBER), lambda log: logs.seconds(log.run)),
+        (Column("rows a joint", Kind.NUMBER), lambda log: log.rows),
+        (Column("repaired, %", Kind.SHARE, 2, wide=True), lambda log: 1 - logs.valid_share(log.run)),
     )
-    rows = [
-        (
-            log.run.name,
-            "validation" if log.validation else "identification",
-            logs.payload_words(log.run).removeprefix("payload "),
-            len(log.run.time),
-            log.run.rate,
-            logs.seconds(log.run),
-            log.rows,
-            1 - logs.valid_share(log.run),
-        )
-        for log in checked.logs
-    ]
-    return table(columns, rows)
+
+
+def _purpose(log: LogCheck) -> str:
+    return "validation" if log.validation else "identification"
 
 
 def _joints(log: LogCheck, robot: Robot) -> Section:
@@ -195,10 +187,8 @@ def _joints(log: LogCheck, robot: Robot) -> Section:
         )
         for k, each in enumerate(log.joints)
     ]
-    purpose = "validation" if log.validation else "identification"
-    return section(
-        f"{log.run.name} ({purpose}, {logs.payload_words(log.run)})", table(columns, rows), _wrenches(log), folded=False
-    )
+    title = f"{log.run.name} ({_purpose(log)}, {logs.payload_words(log.run)})"
+    return section(title, table(columns, rows), _wrenches(log), folded=False)
 
 
 def _of_unit(what: str, units: Sequence[str], wide: bool = False) -> list[Column]:
@@ -216,13 +206,13 @@ def _several(units: Sequence[str], k: int) -> tuple[str, ...]:
 def _wrenches(log: LogCheck) -> Table | None:
     if not log.wrenches:
         return None
-    columns = (
-        Column("wrench on"),
-        Column("force rms, N", Kind.NUMBER, 3),
-        Column("moment rms, N m", Kind.NUMBER, 3),
-        Column("about the origin of the"),
+    return table_of(
+        log.wrenches,
+        (Column("wrench on"), lambda each: each.body),
+        (Column("force rms, N", Kind.NUMBER, 3), lambda each: each.force_rms),
+        (Column("moment rms, N m", Kind.NUMBER, 3), lambda each: each.moment_rms),
+        (Column("about the origin of the"), lambda each: each.axes),
     )
-    return table(columns, [(each.body, each.force_rms, each.moment_rms, each.axes) for each in log.wrenches])
 
 
 def motion_chart(log: LogCheck, robot: Robot) -> Chart:

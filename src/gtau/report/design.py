@@ -236,12 +236,8 @@ def _meaningless(each: Mapping[str, Any]) -> bool:
 
 
 def _limits(limits: Sequence[Mapping[str, Any]]) -> Table:
-    columns = (
-        Column("limit"),
-        Column("value", Kind.NUMBER, 4),
-        Column("unit"),
-        Column("used, %", Kind.SHARE, decimals=1),
-    )
+    used = Column("used, %", Kind.SHARE, decimals=1)
+    columns = (Column("limit"), Column("value", Kind.NUMBER, 4), Column("unit"), used)
     return table(columns, [(each["limit"], each["value"], each["unit"], each["used"]) for each in limits])
 
 
