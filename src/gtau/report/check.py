@@ -14,6 +14,7 @@ from gtau.estimation.diagnostics.geometry_findings import to_document as geometr
 from gtau.estimation.grades import Grade, by_grade, to_document
 from gtau.estimation.results.estimate import write_distances
 from gtau.report import logs
+from gtau.report.evidence import preparation_words
 from gtau.report.findings import findings_section, same_in_several
 from gtau.report.geometry import geometry_section
 from gtau.report.motion import distances_panel, joint_panels, singularities_section
@@ -133,16 +134,10 @@ def gate_words(notes: Sequence[Note]) -> str:
 
 
 def _preparation(checked: ExperimentCheck) -> Facts | None:
-    found = checked.preparation
-    if found is None:
+    if checked.preparation is None:
         return None
-    return Facts(
-        {
-            "bandwidth": f"{found.bandwidth:.3g} Hz",
-            "position filter": "none" if found.cutoff is None else f"{found.cutoff:.3g} Hz",
-            "decimation": f"{found.decimator.factor} ({found.decimator.kind})",
-        }
-    )
+    bandwidth, cutoff, decimation = preparation_words(checked.preparation)
+    return Facts({"bandwidth": bandwidth, "position filter": cutoff, "decimation": decimation})
 
 
 def _logs_table(checked: ExperimentCheck) -> Table:

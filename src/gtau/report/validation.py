@@ -14,7 +14,7 @@ from gtau.estimation.results.result import Result
 from gtau.report.check import unique_names
 from gtau.report.evidence import RunEvidence, largest, worst_stretch
 from gtau.report.gains import gains_section, masses_section, payloads_section
-from gtau.report.logs import logs_section
+from gtau.report.logs import logs_section, seconds
 from gtau.report.motion import motion_section
 from gtau.report.page import Chart, Column, Drawing, Kind, Page, Section, Text, page, section, table
 from gtau.report.torques import (
@@ -89,10 +89,8 @@ def validation_chart(result: Result, evidence: RunEvidence) -> Chart:
     assert evidence.prediction is not None
     start, stop = worst_stretch(evidence, SHOWN)
     part, time = part_of(evidence.prediction, evidence.time, start, stop)
-    length = float(evidence.run.time[-1] - evidence.run.time[0])
-    title = (
-        evidence.run.name if stop - start >= 0.95 * length else stretch_title(evidence.run.name, start, stop, length)
-    )
+    length, title = seconds(evidence.run), evidence.run.name
+    title = title if stop - start >= 0.95 * length else stretch_title(title, start, stop, length)
     return torques_chart(part, units_of(result, part), evidence.run.kind, time, title=title)
 
 
