@@ -21,7 +21,6 @@ from gtau.report.motion import distances_panel, joint_panels, singularities_sect
 from gtau.report.page import (
     Chart,
     Column,
-    Drawing,
     Facts,
     Kind,
     Page,
@@ -105,7 +104,7 @@ def check_page(checked: ExperimentCheck) -> Page:
         findings_section(checked.notes),
         section("Logs", _logs_table(checked), _preparation(checked), id="logs") if checked.logs else None,
         section("Joints", *(_joints(log, checked.robot) for log in checked.logs), id="joints"),
-        section("Robot and singular poses", Drawing(checked.robot), singularities_section(nearest), id="robot"),
+        section("Robot and singular poses", robot, singularities_section(nearest), id="robot"),
         geometry_section(checked.geometry),
         section("Motion", *motions, id="motion"),
         section("Preparation", *prepared, *spectra, id="preparation"),

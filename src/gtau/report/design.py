@@ -18,7 +18,6 @@ from gtau.report.motion import joint_panels
 from gtau.report.page import (
     Chart,
     Column,
-    Drawing,
     Facts,
     Kind,
     Page,
@@ -168,7 +167,7 @@ def design_report(design: Design, document: dict[str, Any]) -> Page:
     """Add the motion and the robot to the page."""
     short, robot = design_page(document), design.task.model.robot
     motions = (section(title, chart) for title, chart in motion_charts(design))
-    drawn = (section("Motion", *motions, id="motion"), section("Robot", Drawing(robot), id="robot"))
+    drawn = (section("Motion", *motions, id="motion"), section("Robot", robot, id="robot"))
     return replace(short, sections=(*short.sections[:2], *drawn, *short.sections[2:]))
 
 

@@ -16,7 +16,6 @@ from gtau.report.page import (
     Axis,
     Chart,
     Column,
-    Drawing,
     Kind,
     Panel,
     Section,
@@ -50,7 +49,7 @@ def motion_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Sect
     distances = distances_panels(result.distances, starts) if used else []
     return section(
         "Robot and motion",
-        Drawing(result.robot),
+        result.robot,
         section(of_path, paths_chart(paths)) if paths else None,
         singularities_section(result.singularities) if used else None,
         *(section(each.title, Chart((each,), live=True), folded=k > 0) for k, each in enumerate(distances)),

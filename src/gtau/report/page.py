@@ -228,13 +228,6 @@ class Chart:
 
 
 @dataclass(frozen=True, eq=False)
-class Drawing:
-    """A robot at home."""
-
-    robot: Robot
-
-
-@dataclass(frozen=True, eq=False)
 class Section:
     """A titled part of a page; one inside another may be ``folded`` away (True) or unfolded (False)."""
 
@@ -244,7 +237,8 @@ class Section:
     folded: bool | None = None
 
 
-Item = Table | Text | Facts | Chart | Drawing | Section
+Item = Table | Text | Facts | Chart | Robot | Section
+"""What a section holds; a robot is drawn at home."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from gtau.report.evidence import RunEvidence, largest, worst_stretch
 from gtau.report.gains import gains_section, masses_section, payloads_section
 from gtau.report.logs import logs_section, seconds
 from gtau.report.motion import motion_section
-from gtau.report.page import Chart, Column, Drawing, Kind, Page, Section, Text, page, section, table
+from gtau.report.page import Chart, Column, Kind, Page, Section, Text, page, section, table
 from gtau.report.torques import (
     REVERSALS,
     errors_table,
@@ -151,7 +151,7 @@ def weighing_report(
 ) -> Page:
     """Add the drive gains and the robot to the page."""
     short = weighing_page(result, payloads, gains, exact, bodies)
-    more = (gains_section(result, prior), section("Robot", Drawing(result.robot), id="robot"))
+    more = (gains_section(result, prior), section("Robot", result.robot, id="robot"))
     return replace(short, sections=(*short.sections, *more))
 
 
