@@ -13,7 +13,6 @@ from gtau.report.page import (
     Axis,
     Chart,
     Column,
-    Drawing,
     Facts,
     Kind,
     Page,
@@ -280,7 +279,7 @@ def test_a_figure_draws_a_matrix_spans_and_steps() -> None:
 
 
 def test_robots_are_drawn_once(whole: Page) -> None:
-    text = html(page("robot", section("Robot", Drawing(load_robot("five-bar")))))
+    text = html(page("robot", section("Robot", load_robot("five-bar"))))
     assert text.count("<svg") == 1
     assert "payload on right_forearm" in text
 

@@ -149,7 +149,12 @@ def show(page: Page, written: Iterable[Path] = ()) -> None:
     from gtau.report.render.terminal import show as show_page
 
     show_page(page)
-    for path in written:
+    show_written(written)
+
+
+def show_written(paths: Iterable[Path]) -> None:
+    """Print the paths of what was written on stdout."""
+    for path in paths:
         typer.echo(f"written: {path}")
 
 

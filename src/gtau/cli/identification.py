@@ -12,17 +12,7 @@ from typing import Annotated
 
 import typer
 
-from gtau.cli.console import (
-    METHODS,
-    Dask,
-    ExperimentFile,
-    Json,
-    ReportFolder,
-    print_json,
-    progress_bar,
-    refusals,
-    show,
-)
+from gtau.cli.console import METHODS, Dask, ExperimentFile, Json, ReportFolder, print_json, progress_bar, refusals, show
 from gtau.cli.logs import KindOfLogs, Payloads, PresetOfLogs, RobotOfLogs, Sources, experiment_of
 from gtau.documents.files import folder_of, refuse_as_folder, write_atomically
 from gtau.errors import GtauError

@@ -23,6 +23,7 @@ from gtau.cli.console import (
     progress_bar,
     refusals,
     show,
+    show_written,
 )
 from gtau.documents.files import folder_of, refuse_as_folder
 from gtau.errors import GtauError, missing_extra
@@ -214,8 +215,7 @@ def export(
             files = [str(path) for path in exported.files]
             print_json({"kind": to, "files": files, "notes": list(exported.notes), "figures": dict(exported.figures)})
         else:
-            for path in exported.files:
-                typer.echo(f"written: {path}")
+            show_written(exported.files)
             _show_notes(exported.notes)
 
 
@@ -288,7 +288,8 @@ def use(
                 document["wrench"] = {"frame": wrench.frame, "components": list(map(asdict, wrench.components))}
             print_json(document)
         else:
-            typer.echo("\n".join([summary_text(found), *([] if out is None else [f"written: {out}"])]))
+            typer.echo(summary_text(found))
+            show_written([] if out is None else [out])
 
 
 def _frame(result: Result, frame: str, experiment: Path | None) -> tuple[str, Placement]:

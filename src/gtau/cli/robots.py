@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from gtau.cli.console import ExperimentFile, Json, base_choice, print_json, progress_bar, refusals, show
+from gtau.cli.console import ExperimentFile, Json, base_choice, print_json, progress_bar, refusals, show, show_written
 from gtau.cli.interruption import stop_request
 from gtau.documents.files import folder_of, refuse_as_folder
 from gtau.errors import GtauError
@@ -115,8 +115,7 @@ def excite(
         ),
     ] = "gains",
     payload_mass: Annotated[
-        list[float] | None,
-        typer.Option(metavar="KG [KG...]", help="Also show the effect of other payload masses."),
+        list[float] | None, typer.Option(metavar="KG [KG...]", help="Also show the effect of other payload masses.")
     ] = None,
     starts: Annotated[
         int, typer.Option(metavar="N", min=1, help="Number of searches, each from the best of some random motions.")
@@ -136,13 +135,7 @@ def excite(
             from gtau.excitation.design import Design, Stopped
             from gtau.excitation.design import design as run
             from gtau.excitation.design_file import read_design
-            from gtau.report.design import (
-                design_document,
-                design_page,
-                design_report,
-                write_design,
-                write_trajectories,
-            )
+            from gtau.report.design import design_document, design_page, design_report, write_design, write_trajectories
             from gtau.report.write import write_report
 
             task, assumed = read_design(design)
@@ -212,7 +205,7 @@ def tutorial(
         if json_:
             print_json({"files": [str(path) for path in written]})
             return
-        typer.echo("\n".join(f"written: {path}" for path in written))
+        show_written(written)
         typer.echo(f"next: cd {out} && gtau init empty_*.csv loaded_1200g.csv --robot five-bar --yes")
 
 
@@ -241,16 +234,12 @@ def simulate(
         if json_:
             print_json({"files": [str(path) for path in written], "massless": light})
         else:
-            typer.echo("\n".join(f"written: {path}" for path in written))
+            show_written(written)
             if light:
                 typer.echo(f"without mass and inertia, because 'parameters' lists none for them: {', '.join(light)}")
 
 
-def compare_control(
-    simulation: SimulationFile,
-    experiment: ExperimentFile,
-    json_: Json = False,
-) -> None:
+def compare_control(simulation: SimulationFile, experiment: ExperimentFile, json_: Json = False) -> None:
     """Compare PID and computed torque with three sets of drive gains on a simulated robot (the paper's Table 4).
 
     SIMULATION.yaml lists the motions under 'control'; each is simulated with every control law. EXPERIMENT.yaml, with

@@ -61,8 +61,7 @@ def watch(
         typer.Option("--reset", metavar="DATE", help="Begin a new baseline with the first new log from this date on."),
     ] = None,
     follow: Annotated[
-        bool,
-        typer.Option("--follow", help="Follow one folder of finished logs, or a growing text log, until Ctrl-C."),
+        bool, typer.Option("--follow", help="Follow one folder of finished logs, or a growing text log, until Ctrl-C.")
     ] = False,
     block: Annotated[
         float,

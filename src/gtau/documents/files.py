@@ -8,6 +8,7 @@ import tempfile
 from collections.abc import Iterable
 from dataclasses import dataclass
 from glob import glob
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -50,6 +51,16 @@ def in_csv(table: pl.DataFrame) -> str:
     import polars as pl
 
     return table.with_columns(pl.col(pl.String).str.replace(FORMULA, "'$1")).write_csv()
+
+
+def write_table(table: pl.DataFrame, path: str | Path) -> None:
+    """Write a table as Parquet where the path ends in ``.parquet``, otherwise as CSV, atomically; raises GtauError."""
+    if Path(path).suffix.lower() != ".parquet":
+        write_atomically(path, in_csv(table))
+        return
+    content = BytesIO()
+    table.write_parquet(content)
+    write_atomically(path, content.getvalue())
 
 
 def refuse_as_folder(path: str | Path | None) -> None:

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
-from gtau.documents.files import in_csv, write_atomically
+from gtau.documents import files
 from gtau.documents.validation import NUMBER, takes
 from gtau.errors import GtauError
 from gtau.estimation.results.prediction import Prediction, loaded_parameters, suited
@@ -195,17 +195,9 @@ def write_table(found: TorquesAlongLog, path: Path) -> None:
     GtauError
         Where the extension is another one, or the file cannot be written.
     """
-    from io import BytesIO
-
-    match path.suffix.lower():
-        case ".csv":
-            write_atomically(path, in_csv(found.table))
-        case ".parquet":
-            buffer = BytesIO()
-            found.table.write_parquet(buffer)
-            write_atomically(path, buffer.getvalue())
-        case _:
-            raise GtauError(f"{path} ends in neither .csv nor .parquet; give the table one of these endings.")
+    if path.suffix.lower() not in (".csv", ".parquet"):
+        raise GtauError(f"{path} ends in neither .csv nor .parquet; give the table one of these endings.")
+    files.write_table(found.table, path)
 
 
 def summary_text(found: TorquesAlongLog) -> str:

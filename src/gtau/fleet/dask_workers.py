@@ -129,10 +129,7 @@ def _other_version(worker: str, theirs: str, ours: str) -> GtauError:
 
 
 def dask_map(
-    function: Callable[[Item], Made],
-    items: Sequence[Item],
-    client: Client,
-    without_workers: float = WITHOUT_WORKERS,
+    function: Callable[[Item], Made], items: Sequence[Item], client: Client, without_workers: float = WITHOUT_WORKERS
 ) -> Iterator[tuple[int, Made | GtauError]]:
     """Map a function over items on the workers; an item whose worker dies is retried on another worker.
 

@@ -45,18 +45,6 @@ class Member:
 
 
 @dataclass(frozen=True)
-class Identified:
-    """The result of a member: the text of its model.json with the key of its inputs, or the reason why there is none.
-
-    ``model`` is None if the existing model is still valid.
-    """
-
-    key: str = ""
-    model: str | None = None
-    sentence: str = ""
-
-
-@dataclass(frozen=True)
 class Report:
     """A member with the document of its model, or with the reason why there is none."""
 
@@ -66,9 +54,7 @@ class Report:
 
 
 Patterns = Annotated[
-    tuple[str, ...],
-    BeforeValidator(lambda value: (value,) if isinstance(value, str) else value),
-    Field(min_length=1),
+    tuple[str, ...], BeforeValidator(lambda value: (value,) if isinstance(value, str) else value), Field(min_length=1)
 ]
 
 
@@ -180,31 +166,27 @@ def identify_fleet(
     progress("robots", 0, len(members))
     items = [(member.anywhere, key) for member, key in zip(members, known, strict=True)]
     for k, found in mapper(partial(_identify_member, method), items):
-        made = Identified(sentence=str(found)) if isinstance(found, GtauError) else found
-        reports[k] = _keep(out, members[k], made)
+        reports[k] = _keep(out, members[k], found)
         progress("robots", len(reports), len(members))
     return tuple(reports[k] for k in range(len(members)))
 
 
-def _identify_member(method: str, item: tuple[Member, str]) -> Identified:
-    """Identify a member, unless the key of its inputs is the known one."""
+def _identify_member(method: str, item: tuple[Member, str]) -> tuple[str, str] | GtauError:
+    """Identify a member: the key of its inputs and the text of its model, empty if the key is the known one."""
     from gtau.estimation.identify import identify
 
     member, known = item
     try:
         experiment = member.read()
         key = inputs_key(experiment, method)
-        if key == known:
-            return Identified(key)
-        return Identified(key, model_text(identify(experiment, method=method)))
+        return key, "" if key == known else model_text(identify(experiment, method=method))
     except GtauError as error:
-        return Identified(sentence=str(error))
+        return GtauError(str(error))
     except Exception as error:  # the other robots are identified all the same
-        sentence = (
+        return GtauError(
             f"internal error ({type(error).__name__}: {error}); report it with the output of "
             f"'GTAU_DEBUG=1 gtau identify {member.experiment}'."
         )
-        return Identified(sentence=sentence)
 
 
 def inputs_key(experiment: Experiment, method: str) -> str:
@@ -242,18 +224,19 @@ def _digest(path: Path) -> bytes:
         raise GtauError(f"{path} cannot be read: {(error.strerror or str(error)).lower()}; check the path.") from None
 
 
-def _keep(out: Path, member: Member, made: Identified) -> Report:
-    """Write a new model, or remove an old one that is no longer valid."""
+def _keep(out: Path, member: Member, found: tuple[str, str] | GtauError) -> Report:
+    """Write a new model with its key, or remove an old one that is no longer valid."""
     model, key = _model_file(out, member), _key_file(out, member)
-    if made.sentence or made.model is not None:
-        key.unlink(missing_ok=True)  # until its model is written
-    if made.sentence:
+    if isinstance(found, GtauError):
+        key.unlink(missing_ok=True)
         model.unlink(missing_ok=True)
-        return Report(member, None, made.sentence)
-    if made.model is not None:
+        return Report(member, None, str(found))
+    inputs, text = found
+    if text:
+        key.unlink(missing_ok=True)  # until its model is written
         model.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(model, made.model)
-        write_atomically(key, made.key)
+        write_atomically(model, text)
+        write_atomically(key, inputs)
     return Report(member, json.loads(_read_text(model)))
 
 

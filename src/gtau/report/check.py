@@ -14,13 +14,13 @@ from gtau.estimation.diagnostics.geometry_findings import to_document as geometr
 from gtau.estimation.grades import Grade, by_grade, to_document
 from gtau.estimation.results.estimate import write_distances
 from gtau.report import logs
+from gtau.report.evidence import preparation_words
 from gtau.report.findings import findings_section, same_in_several
 from gtau.report.geometry import geometry_section
 from gtau.report.motion import distances_panel, joint_panels, singularities_section
 from gtau.report.page import (
     Chart,
     Column,
-    Drawing,
     Facts,
     Kind,
     Page,
@@ -31,6 +31,7 @@ from gtau.report.page import (
     page,
     section,
     table,
+    table_of,
 )
 from gtau.robots.robot import Robot
 from gtau.robots.units import command_unit, position_unit
@@ -103,7 +104,7 @@ def check_page(checked: ExperimentCheck) -> Page:
         findings_section(checked.notes),
         section("Logs", _logs_table(checked), _preparation(checked), id="logs") if checked.logs else None,
         section("Joints", *(_joints(log, checked.robot) for log in checked.logs), id="joints"),
-        section("Robot and singular poses", Drawing(checked.robot), singularities_section(nearest), id="robot"),
+        section("Robot and singular poses", robot, singularities_section(nearest), id="robot"),
         geometry_section(checked.geometry),
         section("Motion", *motions, id="motion"),
         section("Preparation", *prepared, *spectra, id="preparation"),
@@ -132,43 +133,28 @@ def gate_words(notes: Sequence[Note]) -> str:
 
 
 def _preparation(checked: ExperimentCheck) -> Facts | None:
-    found = checked.preparation
-    if found is None:
+    if checked.preparation is None:
         return None
-    return Facts(
-        {
-            "bandwidth": f"{found.bandwidth:.3g} Hz",
-            "position filter": "none" if found.cutoff is None else f"{found.cutoff:.3g} Hz",
-            "decimation": f"{found.decimator.factor} ({found.decimator.kind})",
-        }
-    )
+    bandwidth, cutoff, decimation = preparation_words(checked.preparation)
+    return Facts({"bandwidth": bandwidth, "position filter": cutoff, "decimation": decimation})
 
 
 def _logs_table(checked: ExperimentCheck) -> Table:
-    columns = (
-        Column("log"),
-        Column("used for"),
-        Column("payload"),
-        Column("samples", Kind.NUMBER, 8),
-        Column("rate, Hz", Kind.NUMBER, 5),
-        Column("duration, s", Kind.NUMBER),
-        Column("rows a joint", Kind.NUMBER),
-        Column("repaired, %", Kind.SHARE, 2, wide=True),
+    return table_of(
+        checked.logs,
+        (Column("log"), lambda log: log.run.name),
+        (Column("used for"), _purpose),
+        (Column("payload"), lambda log: logs.payload_words(log.run).removeprefix("payload ")),
+        (Column("samples", Kind.NUMBER, 8), lambda log: len(log.run.time)),
+        (Column("rate, Hz", Kind.NUMBER, 5), lambda log: log.run.rate),
+        (Column("duration, s", Kind.NUMBER), lambda log: logs.seconds(log.run)),
+        (Column("rows a joint", Kind.NUMBER), lambda log: log.rows),
+        (Column("repaired, %", Kind.SHARE, 2, wide=True), lambda log: 1 - logs.valid_share(log.run)),
     )
-    rows = [
-        (
-            log.run.name,
-            "validation" if log.validation else "identification",
-            logs.payload_words(log.run).removeprefix("payload "),
-            len(log.run.time),
-            log.run.rate,
-            logs.seconds(log.run),
-            log.rows,
-            1 - logs.valid_share(log.run),
-        )
-        for log in checked.logs
-    ]
-    return table(columns, rows)
+
+
+def _purpose(log: LogCheck) -> str:
+    return "validation" if log.validation else "identification"
 
 
 def _joints(log: LogCheck, robot: Robot) -> Section:
@@ -195,10 +181,8 @@ def _joints(log: LogCheck, robot: Robot) -> Section:
         )
         for k, each in enumerate(log.joints)
     ]
-    purpose = "validation" if log.validation else "identification"
-    return section(
-        f"{log.run.name} ({purpose}, {logs.payload_words(log.run)})", table(columns, rows), _wrenches(log), folded=False
-    )
+    title = f"{log.run.name} ({_purpose(log)}, {logs.payload_words(log.run)})"
+    return section(title, table(columns, rows), _wrenches(log), folded=False)
 
 
 def _of_unit(what: str, units: Sequence[str], wide: bool = False) -> list[Column]:
@@ -216,13 +200,13 @@ def _several(units: Sequence[str], k: int) -> tuple[str, ...]:
 def _wrenches(log: LogCheck) -> Table | None:
     if not log.wrenches:
         return None
-    columns = (
-        Column("wrench on"),
-        Column("force rms, N", Kind.NUMBER, 3),
-        Column("moment rms, N m", Kind.NUMBER, 3),
-        Column("about the origin of the"),
+    return table_of(
+        log.wrenches,
+        (Column("wrench on"), lambda each: each.body),
+        (Column("force rms, N", Kind.NUMBER, 3), lambda each: each.force_rms),
+        (Column("moment rms, N m", Kind.NUMBER, 3), lambda each: each.moment_rms),
+        (Column("about the origin of the"), lambda each: each.axes),
     )
-    return table(columns, [(each.body, each.force_rms, each.moment_rms, each.axes) for each in log.wrenches])
 
 
 def motion_chart(log: LogCheck, robot: Robot) -> Chart:

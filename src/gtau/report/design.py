@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from gtau.documents.files import in_csv, write_atomically
+from gtau.documents.files import write_atomically, write_table
 from gtau.excitation.design import Design, check
 from gtau.excitation.forecast import Expected, Forecast, Weak, forecast, sampled_motions, weak_unknowns
 from gtau.excitation.task import DesignProblem
@@ -18,7 +18,6 @@ from gtau.report.motion import joint_panels
 from gtau.report.page import (
     Chart,
     Column,
-    Drawing,
     Facts,
     Kind,
     Page,
@@ -55,7 +54,7 @@ def write_trajectories(design: Design, folder: Path) -> tuple[Path, ...]:
                 Parameter(kind, joint).name: np.round(row, DIGITS)
                 for joint, row in zip(design.task.model.actuated, rows, strict=True)
             }
-        write_atomically(path, in_csv(pl.DataFrame(columns)))
+        write_table(pl.DataFrame(columns), path)
     return paths
 
 
@@ -168,7 +167,7 @@ def design_report(design: Design, document: dict[str, Any]) -> Page:
     """Add the motion and the robot to the page."""
     short, robot = design_page(document), design.task.model.robot
     motions = (section(title, chart) for title, chart in motion_charts(design))
-    drawn = (section("Motion", *motions, id="motion"), section("Robot", Drawing(robot), id="robot"))
+    drawn = (section("Motion", *motions, id="motion"), section("Robot", robot, id="robot"))
     return replace(short, sections=(*short.sections[:2], *drawn, *short.sections[2:]))
 
 
@@ -236,12 +235,8 @@ def _meaningless(each: Mapping[str, Any]) -> bool:
 
 
 def _limits(limits: Sequence[Mapping[str, Any]]) -> Table:
-    columns = (
-        Column("limit"),
-        Column("value", Kind.NUMBER, 4),
-        Column("unit"),
-        Column("used, %", Kind.SHARE, decimals=1),
-    )
+    used = Column("used, %", Kind.SHARE, decimals=1)
+    columns = (Column("limit"), Column("value", Kind.NUMBER, 4), Column("unit"), used)
     return table(columns, [(each["limit"], each["value"], each["unit"], each["used"]) for each in limits])
 
 

@@ -12,6 +12,7 @@ from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.prediction import Prediction, predict, torque_errors
 from gtau.progress import Progress, silent
+from gtau.signals.preparation import Preparation
 from gtau.signals.run import Run
 
 LONGEST = 300_000  # samples of a run that are predicted; of a longer one its beginning
@@ -114,16 +115,22 @@ def worst_stretch(evidence: RunEvidence, duration: float) -> tuple[float, float]
     return start, min(max(start, float(time[0])) + duration, float(time[-1]))
 
 
+def preparation_words(preparation: Preparation, digits: int = 3) -> tuple[str, str, str]:
+    """Describe bandwidth of the motion, position filter and decimation."""
+    bandwidth, cutoff, decimator = preparation.bandwidth, preparation.cutoff, preparation.decimator
+    low_pass = "none" if cutoff is None else f"{cutoff:.{digits}g} Hz"
+    return f"{bandwidth:.{digits}g} Hz", low_pass, f"{decimator.factor} ({decimator.kind})"
+
+
 def settings_of(result: IdentifiedModel) -> dict[str, str]:
     """List the settings of an identification by name."""
-    preparation = result.preparation
-    cutoff = preparation.cutoff
+    bandwidth, cutoff, decimation = preparation_words(result.preparation, 4)
     return {
         "estimator": result.method,
-        "bandwidth of the motion": f"{preparation.bandwidth:.4g} Hz",
-        "position filter": "none" if cutoff is None else f"{cutoff:.4g} Hz",
-        "decimation": f"{preparation.decimator.factor} ({preparation.decimator.kind})",
-        "rows masked below": f"{100 * preparation.speed_fraction:g} % of the rms speed",
+        "bandwidth of the motion": bandwidth,
+        "position filter": cutoff,
+        "decimation": decimation,
+        "rows masked below": f"{100 * result.preparation.speed_fraction:g} % of the rms speed",
         **{name.replace("_", " "): f"{value:.4g}" for name, value in result.statistics.items()},
     }
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import io
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from gtau.documents.files import in_csv, write_atomically
+from gtau.documents.files import write_table
 from gtau.fleet.gains import FleetGain, FleetTable, JointOfFleet, table_rows
 from gtau.report.page import (
     Axis,
@@ -25,11 +24,12 @@ from gtau.report.page import (
     Rule,
     Section,
     Series,
+    Table,
     Text,
     joint_label,
     page,
     section,
-    table,
+    table_of,
 )
 from gtau.signals.samples import counted
 
@@ -49,13 +49,7 @@ def fleet_document(found: FleetTable) -> dict[str, Any]:
 
 def fleet_page(found: FleetTable) -> Page:
     """Show each joint over the robots, outliers, and robots that were refused."""
-    return page(
-        "Drive gains of a fleet",
-        _verdict(found),
-        _joints(found),
-        _outliers(found),
-        _refused(found, LISTED),
-    )
+    return page("Drive gains of a fleet", _verdict(found), _joints(found), _outliers(found), _refused(found, LISTED))
 
 
 def fleet_report(found: FleetTable) -> Page:
@@ -90,48 +84,31 @@ def _verdict(found: FleetTable) -> Section:
 
 
 def _joints(found: FleetTable) -> Section:
-    columns = (
-        Column("model"),
-        Column("joint"),
-        Column("robots", Kind.NUMBER),
-        Column("median gain", Kind.NUMBER, 5),
-        Column("std", Kind.NUMBER, 2),
-        Column("spread, %", Kind.NUMBER, decimals=2),
-        Column("unit"),
+    joints = table_of(
+        found.joints,
+        (Column("model"), lambda each: each.model),
+        (Column("joint"), lambda each: joint_label(each.joint)),
+        (Column("robots", Kind.NUMBER), lambda each: each.robots),
+        (Column("median gain", Kind.NUMBER, 5), lambda each: each.median),
+        (Column("std", Kind.NUMBER, 2), lambda each: each.median_std),
+        (Column("spread, %", Kind.NUMBER, decimals=2), lambda each: 100 * each.spread / abs(each.median)),
+        (Column("unit"), lambda each: each.unit),
     )
-    rows = [
-        (
-            each.model,
-            joint_label(each.joint),
-            each.robots,
-            each.median,
-            each.median_std,
-            100 * each.spread / abs(each.median),
-            each.unit,
-        )
-        for each in found.joints
-    ]
-    return section("Joints over the fleet", table(columns, rows), id="joints")
+    return section("Joints over the fleet", joints, id="joints")
 
 
-GAIN = (
-    Column("robot"),
-    Column("joint"),
-    Column("verdict", Kind.BADGE),
-    Column("gain", Kind.NUMBER, 5),
-    Column("std", Kind.NUMBER, 2),
-    Column("unit"),
-    Column("from median, %", Kind.NUMBER, 3),
-    Column("z", Kind.NUMBER, 3),
-    Column("limit", Kind.NUMBER, 3),
+GAIN: tuple[tuple[Column, Callable[[FleetGain], Any]], ...] = (
+    (Column("robot"), lambda gain: gain.robot),
+    (Column("joint"), lambda gain: joint_label(gain.joint)),
+    (Column("verdict", Kind.BADGE), lambda gain: "outlier" if gain.outlier else gain.outcome),
+    (Column("gain", Kind.NUMBER, 5), lambda gain: gain.gain),
+    (Column("std", Kind.NUMBER, 2), lambda gain: gain.std),
+    (Column("unit"), lambda gain: gain.unit),
+    (Column("from median, %", Kind.NUMBER, 3), lambda gain: gain.difference_percent),
+    (Column("z", Kind.NUMBER, 3), lambda gain: gain.z),
+    (Column("limit", Kind.NUMBER, 3), lambda gain: gain.limit),
 )
-"""Columns of a gain, see :func:`_gain_cells`."""
-
-
-def _gain_cells(gain: FleetGain) -> tuple[object, ...]:
-    outcome = "outlier" if gain.outlier else gain.outcome
-    numbers = (gain.difference_percent, gain.z, gain.limit)
-    return gain.robot, joint_label(gain.joint), outcome, gain.gain, gain.std, gain.unit, *numbers
+"""Columns of a gain with their cells."""
 
 
 def _outliers(found: FleetTable) -> Section:
@@ -139,15 +116,14 @@ def _outliers(found: FleetTable) -> Section:
     more = len(found.outliers) - len(shown)
     return section(
         "Outliers",
-        table(GAIN, map(_gain_cells, shown)) if shown else Text("none"),
+        table_of(shown, *GAIN) if shown else Text("none"),
         Text(f"and {more} more") if more else None,
         id="outliers",
     )
 
 
-def _gains(found: FleetTable) -> Any:
-    rows = [(*_gain_cells(gain), gain.why) for gain in found.gains]
-    return table((*GAIN, Column("why")), rows, name="gains-table")
+def _gains(found: FleetTable) -> Table:
+    return table_of(found.gains, *GAIN, (Column("why"), lambda gain: gain.why), name="gains-table")
 
 
 def _refused(found: FleetTable, most: int | None = None) -> Section | None:
@@ -205,11 +181,9 @@ def write_fleet(found: FleetTable, out: Path) -> list[Path]:
     from gtau.report.render.charts import save
 
     frame = pl.DataFrame(table_rows(found), schema=_SCHEMA)
-    parquet = io.BytesIO()
-    frame.write_parquet(parquet)
     written = [out / "gains.csv", out / "gains.parquet"]
-    write_atomically(written[0], in_csv(frame))
-    write_atomically(written[1], parquet.getvalue())
+    for path in written:
+        write_table(frame, path)
     models = list(dict.fromkeys(joint.model for joint in found.joints))
     for k, model in enumerate(models):
         panels = [fleet_chart(found, joint).panels[0] for joint in found.joints if joint.model == model]

@@ -76,7 +76,7 @@ def reasons_table(result: IdentifiedModel) -> Table | None:
     return table(columns, rows, listed=True) if rows else None
 
 
-def gains_chart(gains: Mapping[str, Estimate], prior: Mapping[str, float], name: str = "prior") -> Chart | None:
+def gains_chart(gains: Mapping[str, Estimate], prior: Mapping[str, float]) -> Chart | None:
     """Draw 95 % intervals of drive gains and their random parts, in per cent of the gain, beside ``prior`` gains."""
     shown = {joint: gain for joint, gain in gains.items() if gain.value}
     off = [_off(prior.get(joint), gain.value) for joint, gain in shown.items()]
@@ -86,7 +86,7 @@ def gains_chart(gains: Mapping[str, Estimate], prior: Mapping[str, float], name:
     inner = [_random_half(gain) for gain in shown.values()]
     labels = [joint_label(joint) for joint in shown]
     axis = "difference from the identified gain, %"
-    return Chart((intervals(labels, [0.0] * len(shown), halves, axis, inner, (name, off), zero=True),))
+    return Chart((intervals(labels, [0.0] * len(shown), halves, axis, inner, ("prior", off), zero=True),))
 
 
 def _random_half(gain: Estimate) -> float | None:

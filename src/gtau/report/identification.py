@@ -14,7 +14,7 @@ from gtau.estimation.results.conclusions import VISIBLE, findings, headline, rem
 from gtau.estimation.results.estimate import Requirement
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.result import Result
-from gtau.report.evidence import RunEvidence, largest
+from gtau.report.evidence import RunEvidence, largest, preparation_words
 from gtau.report.findings import findings_section, same_in_several
 from gtau.report.gains import GOOD_OUTCOMES, gains_section, masses_table, payloads_section, unknown_payloads
 from gtau.report.geometry import geometry_section
@@ -162,16 +162,14 @@ def _condition(result: IdentifiedModel) -> dict[str, str]:
 
 
 def _settings(result: IdentifiedModel) -> Facts:
-    preparation = result.preparation
-    low_pass = "none" if preparation.cutoff is None else f"{preparation.cutoff:.3g} Hz"
-    given = f"; by hand: {', '.join(preparation.given)}" if preparation.given else ""
+    bandwidth, cutoff, decimation = preparation_words(result.preparation)
+    given = f"; by hand: {', '.join(result.preparation.given)}" if result.preparation.given else ""
     return Facts(
         {
             "Method": ESTIMATORS[result.method].description,
             "Runs": ", ".join(result.runs),
             **({"Payload": f"on '{result.robot.tool}'"} if result.payloads else {}),
-            "Signals": f"bandwidth {preparation.bandwidth:.3g} Hz, position filter {low_pass}, decimation "
-            f"{preparation.decimator.factor} ({preparation.decimator.kind}){given}",
+            "Signals": f"bandwidth {bandwidth}, position filter {cutoff}, decimation {decimation}{given}",
         }
     )
 

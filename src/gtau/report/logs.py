@@ -20,7 +20,7 @@ from gtau.report.page import (
     colour,
     joint_label,
     section,
-    table,
+    table_of,
 )
 from gtau.robots.robot import Robot
 from gtau.robots.units import command_unit, position_unit
@@ -57,28 +57,16 @@ def logs_section(runs: Sequence[Run], robot: Robot, preparation: Preparation) ->
     """Show clock, repairs and spectra of the logs that a model was made from or tried on."""
     if not runs:
         return None
-    rows = [
-        (
-            run.name,
-            len(run.time),
-            run.rate,
-            seconds(run),
-            1 - valid_share(run),
-            "; ".join(map(str, run.notes)) or "uniform clock, no repairs",
-        )
-        for run in runs
-    ]
-    columns = (
-        Column("log"),
-        Column("samples", Kind.NUMBER, 8),
-        Column("rate, Hz", Kind.NUMBER, 5),
-        Column("duration, s", Kind.NUMBER),
-        Column("repaired, %", Kind.SHARE, 2),
-        Column("clock and repairs"),
+    listed = table_of(
+        runs,
+        (Column("log"), lambda run: run.name),
+        (Column("samples", Kind.NUMBER, 8), lambda run: len(run.time)),
+        (Column("rate, Hz", Kind.NUMBER, 5), lambda run: run.rate),
+        (Column("duration, s", Kind.NUMBER), seconds),
+        (Column("repaired, %", Kind.SHARE, 2), lambda run: 1 - valid_share(run)),
+        (Column("clock and repairs"), lambda run: "; ".join(map(str, run.notes)) or "uniform clock, no repairs"),
     )
-    return section(
-        "Clock and spectra of the logs", table(columns, rows), *spectra_items(runs[0], robot, preparation), id="logs"
-    )
+    return section("Clock and spectra of the logs", listed, *spectra_items(runs[0], robot, preparation), id="logs")
 
 
 def spectra_items(run: Run, robot: Robot, preparation: Preparation) -> list[Chart]:

@@ -16,7 +16,6 @@ from gtau.report.page import (
     Axis,
     Chart,
     Column,
-    Drawing,
     Kind,
     Panel,
     Section,
@@ -25,7 +24,7 @@ from gtau.report.page import (
     colour,
     joint_label,
     section,
-    table,
+    table_of,
 )
 from gtau.robots.robot import Robot
 from gtau.robots.units import position_unit
@@ -50,7 +49,7 @@ def motion_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Sect
     distances = distances_panels(result.distances, starts) if used else []
     return section(
         "Robot and motion",
-        Drawing(result.robot),
+        result.robot,
         section(of_path, paths_chart(paths)) if paths else None,
         singularities_section(result.singularities) if used else None,
         *(section(each.title, Chart((each,), live=True), folded=k > 0) for k, each in enumerate(distances)),
@@ -77,25 +76,20 @@ def singularities_section(nearest: Sequence[NearestPose]) -> Section | None:
     """Show where runs come nearest to singular poses."""
     if not nearest:
         return None
-    rows = [
-        (
-            each.run,
-            TYPES[each.type],
-            each.distance,
-            each.time,
-            ", ".join(f"{joint} {value:.3g}" for joint, value in each.pose.items()),
-        )
-        for each in nearest
-    ]
-    columns = (
-        Column("run"),
-        Column("singularity"),
-        Column("nearest", Kind.NUMBER, 3),
-        Column("at, s", Kind.NUMBER),
-        Column("pose, rad or m", wide=True),
+    listed = table_of(
+        nearest,
+        (Column("run"), lambda each: each.run),
+        (Column("singularity"), lambda each: TYPES[each.type]),
+        (Column("nearest", Kind.NUMBER, 3), lambda each: each.distance),
+        (Column("at, s", Kind.NUMBER), lambda each: each.time),
+        (Column("pose, rad or m", wide=True), _pose_words),
     )
     words = "Reciprocal condition numbers: 1 at best, 0 at a singular pose."
-    return section("Distance to singular poses", table(columns, rows), Text(words, style="soft"))
+    return section("Distance to singular poses", listed, Text(words, style="soft"))
+
+
+def _pose_words(nearest: NearestPose) -> str:
+    return ", ".join(f"{joint} {value:.3g}" for joint, value in nearest.pose.items())
 
 
 def distances_panel(distances: Distances, start: float) -> Panel | None:

@@ -6,16 +6,17 @@ keep all their digits, and a column says how they are written.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from math import floor, isfinite, log10
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
 from gtau.robots.robot import Robot
 
+Each = TypeVar("Each")
 BADGES = {
     "given": "good",
     "good": "good",
@@ -123,6 +124,12 @@ def table(columns: Iterable[Column], rows: Iterable[Sequence[Any]], **more: Any)
     return Table(tuple(columns), tuple(map(tuple, rows)), **more)
 
 
+def table_of(items: Iterable[Each], *columns: tuple[Column, Callable[[Each], Any]], **more: Any) -> Table:
+    """Make a table with a row for each item; each column comes with the function that gives its cells."""
+    rows = [[cell(item) for _, cell in columns] for item in items]
+    return table([column for column, _ in columns], rows, **more)
+
+
 @dataclass(frozen=True)
 class Text:
     """A paragraph and a list of sentences: plain, soft, a command, or a verdict with its grade."""
@@ -221,13 +228,6 @@ class Chart:
 
 
 @dataclass(frozen=True, eq=False)
-class Drawing:
-    """A robot at home."""
-
-    robot: Robot
-
-
-@dataclass(frozen=True, eq=False)
 class Section:
     """A titled part of a page; one inside another may be ``folded`` away (True) or unfolded (False)."""
 
@@ -237,7 +237,8 @@ class Section:
     folded: bool | None = None
 
 
-Item = Table | Text | Facts | Chart | Drawing | Section
+Item = Table | Text | Facts | Chart | Robot | Section
+"""What a section holds; a robot is drawn at home."""
 
 
 @dataclass(frozen=True, eq=False)

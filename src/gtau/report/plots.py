@@ -13,11 +13,12 @@ from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.prediction import predict
 from gtau.report.evidence import RunEvidence
 from gtau.report.gains import gains_chart
+from gtau.report.logs import seconds
 from gtau.report.motion import TIME, distances_panels
 from gtau.report.page import Axis, Chart, Panel, Series
 from gtau.report.render.charts import figure_of
 from gtau.report.residuals import residual_panels
-from gtau.report.torques import part_of, stretch_title, torques_chart
+from gtau.report.torques import part_of, stretch_title, torques_chart, units_of
 from gtau.report.uncertainty import correlation_chart, correlation_of, singular_values_chart
 from gtau.robots.units import torque_unit
 from gtau.signals.run import Run
@@ -53,14 +54,13 @@ class Plots:
         """Plot measured and predicted torques and residuals of a joint or all of a run, ``start`` to ``stop`` in s."""
         found, joints = self._evidence(joint, run)
         assert found.prediction is not None
-        length = float(found.run.time[-1] - found.run.time[0])
+        length = seconds(found.run)
         end = length if stop is None else stop
         if not start < end:
             raise GtauError(f"the stretch from {start:g} to {end:g} s is empty; give start below stop.")
         part, time = part_of(found.prediction.of(joints), found.time, start, end)
         title = found.run.name if start <= 0 and stop is None else stretch_title(found.run.name, start, end, length)
-        units = [torque_unit(self.result.robot, name) for name in joints]
-        return figure_of(torques_chart(part, units, found.run.kind, time, title=title))
+        return figure_of(torques_chart(part, units_of(self.result, part), found.run.kind, time, title=title))
 
     def residuals(self, joint: str, run: str | Run | None = None) -> Figure:
         """Draw a joint's residuals along a run, their histogram, spectrum and autocorrelation."""

@@ -11,7 +11,7 @@ from gtau.model.base_parameters import base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import TYPES, singularities
 from gtau.progress import Progress, silent
-from gtau.report.page import Column, Facts, Kind, Page, Table, Text, page, section, table
+from gtau.report.page import Column, Facts, Kind, Page, Table, Text, page, section, table, table_of
 from gtau.robots.parameter import parameter_of
 from gtau.robots.plausibility import oddities, tool_note
 from gtau.robots.robot import DAMPING, PRELOAD, STIFFNESS, Robot, base_rows
@@ -125,28 +125,20 @@ def robot_page(found: dict[str, Any], verbose: bool = False) -> Page:
 
 def _joints(found: dict[str, Any]) -> Table:
     free = base_rows(found["floating_base"] or "")
-    columns = (
-        Column("joint"),
-        Column("antecedent"),
-        Column("kind"),
-        Column("role"),
-        Column("home", Kind.NUMBER, 4),
-        Column("unit"),
-        Column("limits"),
+
+    def role(joint: dict[str, Any]) -> str:
+        return "actuated" if joint["actuated"] else "free" if joint["name"] in free else "passive"
+
+    return table_of(
+        found["joints"],
+        (Column("joint"), lambda joint: joint["name"]),
+        (Column("antecedent"), lambda joint: joint["antecedent"]),
+        (Column("kind"), lambda joint: joint["kind"]),
+        (Column("role"), role),
+        (Column("home", Kind.NUMBER, 4), lambda joint: round(joint["home"], 10) + 0.0),
+        (Column("unit"), lambda joint: joint["unit"]),
+        (Column("limits"), _limits),
     )
-    rows = [
-        (
-            joint["name"],
-            joint["antecedent"],
-            joint["kind"],
-            "actuated" if joint["actuated"] else "free" if joint["name"] in free else "passive",
-            round(joint["home"], 10) + 0.0,
-            joint["unit"],
-            _limits(joint),
-        )
-        for joint in found["joints"]
-    ]
-    return table(columns, rows)
 
 
 def _platforms(found: dict[str, Any]) -> list[Text]:

@@ -20,11 +20,8 @@ if TYPE_CHECKING:
 
 INK, BLUE, RED, GREEN, ORANGE, SKY, GREY = "c3", "c0", "c1", "c2", "c4", "c5", "c7"
 WIDTH, TALLEST = 302.0, 274.0  # points, of the sheet, and of the robot on it
-MARGIN, KEY, ROW = (
-    12.0,
-    66.0,
-    13.0,
-)  # points: around the robot, of the strip with the axes of the base below it, of a row of the key
+MARGIN = 12.0  # points, around the robot
+KEY, ROW = 66.0, 13.0  # points, of the strip with the axes of the base below it, and of a row of the key
 LETTER, AWAY = (4.6, 9.0), 6.0  # points: a letter of a name, width and height, and how far off its joint a name stands
 CORNERS = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # of a joint, in which its name may stand
 LETTERS = 16  # of a name in the key
@@ -180,22 +177,20 @@ def _corners(item: Item) -> np.ndarray:
 
 
 def _moved(item: Item, shift: np.ndarray) -> Item:
-    return (
-        replace(item, points=item.points + shift) if isinstance(item, Path) else replace(item, place=item.place + shift)
-    )
+    if isinstance(item, Path):
+        return replace(item, points=item.points + shift)
+    return replace(item, place=item.place + shift)
 
 
 def _beside(place: np.ndarray, right: float, up: float) -> np.ndarray:
-    return np.array([place[0] + right, place[1] + up])
+    return np.asarray(place + np.array([right, up]))
 
 
 def _sample(sample: Item, place: np.ndarray) -> Item:
     """Place a sample of a mark or a line in the key."""
-    return (
-        replace(sample, points=np.array([_beside(place, -8.0, 0.0), _beside(place, 8.0, 0.0)]))
-        if isinstance(sample, Path)
-        else _moved(sample, place)
-    )
+    if isinstance(sample, Path):
+        return replace(sample, points=place + np.array([(-8.0, 0.0), (8.0, 0.0)]))
+    return _moved(sample, place)
 
 
 def _triad(origin: np.ndarray, ends: np.ndarray, colour: str) -> Iterator[Item]:

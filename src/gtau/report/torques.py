@@ -12,20 +12,7 @@ from gtau.estimation.results.prediction import Prediction
 from gtau.report.evidence import RunEvidence
 from gtau.report.logs import payload_words
 from gtau.report.motion import TIME
-from gtau.report.page import (
-    Axis,
-    Chart,
-    Column,
-    Kind,
-    Panel,
-    Section,
-    Series,
-    Table,
-    Text,
-    joint_label,
-    section,
-    table,
-)
+from gtau.report.page import Axis, Chart, Column, Kind, Panel, Section, Series, Table, Text, joint_label, section, table
 from gtau.robots.units import torque_unit
 
 REVERSALS = (
@@ -41,42 +28,26 @@ ALL = (Column("error, all", Kind.NUMBER, 4), Column("%, all", Kind.NUMBER, decim
 
 def errors_table(runs: Sequence[RunEvidence]) -> Table:
     """Tabulate torque errors of each joint on each run, away from reversals and over all samples."""
-    columns = (
-        Column("run"),
-        Column("", wide=True),
-        Column("joint"),
-        Column("error", Kind.NUMBER, 4),
-        *TORQUE,
-        *ALL,
-        Column("unit, rms"),
-    )
+    of_run = (Column("run"), Column("", wide=True), Column("joint"))
     rows = [
-        (
-            run.run.name,
-            "used" if run.used else "validation",
-            error.joint,
-            error.rms,
-            error.signal,
-            error.relative,
-            error.rms_all,
-            error.relative_all,
-            error.unit,
-        )
+        (run.run.name, "used" if run.used else "validation", *_error_cells(error, True))
         for run in runs
         for error in run.errors
     ]
-    return table(columns, rows)
+    return table((*of_run, Column("error", Kind.NUMBER, 4), *TORQUE, *ALL, Column("unit, rms")), rows)
+
+
+def _error_cells(error: TorqueError, every: bool) -> tuple[object, ...]:
+    """Return joint, error and torque away from reversals, the error over ``every`` sample, and the unit."""
+    over_all = (error.rms_all, error.relative_all) if every else ()
+    return error.joint, error.rms, error.signal, error.relative, *over_all, error.unit
 
 
 def fit_table(residuals: Sequence[TorqueError], title: str) -> Table:
     """Tabulate the torque residuals of a fit."""
     every = any(each.rms_all is not None for each in residuals)
-    rows = []
-    for each in residuals:
-        over_all = (each.rms_all, each.relative_all) if every else ()
-        rows.append((each.joint, each.rms, each.signal, each.relative, *over_all, each.unit))
     columns = (Column(title), Column("residual", Kind.NUMBER, 4), *TORQUE, *(ALL if every else ()))
-    return table((*columns, Column("unit, rms")), rows)
+    return table((*columns, Column("unit, rms")), [_error_cells(each, every) for each in residuals])
 
 
 def largest_errors_table(runs: Sequence[RunEvidence]) -> Table:

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from gtau.documents.files import write_atomically
+from gtau.documents.files import write_table
 from gtau.estimation.results.model_document import torque_error
 from gtau.estimation.results.payload import PayloadBody, PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.report.check import unique_names
 from gtau.report.evidence import RunEvidence, largest, worst_stretch
 from gtau.report.gains import gains_section, masses_section, payloads_section
-from gtau.report.logs import logs_section
+from gtau.report.logs import logs_section, seconds
 from gtau.report.motion import motion_section
-from gtau.report.page import Chart, Column, Drawing, Kind, Page, Section, Text, page, section, table
+from gtau.report.page import Chart, Column, Kind, Page, Section, Text, page, section, table
 from gtau.report.torques import (
     REVERSALS,
     errors_table,
@@ -90,10 +89,8 @@ def validation_chart(result: Result, evidence: RunEvidence) -> Chart:
     assert evidence.prediction is not None
     start, stop = worst_stretch(evidence, SHOWN)
     part, time = part_of(evidence.prediction, evidence.time, start, stop)
-    length = float(evidence.run.time[-1] - evidence.run.time[0])
-    title = (
-        evidence.run.name if stop - start >= 0.95 * length else stretch_title(evidence.run.name, start, stop, length)
-    )
+    length, title = seconds(evidence.run), evidence.run.name
+    title = title if stop - start >= 0.95 * length else stretch_title(title, start, stop, length)
     return torques_chart(part, units_of(result, part), evidence.run.kind, time, title=title)
 
 
@@ -112,10 +109,8 @@ def write_torques(result: Result, runs: Sequence[RunEvidence], folder: Path) -> 
     for name, each in zip(names, runs, strict=True):
         written.append(save(validation_chart(result, each), folder / f"torques_{name}.png"))
         if each.samples is not None:
-            buffer, path = BytesIO(), folder / f"torques_{name}.parquet"
-            each.samples.table().write_parquet(buffer)
-            write_atomically(path, buffer.getvalue())
-            written.append(path)
+            written.append(folder / f"torques_{name}.parquet")
+            write_table(each.samples.table(), written[-1])
     return written
 
 
@@ -156,7 +151,7 @@ def weighing_report(
 ) -> Page:
     """Add the drive gains and the robot to the page."""
     short = weighing_page(result, payloads, gains, exact, bodies)
-    more = (gains_section(result, prior), section("Robot", Drawing(result.robot), id="robot"))
+    more = (gains_section(result, prior), section("Robot", result.robot, id="robot"))
     return replace(short, sections=(*short.sections, *more))
 
 

@@ -15,7 +15,6 @@ from gtau.report.page import (
     Page,
     Panel,
     Rule,
-    Section,
     Series,
     Table,
     Text,
@@ -140,13 +139,11 @@ def _outside(watch: Watch, entry: Entry) -> list[str]:
     """List the charts of a log outside their healthy 95 % bands, the furthest first; none if chance explains them."""
     from scipy.stats import binom
 
-    baseline = watch.baseline
-    low, high = baseline.bands(HEALTHY)
-    place = {name: k for k, name in enumerate(watch.names)}
+    low, high = watch.baseline.bands(HEALTHY)
     distances = {
-        name: abs(value - baseline.mean[place[name]]) / (high - low)[place[name]]
-        for name, value in entry.values.items()
-        if np.isfinite(low[place[name]])
+        name: abs(entry.values[name] - mean) / width
+        for name, mean, width in zip(watch.names, watch.baseline.mean, high - low, strict=True)
+        if name in entry.values and np.isfinite(width)
     }
     outside = sorted((name for name, each in distances.items() if each > 0.5), key=lambda name: -distances[name])
     return outside if binom.sf(len(outside) - 1, len(distances), 1 - HEALTHY) < BY_CHANCE else []
@@ -219,53 +216,40 @@ def _not_shown(entry: Entry) -> Text | None:
 def watch_report(watch: Watch, last: Status | None, entries: Sequence[Entry]) -> Page:
     """Add the history of each joint, with the bands of the baseline, and the events."""
     short = watch_page(watch, last, None)
+    bands = dict(zip(watch.names, zip(*watch.baseline.bands(HEALTHY), strict=True), strict=True))
+    alarms = [k for k, entry in enumerate(entries) if entry.alarm and (k == 0 or entries[k - 1].alarm is None)]
+    resets = [k for k, entry in enumerate(entries) if entry.begins]
+    rules = (*(Rule(x=k, label="reset") for k in resets), *(Rule(x=k, label="alarm") for k in alarms))
+    events = []
+    for k, entry in enumerate(entries):
+        if k in resets:
+            events.append((entry.date, entry.log, "a new baseline begins"))
+        if k in alarms and entry.alarm is not None:
+            events.append((entry.date, entry.log, alarm_words(entry.alarm)[0]))
+    columns = (Column("date"), Column("log", Kind.NAME), Column("event"))
+    sections = [section("Events", table(columns, events), id="events")] if events else []
     groups: dict[str, list[str]] = {}
     for name in watch.names:
-        joint = name.partition("_")[2]
-        groups.setdefault("payload" if joint == "load" else joint, []).append(name)
-    baseline = watch.baseline
-    low, high = baseline.bands(HEALTHY)
-    place = {name: k for k, name in enumerate(watch.names)}
-    resets = [k for k, entry in enumerate(entries) if entry.begins]
-    alarms = [k for k, entry in enumerate(entries) if entry.alarm is not None and not _alarmed(entries, k - 1)]
-    panels: dict[str, list[Panel]] = {}
+        groups.setdefault(name.partition("_")[2], []).append(name)
     for joint, names in groups.items():
-        for name in sorted(names, key=lambda each: list(KINDS).index(each.partition("_")[0])):
-            x = np.array([k for k, entry in enumerate(entries) if name in entry.values], dtype=float)
-            if not len(x):
-                continue
-            y = np.array([entry.values[name] for entry in entries if name in entry.values])
-            half = np.array([1.96 * entry.std[name] for entry in entries if name in entry.values])
-            k = place[name]
-            band = (float(low[k]), float(high[k])) if np.isfinite(low[k]) else None
-            rules = [Rule(x=each, label="reset") for each in resets] + [Rule(x=each, label="alarm") for each in alarms]
-            panels.setdefault(joint, []).append(
-                Panel(
-                    Axis("log"),
-                    Axis(KINDS[name.partition("_")[0]]),
-                    (Series("", x, y, "predicted", "disc", half=half, upright=True),),
-                    rules=tuple(rules),
-                    band=band,
-                    height=1.2,
-                )
-            )
-    sections = [
-        section(joint if joint == "payload" else f"Joint {joint}", Chart(tuple(found), columns=2))
-        for joint, found in panels.items()
-    ]
-    return Page(short.title, (*short.sections, *_events(entries), *sections), short.lead)
+        names.sort(key=lambda each: list(KINDS).index(each.partition("_")[0]))
+        shown = [name for name in names if any(name in entry.values for entry in entries)]
+        panels = tuple(_history(name, entries, bands[name], rules) for name in shown)
+        title = "payload" if joint == "load" else f"Joint {joint}"
+        sections += [section(title, Chart(panels, columns=2))] if panels else []
+    return Page(short.title, (*short.sections, *sections), short.lead)
 
 
-def _alarmed(entries: Sequence[Entry], k: int) -> bool:
-    return k >= 0 and entries[k].alarm is not None
-
-
-def _events(entries: Sequence[Entry]) -> tuple[Section, ...]:
-    rows = []
-    for k, entry in enumerate(entries):
-        if entry.begins:
-            rows.append((entry.date, entry.log, "a new baseline begins"))
-        if entry.alarm is not None and not _alarmed(entries, k - 1):
-            rows.append((entry.date, entry.log, alarm_words(entry.alarm)[0]))
-    columns = (Column("date"), Column("log", Kind.NAME), Column("event"))
-    return (section("Events", table(columns, rows), id="events"),) if rows else ()
+def _history(name: str, entries: Sequence[Entry], band: tuple[float, float], rules: tuple[Rule, ...]) -> Panel:
+    """Draw a chart from log to log, with 95 % intervals, in its healthy band."""
+    x = np.array([k for k, entry in enumerate(entries) if name in entry.values], dtype=float)
+    y = np.array([entry.values[name] for entry in entries if name in entry.values])
+    half = np.array([1.96 * entry.std[name] for entry in entries if name in entry.values])
+    return Panel(
+        Axis("log"),
+        Axis(KINDS[name.partition("_")[0]]),
+        (Series("", x, y, "predicted", "disc", half=half, upright=True),),
+        rules=rules,
+        band=band if np.isfinite(band[0]) else None,
+        height=1.2,
+    )

@@ -18,7 +18,7 @@ from typing import Annotated, Protocol
 import numpy as np
 from pydantic import AfterValidator, Field, FiniteFloat
 
-from gtau.documents.files import in_csv, write_atomically
+from gtau.documents.files import write_table
 from gtau.documents.validation import Keys, Positive
 from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.results.prediction import torques_along
@@ -285,7 +285,7 @@ def write_log(run: Run, path: str | Path) -> None:
     columns = {"t": np.round(run.time, DIGITS)}
     columns |= {f"q{joint}": run.position[:, j] for j, joint in enumerate(run.joints)}
     columns |= {f"v{joint}": run.command[:, j] for j, joint in enumerate(run.joints)}
-    write_atomically(path, in_csv(pl.DataFrame(columns)))
+    write_table(pl.DataFrame(columns), path)
 
 
 def _measured(history: list[PlantState], hardware: Hardware, period: float) -> np.ndarray:

@@ -156,12 +156,7 @@ def _sigma(model: IdentifiedModel) -> np.ndarray:
 
 
 def _columns(
-    model: IdentifiedModel,
-    part: Rows,
-    load: np.ndarray,
-    payload: np.ndarray,
-    quantities: Sequence[Quantity],
-    run: str,
+    model: IdentifiedModel, part: Rows, load: np.ndarray, payload: np.ndarray, quantities: Sequence[Quantity], run: str
 ) -> tuple[np.ndarray, np.ndarray]:
     """Build the rows ``[columns | y]`` (n, K, p + 1) of all joints, and the torques of the model (n, K).
 

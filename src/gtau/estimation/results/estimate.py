@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from io import BytesIO
 from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from gtau import display
-from gtau.documents.files import write_atomically
+from gtau.documents.files import write_table
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.sentences import named
@@ -310,6 +309,4 @@ def write_distances(runs: Sequence[Distances], path: str | Path) -> None:
         values = {f"type_{kind}": distances for kind, distances in zip(TYPES, each.values.T, strict=True)}
         table = polars.DataFrame({"time": each.time} | values)
         tables.append(table.select(polars.lit(each.run).alias("run"), polars.all()))
-    content = BytesIO()
-    polars.concat(tables).fill_nan(None).write_parquet(content)
-    write_atomically(path, content.getvalue())
+    write_table(polars.concat(tables).fill_nan(None), path)

@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from gtau.report.page import BADGES, NUMERIC, Chart, Column, Drawing, Item, Kind, Page, Panel, Section
+from gtau.report.page import BADGES, NUMERIC, Chart, Column, Item, Kind, Page, Panel, Section
 from gtau.report.render.panels import MINUS, envelope, sketch_of
 from gtau.report.render.sketch import svg
+from gtau.robots.robot import Robot
 
 BUCKETS = 2000  # of a run, each drawn by its extremes: more than the pixels of a wide screen
 BUDGET = 450_000  # numbers in all series of a page: 2.4 MB once packed
@@ -106,12 +107,12 @@ def _svg(chart: Chart) -> list[tuple[str, Any]]:
     return [(each.title, Markup(svg(sketch_of(each, alone)))) for each in chart.panels]
 
 
-def _robot(drawing: Drawing) -> Any:
+def _robot(robot: Robot) -> Any:
     from markupsafe import Markup
 
     from gtau.report.robot_figure import robot_sketch
 
-    return Markup(svg(robot_sketch(drawing.robot)))
+    return Markup(svg(robot_sketch(robot)))
 
 
 def _style() -> str:
