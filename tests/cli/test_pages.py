@@ -22,16 +22,9 @@ from gtau.signals.data_sheets import Drive
 from gtau.signals.experiment import Experiment, Prior, read_experiment
 from gtau.signals.payload import Payload
 from gtau.signals.units import Units
-from gtau.simulation.simulation_file import (
-    Fourier,
-    Friction,
-    JointHardware,
-    MotionEntry,
-    Points,
-    RandomMotion,
-    SimulatedRun,
-    Simulation,
-)
+from gtau.simulation.closed_loop import JointHardware
+from gtau.simulation.simulation_file import Friction, SimulatedRun, Simulation
+from gtau.simulation.trajectories import Fourier, MotionEntry, Points, RandomMotion
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

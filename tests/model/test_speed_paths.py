@@ -18,7 +18,7 @@ from gtau.estimation.regression.factors import EXTRA, reduce_run
 from gtau.estimation.regression.rows import stream_rows
 from gtau.model import inverse_dynamics as inverse_dynamics_module
 from gtau.model.home import load_robot
-from gtau.model.interpreter import layout as interpreter
+from gtau.model.interpreter import instructions as interpreter
 from gtau.model.interpreter.instructions import LANES
 from gtau.model.interpreter.program import compile_program
 from gtau.model.inverse_dynamics import PATH, InverseDynamics
