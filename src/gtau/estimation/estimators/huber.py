@@ -6,7 +6,7 @@ follow from the residuals, so the logs are streamed again with the weights of th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.equations import delayed
-from gtau.estimation.regression.factors import Factors, HuberWeights
+from gtau.estimation.regression.factors import Factors
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
 from gtau.progress import Progress
@@ -39,22 +39,13 @@ def reweighted(
             break
         gains, sigma = solution.gains, solution.sigma if sigma is None else sigma
         of_row = np.hstack([-system.full(solution.theta) / gains[:, None], delayed(solution.delays)])
-        weigh = [
-            HuberWeights(np.einsum("jpk,jk->jp", system.map(run), of_row), TUNING * sigma)
-            for run in range(len(dataset.runs))
-        ]
+        coefficients = [np.einsum("jpk,jk->jp", system.map(run), of_row) for run in range(len(dataset.runs))]
+        weigh = [(each, TUNING * sigma) for each in coefficients]
         dataset = dataset.reduced(system.loads(solution.theta), progress, weigh)
         system = dataset.system(system.friction, system.problem.slowest > 0)
         sigma = MAD * _medians(dataset.factors)
         sigma = np.maximum(sigma, system.whole.smallest_sigma)
     return dataset, system
-
-
-def _sizes(factors: Sequence[Factors]) -> Iterator[np.ndarray]:
-    """Compute the sizes of the residuals of all runs, in blocks (., n)."""
-    for each in factors:
-        if each.residuals is not None:
-            yield from (np.abs(block(each.residuals, *span)) for span in spans(len(each.residuals)))
 
 
 def _medians(factors: Sequence[Factors]) -> np.ndarray:
@@ -84,7 +75,8 @@ def sandwich_factor(factors: Sequence[Factors]) -> float:
     """
     limit = TUNING * MAD * _medians(factors)
     weights, curvature = 0.0, 0
-    for sizes in _sizes(factors):
+    residuals = [each.residuals for each in factors if each.residuals is not None]
+    for sizes in (np.abs(block(each, *span)) for each in residuals for span in spans(len(each))):
         below = sizes <= limit
         weights += float(np.nansum(np.where(below, 1.0, limit / np.maximum(sizes, limit)) * np.isfinite(sizes)))
         curvature += int(np.count_nonzero(below))

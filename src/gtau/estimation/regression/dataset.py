@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.factors import Factors, HuberWeights, reduce_run
+from gtau.estimation.regression.factors import Factors, reduce_run
 from gtau.estimation.regression.friction import PAPER, Friction, Temperatures, temperatures_of
 from gtau.estimation.regression.plausibility import doubtful_currents, doubtful_payloads, within_limits
 from gtau.estimation.regression.priors import inertia_priors
@@ -110,7 +110,7 @@ class Dataset:
         self,
         loads: Sequence[np.ndarray | None] | None = None,
         progress: Progress = silent,
-        weigh: Sequence[HuberWeights] | None = None,
+        weigh: Sequence[tuple[np.ndarray, np.ndarray]] | None = None,
         along: Sequence[InMemoryRun] | None = None,
     ) -> Dataset:
         """Reduce the same runs with the torques of ``loads`` (one a run) in load-dependent friction.

@@ -29,17 +29,6 @@ EXTRA = len(TERMS) + FIXED  # columns behind those of standard parameters
 
 
 @dataclass(frozen=True, eq=False)
-class HuberWeights:
-    """Huber's weights: rows with residuals above ``limit`` (c,) are weighted in inverse proportion.
-
-    Residuals of channel j are ``rows @ coefficients[j]``, of ``[W_j terms_j known_j v_j v_j' v_j'']``, (c, p).
-    """
-
-    coefficients: np.ndarray
-    limit: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
 class Factors:
     """A run, reduced.
 
@@ -124,14 +113,16 @@ def reduce_run(
     prepared: PreparedRun | InMemoryRun,
     decimator: Decimator,
     load: np.ndarray | None = None,
-    weigh: HuberWeights | None = None,
+    weigh: tuple[np.ndarray, np.ndarray] | None = None,
     progress: Callable[[int], None] = lambda samples: None,
     fast: int = FAST_SAMPLES,
     edges: np.ndarray | None = None,
 ) -> Factors:
     """Reduce a prepared run to its triangular factors over the standard ``columns``; see :func:`stream_rows`.
 
-    With ``weigh`` of weighted rows; in blocks of ``fast`` samples. ``progress`` gets the samples done at each stretch.
+    With ``weigh`` of rows with Huber's weights: coefficients (c, p), by which rows make residuals, and limits (c,),
+    above which they count in inverse proportion. In blocks of ``fast`` samples. ``progress`` gets the samples done at
+    each stretch.
     ``edges`` (STRETCHES + 1,) of the stretches are shares of its samples, those of :func:`stretch_edges` if left out.
 
     Raises
@@ -155,9 +146,10 @@ def reduce_run(
         stretch = stretches[part.outputs]
         A = equations(regressor, channels, part)
         if weigh is not None:
-            e = np.einsum("jkp,jp->jk", A, weigh.coefficients)
+            coefficients, limit = weigh
+            e = np.einsum("jkp,jp->jk", A, coefficients)
             residuals.append(np.where(part.keep, e, np.nan).T)
-            A *= np.sqrt(np.minimum(1.0, weigh.limit[:, None] / np.maximum(np.abs(e), 1e-300)))[:, :, None]
+            A *= np.sqrt(np.minimum(1.0, limit[:, None] / np.maximum(np.abs(e), 1e-300)))[:, :, None]
         if stretch[-1] > now:
             now = int(stretch[-1])
             progress(len(prepared) * now // STRETCHES)
