@@ -34,25 +34,23 @@ def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> tuple
         if less < criterion and set(alone) & set(of_temperature):
             terms, per_run = alone, False
     friction = Friction(terms, per_run)
-    if not any(term.startswith("fl_") for term in terms):
-        system = dataset.system(friction)
-        return dataset, dataset.system(Friction(prune_friction_terms(system.problem, friction, solve), per_run))
-    # Until the torques are known the current stands for them, which explains itself where friction is most of it: the
-    # terms are chosen again once a fit without load-dependent ones has given the torques.
-    without = Friction(tuple(term for term in offered if not term.startswith("fl_")), per_run)
-    terms, _ = select_friction_terms(dataset.system(without).problem)
-    system = dataset.system(Friction(terms, per_run))
-    gains = None
-    for _ in range(LOAD_PASSES):
-        solution = solve(system.problem)
-        settled = gains is not None and np.allclose(solution.gains, gains, rtol=LOAD_SETTLED, atol=0)
-        first, gains = gains is None, solution.gains
-        if settled:
-            break
-        dataset = dataset.reduced([system.load(k, solution.theta) for k in range(len(dataset.runs))], progress)
-        if first:
-            terms, _ = select_friction_terms(dataset.system(Friction(offered, per_run)).problem)
-            friction = Friction(terms, per_run)
+    if any(term.startswith("fl_") for term in terms):
+        # Until the torques are known the current stands for them, which explains itself where friction is most of it:
+        # the terms are chosen again once a fit without load-dependent ones has given the torques.
+        without = Friction(tuple(term for term in offered if not term.startswith("fl_")), per_run)
+        terms, _ = select_friction_terms(dataset.system(without).problem)
+        system, gains = dataset.system(Friction(terms, per_run)), None
+        for _ in range(LOAD_PASSES):
+            solution = solve(system.problem)
+            if gains is not None and np.allclose(solution.gains, gains, rtol=LOAD_SETTLED, atol=0):
+                break
+            first, gains = gains is None, solution.gains
+            dataset = dataset.reduced([system.load(k, solution.theta) for k in range(len(dataset.runs))], progress)
+            if first:
+                terms, _ = select_friction_terms(dataset.system(Friction(offered, per_run)).problem)
+                friction = Friction(terms, per_run)
+            system = dataset.system(friction)
+    else:
         system = dataset.system(friction)
     return dataset, dataset.system(Friction(prune_friction_terms(system.problem, friction, solve), per_run))
 

@@ -14,7 +14,7 @@ import numpy as np
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.friction.law import Follower, FrictionLaw
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.rows import stream_rows
+from gtau.estimation.regression.rows import Law, stream_rows
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter
 from gtau.signals.storage import block, spans
@@ -111,30 +111,28 @@ def sites_of(dataset: Dataset, law: FrictionLaw) -> tuple[Site, ...]:
     return tuple(sites)
 
 
-class Columns:
-    """Columns of sites along a run that is read in blocks."""
+def columns_along(sites: Sequence[Site], dataset: Dataset, run: int) -> Law:
+    """Make the columns (., N) of all sites along a run in blocks, and then their |speeds| (sites, N)."""
+    prepared, warm = dataset.prepared[run], dataset.temperatures
+    followers = [Follower(site.widths) for site in sites]
 
-    def __init__(self, sites: Sequence[Site], dataset: Dataset, run: int) -> None:
-        self._sites, self._dataset, self._run = sites, dataset, run
-        self._followers = [Follower(site.widths) for site in sites]
+    def above(site: Site, time: np.ndarray) -> np.ndarray | float:
+        if warm is None or not site.warm or prepared.run.temperature is None or site.motor is None:
+            return 0.0
+        joint = dataset.model.actuated[site.motor]
+        return prepared.run.temperature.at(joint, time) - warm.reference[joint]
 
-    def __call__(self, time: np.ndarray, motion: Motion, effort: np.ndarray) -> np.ndarray:
-        """Build the columns (., N) of all sites, and then their |speeds| (sites, N), at a block of samples."""
-        q, found, speeds = self._dataset.prepared[self._run].path(time), [], []
-        for site, follow in zip(self._sites, self._followers, strict=True):
+    def columns(time: np.ndarray, motion: Motion, effort: np.ndarray) -> np.ndarray:
+        q, found, speeds = prepared.path(time), [], []
+        for site, follow in zip(sites, followers, strict=True):
             v = motion.yd[site.row]
             load = 0.0 if site.motor is None else effort[site.motor] / site.ratios[site.motor]
             z = np.vstack([np.sign(v), follow(time, site.ratios @ q)])
-            found.append(site.columns(v, z, load, self._above(site, time)))
+            found.append(site.columns(v, z, load, above(site, time)))
             speeds.append(np.abs(v))
         return np.vstack([*found, speeds])
 
-    def _above(self, site: Site, time: np.ndarray) -> np.ndarray | float:
-        warm, run = self._dataset.temperatures, self._dataset.runs[self._run]
-        if warm is None or not site.warm or run.temperature is None or site.motor is None:
-            return 0.0
-        joint = self._dataset.model.actuated[site.motor]
-        return run.temperature.at(joint, time) - warm.reference[joint]
+    return columns
 
 
 def groups_of(sites: Sequence[Site]) -> list[tuple[list[int], list[int]]]:
@@ -202,7 +200,7 @@ def normal_equations(fit: Fit, law: FrictionLaw, sites: Sequence[Site], finer: i
     for run, prepared in enumerate(dataset.prepared):
         decimator = dataset.preparation.at(prepared.run.rate).decimator
         decimator = replace(decimator, factor=max(decimator.factor // finer, 1))
-        load, follow = fit.system.load(run, solution.theta), Columns(sites, dataset, run)
+        load, follow = fit.system.load(run, solution.theta), columns_along(sites, dataset, run)
         values = dict(zip(base.standard, fit.system.motion(run, solution.theta), strict=True))
         passive = {
             Parameter(kind, joint.name).name: values.get(Parameter(kind, joint.name).name, 0.0)
