@@ -341,7 +341,7 @@ def test_reasons_that_differ_in_numbers_are_one_row_with_the_worst(result: Resul
 def test_moments_of_a_base_that_hangs_still_are_no_misfit(left: float, unexplained: bool) -> None:
     """Hung above its centre of mass a base has moments of 0.05 N m, all noise, while its terms of 3 N m cancel."""
     problem = SimpleNamespace(
-        of=lambda kind: list(range(6)) if kind == "base" else [],
+        base=list(range(6)),
         balance=lambda theta: np.array([2.0, 2.0, 100.0, left, left, left]),
         largest_terms=lambda theta: np.array([2.0, 2.0, 100.0, 3.0, 3.0, 3.0]),
     )
