@@ -82,11 +82,14 @@ def alternatives_of(fit: Fit, differences: Sequence[Difference]) -> list[Alterna
     n_theta = problem.n_theta
     plausible = np.sqrt(np.diag(solution.jackknife))
     estimates = [((), name) for name in problem.parameters] + [((joint,), "") for joint in problem.joints]
+    estimated = np.concatenate([np.ones(n_theta, dtype=bool), problem.free[: len(problem.joints)]])
     found = []
     for each in differences:
         for k, (joints, parameter) in enumerate(estimates):
             value, size, std = solution.stacked[k], each.moves[k], each.std[k]
-            if not (std > 0 and plausible[k] > 0 and value) or (k < n_theta and abs(size) < DIFFERENT_STD * std):
+            if not (estimated[k] and std > 0 and plausible[k] > 0 and value):
+                continue
+            if k < n_theta and abs(size) < DIFFERENT_STD * std:
                 continue
             relative, error, prior = float(size / value), float(std / abs(value)), float(plausible[k] / abs(value))
             factor, moment = support(relative, error, prior)
