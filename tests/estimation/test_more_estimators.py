@@ -130,6 +130,9 @@ def test_without_outliers_huber_is_nearly_maximum_likelihood(runs: list[Run]) ->
         a, b = plain.drive_gains[joint], robust.drive_gains[joint]
         assert abs((a.value or 0.0) - (b.value or 0.0)) < 0.7 * (a.std or 0.0)
         assert (b.std or 0.0) < 1.25 * (a.std or 0.0)
+    for one, other in zip(plain.residuals, robust.residuals, strict=True):  # of all rows alike, not as weighted
+        assert one.rms == pytest.approx(other.rms, rel=0.01)
+        assert one.signal == pytest.approx(other.signal, rel=0.01)
 
 
 def test_weights_that_follow_the_data_are_part_of_huber_s_scatter(data: Dataset) -> None:

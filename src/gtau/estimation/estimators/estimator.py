@@ -134,6 +134,8 @@ class Fit:
         Whether the gains were estimated.
     noise_free : bool
         Whether the estimates are free of bias from position noise.
+    unweighted : Problem, optional
+        The equations solved, but with every row at full weight, if the estimator weighted rows.
     """
 
     dataset: Dataset
@@ -144,6 +146,7 @@ class Fit:
     solve_fixed: Solve
     free_gains: bool
     noise_free: bool = False
+    unweighted: Problem | None = None
 
     @property
     def gains(self) -> np.ndarray:

@@ -31,7 +31,7 @@ MAD = 1.4826  # median absolute deviation to standard deviation
 def reweighted(
     dataset: Dataset, system: System, solve: Callable[[Problem], Solution], progress: Progress
 ) -> tuple[Dataset, System]:
-    """Iterate between Huber's weights on the rows and the estimates of ``solve`` until they converge."""
+    """Iterate between Huber's weights on the rows and the estimates of ``solve`` until they settle, or PASSES times."""
     sigma, gains = None, None
     for _ in range(PASSES):
         solution = solve(system.problem)
@@ -84,11 +84,12 @@ def sandwich_factor(factors: Sequence[Factors]) -> float:
 
 
 def _fit(dataset: Dataset, system: System, given: Given) -> Fit:
+    unweighted = system.problem
     dataset, system = reweighted(dataset, system, ml, given.progress)
     fixed = ml(system.problem)
     factor = sandwich_factor(dataset.factors)
     solution = replace(fixed, covariance=factor**2 * fixed.covariance, replicates=lambda: factor * fixed.replicates())
-    return fit_by(ml, dataset, system, given, solution, fixed)
+    return replace(fit_by(ml, dataset, system, given, solution, fixed), unweighted=unweighted)
 
 
 HUBER = Estimator(

@@ -15,6 +15,7 @@ from gtau.estimation.diagnostics.parameter_checks import judge_parameter
 from gtau.estimation.diagnostics.stated_constants import scale_shares, sensor_verdict
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Estimator, Fit
+from gtau.estimation.estimators.newton import residuals, stacked
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.regression.equations import triangle
 from gtau.estimation.regression.friction import BEARING, TEMPERATURE_TERMS, TERMS
@@ -112,7 +113,7 @@ def build_result(
         )
         for k, (channel, verdict) in enumerate(zip(problem.channels, diagnosis.delays, strict=True))
     ]
-    scales, signal = scale_shares(fit) if fit.free_gains else {}, problem.balance(solution.theta)
+    scales, (sigma, signal) = scale_shares(fit) if fit.free_gains else {}, _levels(fit)
     temperatures = reference_temperatures(fit)
     return Result(
         robot=robot,
@@ -145,7 +146,7 @@ def build_result(
         residuals=tuple(
             TorqueError(
                 joint,
-                float(abs(solution.gains[k]) * solution.sigma[k]),
+                float(abs(solution.gains[k]) * sigma[k]),
                 float(abs(solution.gains[k]) * signal[k]),
                 torque_unit(robot, joint),
                 *errors.get(joint, ()),
@@ -225,11 +226,20 @@ def _moves(each: Alternative, robot: Robot) -> AlternativeMoves:
     )
 
 
+def _levels(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
+    """Compute rms residual and rms signal of each channel, (c,), over rows that all count alike."""
+    sigma, state, problem = fit.solution.sigma, fit.solution.iterate, fit.unweighted or fit.system.problem
+    if fit.unweighted is not None:
+        squares = [np.sum(residuals(stacked(each), state) ** 2, axis=-1) for each in (fit.system.problem, problem)]
+        sigma = sigma * np.sqrt(squares[1] / np.maximum(squares[0], 1e-300))
+    return sigma, problem.balance(state.theta)
+
+
 def _sensors(
     fit: Fit, diagnosis: Diagnosis, found: Mapping[str, Estimate], delays: Sequence[Estimate]
 ) -> tuple[SensorEstimate, ...]:
     """Collect the estimates of the torque sensors' own parameters."""
-    robot, problem, solution, sensors = fit.dataset.robot, fit.system.problem, fit.solution, []
+    robot, problem, sensors, (sigma, signal) = fit.dataset.robot, fit.system.problem, [], _levels(fit)
     for k in problem.sensors:
         channel, joint = problem.channels[k].name, problem.channels[k].joint
         own = {
@@ -237,7 +247,7 @@ def _sensors(
             for kind in ("off", *BEARING)
             if (name := Parameter(kind, channel).name) in found
         }
-        residual = TorqueError(joint, float(solution.sigma[k]), float(problem.signal[k]), torque_unit(robot, joint))
+        residual = TorqueError(joint, float(sigma[k]), float(signal[k]), torque_unit(robot, joint))
         scale = next((each for each in diagnosis.sensors if each.joint == joint), None)
         ratio = None
         if scale is not None:
