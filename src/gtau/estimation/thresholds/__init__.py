@@ -16,24 +16,36 @@ benchmarks/false_alarms.py counts what they do together; docs/evidence/coverage.
 
 from __future__ import annotations
 
+NONE = "not measured"
+
 
 class Threshold(float):
-    """A number that decides an outcome, and why it has its value."""
+    """A number that decides an outcome, with the evidence for it.
+
+    Attributes
+    ----------
+    statistic : str
+        The quantity that it bounds, with its unit.
+    healthy, faulty : str
+        Range of that quantity measured where nothing is wrong, and with a fault.
+    evidence : str
+        Data, tests or source behind both; "experience", "a choice" or "a level" (of significance) where there are none.
+    """
 
     statistic: str
     healthy: str
     faulty: str
     evidence: str
 
-    def __new__(cls, value: float, statistic: str, healthy: str, faulty: str, evidence: str) -> Threshold:
+    def __new__(
+        cls, value: float, statistic: str, healthy: str = NONE, faulty: str = NONE, *, evidence: str
+    ) -> Threshold:
         """Make the number and attach the evidence."""
         made = super().__new__(cls, value)
         made.statistic, made.healthy, made.faulty, made.evidence = statistic, healthy, faulty, evidence
         return made
 
-    def __getnewargs__(self) -> tuple[float, str, str, str, str]:  # type: ignore[override]
+    def __getnewargs_ex__(self) -> tuple[tuple[float, str], dict[str, str]]:  # type: ignore[override]
         """Return the arguments with which copy and pickle rebuild the threshold."""
-        return float(self), self.statistic, self.healthy, self.faulty, self.evidence
-
-
-NONE = "not measured"
+        more = {"healthy": self.healthy, "faulty": self.faulty, "evidence": self.evidence}
+        return (float(self), self.statistic), more

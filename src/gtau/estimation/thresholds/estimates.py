@@ -2,55 +2,56 @@
 
 from __future__ import annotations
 
-from gtau.estimation.thresholds import NONE, Threshold
+from gtau.estimation.thresholds import Threshold
 
 # How well gains, parameters and friction terms must be known, and by what they are named.
 
 ACCURACY = Threshold(
     0.03,
     "half the relative width of a gain's 95 % interval",
-    "0.11 to 0.17 % (Orthoglide)",
-    "above 3 % (faults)",
-    "a choice: the accuracy usually asked of a payload or a contact force; --accuracy changes it",
+    healthy="0.11 to 0.17 % (Orthoglide)",
+    faulty="above 3 % (faults)",
+    evidence="a choice: the accuracy usually asked of a payload or a contact force; --accuracy changes it",
 )
-LOST_GAIN = Threshold(0.5, "relative random standard deviation of a gain", "below 0.05 (UR10e pairs)", NONE, "a choice")
-WEAK_PARAMETER = Threshold(0.2, "relative standard deviation of a parameter", NONE, NONE, "a choice")
+LOST_GAIN = Threshold(
+    0.5, "relative random standard deviation of a gain", healthy="below 0.05 (UR10e pairs)", evidence="a choice"
+)
+WEAK_PARAMETER = Threshold(0.2, "relative standard deviation of a parameter", evidence="a choice")
 NEGATIVE_STD = Threshold(
     4.0,
     "standard deviations below zero of a parameter that cannot be negative",
-    NONE,
-    "11 (an armature of -0.0022 +- 0.0002 kg m2 from a log filtered wrongly)",
-    "a level: one in 30,000 by chance",
+    faulty="11 (an armature of -0.0022 +- 0.0002 kg m2 from a log filtered wrongly)",
+    evidence="a level: one in 30,000 by chance",
 )
 NAMED_SHARE = Threshold(
     0.5,
     "share of the model part in a gain's variance from which its cause is named",
-    NONE,
-    NONE,
-    "a choice: the larger part is named",
+    evidence="a choice: the larger part is named",
 )
 FRICTION_TERM_GAIN = Threshold(
     0.02,
     "share of a joint's residual that a friction term takes away",
-    "0 (Orthoglide)",
-    "0.5 and more (UR10e pairs)",
-    "300 Monte Carlo repetitions on the Orthoglide logs",
+    healthy="0 (Orthoglide)",
+    faulty="0.5 and more (UR10e pairs)",
+    evidence="300 Monte Carlo repetitions on the Orthoglide logs",
 )
-FRICTION_TERM_STD = Threshold(1 / 3, "relative standard deviation of a friction term", NONE, NONE, "a level")
+FRICTION_TERM_STD = Threshold(1 / 3, "relative standard deviation of a friction term", evidence="a level")
 TERM_T = Threshold(
     2.5,
     "standard errors, over blocks left out, by which friction with a term is better",
-    "above in 0 of 80 logs with white or coloured noise, 4 of 80 with ripple or a wrong load",
-    "2.6 to 13 (UR10e, TX40, Panda); above in 98 to 100 % (presliding, load), 78 to 98 % (Stribeck) of 40 logs each",
-    "benchmarks/friction.py; at 2.0 false terms are 12 to 24 % with ripple or a wrong load, at 3.0 Stribeck is found "
-    "in 65 to 92 %",
+    healthy="above in 0 of 80 logs with white or coloured noise, 4 of 80 with ripple or a wrong load",
+    faulty="2.6 to 13 (UR10e, TX40, Panda); above in 98 to 100 % (presliding, load), 78 to 98 % (Stribeck) of 40 logs "
+    "each",
+    evidence="benchmarks/friction.py; at 2.0 false terms are 12 to 24 % with ripple or a wrong load, at 3.0 Stribeck "
+    "is found in 65 to 92 %",
 )
 TERM_SHARE = Threshold(
     0.05,
     "share of the squared error of blocks left out that a term of friction takes away",
-    "0.02 lets false terms into 12 % of the logs with ripple instead of 5 %, and finds no more of the right ones",
-    "0.2 and more (UR10e, TX40, Panda)",
-    "benchmarks/friction.py",
+    healthy="0.02 lets false terms into 12 % of the logs with ripple instead of 5 %, and finds no more of the right "
+    "ones",
+    faulty="0.2 and more (UR10e, TX40, Panda)",
+    evidence="benchmarks/friction.py",
 )
 
 
@@ -59,45 +60,44 @@ TERM_SHARE = Threshold(
 MISFIT = Threshold(
     0.25,
     "share of a joint's current that is unexplained, gains estimated",
-    "up to 0.045 (UR10e pairs)",
-    "0.5 and more (sign flipped in one run, swapped channels)",
-    "faults, UR10e pairs",
+    healthy="up to 0.045 (UR10e pairs)",
+    faulty="0.5 and more (sign flipped in one run, swapped channels)",
+    evidence="faults, UR10e pairs",
 )
 MISFIT_GIVEN = Threshold(
     0.5,
     "share of a joint's torque that is unexplained, gains given",
-    "up to 0.14 (TX40)",
-    "0.98 (a log filtered wrongly)",
-    "docs/evidence/measured.md; issue reports of a Franka Panda log",
+    healthy="up to 0.14 (TX40)",
+    faulty="0.98 (a log filtered wrongly)",
+    evidence="docs/evidence/measured.md; issue reports of a Franka Panda log",
 )
 BASE_MISFIT = Threshold(
     0.15,
     "share of the forces, or of the moments, on a floating base that is unexplained",
-    "up to 0.011 (held or standing)",
-    "0.28 and more (wrong axes, point or body of a wrench, the sign of one of two), 0.22 (a foot left out)",
-    "the arm of tests/estimation/test_wrenches.py and test_floating.py; no logs of a real floating base",
+    healthy="up to 0.011 (held or standing)",
+    faulty="0.28 and more (wrong axes, point or body of a wrench, the sign of one of two), 0.22 (a foot left out)",
+    evidence="the arm of tests/estimation/test_wrenches.py and test_floating.py; no logs of a real floating base",
 )
 LACKING = Threshold(
     1.3,
     "standard errors by the jackknife over those of white residuals, from which lengths, ripple and swapped "
     "channels are tried",
-    "1.0 (Orthoglide), up to 1.2 (clean)",
-    "1.8 to 3.5 (faults)",
-    "faults, clean",
+    healthy="1.0 (Orthoglide), up to 1.2 (clean)",
+    faulty="1.8 to 3.5 (faults)",
+    evidence="faults, clean",
 )
 FEWEST_FOR_TESTS = Threshold(
     3.0,
     "rows for each unknown in the middle of the runs, with fewer of which alternatives fit the noise and are not tried",
-    "11 (TX40), 16 to 48 (KUKA, Panda, UR10e, five-bar, Orthoglide, and logs that rest), 69 (dVRK), 447 (UPV)",
-    NONE,
-    "shared logs, five-bar; the level is a choice",
+    healthy="11 (TX40), 16 to 48 (KUKA, Panda, UR10e, five-bar, Orthoglide, and logs that rest), 69 (dVRK), 447 (UPV)",
+    evidence="shared logs, five-bar; the level is a choice",
 )
 INFLATED = Threshold(
     1.8,
     "the same, from which the summary says so",
-    "up to 1.7 (320 simulated experiments of 24 s, benchmarks/false_alarms.py), 1.2 (clean)",
-    "1.9, 2.2 (UR10e pairs, whose friction is richer than the model)",
-    "benchmarks/false_alarms.py, clean, UR10e pairs",
+    healthy="up to 1.7 (320 simulated experiments of 24 s, benchmarks/false_alarms.py), 1.2 (clean)",
+    faulty="1.9, 2.2 (UR10e pairs, whose friction is richer than the model)",
+    evidence="benchmarks/false_alarms.py, clean, UR10e pairs",
 )
 
 
@@ -106,16 +106,14 @@ INFLATED = Threshold(
 ALTERNATIVE_PRIOR = Threshold(
     0.2,
     "probability of a group of alternatives before the data",
-    "rms z between the gains of the UR10e pairs: 0.89 with 0.5, 0.93 with 0.2, 0.95 with 0.1",
-    NONE,
-    "UR10e pairs; simulated gains without a departure had 0.65 and 0.67 with 0.5 (benchmarks/calibration.py)",
+    healthy="rms z between the gains of the UR10e pairs: 0.89 with 0.5, 0.93 with 0.2, 0.95 with 0.1",
+    evidence="UR10e pairs; simulated gains without a departure had 0.65 and 0.67 with 0.5 (benchmarks/calibration.py)",
 )
 PLAUSIBLE_GAIN_CHANGE = Threshold(
     0.005,
     "relative change of a torque constant between runs",
-    "0.001 a kelvin of the magnets",
-    NONE,
-    "data sheets of servo motors",
+    healthy="0.001 a kelvin of the magnets",
+    evidence="data sheets of servo motors",
 )
 
 
@@ -124,78 +122,81 @@ PLAUSIBLE_GAIN_CHANGE = Threshold(
 PRIOR_FACTOR = Threshold(
     2.0,
     "gain over its prior, or the inverse",
-    "1.1 (data sheets are right to 10 %)",
-    "1000 (mA for A)",
-    "faults; the paper's introduction",
+    healthy="1.1 (data sheets are right to 10 %)",
+    faulty="1000 (mA for A)",
+    evidence="faults; the paper's introduction",
 )
 GAINS_APART = Threshold(
     15.0,
     "gain of a joint over the next smaller one, turning joints and slides each among themselves",
-    "up to 1.3 (Orthoglide, UR10e, Rokae, dVRK), 1.5 (AIRBOT Play); within 5 by gears and motors (Puma 560, WAM, KUKA)",
-    "15 and more (one of several within a factor of 4 in counts, 60; in %, 100; in mA, 1000)",
-    "shared logs, data sheets; the factors between units",
+    healthy="up to 1.3 (Orthoglide, UR10e, Rokae, dVRK), 1.5 (AIRBOT Play); within 5 by gears and motors (Puma 560, "
+    "WAM, KUKA)",
+    faulty="15 and more (one of several within a factor of 4 in counts, 60; in %, 100; in mA, 1000)",
+    evidence="shared logs, data sheets; the factors between units",
 )
-EFFORT_FACTOR = Threshold(2.0, "rms torque over the joint's limit of effort", "below 1", "1000 (g for kg)", "faults")
+EFFORT_FACTOR = Threshold(
+    2.0, "rms torque over the joint's limit of effort", healthy="below 1", faulty="1000 (g for kg)", evidence="faults"
+)
 PAYLOAD_MOVES = Threshold(
     0.01,
     "relative move of the gains when a known payload parameter is estimated instead",
-    "below 0.01",
-    "above (a parameter 50 % off)",
-    "faults",
+    healthy="below 0.01",
+    faulty="above (a parameter 50 % off)",
+    evidence="faults",
 )
 HIDDEN_KNOWN = Threshold(
     0.01,
     "share of the known parameters' torque that no unknown one explains, below which a refusal names it as the cause",
-    "0.03 to 0.20 (arm and five-bar of tests/estimation/test_scale.py, priors of moments and inertias)",
-    "0.0022 (UPV, CAD masses)",
-    "those, and benchmarks/zoo.py --only upv_gains",
+    healthy="0.03 to 0.20 (arm and five-bar of tests/estimation/test_scale.py, priors of moments and inertias)",
+    faulty="0.0022 (UPV, CAD masses)",
+    evidence="those, and benchmarks/zoo.py --only upv_gains",
 )
 OWN_BODY = Threshold(
     0.1,
     "share of the torque of measured wrenches that no parameter explains, below which a tool may cause it in all runs",
-    "0.49 to 0.69 (with and without a tool of 3 kg); 0.010 to 0.089 (with it, and with 1.02 to 1.2 of it)",
-    "0.0034 to 0.037 (the same tool in every run, its force noisy by 0.05 to 5 N); 0.24 and more with a wrong point, "
-    "axes or body",
-    "the arm of tests/estimation/test_wrenches.py, 20 s with a fixed base, two to three sets of logs; held together "
-    "with ANSWERED",
+    healthy="0.49 to 0.69 (with and without a tool of 3 kg); 0.010 to 0.089 (with it, and with 1.02 to 1.2 of it)",
+    faulty="0.0034 to 0.037 (the same tool in every run, its force noisy by 0.05 to 5 N); 0.24 and more with a wrong "
+    "point, axes or body",
+    evidence="the arm of tests/estimation/test_wrenches.py, 20 s with a fixed base, two to three sets of logs; held "
+    "together with ANSWERED",
 )
 ANSWERED = Threshold(
     0.1,
     "share of the squares of what OWN_BODY leaves to which the currents answer, below which it is but noise",
-    "0.995 and more (with and without); 0.26 to 0.998 (with 1.02 to 1.2 of it)",
-    "0.0003 to 0.030 (the same tool)",
-    "the same logs",
+    healthy="0.995 and more (with and without); 0.26 to 0.998 (with 1.02 to 1.2 of it)",
+    faulty="0.0003 to 0.030 (the same tool)",
+    evidence="the same logs",
 )
-LEG_PROBABILITY = Threshold(1e-3, "probability that legs which are alike differ by as much", NONE, NONE, "a level")
-LEG_DIFFERENCE = Threshold(20.0, "difference of a parameter between like legs, per cent", NONE, NONE, "a choice")
-LEG_DIFFERENCE_STD = Threshold(5.0, "the same in standard deviations", NONE, NONE, "a level")
+LEG_PROBABILITY = Threshold(1e-3, "probability that legs which are alike differ by as much", evidence="a level")
+LEG_DIFFERENCE = Threshold(20.0, "difference of a parameter between like legs, per cent", evidence="a choice")
+LEG_DIFFERENCE_STD = Threshold(5.0, "the same in standard deviations", evidence="a level")
 OVERHANG = Threshold(
     0.5,
     "reach of a body's mass beyond the ball around its joints, in lengths of the robot's longest link",
-    "median 0.02, 97 % of bodies up to 0.5, at most 1.06 (a Panda file with made-up inertias)",
-    "2 (a wrist of 2 kg with a radius of gyration of 1.2 m: UR10e, without the bound)",
-    "571 bodies of 62 URDF files (example-robot-data), those of 0.5 % of the robot's mass and more",
+    healthy="median 0.02, 97 % of bodies up to 0.5, at most 1.06 (a Panda file with made-up inertias)",
+    faulty="2 (a wrist of 2 kg with a radius of gyration of 1.2 m: UR10e, without the bound)",
+    evidence="571 bodies of 62 URDF files (example-robot-data), those of 0.5 % of the robot's mass and more",
 )
 LAST_OVERHANG = Threshold(
     1.2,
     "the same of a body that no other follows, whose length no joint shows",
-    "median 0.43, at most 1.14",
-    NONE,
-    "150 bodies of the same files",
+    healthy="median 0.43, at most 1.14",
+    evidence="150 bodies of the same files",
 )
 INERTIA_CHANCE = Threshold(
     0.05,
     "chance that a file which is right has any base parameter contradicted, all being tested together",
-    "2 of 30 simulated arms, one parameter each of 19 that are tested",
-    "7 to 9 of 19 parameters of ten arms whose file has a link 30 % too heavy; z of 4 to 59 (UR10e, Panda)",
-    "arms of tests/estimation/test_inertia_audit.py, UR10e with its driver's URDF, Panda with MuJoCo Menagerie's MJCF",
+    healthy="2 of 30 simulated arms, one parameter each of 19 that are tested",
+    faulty="7 to 9 of 19 parameters of ten arms whose file has a link 30 % too heavy; z of 4 to 59 (UR10e, Panda)",
+    evidence="arms of tests/estimation/test_inertia_audit.py, UR10e with its driver's URDF, Panda with MuJoCo "
+    "Menagerie's MJCF",
 )
 INERTIA_EXPLAINED = Threshold(
     0.95,
     "share of the torque variance which the file adds that freed links explain, from which on no other is named",
-    "the heavy link alone (ten simulated arms, mass 30 % wrong)",
-    "two links (UR10e); the rotors and two links (Panda); four calves (Aliengo)",
-    "tests/estimation/test_inertia_audit.py, shared logs",
+    healthy="the heavy link alone (ten simulated arms, mass 30 % wrong)",
+    faulty="two links (UR10e); the rotors and two links (Panda); four calves (Aliengo)",
+    evidence="tests/estimation/test_inertia_audit.py, shared logs",
 )
 
 
@@ -204,170 +205,170 @@ INERTIA_EXPLAINED = Threshold(
 PROBABLE = Threshold(
     0.5,
     "probability after the data, from which an alternative counts as true",
-    NONE,
-    NONE,
-    "an even chance: what the data make likelier than the model itself",
+    evidence="an even chance: what the data make likelier than the model itself",
 )
 REFUTED_STD = Threshold(
     6.0,
     "size of a description alternative in standard deviations",
-    "up to 4.8 (UR10e pairs), 3.2 (Orthoglide)",
-    "8 to 44 (faults)",
-    "faults, UR10e pairs, Orthoglide",
+    healthy="up to 4.8 (UR10e pairs), 3.2 (Orthoglide)",
+    faulty="8 to 44 (faults)",
+    evidence="faults, UR10e pairs, Orthoglide",
 )
 REFUTED_SHARE = Threshold(
     0.05,
     "share of the residual variance that it explains",
-    "up to 0.03 at more than 6 standard deviations with moves above the accuracy: none (UR10e pairs); 0.06 to 0.21 "
-    "beside a lag or elasticity of 0.07 to 0.39, which then explains it",
-    "0.06 to 0.86 (faults)",
-    "faults, UR10e pairs; a dVRK arm, and currents low-passed or joints elastic in benchmarks/calibration.py",
+    healthy="up to 0.03 at more than 6 standard deviations with moves above the accuracy: none (UR10e pairs); 0.06 to "
+    "0.21 beside a lag or elasticity of 0.07 to 0.39, which then explains it",
+    faulty="0.06 to 0.86 (faults)",
+    evidence="faults, UR10e pairs; a dVRK arm, and currents low-passed or joints elastic in benchmarks/calibration.py",
 )
 OF_BEST = Threshold(
     0.5,
     "share of the residual variance that it explains over that of the description alternative that explains most",
-    "0.19 to 0.25 (a length, a current between runs, beside an offset or a point of a wrench that is off)",
-    "1 (itself)",
-    "tests/estimation/test_wrench_errors.py",
+    healthy="0.19 to 0.25 (a length, a current between runs, beside an offset or a point of a wrench that is off)",
+    faulty="1 (itself)",
+    evidence="tests/estimation/test_wrench_errors.py",
 )
 OF_REPEATING = Threshold(
     0.5,
     "share of the residual variance that it explains over that which repeats at the same positions, mean of all joints",
-    "0.08 and 0.19 (gravity on a dVRK arm, whose cables repeat)",
-    "1.3 and more (base tilted, encoder zeros off, payload off-centre: arm, five-bar, UR10e)",
-    "dVRK with 105 and 205 g; benchmarks/calibration.py, 24 experiments",
+    healthy="0.08 and 0.19 (gravity on a dVRK arm, whose cables repeat)",
+    faulty="1.3 and more (base tilted, encoder zeros off, payload off-centre: arm, five-bar, UR10e)",
+    evidence="dVRK with 105 and 205 g; benchmarks/calibration.py, 24 experiments",
 )
 TOGETHER_SHARE = Threshold(
     0.3,
     "the same, of all columns of a hypothesis together",
-    "below 0.2 (clean)",
-    "0.9 (gravity along another axis)",
-    "faults, clean",
+    healthy="below 0.2 (clean)",
+    faulty="0.9 (gravity along another axis)",
+    evidence="faults, clean",
 )
 GRAVITY_SHARE = Threshold(
     0.5,
     "share of the residual variance, in the geometric mean of all joints or of one that it helps, that gravity along "
     "another axis takes away",
-    "up to 0.07 (dVRK, whose cables repeat), 0.013 (Rokae), 0 (UR10e, TX40, Panda, KUKA, Orthoglide, five-bar)",
-    "0.88 and more along another axis, 0.84 and 0.995 tilted by 11 degrees (UR10e); 0.53 and more (five-bar, "
+    healthy="up to 0.07 (dVRK, whose cables repeat), 0.013 (Rokae), 0 (UR10e, TX40, Panda, KUKA, Orthoglide, five-bar)",
+    faulty="0.88 and more along another axis, 0.84 and 0.995 tilted by 11 degrees (UR10e); 0.53 and more (five-bar, "
     "Orthoglide, with a payload), nothing from torques of these two, which hardly see it",
-    "shared logs; tests/estimation/test_gravity.py, torques and currents simulated with 0.3 % of noise",
+    evidence="shared logs; tests/estimation/test_gravity.py, torques and currents simulated with 0.3 % of noise",
 )
 GRAVITY_LEAST = Threshold(
     5.0,
     "angle from the stated gravity, degrees, below which a base is not level and the linear test speaks",
-    NONE,
-    NONE,
-    "five times a plausible tilt",
+    evidence="five times a plausible tilt",
 )
 GRAVITY_ALIKE = Threshold(
     1.05,
     "residual variance over that of the best axis, below which another one explains as much",
-    "1.00 (either normal of a planar robot)",
-    "1.5 and more (the next axis of a UR10e)",
-    "tests/estimation/test_gravity.py",
+    healthy="1.00 (either normal of a planar robot)",
+    faulty="1.5 and more (the next axis of a UR10e)",
+    evidence="tests/estimation/test_gravity.py",
 )
 GRAVITY_MISFIT = Threshold(
     0.1,
     "share of a joint's current or torque that is unexplained, from which gravity along other axes is tried",
-    "0.002 to 0.11 (Orthoglide, UR10e, dVRK, TX40), 0.57 (Panda polled at few hertz)",
-    "0.08 to 0.98 (gravity along another axis); where it is less, a tilt helps",
-    "the same; it decides on some seconds of work, not on an outcome",
+    healthy="0.002 to 0.11 (Orthoglide, UR10e, dVRK, TX40), 0.57 (Panda polled at few hertz)",
+    faulty="0.08 to 0.98 (gravity along another axis); where it is less, a tilt helps",
+    evidence="the same; it decides on some seconds of work, not on an outcome",
 )
 SAME_EFFECT = Threshold(
     1e-5,
     "1 - cos2 of the torques of two alternatives, below which they count once",
-    "0.0009 (two encoder zeros, slow logs), 0.005 and more elsewhere (alternatives to 60 fits of seven robots)",
-    "8e-7 (the zero of a leg's first encoder and a tilt of its base), rounding (a hypothesis listed twice)",
-    "tests/acceptance, tests/estimation/test_alternatives.py",
+    healthy="0.0009 (two encoder zeros, slow logs), 0.005 and more elsewhere (alternatives to 60 fits of seven robots)",
+    faulty="8e-7 (the zero of a leg's first encoder and a tilt of its base), rounding (a hypothesis listed twice)",
+    evidence="tests/acceptance, tests/estimation/test_alternatives.py",
 )
 SWAPPED = Threshold(
     0.5,
     "unexplained share with the other joint's current over that with its own",
-    "far above 1",
-    "below 0.3",
-    "tests/estimation/test_swapped_channels.py",
+    healthy="far above 1",
+    faulty="below 0.3",
+    evidence="tests/estimation/test_swapped_channels.py",
 )
 SCALED = Threshold(
-    0.3, "change of a current between runs that no motor makes", "0", "2 (reversed), 1000 (units)", "faults"
+    0.3,
+    "change of a current between runs that no motor makes",
+    healthy="0",
+    faulty="2 (reversed), 1000 (units)",
+    evidence="faults",
 )
 TIE = Threshold(
     1e-6,
     "relative difference of the significance of two changes, below which the first of them counts",
-    NONE,
-    "rounding (of two runs one is as much larger as the other is smaller)",
-    "two runs of a five-bar, whose order rounding had decided",
+    faulty="rounding (of two runs one is as much larger as the other is smaller)",
+    evidence="two runs of a five-bar, whose order rounding had decided",
 )
 DOMINANT = Threshold(
     0.3,
     "share of the residual variance that goes with currents out of scale in some runs, from which ripple is not "
     "looked for",
-    "up to 0.12 (ripple)",
-    "0.53 to 0.71 (2 % out of scale)",
-    "tests/estimation/test_gain_change.py",
+    healthy="up to 0.12 (ripple)",
+    faulty="0.53 to 0.71 (2 % out of scale)",
+    evidence="tests/estimation/test_gain_change.py",
 )
 APART = Threshold(
     3.5,
     "standard deviations between a declared value of a payload and what all else gives",
-    "below 3 (clean, UR10e pairs)",
-    "10 and more (3 % wrong mass of one of two payloads)",
-    "clean, faults, 300 Monte Carlo repetitions on the Orthoglide logs",
+    healthy="below 3 (clean, UR10e pairs)",
+    faulty="10 and more (3 % wrong mass of one of two payloads)",
+    evidence="clean, faults, 300 Monte Carlo repetitions on the Orthoglide logs",
 )
 APART_REFUTED = Threshold(
     10.0,
     "Hausman's statistic of 2SLS against the estimator used, from which the gain is contradictory",
-    "up to 3.1 (clean), 2.6 (UR10e pairs)",
-    "127 (an unloaded run declared loaded)",
-    "clean, 300 Monte Carlo repetitions on the Orthoglide logs",
+    healthy="up to 3.1 (clean), 2.6 (UR10e pairs)",
+    faulty="127 (an unloaded run declared loaded)",
+    evidence="clean, 300 Monte Carlo repetitions on the Orthoglide logs",
 )
 WEAK_INSTRUMENTS = Threshold(
     6.8,
     "first-stage F of 2SLS (Cragg-Donald, over the square of the lack of fit), below which it is not compared",
-    "7.8 (dVRK), 13 (a UR10e pair), 250 (Puma 560, simulated), 1800 (five-bar), 19,000 (Orthoglide)",
-    "1.4 (AIRBOT Play, one chirp for all joints: 2SLS moves gains by 50 to 95 % at 9 to 33 standard deviations, while "
-    "gains agree to 7 % with those from loaded less unloaded currents)",
-    "those logs; above 6.77, 6.23 and 5.94, the largest values of Stock and Yogo (2005), table 5.1, for one, two and "
-    "three gains and a bias of at most a fifth of that of least squares (level 5 %, up to 30 instruments). Those for "
-    "the size of a test grow with the number of instruments, so the bias left counts beside the standard deviation",
+    healthy="7.8 (dVRK), 13 (a UR10e pair), 250 (Puma 560, simulated), 1800 (five-bar), 19,000 (Orthoglide)",
+    faulty="1.4 (AIRBOT Play, one chirp for all joints: 2SLS moves gains by 50 to 95 % at 9 to 33 standard "
+    "deviations, while gains agree to 7 % with those from loaded less unloaded currents)",
+    evidence="those logs; above 6.77, 6.23 and 5.94, the largest values of Stock and Yogo (2005), table 5.1, for one, "
+    "two and three gains and a bias of at most a fifth of that of least squares (level 5 %, up to 30 "
+    "instruments). Those for the size of a test grow with the number of instruments, so the bias left counts "
+    "beside the standard deviation",
 )
 NOISE_STD = Threshold(
     4.0,
     "Hausman's statistic of instrumental variables against the estimator used, of a parameter that moves by more than "
     "its standard deviation, from which noise of the positions is named",
-    "no parameter of UR10e pairs, Orthoglide, TX40 or Panda moves by so much; up to 3.9 where it moves less (UR10e)",
-    "4.2 and 4.5 (five-bar, positions noisy by 0.4 mrad behind a filter of 100 Hz, 16 s), 7 to 18 (Aliengo, whose "
-    "command is made from the measured position)",
-    "shared logs, tests/estimation/test_other_estimators.py",
+    healthy="no parameter of UR10e pairs, Orthoglide, TX40 or Panda moves by so much; up to 3.9 where it moves less "
+    "(UR10e)",
+    faulty="4.2 and 4.5 (five-bar, positions noisy by 0.4 mrad behind a filter of 100 Hz, 16 s), 7 to 18 (Aliengo, "
+    "whose command is made from the measured position)",
+    evidence="shared logs, tests/estimation/test_other_estimators.py",
 )
 DIFFERENT_STD = Threshold(
     3.0,
     "standard deviations by which another estimator finds a parameter otherwise, from which that is an alternative",
-    NONE,
-    NONE,
-    "a level: one in 370 by chance; differences in a gain are alternatives whatever their size",
+    evidence="a level: one in 370 by chance; differences in a gain are alternatives whatever their size",
 )
 DIFFERENT_PROBABILITY = Threshold(
-    0.1, "probability of such an alternative, from which it is listed", NONE, NONE, "a choice"
+    0.1, "probability of such an alternative, from which it is listed", evidence="a choice"
 )
 RIPPLE_SHARE = Threshold(
     0.3,
     "share of a joint's residual variance that repeats at the same positions",
-    "below 0.2 (clean)",
-    "0.4 to 0.9 (ripple put in)",
-    "tests/estimation/test_position_ripple.py",
+    healthy="below 0.2 (clean)",
+    faulty="0.4 to 0.9 (ripple put in)",
+    evidence="tests/estimation/test_position_ripple.py",
 )
 CORRELATED = Threshold(
     0.3,
     "correlation of a joint's residuals between runs with different loads that repeat a motion, from which it is said",
-    "-0.05 to 0.1 (noise alone: five-bar); -0.25 to 0.36 (AIRBOT Play)",
-    "0.43 to 0.82 (UR10e pairs, five joints; dVRK); -0.56 (UR10e, wrist 1, where friction may not differ between runs)",
-    "those logs, tests/estimation/test_repeated_motions.py",
+    healthy="-0.05 to 0.1 (noise alone: five-bar); -0.25 to 0.36 (AIRBOT Play)",
+    faulty="0.43 to 0.82 (UR10e pairs, five joints; dVRK); -0.56 (UR10e, wrist 1, where friction may not differ "
+    "between runs)",
+    evidence="those logs, tests/estimation/test_repeated_motions.py",
 )
-CORRELATED_STD = Threshold(4.0, "the same in standard deviations", NONE, NONE, "a level: one in 15,000 by chance")
+CORRELATED_STD = Threshold(4.0, "the same in standard deviations", evidence="a level: one in 15,000 by chance")
 UNFELT_PAYLOAD = Threshold(
     1.1,
     "residual of the currents without the payload over that with it",
-    "16 (UR10e, actual currents)",
-    "1.03 (UR10e, target currents, which never feel the payload)",
-    "UR10e logs",
+    healthy="16 (UR10e, actual currents)",
+    faulty="1.03 (UR10e, target currents, which never feel the payload)",
+    evidence="UR10e logs",
 )

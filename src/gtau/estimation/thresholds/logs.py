@@ -2,69 +2,67 @@
 
 from __future__ import annotations
 
-from gtau.estimation.thresholds import NONE, Threshold
+from gtau.estimation.thresholds import Threshold
 
 # What is found in the logs.
 
 COSTLY_REPAIR = Threshold(
     0.02,
     "share of the samples that a repair drops or interpolates, from which it is a warning",
-    "up to 0.001 (shared logs, but for those recorded by polling)",
-    "0.05 and more are refused",
-    "a choice between the two",
+    healthy="up to 0.001 (shared logs, but for those recorded by polling)",
+    faulty="0.05 and more are refused",
+    evidence="a choice between the two",
 )
 NEAR_SINGULAR = Threshold(
     0.05,
     "distance to a singularity of type 2, below which errors of the model are magnified",
-    "0.49 (Orthoglide)",
-    "0.001 is refused",
-    "a choice: errors are magnified twentyfold",
+    healthy="0.49 (Orthoglide)",
+    faulty="0.001 is refused",
+    evidence="a choice: errors are magnified twentyfold",
 )
 LAG_STD = Threshold(
     4.0,
     "lag of all commands together behind the motion, in standard errors",
-    "below 1.5 where it exceeds a sample (UR10e, xMate 7); no lag in 13 sets of shared logs of ten robots",
-    "4.4 (UR10e, 20 ms), 8 (Panda, 10 ms), 10 (TX40, 10 ms), 50 and more (dVRK, Orthoglide)",
-    "those logs as they are, and behind a low-pass of first order of 5, 10, 20 and 50 ms, found in 2, 5, 6 and 9 of "
-    "the 13; the others have commands that are mostly noise, or led the motion by more before",
+    healthy="below 1.5 where it exceeds a sample (UR10e, xMate 7); no lag in 13 sets of shared logs of ten robots",
+    faulty="4.4 (UR10e, 20 ms), 8 (Panda, 10 ms), 10 (TX40, 10 ms), 50 and more (dVRK, Orthoglide)",
+    evidence="those logs as they are, and behind a low-pass of first order of 5, 10, 20 and 50 ms, found in 2, 5, 6 "
+    "and 9 of the 13; the others have commands that are mostly noise, or led the motion by more before",
 )
 LAG_SAMPLES = Threshold(
     1.0,
     "the same in samples",
-    "at most 0.84 (dVRK, polled at 200 Hz)",
-    "1.4 (UR10e, 20 ms) to 200 (TX40, 50 ms)",
-    "as above",
+    healthy="at most 0.84 (dVRK, polled at 200 Hz)",
+    faulty="1.4 (UR10e, 20 ms) to 200 (TX40, 50 ms)",
+    evidence="as above",
 )
 LAG_LEAST = Threshold(
     3e-3,
     "the same in s",
-    "at most 1 ms at 1 kHz and more (Panda)",
-    "4.1 ms (Orthoglide, low-pass of 5 ms)",
-    "as above",
+    healthy="at most 1 ms at 1 kHz and more (Panda)",
+    faulty="4.1 ms (Orthoglide, low-pass of 5 ms)",
+    evidence="as above",
 )
 LAG_LOSS = Threshold(
-    0.01, "share of a command that a low-pass of that lag takes away at the bandwidth", NONE, NONE, "a choice"
+    0.01, "share of a command that a low-pass of that lag takes away at the bandwidth", evidence="a choice"
 )
 LATE = Threshold(
     0.5,
     "unexplained share of a joint's current, shifted by more than a delay can be, over that as logged",
-    "0.70 (Aliengo), 0.91 and more (15 sets of shared logs of nine robots, as they are)",
-    "0.02 and less (100 ms), 0.07 to 0.09 (50 ms)",
-    "those logs, tests/estimation/test_late_currents.py",
+    healthy="0.70 (Aliengo), 0.91 and more (15 sets of shared logs of nine robots, as they are)",
+    faulty="0.02 and less (100 ms), 0.07 to 0.09 (50 ms)",
+    evidence="those logs, tests/estimation/test_late_currents.py",
 )
 DELAY_MOTION = Threshold(
     4.0,
     "standard errors of the share of motion in the current's rate of change",
-    NONE,
-    NONE,
-    "tests/estimation/test_verdicts.py",
+    evidence="tests/estimation/test_verdicts.py",
 )
 DELAY_STD = Threshold(
     0.25,
     "relative standard deviation of a delay longer than a sample that is believed",
-    "0.01 (Orthoglide)",
-    "0.3 (-43 +- 12 ms)",
-    "Orthoglide; a log reported by a user",
+    healthy="0.01 (Orthoglide)",
+    faulty="0.3 (-43 +- 12 ms)",
+    evidence="Orthoglide; a log reported by a user",
 )
 
 
@@ -73,73 +71,75 @@ DELAY_STD = Threshold(
 BEYOND_LIMITS = Threshold(
     0.02,
     "motion outside a joint's limits, of their range, from which a note says so",
-    "never outside (shared)",
-    NONE,
-    "a choice: less is the offset of an encoder",
+    healthy="never outside (shared)",
+    evidence="a choice: less is the offset of an encoder",
 )
 FAR_BEYOND_LIMITS = Threshold(
     1.0,
     "the same, from which the log is refused: another unit, joint or robot",
-    "never outside (shared)",
-    "57 times the share of the range that is used (deg read as rad)",
-    "tests/estimation/test_motion_limits.py",
+    healthy="never outside (shared)",
+    faulty="57 times the share of the range that is used (deg read as rad)",
+    evidence="tests/estimation/test_motion_limits.py",
 )
 FASTEST_TURN = Threshold(
     30.0,
     "rms speed of a joint, rad/s, from which the clock or unit is wrong",
-    "1.4 (Aliengo), 10 (fast deltas)",
-    "77 (Aliengo, deg read as rad)",
-    "shared logs; the speed of deltas from experience",
+    healthy="1.4 (Aliengo), 10 (fast deltas)",
+    faulty="77 (Aliengo, deg read as rad)",
+    evidence="shared logs; the speed of deltas from experience",
 )
-FASTEST_SLIDE = Threshold(10.0, "the same, m/s", "0.34 (shared)", "340 (ms read as s)", "shared logs")
+FASTEST_SLIDE = Threshold(
+    10.0, "the same, m/s", healthy="0.34 (shared)", faulty="340 (ms read as s)", evidence="shared logs"
+)
 FARTHEST_TURN = Threshold(
     40.0,
     "range of a joint's positions, rad, from which they are rather in deg",
-    "1.1 (Aliengo) to 6.0 (UR10e)",
-    "62 to 340 (those, deg read as rad)",
-    "shared logs",
+    healthy="1.1 (Aliengo) to 6.0 (UR10e)",
+    faulty="62 to 340 (those, deg read as rad)",
+    evidence="shared logs",
 )
 FARTHEST_SLIDE = Threshold(
     30.0,
     "the same of a prismatic joint, in lengths of the robot, from which they are rather in mm",
-    "0.40 to 0.64 (Orthoglide)",
-    "400 to 640 (Orthoglide, mm read as m)",
-    "shared logs",
+    healthy="0.40 to 0.64 (Orthoglide)",
+    faulty="400 to 640 (Orthoglide, mm read as m)",
+    evidence="shared logs",
 )
 LEAST_TURN = Threshold(
     0.06,
     "range of the joint that turns most, rad, below which positions said to be in deg are rather in rad",
-    "0.3 to 6.0",
-    "0.005 to 0.1 (rad read as deg)",
-    "UR10e, TX40, Panda and Aliengo logs",
+    healthy="0.3 to 6.0",
+    faulty="0.005 to 0.1 (rad read as deg)",
+    evidence="UR10e, TX40, Panda and Aliengo logs",
 )
 LEAST_SLIDE = Threshold(
     3e-3,
     "the same of prismatic joints, in lengths of the robot, where positions are said to be in mm",
-    "0.40 to 0.64 (Orthoglide)",
-    "0.0004 to 0.0006 (m read as mm)",
-    "shared logs",
+    healthy="0.40 to 0.64 (Orthoglide)",
+    faulty="0.0004 to 0.0006 (m read as mm)",
+    evidence="shared logs",
 )
 LARGEST_CURRENT = Threshold(
     100.0,
     "rms current of a joint, A, from which it is rather in mA",
-    "0.05 to 8.1 (five sets of shared logs with currents), 15 (simulated, catalog)",
-    "980 (dVRK), 8100 (UR10e, mA read as A)",
-    "shared logs; large drives do reach it, so that it is asked and not refused",
+    healthy="0.05 to 8.1 (five sets of shared logs with currents), 15 (simulated, catalog)",
+    faulty="980 (dVRK), 8100 (UR10e, mA read as A)",
+    evidence="shared logs; large drives do reach it, so that it is asked and not refused",
 )
 PAYLOAD_DENSITY = Threshold(
     100.0,
     "mass of a payload over the cube of the arm's reach, kg/m3, from which it is rather in g",
-    "1.3 (UR10e with 2.8 kg), 6 to 45 (rated: UR10e, UR5e, Panda, Mecademic Meca500, KUKA KR1000, Fanuc M-2000)",
-    "12,000 and more (5 to 25 kg on those of up to 0.85 m reach, in g), 1,300 (UR10e with 2.8 kg in g)",
-    "data sheets; on large arms small payloads in g pass",
+    healthy="1.3 (UR10e with 2.8 kg), 6 to 45 (rated: UR10e, UR5e, Panda, Mecademic Meca500, KUKA KR1000, Fanuc "
+    "M-2000)",
+    faulty="12,000 and more (5 to 25 kg on those of up to 0.85 m reach, in g), 1,300 (UR10e with 2.8 kg in g)",
+    evidence="data sheets; on large arms small payloads in g pass",
 )
 CURRENTS_APART = Threshold(
     30.0,
     "rms current of a joint over the next smaller one, from which units may differ between joints",
-    "1.2 to 4.5 (the same logs), 5.0 (simulated, catalog)",
-    "60 and more (one of two alike in %, or in counts)",
-    "shared logs; the factors between units",
+    healthy="1.2 to 4.5 (the same logs), 5.0 (simulated, catalog)",
+    faulty="60 and more (one of two alike in %, or in counts)",
+    evidence="shared logs; the factors between units",
 )
 
 
@@ -148,97 +148,101 @@ CURRENTS_APART = Threshold(
 REPEATED = Threshold(
     0.1,
     "rms difference of the positions of two runs after a shift in time, over the rms of the motion, mean of the joints",
-    "0.0001 (UR10e, two pairs with and without payload), 0.004 and 0.006 (dVRK, the same)",
-    "1.1 to 1.9 (Orthoglide, four motions)",
-    "those logs; runs taken for repeated without need only lose degrees of freedom",
+    healthy="0.0001 (UR10e, two pairs with and without payload), 0.004 and 0.006 (dVRK, the same)",
+    faulty="1.1 to 1.9 (Orthoglide, four motions)",
+    evidence="those logs; runs taken for repeated without need only lose degrees of freedom",
 )
 REPEATED_PART = Threshold(
     0.7,
     "part of the longer of two runs in which both have the motion",
-    "0.91 to 1 (the same pairs)",
-    NONE,
-    "a choice: the rest of a run is then cut into at most a third as many stretches again",
+    healthy="0.91 to 1 (the same pairs)",
+    evidence="a choice: the rest of a run is then cut into at most a third as many stretches again",
 )
 
 
 # What torques and logged poses say of the geometry ("UPV": the logs of a real 3UPS+RPU, docs/evidence/zoo.md).
 
 LENGTH_SHARE = Threshold(
-    0.1, "the same, of another length", "below 0.05 (clean)", "0.24 to 0.96 (bars 2 % off)", "faults"
+    0.1,
+    "the same, of another length",
+    healthy="below 0.05 (clean)",
+    faulty="0.24 to 0.96 (bars 2 % off)",
+    evidence="faults",
 )
 LENGTH_CHANGE = Threshold(
-    0.005, "relative change of that length", "below 0.005 where residuals are tiny", "0.02", "faults"
+    0.005,
+    "relative change of that length",
+    healthy="below 0.005 where residuals are tiny",
+    faulty="0.02",
+    evidence="faults",
 )
 LENGTH_TRIED = Threshold(
     0.02,
     "length over the longest of the robot, below which it is not tried",
-    "0.042 and more (17 robots of the catalog and of the shared data): all are tried",
-    NONE,
-    "these robots; docs/lookup/catalog.md",
+    healthy="0.042 and more (17 robots of the catalog and of the shared data): all are tried",
+    evidence="these robots; docs/lookup/catalog.md",
 )
 LENGTH_ALIKE = Threshold(
     0.8,
     "share that another length explains over the largest, from which both are equally likely",
-    "0.85 to 1, of the length that is wrong",
-    "0.46 (a bar 2 % off, the next best length)",
-    "tests/acceptance/test_faults.py, tests/estimation/test_geometry.py (a forearm 1.4 % off)",
+    healthy="0.85 to 1, of the length that is wrong",
+    faulty="0.46 (a bar 2 % off, the next best length)",
+    evidence="tests/acceptance/test_faults.py, tests/estimation/test_geometry.py (a forearm 1.4 % off)",
 )
 GEOMETRY_SHARE = Threshold(
     0.5,
     "share of the variance of the pose residuals that a length or an encoder zero explains, of what is left",
-    "0.02 (UPV, the controller's pose), 0.29 (its tracker), 0.28 (its tracker taken for the controller's frame)",
-    "0.82 to 0.99999 (UPV, one radius or three 26 mm off), above 0.9 (simulated, 1 % off)",
-    "tests/estimation/test_geometry.py",
+    healthy="0.02 (UPV, the controller's pose), 0.29 (its tracker), 0.28 (its tracker taken for the controller's "
+    "frame)",
+    faulty="0.82 to 0.99999 (UPV, one radius or three 26 mm off), above 0.9 (simulated, 1 % off)",
+    evidence="tests/estimation/test_geometry.py",
 )
 GEOMETRY_STD = Threshold(
     6.0,
     "change of a length or zero that explains the pose, in standard deviations",
-    "up to 9 where the share is small (UPV, tracker)",
-    "24 to 30,000 (UPV, 26 mm off)",
-    "tests/estimation/test_geometry.py; the share decides where systematic residuals of a tracker are certain",
+    healthy="up to 9 where the share is small (UPV, tracker)",
+    faulty="24 to 30,000 (UPV, 26 mm off)",
+    evidence="tests/estimation/test_geometry.py; the share decides where systematic residuals of a tracker are certain",
 )
 GEOMETRY_CHANGE = Threshold(
     0.005,
     "that change, of the length, of the robot's mean length (zeros in m) or in rad",
-    "0.000003 (UPV, the controller's pose)",
-    "0.01 (simulated), 0.08 (UPV, 26 mm off)",
-    "a choice: what is less is not worth another robot file",
+    healthy="0.000003 (UPV, the controller's pose)",
+    faulty="0.01 (simulated), 0.08 (UPV, 26 mm off)",
+    evidence="a choice: what is less is not worth another robot file",
 )
 GEOMETRY_RMS = Threshold(
     0.01,
     "distance between logged and computed positions, rms, of the robot's mean length, above which a pose that no "
     "length explains does not confirm the geometry",
-    "0.000002 (UPV, the controller's pose), 0.003 (its tracker)",
-    "0.02 (UPV, its tracker taken for the controller's frame)",
-    "UPV",
+    healthy="0.000002 (UPV, the controller's pose), 0.003 (its tracker)",
+    faulty="0.02 (UPV, its tracker taken for the controller's frame)",
+    evidence="UPV",
 )
 GEOMETRY_LIKELY = Threshold(
     0.5,
     "share that a constant explains to first order, over GEOMETRY_SHARE, from which it is fitted for good",
-    NONE,
-    "a fit explains at most 1.09 times what the first order says, where it is more than GEOMETRY_SHARE",
-    "tests/estimation/test_geometry.py, UPV",
+    faulty="a fit explains at most 1.09 times what the first order says, where it is more than GEOMETRY_SHARE",
+    evidence="tests/estimation/test_geometry.py, UPV",
 )
 GEOMETRY_ALIKE = Threshold(
     1.5,
     "squares of the residuals that another constant leaves, over those that the best leaves: with less it is as likely",
-    "1.02 (a length and a zero that act alike), 1.2 (a tracker taken for the controller's frame)",
-    "3 (UPV, tracker), 43 and more elsewhere",
-    "tests/estimation/test_geometry.py, UPV",
+    healthy="1.02 (a length and a zero that act alike), 1.2 (a tracker taken for the controller's frame)",
+    faulty="3 (UPV, tracker), 43 and more elsewhere",
+    evidence="tests/estimation/test_geometry.py, UPV",
 )
 GEOMETRY_FREE = Threshold(
     1e-3,
     "rms effect of a constant on the pose that frames and other free constants leave, over its effect",
-    "0.011 and more, of constants that have an effect of their own",
-    "0.00015 and less, of constants that have none",
-    "tests/estimation/test_geometry.py, UPV",
+    healthy="0.011 and more, of constants that have an effect of their own",
+    faulty="0.00015 and less, of constants that have none",
+    evidence="tests/estimation/test_geometry.py, UPV",
 )
 POSE_DELAY_STD = Threshold(
     0.02,
     "standard deviation of the delay of a pose, s, above which it is not shown",
-    NONE,
-    NONE,
-    "a choice: two samples of a camera at 100 Hz",
+    evidence="a choice: two samples of a camera at 100 Hz",
 )
 
 
@@ -247,73 +251,72 @@ POSE_DELAY_STD = Threshold(
 ALIKE = Threshold(
     0.05,
     "probability that the torque scales of joints which share one differ by as much",
-    "0.4 to 0.9 (five-bar with a mass 25 % off)",
-    "below 1e-4 (AIRBOT Play: 1.5 beside 0.83)",
-    "tests/estimation/test_torque_scale.py",
+    healthy="0.4 to 0.9 (five-bar with a mass 25 % off)",
+    faulty="below 1e-4 (AIRBOT Play: 1.5 beside 0.83)",
+    evidence="tests/estimation/test_torque_scale.py",
 )
 GRAVITY_FELT = Threshold(
     0.06,
     "torque of gravity over the whole, rms, of the joint that feels it most, below which none is tried",
-    "0.04 (Orthoglide), 0.05 (delta, simulated), 0.08 and more (all other logs and robots)",
-    "0.001 to 0.035 (logs made without gravity)",
-    "zoo, benchmarks/effort.py; it decides on a second of work, not on an outcome",
+    healthy="0.04 (Orthoglide), 0.05 (delta, simulated), 0.08 and more (all other logs and robots)",
+    faulty="0.001 to 0.035 (logs made without gravity)",
+    evidence="zoo, benchmarks/effort.py; it decides on a second of work, not on an outcome",
 )
 UNFELT = Threshold(
-    1e-6, "the same, below which no motion of the robot changes what gravity asks of it", "0 (SCARA)", NONE, "rounding"
+    1e-6,
+    "the same, below which no motion of the robot changes what gravity asks of it",
+    healthy="0 (SCARA)",
+    evidence="rounding",
 )
 NO_GRAVITY = Threshold(
     0.8,
     "residual variance without gravity over that with it, geometric mean of the joints, from which torques have none",
-    "2.2 and more (zoo), 400 and more (arm, UR10e, five-bar, delta, simulated)",
-    "0.01 to 0.6 (arm, UR10e, delta); 1.0 (five-bar, whose parameters adapt)",
-    "zoo, benchmarks/effort.py",
+    healthy="2.2 and more (zoo), 400 and more (arm, UR10e, five-bar, delta, simulated)",
+    faulty="0.01 to 0.6 (arm, UR10e, delta); 1.0 (five-bar, whose parameters adapt)",
+    evidence="zoo, benchmarks/effort.py",
 )
 AS_WELL = Threshold(
     1.1,
     "the same, up to which torques show no gravity, if it could be compensated as well as balanced",
-    "2.2 and more",
-    "1.002 (five-bar)",
-    "zoo, benchmarks/effort.py",
+    healthy="2.2 and more",
+    faulty="1.002 (five-bar)",
+    evidence="zoo, benchmarks/effort.py",
 )
 FRICTIONLESS = Threshold(
     0.02,
     "friction over torque, rms, of the joint with most of it, below which torques are those of a model",
-    "0.66 and more (zoo, UPV), 0.2 (delta, simulated)",
-    "0.003 (target moments of a UR10e), 0.005 (simulated)",
-    "zoo, benchmarks/effort.py",
+    healthy="0.66 and more (zoo, UPV), 0.2 (delta, simulated)",
+    faulty="0.003 (target moments of a UR10e), 0.005 (simulated)",
+    evidence="zoo, benchmarks/effort.py",
 )
 MODEL_RESIDUAL = Threshold(
     0.02,
     "unexplained share of the joint with most of it, below which torques are those of a model",
-    "0.05 and more (zoo; 0.0024 simulated, with friction)",
-    "0.006 (target moments of a UR10e), 0.01 (simulated)",
-    "zoo, benchmarks/effort.py",
+    healthy="0.05 and more (zoo; 0.0024 simulated, with friction)",
+    faulty="0.006 (target moments of a UR10e), 0.01 (simulated)",
+    evidence="zoo, benchmarks/effort.py",
 )
 GEARED = Threshold(
     5.0,
     "least torque scale of the joints, from which torques are those of motors before their gears",
-    "up to 4 (constants of firmware: Piper)",
-    "83 (Rokae xMate 3 Pro), 6 (the smallest gears of such arms)",
-    "zoo; threads of users",
+    healthy="up to 4 (constants of firmware: Piper)",
+    faulty="83 (Rokae xMate 3 Pro), 6 (the smallest gears of such arms)",
+    evidence="zoo; threads of users",
 )
 LIMIT_SHARE = Threshold(
     0.02,
     "largest torque over its limit of effort, of the joint that comes nearest, below which torques are those of motors",
-    "0.27 (KUKA LBR Med 7), 0.33 (UPV), 1.2 (xMate 7 Pro)",
-    "0.003 to 0.012 (the same before gears of 100:1)",
-    "zoo",
+    healthy="0.27 (KUKA LBR Med 7), 0.33 (UPV), 1.2 (xMate 7 Pro)",
+    faulty="0.003 to 0.012 (the same before gears of 100:1)",
+    evidence="zoo",
 )
 STEPS = Threshold(
-    3.0,
-    "largest whole number of commands that are all whole, from which they are shares or counts",
-    NONE,
-    NONE,
-    "a level",
+    3.0, "largest whole number of commands that are all whole, from which they are shares or counts", evidence="a level"
 )
 WHOLE = Threshold(
     0.9,
     "share of commands that are whole numbers, from which all were",
-    "0 (zoo); 0.5 (steps of 0.5 N m)",
-    "0.995 and more (per cent of the rated torque, stale samples interpolated)",
-    "zoo, benchmarks/effort.py",
+    healthy="0 (zoo); 0.5 (steps of 0.5 N m)",
+    faulty="0.995 and more (per cent of the rated torque, stale samples interpolated)",
+    evidence="zoo, benchmarks/effort.py",
 )

@@ -23,7 +23,7 @@ from gtau.estimation.diagnostics.hypotheses.hypothesis import (
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, at_full_rate
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.plausibility import stated_rate
-from gtau.estimation.thresholds import NONE, Threshold
+from gtau.estimation.thresholds import Threshold
 from gtau.signals.preparation import InMemoryRun
 
 DEGREE, MILLIMETRE = np.pi / 180, 1e-3
@@ -32,7 +32,7 @@ STEP = 0.1  # of the unit: the torques' change is linear over this
 ZERO = Cause(
     "encoder zero",
     ("an error in the zero of encoder '{joint}'", "compare the encoder zeros with the robot's zero position"),
-    Threshold(0.5, "error of an encoder's zero, degrees or mm", NONE, NONE, "experience"),
+    Threshold(0.5, "error of an encoder's zero, degrees or mm", evidence="experience"),
 )
 
 
@@ -121,7 +121,7 @@ def _clock(values: Values) -> Sentence:
 TILT = Cause(
     "gravity tilt",
     _of_gravity("gravity tilted towards ({towards[0]:.2g}, {towards[1]:.2g}, {towards[2]:.2g})"),
-    Threshold(1.0, "tilt of the base, degrees", NONE, NONE, "experience"),
+    Threshold(1.0, "tilt of the base, degrees", evidence="experience"),
 )
 STRENGTH = Cause(
     "gravity strength",
@@ -129,9 +129,8 @@ STRENGTH = Cause(
     Threshold(
         0.2,
         "difference of local gravity from the standard, per cent",
-        "0.26 at most on Earth",
-        NONE,
-        "latitude and height",
+        healthy="0.26 at most on Earth",
+        evidence="latitude and height",
     ),
 )
 OTHER_GRAVITY = Cause("gravity", _other_gravity)
@@ -139,16 +138,14 @@ CLOCK = Cause("clock", _clock)
 CLOCK_SIZE = Threshold(
     0.9,
     "part of what another gravity explains that another strength of it explains alone: the clock is wrong",
-    NONE,
-    "0.97 (UR10e at 95 Hz read as 125)",
-    "UR10e logs with another rate declared",
+    faulty="0.97 (UR10e at 95 Hz read as 125)",
+    evidence="UR10e logs with another rate declared",
 )
 CLOCK_REVERSED = Threshold(
     -0.9,
     "factor of gravity, below which it is rather reversed than of another strength",
-    NONE,
-    "-1 (upside down)",
-    "faults",
+    faulty="-1 (upside down)",
+    evidence="faults",
 )
 
 

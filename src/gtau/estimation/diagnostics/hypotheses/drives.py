@@ -31,7 +31,7 @@ from gtau.estimation.diagnostics.linearisation import CandidateColumns, at_full_
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.friction import transmitted
 from gtau.estimation.regression.rows import Rows
-from gtau.estimation.thresholds import NONE, Threshold
+from gtau.estimation.thresholds import Threshold
 from gtau.robots.parameter import Parameter
 from gtau.signals.filters import differentiate
 from gtau.signals.preparation import InMemoryRun
@@ -40,19 +40,21 @@ OTHER_FRICTION = "add runs at other speeds, or with other loads, to separate it 
 CUBIC_FRICTION = Cause(
     "cubic friction",
     ("cubic friction of '{joint}'", OTHER_FRICTION),
-    Threshold(0.2, "cubic friction at three times the rms speed, of the friction", NONE, NONE, "experience"),
+    Threshold(0.2, "cubic friction at three times the rms speed, of the friction", evidence="experience"),
 )
 LOAD_FRICTION = Cause(
     "load-dependent friction",
     ("load-dependent friction of '{joint}'", OTHER_FRICTION),
-    Threshold(0.05, "friction coefficient of the load", "0.02 to 0.1 in strain-wave gears", NONE, "UR10e pairs"),
+    Threshold(
+        0.05, "friction coefficient of the load", healthy="0.02 to 0.1 in strain-wave gears", evidence="UR10e pairs"
+    ),
 )
 STRIBECK_FRICTION = Cause(
     "Stribeck friction",
     ("Stribeck friction of '{joint}'", OTHER_FRICTION),
-    Threshold(0.3, "Stribeck friction at rest, of the friction", NONE, NONE, "experience"),
+    Threshold(0.3, "Stribeck friction at rest, of the friction", evidence="experience"),
 )
-STRIBECK_SPEED = Threshold(0.1, "Stribeck speed, in rms speeds", NONE, NONE, "experience")
+STRIBECK_SPEED = Threshold(0.1, "Stribeck speed, in rms speeds", evidence="experience")
 
 
 def _friction_shape(fit: Fit) -> Candidates:
@@ -90,7 +92,7 @@ FRICTION_SHAPE = Hypothesis(
 )
 
 DRIFTING_FRICTION = "let the robot warm up before the runs, or split long runs"
-FRICTION_CHANGE = Threshold(0.1, "relative change of friction along a run", NONE, NONE, "experience")
+FRICTION_CHANGE = Threshold(0.1, "relative change of friction along a run", evidence="experience")
 VISCOUS_DRIFT = Cause(
     "drifting viscous friction",
     ("viscous friction of '{joint}' changing along the runs", DRIFTING_FRICTION),
@@ -149,9 +151,8 @@ FALLING_CONSTANT = Cause(
     Threshold(
         0.03,
         "relative fall of a torque constant up to twice the rms current",
-        "0 to 0.05",
-        NONE,
-        "data sheets of servo motors",
+        healthy="0 to 0.05",
+        evidence="data sheets of servo motors",
     ),
 )
 
@@ -184,9 +185,8 @@ DRIFTING_CONSTANT = Cause(
     Threshold(
         0.005,
         "relative change of a torque constant along a run",
-        "0.001 a kelvin of the magnets",
-        NONE,
-        "data sheets of servo motors",
+        healthy="0.001 a kelvin of the magnets",
+        evidence="data sheets of servo motors",
     ),
 )
 
@@ -218,9 +218,8 @@ FILTER_OR_ELASTICITY = Cause(
     Threshold(
         1e-4,
         "coefficient of the torque's second derivative, s2",
-        "elastic at 16 Hz, or a filter of 14 ms",
-        NONE,
-        "experience",
+        healthy="elastic at 16 Hz, or a filter of 14 ms",
+        evidence="experience",
     ),
 )
 

@@ -15,7 +15,7 @@ from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Cause,
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, at_full_rate
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.rows import external_torques
-from gtau.estimation.thresholds import NONE, Threshold
+from gtau.estimation.thresholds import Threshold
 from gtau.robots.floating import WRENCH
 from gtau.signals.preparation import InMemoryRun
 
@@ -41,9 +41,9 @@ OFFSET = Cause(
     Threshold(
         0.01,
         "offset of a measured wrench, of the rms of its force or moment",
-        "0.1 to 1 % of the range of a tared six-axis sensor",
-        "17 % (5 N on a flange that carries 30 N, not tared)",
-        "experience; tests/estimation/test_wrench_errors.py",
+        healthy="0.1 to 1 % of the range of a tared six-axis sensor",
+        faulty="17 % (5 N on a flange that carries 30 N, not tared)",
+        evidence="experience; tests/estimation/test_wrench_errors.py",
     ),
 )
 
@@ -94,7 +94,10 @@ POINT = Cause(
     "wrench point",
     _point,
     Threshold(
-        2.0, "error of the point about which a wrench is stated, mm", NONE, "20 (a plate, a flange)", "experience"
+        2.0,
+        "error of the point about which a wrench is stated, mm",
+        faulty="20 (a plate, a flange)",
+        evidence="experience",
     ),
 )
 
