@@ -20,13 +20,24 @@ LONGEST = 300_000  # samples of a run that are predicted; of a longer one its be
 
 @dataclass(frozen=True, eq=False)
 class RunEvidence:
-    """A run and its prediction; ``refusal`` says why there is none.
+    """A run and its prediction.
 
-    ``errors`` are those of every sample, ``prediction`` holds one of the decimation factor,
-    ``samples`` all of them where they are wanted.
-
-    ``used`` says whether the model was identified from it, ``cut`` whether it is longer than what is shown, and
-    ``notes`` what the prediction takes for granted.
+    Attributes
+    ----------
+    run : Run
+        The run.
+    used : bool
+        Whether the model was identified from it.
+    prediction, samples : Prediction, optional
+        Its prediction at one sample in ``factor``, that of the decimation, and at every sample where that is wanted.
+    errors : tuple of TorqueError
+        Of every joint, over every sample.
+    refusal : str
+        Why there is no prediction.
+    cut : bool
+        Whether the run is longer than what is shown.
+    notes : tuple of str
+        What the prediction assumes.
     """
 
     run: Run
@@ -46,7 +57,7 @@ class RunEvidence:
 
     @property
     def residuals(self) -> np.ndarray:
-        """Measured less predicted torques (K, n), NaN where they are masked."""
+        """Measured minus predicted torques (K, n), NaN where they are masked (:class:`Prediction`, ``keep``)."""
         assert self.prediction is not None
         rest = self.prediction.measured - self.prediction.predicted
         return np.where(self.prediction.keep, rest, np.nan)
@@ -135,6 +146,6 @@ def settings_of(result: IdentifiedModel) -> dict[str, str]:
     }
 
 
-def largest(errors: Sequence[TorqueError]) -> TorqueError | None:
-    """Find the largest torque error, relative to its signal."""
+def worst_joint(errors: Sequence[TorqueError]) -> TorqueError | None:
+    """Find the torque error with the largest rms relative to the rms torque of its joint."""
     return max(errors, key=lambda each: each.relative, default=None)

@@ -14,7 +14,7 @@ from gtau.estimation.results.conclusions import VISIBLE, findings, headline, rem
 from gtau.estimation.results.estimate import Requirement
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.result import Result
-from gtau.report.evidence import RunEvidence, largest, preparation_words
+from gtau.report.evidence import RunEvidence, preparation_words, worst_joint
 from gtau.report.findings import findings_section, same_in_several
 from gtau.report.gains import GOOD_OUTCOMES, gains_section, masses_table, payloads_section, unknown_payloads
 from gtau.report.geometry import geometry_section
@@ -142,12 +142,12 @@ def counts(result: IdentifiedModel) -> str:
 
 
 def _worst_errors(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> dict[str, str]:
-    """Find the largest torque residual of the fit, the largest torque error of a validation run, and the least R²."""
+    """List the largest rms torque residual of the fit and error of a validation run, and the smallest R²."""
     found = {}
-    if worst := largest(result.residuals):
+    if worst := worst_joint(result.residuals):
         more = "" if worst.relative_all is None else f", {worst.relative_all:.2f} % over all samples"
         found["largest torque residual of the rows used"] = f"{worst.relative:.2f} %{more} ({worst.joint})"
-    if worst := largest([error for run in runs if not run.used for error in run.errors]):
+    if worst := worst_joint([error for run in runs if not run.used for error in run.errors]):
         more = "" if worst.relative_all is None else f", {worst.relative_all:.2f} % with reversals"
         found["largest torque error of a validation run"] = f"{worst.relative:.2f} %{more} ({worst.joint})"
     if shares := determination([run for run in runs if run.used]):
@@ -175,7 +175,7 @@ def _settings(result: IdentifiedModel) -> Facts:
 
 
 def _fit_words(result: IdentifiedModel) -> list[Item]:
-    worst = largest(result.residuals)
+    worst = worst_joint(result.residuals)
     if worst is None:
         return []
     best = min(each.relative for each in result.residuals)

@@ -50,8 +50,8 @@ def fit_table(residuals: Sequence[TorqueError], title: str) -> Table:
     return table((*columns, Column("unit, rms")), [_error_cells(each, every) for each in residuals])
 
 
-def largest_errors_table(runs: Sequence[RunEvidence]) -> Table:
-    """Tabulate largest torque error and R² of each joint on the runs used, and on those kept for validation."""
+def worst_errors_table(runs: Sequence[RunEvidence]) -> Table:
+    """Tabulate the largest rms torque error and R² of each joint on the runs used, and on those kept for validation."""
     groups = [
         (words, [each for each in runs if each.used == used and each.errors])
         for words, used in (("runs used", True), ("validation", False))
@@ -114,7 +114,7 @@ def torques_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Sec
     )
     every = section("Torque errors of every run", errors_table(runs), Text(REVERSALS, style="soft"), folded=True)
     return section(
-        "Torques", Text(words), largest_errors_table(runs), Text(each_run, style="soft"), every, *parts, id="torques"
+        "Torques", Text(words), worst_errors_table(runs), Text(each_run, style="soft"), every, *parts, id="torques"
     )
 
 

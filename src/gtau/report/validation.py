@@ -12,7 +12,7 @@ from gtau.estimation.results.model_document import torque_error
 from gtau.estimation.results.payload import PayloadBody, PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.report.check import unique_names
-from gtau.report.evidence import RunEvidence, largest, worst_stretch
+from gtau.report.evidence import RunEvidence, worst_joint, worst_stretch
 from gtau.report.gains import gains_section, masses_section, payloads_section
 from gtau.report.logs import logs_section, seconds
 from gtau.report.motion import motion_section
@@ -73,7 +73,7 @@ def validation_report(
 def headline(runs: Sequence[RunEvidence]) -> str:
     """Summarise the torque errors over all runs in one sentence."""
     errors = [error for run in runs for error in run.errors]
-    worst = largest(errors)
+    worst = worst_joint(errors)
     if worst is None:
         return "No joint moves in these runs, so there is no torque error."
     words = (

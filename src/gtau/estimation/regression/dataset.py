@@ -115,7 +115,7 @@ class Dataset:
     ) -> Dataset:
         """Reduce the same runs with the torques of ``loads`` (one a run) in load-dependent friction.
 
-        ``weigh`` (one a run) gives the rows weights; see :func:`reduce_run`. The motions are those of ``along``, if
+        ``weigh`` (one a run) reweights the rows; see :func:`reduce_run`. The motions are those of ``along``, if
         given, but distances to singularities stay those of the measured ones.
         """
         factors: list[Factors] = []

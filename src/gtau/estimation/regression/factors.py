@@ -120,9 +120,9 @@ def reduce_run(
 ) -> Factors:
     """Reduce a prepared run to its triangular factors over the standard ``columns``; see :func:`stream_rows`.
 
-    With ``weigh`` of rows with Huber's weights: coefficients (c, p), by which rows make residuals, and limits (c,),
-    above which they count in inverse proportion. In blocks of ``fast`` samples. ``progress`` gets the samples done at
-    each stretch.
+    With ``weigh``, coefficients (c, p) and limits (c,), rows have the weights ``min(1, limit / |residual|)`` in the sum
+    of squares; the product of a row and the coefficients of its channel is its residual. The run is streamed in blocks
+    of ``fast`` samples. ``progress`` gets the samples done at each stretch.
     ``edges`` (STRETCHES + 1,) of the stretches are shares of its samples, those of :func:`stretch_edges` if left out.
 
     Raises

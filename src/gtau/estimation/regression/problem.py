@@ -4,7 +4,8 @@ Row block (u, j) holds the equations of channel j in unit u, a stretch of one ru
 :mod:`gtau.estimation.regression.equations`: those of the model act on the unknown parameters ``theta`` (base
 parameters, then what every other effect adds), ``known`` is ``W_kl chi_kl`` minus the torques of measured wrenches, and
 v is a current reference, or the torque of a channel with the gain 1. The rows may be those of the decimated system, or
-their triangular factor: all estimators depend on them only through ``A^T A`` and give the same for both.
+their triangular factor: within one solve, all estimators depend on them only through ``A^T A`` and give the same for
+both. An estimator that reweights rows streams the logs again (``Dataset.reduced``).
 """
 
 from __future__ import annotations

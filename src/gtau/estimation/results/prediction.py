@@ -36,7 +36,7 @@ class Prediction:
 
     ``friction`` (N, n) is the part of what is predicted that friction and offsets take.
 
-    All are behind the low-pass of identification, whose rows are one sample of ``factor``. ``keep`` (N, n) is False
+    All are behind the low-pass of identification, whose rows are one sample in ``factor``. ``keep`` (N, n) is False
     near a joint's reversals and rests, which identification of gains and inertia leaves out, and near gaps; ``valid``
     (N, n) is False near gaps and repaired samples, and at the ends of the log up to where the motion begins.
     """
@@ -52,7 +52,7 @@ class Prediction:
 
     @property
     def rows(self) -> Prediction:
-        """One sample of ``factor``, whose residuals are as independent as the low-pass lets them be."""
+        """One sample in ``factor``, whose residuals are as independent as the low-pass lets them be."""
         return replace(self.part(slice(self.factor // 2, None, self.factor)), factor=1)
 
     def part(self, samples: slice | np.ndarray) -> Prediction:
