@@ -90,6 +90,7 @@ def test_an_encoder_zero_has_its_size(runs: list[Run]) -> None:
 def test_clean_logs_support_no_alternative(runs: list[Run]) -> None:
     alternatives = compete(find_alternatives(fit_of(runs)))
     assert alternatives
+    assert all(each.unit for each in alternatives)
     assert max(each.share for each in alternatives) < 0.02
     assert all(np.isfinite(each.slopes).all() for each in alternatives)
 
@@ -106,8 +107,11 @@ def under_another_name(hypothesis: Hypothesis) -> Hypothesis:
             columns = made.offer(window, values)
             return lambda rows: 3.0 * columns(rows)
 
-        causes = [replace(each, subject="another") for each in made.causes]
-        return Candidates(causes, made.units, made.plausible / 3.0, offer, made.describe)
+        other = [
+            replace(each, finding=replace(each.finding, subject="another"), plausible=each.plausible / 3.0)
+            for each in made.columns
+        ]
+        return Candidates(other, offer, made.describe)
 
     return replace(hypothesis, name=f"another {hypothesis.name}", candidates=candidates)
 

@@ -157,7 +157,7 @@ def find_alternatives(
     offers = [on_channels(candidates.offer, hypothesis.shared) for hypothesis, candidates in tried]
     linear, known = linearise(fit, side_by_side(offers), windows), known_rows(fit, windows)
     found: list[Alternative] = []
-    ends = np.cumsum([0, *(len(candidates.causes) for _, candidates in tried)])
+    ends = np.cumsum([0, *(len(candidates.columns) for _, candidates in tried)])
     columns = [slice(*pair) for pair in pairwise(ends.tolist())]
     shared = [hypothesis.shared for hypothesis, _ in tried]
     tests = score_tests(
@@ -188,19 +188,19 @@ def _alternatives(
     T = to_gains(fit.solution.iterate, problem.n_theta, fit.free_gains)
     gains = problem.gain_rows
     found: list[Tried] = []
-    for m, (cause, unit) in enumerate(zip(candidates.causes, candidates.units, strict=True)):
+    for m, column in enumerate(candidates.columns):
         for j in range(1 if hypothesis.shared else len(joints)):
             if not (hypothesis.shared or problem.free[j]):
                 continue  # a base that floats has no current and no friction
             slopes = T @ tests.slopes[m, j]
             size, std = float(tests.size[m, j]), float(tests.std[m, j])
-            plausible = float(candidates.plausible[m, j])
+            plausible, cause = float(column.plausible), column.finding
             alternative = Alternative(
                 hypothesis.name,
                 (cause if hypothesis.shared else replace(cause, joints=(joints[j],)),),
                 size,
                 std,
-                unit,
+                column.unit,
                 plausible,
                 ("all", hypothesis.name, str(m)) if hypothesis.shared else (joints[j],),
                 *support(size, std, plausible),

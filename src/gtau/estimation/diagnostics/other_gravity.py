@@ -133,7 +133,7 @@ def _freely(fit: Fit, start: Fit, windows: Sequence[tuple[int, InMemoryRun]]) ->
         tilt = DEGREE * least_squares_step(wide, np.concatenate([e, errors]))[-2:]
         gravity = np.array(at.dataset.robot.gravity)
         size = float(np.linalg.norm(gravity))
-        turned = gravity + size * tilt @ [each.values["towards"] for each in candidates.causes[:2]]
+        turned = gravity + size * tilt @ [each.finding.values["towards"] for each in candidates.columns[:2]]
         if not np.isfinite(turned).all() or np.allclose(turned, gravity, rtol=0, atol=1e-4 * size):
             return
         at = fitted(fit, at.dataset, size * turned / np.linalg.norm(turned))

@@ -45,7 +45,7 @@ class Threshold(float):
         made.statistic, made.healthy, made.faulty, made.evidence = statistic, healthy, faulty, evidence
         return made
 
-    def __getnewargs_ex__(self) -> tuple[tuple[float, str], dict[str, str]]:  # type: ignore[override]
+    def __getnewargs_ex__(self) -> tuple[tuple[float, str], dict[str, str]]:
         """Return the arguments with which copy and pickle rebuild the threshold."""
         more = {"healthy": self.healthy, "faulty": self.faulty, "evidence": self.evidence}
         return (float(self), self.statistic), more

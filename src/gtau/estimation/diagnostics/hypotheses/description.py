@@ -7,6 +7,7 @@ strength of gravity are candidate columns.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from math import asin, atan2, hypot
 
 import numpy as np
@@ -14,6 +15,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.finding import Finding, Sentence, Values, which_payload
 from gtau.estimation.diagnostics.hypotheses.hypothesis import (
+    Candidate,
     Candidates,
     Cause,
     Hypothesis,
@@ -57,9 +59,10 @@ def _encoder_zeros(fit: Fit) -> Candidates:
         return at_full_rate(window, dataset, columns)
 
     return Candidates(
-        [Finding(ZERO.kind, (joint,)) for joint in model.actuated],
-        tuple("deg" if turn else "mm" for turn in turns),
-        np.full((n, 1), ZERO.plausible),
+        [
+            Candidate(Finding(ZERO.kind, (joint,)), "deg" if turn else "mm", ZERO.plausible)
+            for joint, turn in zip(model.actuated, turns, strict=True)
+        ],
         offer,
     )
 
@@ -122,6 +125,7 @@ TILT = Cause(
     "gravity tilt",
     _of_gravity("gravity tilted towards ({towards[0]:.2g}, {towards[1]:.2g}, {towards[2]:.2g})"),
     Threshold(1.0, "tilt of the base, degrees", evidence="experience"),
+    unit="deg",
 )
 STRENGTH = Cause(
     "gravity strength",
@@ -132,6 +136,7 @@ STRENGTH = Cause(
         healthy="0.26 at most on Earth",
         evidence="latitude and height",
     ),
+    unit="%",
 )
 OTHER_GRAVITY = Cause("gravity", _other_gravity)
 CLOCK = Cause("clock", _clock)
@@ -165,8 +170,7 @@ def _gravity(fit: Fit) -> Candidates | None:
         entries = regressor(model.layout, window_motion(model, window), values)
         return at_full_rate(window, dataset, np.stack([regressor.torques(entries, each, n) for each in changes]))
 
-    tilts = [Finding(TILT.kind, values={"towards": tilt.tolist()}) for tilt in Vt[1:]]
-    plausible = np.array([[TILT.plausible], [TILT.plausible], [STRENGTH.plausible]])
+    tilts = [replace(TILT.candidate, finding=Finding(TILT.kind, values={"towards": t.tolist()})) for t in Vt[1:]]
 
     def describe(sizes: np.ndarray, shares: np.ndarray) -> Finding:
         factor = 1 + sizes[-1] / 100
@@ -176,7 +180,7 @@ def _gravity(fit: Fit) -> Candidates | None:
             return Finding(CLOCK.kind, values={"factor": float(factor), "rate": stated_rate(dataset.runs[0])})
         return Finding(OTHER_GRAVITY.kind, values={"gravity": (gravity + sizes @ np.array(changes)).tolist()})
 
-    return Candidates([*tilts, Finding(STRENGTH.kind)], ("deg", "deg", "%"), plausible, offer, describe)
+    return Candidates([*tilts, STRENGTH.candidate], offer, describe)
 
 
 GRAVITY = Hypothesis("gravity", True, _gravity, (TILT, STRENGTH, OTHER_GRAVITY, CLOCK), description=True)

@@ -17,17 +17,18 @@ from collections.abc import Callable
 
 import numpy as np
 
-from gtau.estimation.diagnostics.finding import RELATIVE, Finding
+from gtau.estimation.diagnostics.finding import RELATIVE
 from gtau.estimation.diagnostics.hypotheses.hypothesis import (
     Candidates,
     Cause,
     Hypothesis,
     friction_levels,
+    joint_by_joint,
     rms_speeds,
     rms_torques,
     window_motion,
 )
-from gtau.estimation.diagnostics.linearisation import CandidateColumns, at_full_rate
+from gtau.estimation.diagnostics.linearisation import CandidateColumns
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.friction import transmitted
 from gtau.estimation.regression.rows import Rows
@@ -41,6 +42,7 @@ CUBIC_FRICTION = Cause(
     "cubic friction",
     ("cubic friction of '{joint}'", OTHER_FRICTION),
     Threshold(0.2, "cubic friction at three times the rms speed, of the friction", evidence="experience"),
+    unit="of its friction",
 )
 LOAD_FRICTION = Cause(
     "load-dependent friction",
@@ -48,11 +50,13 @@ LOAD_FRICTION = Cause(
     Threshold(
         0.05, "friction coefficient of the load", healthy="0.02 to 0.1 in strain-wave gears", evidence="UR10e pairs"
     ),
+    unit="of its load",
 )
 STRIBECK_FRICTION = Cause(
     "Stribeck friction",
     ("Stribeck friction of '{joint}'", OTHER_FRICTION),
     Threshold(0.3, "Stribeck friction at rest, of the friction", evidence="experience"),
+    unit="of its friction",
 )
 STRIBECK_SPEED = Threshold(0.1, "Stribeck speed, in rms speeds", evidence="experience")
 
@@ -69,22 +73,16 @@ def _friction_shape(fit: Fit) -> Candidates:
         for term in ("f3", "fl")
     }
 
-    def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
+    def columns(window: InMemoryRun, values: np.ndarray) -> dict[Cause, np.ndarray]:
         of = window.samples()
         ratio, sign = of.qd / np.where(speeds > 0, speeds, 1.0), np.sign(of.qd)
         cubic = level * ratio**3 / 3 * absent["f3"]
         torques = regressor.torques_along(model.layout, window_motion(model, window), values * acting)
         load = np.abs(torques.T) * sign * absent["fl"]
         stribeck = level * np.exp(-np.abs(ratio) / STRIBECK_SPEED) * sign
-        return at_full_rate(window, fit.dataset, np.stack([cubic.T, load.T, stribeck.T]))
+        return {CUBIC_FRICTION: cubic.T, LOAD_FRICTION: load.T, STRIBECK_FRICTION: stribeck.T}
 
-    causes = FRICTION_SHAPE.causes
-    return Candidates(
-        [Finding(each.kind) for each in causes],
-        ("of its friction", "of its load", "of its friction"),
-        np.repeat([[each.plausible] for each in causes], len(joints), axis=1),
-        offer,
-    )
+    return joint_by_joint(fit, FRICTION_SHAPE.causes, columns)
 
 
 FRICTION_SHAPE = Hypothesis(
@@ -97,11 +95,13 @@ VISCOUS_DRIFT = Cause(
     "drifting viscous friction",
     ("viscous friction of '{joint}' changing along the runs", DRIFTING_FRICTION),
     FRICTION_CHANGE,
+    unit=RELATIVE,
 )
 COULOMB_DRIFT = Cause(
     "drifting Coulomb friction",
     ("Coulomb friction of '{joint}' changing along the runs", DRIFTING_FRICTION),
     FRICTION_CHANGE,
+    unit=RELATIVE,
 )
 
 
@@ -114,17 +114,12 @@ def _friction_drift(fit: Fit) -> Candidates:
     )
     along = _along_runs(fit)
 
-    def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
+    def columns(window: InMemoryRun, values: np.ndarray) -> dict[Cause, np.ndarray]:
         of = window.samples()
-        friction = np.stack([fv * of.qd, fs * np.sign(of.qd)]) * along(window, of.time)[:, None]
-        return at_full_rate(window, fit.dataset, friction.swapaxes(1, 2))
+        change = along(window, of.time)
+        return {VISCOUS_DRIFT: (fv * of.qd).T * change, COULOMB_DRIFT: (fs * np.sign(of.qd)).T * change}
 
-    return Candidates(
-        [Finding(VISCOUS_DRIFT.kind), Finding(COULOMB_DRIFT.kind)],
-        (RELATIVE, RELATIVE),
-        np.full((2, len(joints)), FRICTION_CHANGE),
-        offer,
-    )
+    return joint_by_joint(fit, FRICTION_DRIFT.causes, columns)
 
 
 def _along_runs(fit: Fit) -> Callable[[InMemoryRun, np.ndarray], np.ndarray]:
@@ -154,6 +149,7 @@ FALLING_CONSTANT = Cause(
         healthy="0 to 0.05",
         evidence="data sheets of servo motors",
     ),
+    unit=f"{RELATIVE} up to {LARGE:g} times the rms current",
 )
 
 
@@ -169,12 +165,7 @@ def _saturation(fit: Fit) -> Candidates:
 
         return columns
 
-    return Candidates(
-        [Finding(FALLING_CONSTANT.kind)],
-        (f"{RELATIVE} up to {LARGE:g} times the rms current",),
-        np.full((1, n), FALLING_CONSTANT.plausible),
-        offer,
-    )
+    return Candidates([FALLING_CONSTANT.candidate], offer)
 
 
 SATURATION = Hypothesis("saturation", False, _saturation, (FALLING_CONSTANT,))
@@ -188,6 +179,7 @@ DRIFTING_CONSTANT = Cause(
         healthy="0.001 a kelvin of the magnets",
         evidence="data sheets of servo motors",
     ),
+    unit=RELATIVE,
 )
 
 
@@ -199,12 +191,7 @@ def _gain_drift(fit: Fit) -> Candidates:
     def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
         return lambda rows: (regressor.torques(rows.entries, values, n) * along(window, rows.time))[:, :, None]
 
-    return Candidates(
-        [Finding(DRIFTING_CONSTANT.kind)],
-        (RELATIVE,),
-        np.full((1, n), DRIFTING_CONSTANT.plausible),
-        offer,
-    )
+    return Candidates([DRIFTING_CONSTANT.candidate], offer)
 
 
 GAIN_DRIFT = Hypothesis("gain drift", False, _gain_drift, (DRIFTING_CONSTANT,), description=True)
@@ -221,25 +208,21 @@ FILTER_OR_ELASTICITY = Cause(
         healthy="elastic at 16 Hz, or a filter of 14 ms",
         evidence="experience",
     ),
+    unit="s2",
 )
 
 
 def _current_lag(fit: Fit) -> Candidates:
     """Add a low-pass filter of the current, or an elastic transmission: the torque's second derivative."""
-    model, n = fit.dataset.model, len(fit.gains)
+    model = fit.dataset.model
     regressor = model.columns(fit.dataset.base.standard)
 
-    def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
+    def columns(window: InMemoryRun, values: np.ndarray) -> dict[Cause, np.ndarray]:
         torques = regressor.torques_along(model.layout, window_motion(model, window), values)
         _, change = differentiate(torques.T, window.run.rate)
-        return at_full_rate(window, fit.dataset, change.T[None])
+        return {FILTER_OR_ELASTICITY: change.T}
 
-    return Candidates(
-        [Finding(FILTER_OR_ELASTICITY.kind)],
-        ("s2",),
-        np.full((1, n), FILTER_OR_ELASTICITY.plausible),
-        offer,
-    )
+    return joint_by_joint(fit, CURRENT_LAG.causes, columns)
 
 
 CURRENT_LAG = Hypothesis("current lag", False, _current_lag, (FILTER_OR_ELASTICITY,))

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from gtau.estimation.diagnostics.finding import Finding, Words
-from gtau.estimation.diagnostics.linearisation import Offer
+from gtau.estimation.diagnostics.linearisation import CandidateColumns, Offer, at_full_rate
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.rows import Labels, configurations
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -18,29 +18,41 @@ from gtau.robots.parameter import Parameter
 from gtau.signals.preparation import InMemoryRun
 
 
+@dataclass(frozen=True)
+class Candidate:
+    """A column of candidate torques.
+
+    Attributes
+    ----------
+    finding : Finding
+        What it is; one that is tried joint by joint is given its joint later.
+    unit : str
+        Of its size.
+    plausible : float
+        Standard deviation of the size that experience allows before the data.
+    """
+
+    finding: Finding
+    unit: str
+    plausible: float
+
+
 @dataclass(frozen=True, eq=False)
 class Candidates:
     """Candidate torques of a hypothesis.
 
     Attributes
     ----------
-    causes : sequence of Finding
-        What each of the m columns is; those that are tried joint by joint are given their joint later.
-    units : sequence of str
-        Of their sizes.
-    plausible : ndarray
-        Standard deviation of the size that experience allows before the data, (m, n), or (m, 1) of columns that act on
-        all joints.
+    columns : sequence of Candidate
+        What each of the m columns is.
     offer : callable
-        Makes the columns.
+        Makes them, in this order.
     describe : callable, optional
         Finds what sizes (m,) of all columns together mean, where they are to be tried together too; its second argument
         are the shares (m,) of what they explain together that each column explains alone.
     """
 
-    causes: Sequence[Finding]
-    units: Sequence[str]
-    plausible: np.ndarray
+    columns: Sequence[Candidate]
     offer: Offer
     describe: Callable[[np.ndarray, np.ndarray], Finding] | None = None
 
@@ -57,11 +69,19 @@ class Cause:
         Its name and advice.
     plausible : Threshold or float
         Standard deviation of the sizes that experience allows before the data; 0 where it is named, not tried.
+    unit : str
+        Of its size, where all its columns have the same.
     """
 
     kind: str
     words: Words
     plausible: float = 0.0
+    unit: str = ""
+
+    @property
+    def candidate(self) -> Candidate:
+        """Its column, tried joint by joint."""
+        return Candidate(Finding(self.kind), self.unit, self.plausible)
 
 
 @dataclass(frozen=True)
@@ -90,6 +110,18 @@ class Hypothesis:
     candidates: Callable[[Fit], Candidates | None]
     causes: tuple[Cause, ...]
     description: bool = False
+
+
+def joint_by_joint(
+    fit: Fit, causes: Sequence[Cause], torques: Callable[[InMemoryRun, np.ndarray], Mapping[Cause, np.ndarray]]
+) -> Candidates:
+    """Make candidates that are tried joint by joint, from the ``torques`` (n, M) of each cause along a window."""
+
+    def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
+        of = torques(window, values)
+        return at_full_rate(window, fit.dataset, np.stack([of[each] for each in causes]))
+
+    return Candidates([each.candidate for each in causes], offer)
 
 
 def friction_levels(fit: Fit) -> tuple[np.ndarray, np.ndarray]:

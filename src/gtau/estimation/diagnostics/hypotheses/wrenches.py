@@ -7,11 +7,12 @@ off adds a moment proportional to the force.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from gtau.estimation.diagnostics.finding import Finding, Sentence, Values
-from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Cause, Hypothesis, window_motion
+from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidate, Candidates, Cause, Hypothesis, window_motion
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, at_full_rate
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.rows import external_torques
@@ -68,9 +69,15 @@ def _offsets(fit: Fit) -> Candidates | None:
         return Finding(OFFSET.kind, (), bodies[worst], {"force": force, "moment": moment})
 
     return Candidates(
-        [Finding(OFFSET.kind, (), body, {"component": each}) for body in bodies for each in COMPONENTS],
-        tuple("N m" if each.startswith("moment") else "N" for _ in bodies for each in COMPONENTS),
-        OFFSET.plausible * levels.reshape(-1, 1),
+        [
+            Candidate(
+                Finding(OFFSET.kind, (), body, {"component": each}),
+                "N m" if each.startswith("moment") else "N",
+                OFFSET.plausible * level,
+            )
+            for body, of_body in zip(bodies, levels.reshape(-1, 6), strict=True)
+            for each, level in zip(COMPONENTS, of_body, strict=True)
+        ],
         lambda window, values: _felt(fit, window, read),
         describe,
     )
@@ -99,6 +106,7 @@ POINT = Cause(
         faulty="20 (a plate, a flange)",
         evidence="experience",
     ),
+    unit="mm",
 )
 
 
@@ -123,9 +131,11 @@ def _points(fit: Fit) -> Candidates | None:
         return Finding(POINT.kind, (), bodies[worst], {"shift": shift})
 
     return Candidates(
-        [Finding(POINT.kind, (), body, {"axis": axis}) for body in bodies for axis in "xyz"],
-        ("mm",) * (3 * len(bodies)),
-        np.full((3 * len(bodies), 1), POINT.plausible),
+        [
+            replace(POINT.candidate, finding=Finding(POINT.kind, (), body, {"axis": axis}))
+            for body in bodies
+            for axis in "xyz"
+        ],
         lambda window, values: _felt(fit, window, read),
         describe,
     )
