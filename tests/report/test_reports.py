@@ -166,6 +166,13 @@ def test_a_report_is_one_file_with_its_sections(reports: Path, command: str) -> 
     assert "<b>steel" not in text  # names are text, not markup
 
 
+def test_the_page_on_reports_lists_every_section(reports: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "do" / "report.md").read_text(encoding="utf-8")
+    titles = re.findall(r"<h2>(.*?)</h2>", text_of(reports, "identify"))
+    assert len(titles) == len(SECTIONS["identify"].split())
+    assert set(titles) <= set(re.findall(r"^\| ([^|]+?) \|", page, re.MULTILINE))
+
+
 def test_the_report_shows_the_numbers_of_the_model(reports: Path) -> None:
     text = text_of(reports, "identify")
     for words in ("largest torque residual of the rows used", "largest torque error of one run, %", "at every sample"):
