@@ -79,7 +79,7 @@ def stated_constants(dataset: Dataset, system: System) -> list[StatedConstant]:
         for kind, value in known_values(payload).items():
             std, of_unit = payload.mass_std if kind == "m" else 0.0, _torques_of_unit(dataset, system, name, kind)
             found.append(StatedConstant(f"payload '{name}'", value, std, of_unit, readings, 0.0 * known))
-    for k in problem.sensors:
+    for k in problem.sensor_channels:
         channel, of_sensor = problem.channels[k], np.eye(len(readings))[k]
         source, std = f"{channel.kind.name} of '{channel.joint}'", calibration.of(channel)
         found.append(StatedConstant(source, 1.0, std, torques, of_sensor, 0.0 * known))
@@ -196,7 +196,7 @@ def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
     fit : Fit
         With gains that were estimated.
     """
-    problem, solution, sensors = fit.system.problem, fit.solution, fit.system.problem.sensors
+    problem, solution, sensors = fit.system.problem, fit.solution, fit.system.problem.sensor_channels
     if not sensors:
         return ()
     state = solution.iterate
@@ -229,7 +229,7 @@ def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
 
 def _linear(block: np.ndarray, problem: Problem, state: Iterate, weights: np.ndarray) -> np.ndarray:
     """Build weighted rows ``[J | sensor torques | residuals]`` (., size + m + 1) of all channels in a block."""
-    torques, sensors = modelled(block, state.theta) * state.b[:, None], problem.sensors
+    torques, sensors = modelled(block, state.theta) * state.b[:, None], problem.sensor_channels
     offered = np.zeros((*torques.shape, len(sensors)))
     offered[sensors, :, range(len(sensors))] = -torques[sensors]
     J, e = jacobian(block, state, problem, True), residuals(block, state)

@@ -65,7 +65,7 @@ class Problem:
         return tuple(each.joint for each in self.channels if not each.kind.behind_drive)
 
     @cached_property
-    def sensors(self) -> list[int]:
+    def sensor_channels(self) -> list[int]:
         """Numbers of the channels that measure a joint's torque itself, with the gain 1."""
         return [k for k, each in enumerate(self.channels) if each.kind.of_joint and not each.kind.free]
 

@@ -50,8 +50,8 @@ def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | Non
             raise GtauError(_always_carried(problem.wrenches, other))
     if problem.n_theta in independent_columns(_with_scale(problem))[0]:
         return
-    if problem.sensors:
-        named = ", ".join(problem.channels[k].joint for k in problem.sensors)
+    if problem.sensor_channels:
+        named = ", ".join(problem.channels[k].joint for k in problem.sensor_channels)
         raise GtauError(
             f"the torque sensors of {named} measure no load that the motors carry too, so they "
             "cannot give the scale of the drive gains; add sensors of other joints, runs that move them against "

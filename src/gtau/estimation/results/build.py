@@ -240,7 +240,7 @@ def _sensors(
 ) -> tuple[SensorEstimate, ...]:
     """Collect the estimates of the torque sensors' own parameters."""
     robot, problem, sensors, (sigma, signal) = fit.dataset.robot, fit.system.problem, [], _levels(fit)
-    for k in problem.sensors:
+    for k in problem.sensor_channels:
         channel, joint = problem.channels[k].name, problem.channels[k].joint
         own = {
             name: replace(found[name], unit=unit_of(kind, robot, joint))
