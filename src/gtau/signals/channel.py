@@ -22,7 +22,8 @@ class ChannelKind:
     group : str
         All columns that a log updates together with those of this kind, in messages.
     calibration : str
-        Key under ``calibration`` of the signals for the accuracy of its scale, ``""`` where the gain is to be found.
+        Its key under ``calibration`` of the signals, for the accuracy of its scale, ``""`` where the gain is to be
+        found. Where it is ``behind_drive``, its columns and their units have this key too.
     modelled : bool
         True where it has equations: a row of the model explains it. Otherwise the model takes it as given.
     of_joint : bool
@@ -49,6 +50,9 @@ MOTOR = ChannelKind("command", "commands")
 BASE = ChannelKind("wrench", "commands", "wrenches", of_joint=False)
 SENSOR = ChannelKind("torque sensor", "torque sensors", "joint_torque", behind_drive=True)
 WRENCH_COMPONENT = ChannelKind("wrench", "wrenches", "wrenches", modelled=False, of_joint=False)
+
+BEHIND_DRIVE = (SENSOR,)
+"""All kinds that are ``behind_drive``."""
 
 
 @dataclass(frozen=True)

@@ -109,11 +109,10 @@ class Signals(Keys):
 
     @property
     def measured(self) -> tuple[str, ...]:
-        """Columns of the commands, then of the torque sensors, then of all wrenches."""
-        sensed = self.joint_torque or {}
+        """Columns of the commands, then of the sensors behind the drives, then of all wrenches."""
         return (
             *(self.command[joint] for joint in self.position),
-            *(sensed[joint] for joint in self.sensors),
+            *(getattr(self, each.kind.calibration)[each.joint] for each in self.channels if each.kind.behind_drive),
             *(column for each in self.all_wrenches for column in each.columns),
         )
 
@@ -207,10 +206,10 @@ class Signals(Keys):
 
     @model_validator(mode="after")
     def _calibration_of_sensors(self) -> Signals:
-        measured = {"joint_torque": self.sensors, "wrenches": self.all_wrenches}
-        for kind, there in measured.items():
-            if getattr(self.calibration, kind) is not None and not there:
-                raise ValueError(f"'calibration' is given for '{kind}', which the signals lack; remove it")
+        measured = {each.kind.calibration for each in self.channels[len(self.joints) :]}
+        for key, accuracy in self.calibration:
+            if accuracy is not None and key not in measured:
+                raise ValueError(f"'calibration' is given for '{key}', which the signals lack; remove it")
         return self
 
     @model_validator(mode="after")

@@ -15,6 +15,7 @@ from gtau.errors import GtauError
 from gtau.robots.parameter import Parameter
 from gtau.robots.readers.source import AnySource, RobotSource
 from gtau.robots.robot import Robot
+from gtau.signals.channel import BEHIND_DRIVE
 from gtau.signals.columns import SampleRate, Signals
 from gtau.signals.data_sheets import Drive, check_drives
 from gtau.signals.logged_run import Folders, LoggedRun, file_or_name
@@ -104,22 +105,18 @@ class Experiment(Keys):
             raise ValueError(f"a unit of '{other}' is given, but the signals hold '{signals.kind}'; remove it")
         if units.time is not None and isinstance(signals.time, SampleRate):
             raise ValueError("a unit of 'time' is given, but the signals hold no time column; remove it")
-        if units.joint_torque is not None and not signals.sensors:
-            raise ValueError("a unit of 'joint_torque' is given, but the signals hold no torque sensor; remove it")
+        for kind in BEHIND_DRIVE:
+            if getattr(units, kind.calibration) is not None and kind not in {each.kind for each in signals.channels}:
+                raise ValueError(
+                    f"a unit of '{kind.calibration}' is given, but the signals hold no {kind.name}; remove it"
+                )
         if "pose" in units.model_fields_set and signals.pose is None:
             raise ValueError("units of a 'pose' are given, but the signals hold none; remove them")
         if "wrenches" in units.model_fields_set and not signals.all_wrenches:
             raise ValueError("units of 'wrenches' are given, but the signals hold none; remove them")
         if "temperature" in units.model_fields_set and signals.temperature is None:
             raise ValueError("a unit of 'temperature' is given, but the signals hold none; remove it")
-        for by_joint in (
-            signals.temperature,
-            units.position,
-            units.current,
-            units.torque,
-            units.joint_torque,
-            units.rated,
-        ):
+        for by_joint in (signals.temperature, *vars(units).values()):
             if isinstance(by_joint, dict):
                 _known_joints(by_joint, signals)
         return units

@@ -133,10 +133,11 @@ def find_logs(paths: Sequence[Path], signals: Signals, units: Units) -> Logged:
 
 def _labels(signals: Signals) -> Iterator[str]:
     """Name the columns of positions and channels, for messages."""
-    base, joints = signals.base, len(signals.position)
+    base = signals.base
+    own = len(base.joints) if base else 0
     yield from (*(base.labels if base else ()), *signals.position.values())
-    yield from ["no motor"] * len(base.joints if base else ())
-    yield from signals.measured[: joints + len(signals.sensors)]
+    yield from ["no motor"] * own
+    yield from signals.measured[: sum(each.kind.modelled for each in signals.channels) - own]
     yield from (label for each in signals.all_wrenches for label in each.labels)
 
 

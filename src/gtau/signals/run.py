@@ -79,7 +79,7 @@ class Run:
         if self.valid.size == 0:
             object.__setattr__(self, "valid", np.broadcast_to(True, measured))
         if self.position.shape != shape or self.command.shape != measured or self.valid.shape != measured:
-            more = " and ".join([*["the torque sensors"] * bool(self.sensors), *["the wrenches"] * bool(self.wrenches)])
+            more = " and ".join(dict.fromkeys(f"the {each.kind.group}" for each in self.channels[len(self.joints) :]))
             also = f"; commands and what is valid {measured}, with {more}" if more else ""
             raise GtauError(
                 f"run '{self.name}': positions {self.position.shape}, commands {self.command.shape} and what is valid "
@@ -95,6 +95,11 @@ class Run:
     def channels(self) -> tuple[Channel, ...]:
         """The channels in the columns of ``command``."""
         return channels_of(self.joints, self.base, self.sensors, self.wrenches)
+
+    @property
+    def sensed(self) -> tuple[str, ...]:
+        """The joints whose torque is measured behind their drives, by a sensor of any kind."""
+        return tuple(dict.fromkeys(each.joint for each in self.channels if each.kind.behind_drive))
 
     @property
     def given(self) -> slice:

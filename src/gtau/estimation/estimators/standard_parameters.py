@@ -22,6 +22,7 @@ from gtau.estimation.thresholds.estimates import LAST_OVERHANG, OVERHANG
 from gtau.robots.geometry import characteristic_length, extent, longest_placement
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import DAMPING, INERTIAL, STANDARD_GRAVITY, STIFFNESS, Robot
+from gtau.signals.channel import Channel
 from gtau.signals.experiment import Prior
 
 ROOT2 = np.sqrt(2.0)
@@ -218,7 +219,7 @@ def standard_unknowns(
         S[row[name], column[name]] = 1.0
     length = characteristic_length(robot)
     mass = _mass_scale(robot, problem, solution, length)
-    unit = np.array([natural_size(name, robot, mass, length) for name in names])
+    unit = np.array([natural_size(name, robot, mass, length, problem.channels) for name in names])
     centre, spread = np.zeros(len(names)), LOOSE * unit
     lower, upper = np.full(len(names), -np.inf), np.full(len(names), np.inf)
     for body in bodies:
@@ -257,14 +258,17 @@ def _mass_scale(robot: Robot, problem: Problem, solution: Solution, length: floa
     return float(np.max(torques / np.array(lever)) / STANDARD_GRAVITY)
 
 
-def natural_size(name: str, robot: Robot, mass: float, length: float) -> float:
-    """Return a size of a standard parameter that a robot of this ``mass`` (kg) and ``length`` (m) might have."""
+def natural_size(name: str, robot: Robot, mass: float, length: float, channels: Sequence[Channel] = ()) -> float:
+    """Return a size of a standard parameter that a robot of this ``mass`` (kg) and ``length`` (m) might have.
+
+    The parameter may be one of the ``channels``' own.
+    """
     kind, body, _ = parameter_of(name)
     if kind in INERTIAL:
         return mass if kind == "m" else mass * length if kind.startswith("m") else mass * length**2
     if any(spring.name == body for spring in robot.springs):
         return mass * STANDARD_GRAVITY / (length if kind == STIFFNESS else 1.0)
-    joint = body if body in robot.bodies else body.removesuffix("_sensor")
+    joint = next((each.joint for each in channels if each.name == body), body)
     turns = robot.joint(joint).turns
     if kind == "ia":
         return mass * length**2 if turns else mass

@@ -191,7 +191,7 @@ def reduce_runs(
 
 
 def sensors_of(robot: Robot, runs: Sequence[Run]) -> tuple[str, ...]:
-    """List the joints with a torque sensor, the same in all runs, in the order of the robot's motors.
+    """List the joints with a sensor behind the drive, the same in all runs, in the order of its channels.
 
     The sensor of joint j measures the torque of row j of the model without the terms of its drive: rotor
     inertia, friction of motor and gear, and the offset of the current. It has an offset of its own. The parameters of
@@ -202,24 +202,28 @@ def sensors_of(robot: Robot, runs: Sequence[Run]) -> tuple[str, ...]:
     GtauError
         Where runs differ in their sensors, or a motor drives a sensor's joint through a coupling.
     """
-    sensors = runs[0].sensors
-    for run in runs:
-        if run.sensors != sensors:
-            listed = [", ".join(each.sensors) or "none" for each in (runs[0], run)]
-            raise GtauError(
-                f"runs '{runs[0].name}' and '{run.name}' have torque sensors at other joints ({listed[0]}; "
-                f"{listed[1]}); give 'joint_torque' for the same joints in all runs."
-            )
+    behind = [[each for each in run.channels if each.kind.behind_drive] for run in runs]
+    for run, own in zip(runs, behind, strict=True):
+        for kind in dict.fromkeys(each.kind for each in (*behind[0], *own)):
+            first, other = ([each.joint for each in of if each.kind == kind] for of in (behind[0], own))
+            if other != first:
+                raise GtauError(
+                    f"runs '{runs[0].name}' and '{run.name}' have {kind.group} at other joints "
+                    f"({', '.join(first) or 'none'}; {', '.join(other) or 'none'}); give '{kind.calibration}' for the "
+                    "same joints in all runs."
+                )
     coupled = {name for each in robot.couplings for name in (each.joint, *dict(each.ratios))}
-    for joint in sensors:
-        if joint in coupled:
+    for each in behind[0]:
+        if each.joint in coupled:
             raise GtauError(
-                f"joint '{joint}' has a torque sensor, but couplings of robot '{robot.name}' share it between motors, "
-                "so that no motor's torque is that of the joint; remove it from 'joint_torque'."
+                f"joint '{each.joint}' has a {each.kind.name}, but couplings of robot '{robot.name}' share it between "
+                f"motors, so that no motor's torque is that of the joint; remove it from '{each.kind.calibration}'."
             )
-        if f"{joint}_sensor" in robot.bodies:
-            raise GtauError(f"joint '{joint}_sensor' has the name of a torque sensor of '{joint}'; rename the joint.")
-    return sensors
+        if each.name in robot.bodies:
+            raise GtauError(
+                f"joint '{each.name}' has the name of a {each.kind.name} of '{each.joint}'; rename the joint."
+            )
+    return runs[0].sensed
 
 
 def check_wrenches(robot: Robot, run: Run) -> None:
