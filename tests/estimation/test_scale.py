@@ -261,7 +261,7 @@ def test_a_sensor_out_of_scale_contradicts_the_others() -> None:
     true = sensor_scales(fit_of(ARM, runs))
     assert all(abs(each.value - 1) < 4 * each.std for each in true)
     faulty = [replace(run, command=run.command * np.array([1, 1, 1, 1, 0.9, 1])) for run in runs]
-    found = {each.joint: each for each in sensor_scales(fit_of(ARM, faulty))}
+    found = {each.channel.joint: each for each in sensor_scales(fit_of(ARM, faulty))}
     assert found["2"].value == pytest.approx(1 / 0.9, rel=0.03)
     result = identify(ARM, faulty)
     assert [sensor.joint for sensor in result.sensors if sensor.verdict.outcome == Outcome.CONTRADICTORY] == ["2"]
@@ -303,6 +303,11 @@ def test_a_result_keeps_its_sensors(tmp_path: Path) -> None:
     result.save(tmp_path / "model.json")
     again = Result.load(tmp_path / "model.json")
     assert again.sensors == result.sensors
+    text = (tmp_path / "model.json").read_text()
+    assert text.count('"kind": "torque sensor"') == 2
+    (tmp_path / "other.json").write_text(text.replace('"kind": "torque sensor"', '"kind": "spring"', 1))
+    with pytest.raises(GtauError, match="'spring' is not a kind of sensor; write torque sensor"):
+        Result.load(tmp_path / "other.json")
     assert {name: gain.scale for name, gain in again.drive_gains.items()} == {
         name: gain.scale for name, gain in result.drive_gains.items()
     }
@@ -321,7 +326,7 @@ def test_a_sensor_column_is_read_like_a_current(tmp_path: Path) -> None:
         "current": {"1": "i1", "2": "i2", "3": "i3"},
         "joint_torque": {"3": "s3", "2": "s2"},
     }
-    read = read_run(log, signals, units={"joint_torque": "mN m"})
+    read = read_run(log, signals, units={"joint_torque": {"2": "mN m", "3": "0.001 N m"}})
     assert read.sensors == ("2", "3")  # in the order of the joints
     assert read.command == pytest.approx(run.command[:, [0, 1, 2, 4, 3]], abs=1e-6)
     # a sample that is missing in the sensor alone is missing

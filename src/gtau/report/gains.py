@@ -146,23 +146,25 @@ def scale_lines(result: IdentifiedModel) -> list[str]:
 
 
 def all_sources(result: IdentifiedModel) -> str:
-    """List all sources of the scale, those on which most gains rest first; torque sensors together, joint by joint."""
+    """List all sources of the scale, those on which most gains rest first; sensors of a kind together, by joint."""
     totals: dict[str, float] = {}
     for gain in result.drive_gains.values():
         for source, share in gain.scale.items():
             totals[source] = totals.get(source, 0.0) + abs(share) / len(result.drive_gains)
     found = [source for source, each in sorted(totals.items(), key=lambda each: -each[1]) if each >= LEAST]
-    names = _sensors(result)
-    sensors = [f"'{joint}'" for joint, source in zip(result.robot.actuated, names, strict=True) if source in found]
-    if len(sensors) < 2:
-        return " and ".join(names.get(source, source) for source in found)
-    others = [source for source in found if source not in names]
-    return " and ".join([f"the torque sensors of {', '.join(sensors)}", *others])
+    names, together = _sensors(result), []
+    for kind in dict.fromkeys(each.kind for each in result.sensors):
+        sensors = [each for each in result.sensors if each.kind == kind and each.source in found]
+        if len(sensors) > 1:
+            joints = ", ".join(f"'{each.joint}'" for each in sensors)
+            together.append(f"the {kind.group} of {joints}")
+            found = [source for source in found if source not in {each.source for each in sensors}]
+    return " and ".join([*together, *(names.get(source, source) for source in found)])
 
 
 def _sensors(result: IdentifiedModel) -> dict[str, str]:
-    """Name the torque sensors of all joints, by the source of a scale that each is."""
-    return {f"torque sensor of '{joint}'": f"the torque sensor of '{joint}'" for joint in result.robot.actuated}
+    """Name the sensors behind the drives, by the source of a scale that each is."""
+    return {each.source: f"the {each.source}" for each in result.sensors}
 
 
 def _words(scale: Mapping[str, float], names: Mapping[str, str]) -> str:

@@ -190,7 +190,7 @@ def _fit_words(result: IdentifiedModel) -> list[Item]:
 
 
 def _sensors_section(result: IdentifiedModel) -> Section | None:
-    """Show the fit of the torque sensors, and their scale by all other data."""
+    """Show the fit of the sensors behind the drives, and their scale by all other data."""
     if not result.sensors:
         return None
     columns = (
@@ -206,7 +206,7 @@ def _sensors_section(result: IdentifiedModel) -> Section | None:
     ]
     words = "ratio: torque from all other data, over the sensor's reading"
     return section(
-        "Torque sensors",
+        " and ".join(dict.fromkeys(each.kind.group for each in result.sensors)).capitalize(),
         table(columns, rows) if rows else None,
         Text(words, style="soft") if rows else None,
         fit_table([each.residual for each in result.sensors], "sensor of"),

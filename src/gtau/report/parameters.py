@@ -15,10 +15,11 @@ from gtau.report.gains import VALUE, regroups, value_cells
 from gtau.report.page import Axis, Chart, Column, Kind, Panel, Section, Series, Table, Text, joint_label, section, table
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.units import position_unit, torque_unit
+from gtau.signals.channel import BEHIND_DRIVE
 from gtau.signals.filters import position_filter
 from gtau.signals.run import arrange
 
-GROUPS = ("base parameter", "friction", "torque sensor")
+GROUPS = ("base parameter", "friction", *(kind.name for kind in BEHIND_DRIVE))
 KINDS = ("fv", "fs", "fb", "fl", "off")
 POINTS = 3000  # of a panel
 CONTRADICTED = 6  # parameters on a short page

@@ -55,6 +55,14 @@ BEHIND_DRIVE = (SENSOR,)
 """All kinds that are ``behind_drive``."""
 
 
+def sensor_kind(name: str) -> ChannelKind:
+    """Return the kind behind the drive that has this name."""
+    for kind in BEHIND_DRIVE:
+        if kind.name == name:
+            return kind
+    raise ValueError(f"'{name}' is not a kind of sensor; write {' or '.join(each.name for each in BEHIND_DRIVE)}")
+
+
 @dataclass(frozen=True)
 class Channel:
     """A motor, the torque sensor of a joint, a row of a floating base, or a component of a measured wrench.

@@ -223,7 +223,11 @@ SENTENCES: Mapping[str, Words] = {
         else "the scale comes from payload '{subject}', which contradicts the data",
         "correct the payload",
     ),
-    F.SENSOR: ("the scale comes from the torque sensor of '{subject}', which contradicts all other data", SENSOR),
+    F.SENSOR: lambda values: (
+        f"the scale comes from the {values.get('sensor', 'torque sensor')} of "
+        "'{subject}', which contradicts all other data",
+        SENSOR,
+    ),
     F.WHOLE_MASS: ("the mass of the robot, {subject}, " + PRIOR, SCALE),
     F.UNSETTLED: (
         "the iteration did not converge, so the data do not determine it",

@@ -40,6 +40,7 @@ from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import APART, MISFIT_GIVEN, PAYLOAD_MOVES
 from gtau.model.base_parameters import independent_columns
 from gtau.robots.units import unit_of
+from gtau.signals.channel import Channel
 from gtau.signals.payload import Payload
 
 
@@ -173,7 +174,7 @@ class SensorScale:
     ``moves`` (n,) is by what share of itself each gain moves where the sensor's scale is found instead of taken for 1.
     """
 
-    joint: str
+    channel: Channel
     value: float
     std: float
     moves: np.ndarray
@@ -187,7 +188,7 @@ def sensor_verdict(scale: SensorScale, accuracy: float) -> Verdict:
 
 
 def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
-    """Estimate the scale of each torque sensor from the other stated constants, to first order, where there are any.
+    """Estimate the scale of each sensor from the other stated constants, to first order, where there are any.
 
     Each sensor is offered the torque of its model once more, with an unknown factor; all other unknowns adapt to it.
 
@@ -223,7 +224,7 @@ def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
         of_known_part = back[-1] @ (of_known[:, columns] @ back).T  # what no unit of the data shows
         variance = jackknife(one_step(sides) @ back[-1:].T)[0, 0] + of_known_part @ of_known_part
         std = float(np.hypot(np.sqrt(variance), fit.dataset.runs[0].calibration.of(problem.channels[sensor])))
-        found.append(SensorScale(problem.channels[sensor].joint, 1 - float(step[-1]), std, T @ step[:-1]))
+        found.append(SensorScale(problem.channels[sensor], 1 - float(step[-1]), std, T @ step[:-1]))
     return tuple(found)
 
 
@@ -238,12 +239,13 @@ def _linear(block: np.ndarray, problem: Problem, state: Iterate, weights: np.nda
 
 
 def sensor_contradictions(found: Sequence[SensorScale], joints: Sequence[str], accuracy: float) -> Iterator[Finding]:
-    """Find the gains of ``joints`` (n,) that rest on a torque sensor contradicting the other stated constants."""
+    """Find the gains of ``joints`` (n,) that rest on a sensor contradicting the other stated constants."""
     for each in found:
         moves = np.abs(each.moves)
         moved = tuple(joint for joint, move in zip(joints, moves, strict=True) if move > accuracy)
         if sensor_verdict(each, accuracy).outcome == Outcome.CONTRADICTORY and moved:
-            yield Finding(F.SENSOR, moved, each.joint, severity=float(moves.max()))
+            what = {"sensor": each.channel.kind.name}
+            yield Finding(F.SENSOR, moved, each.channel.joint, what, severity=float(moves.max()))
 
 
 def prior_contradictions(fit: Fit, covariance: np.ndarray, accuracy: float) -> list[Finding]:

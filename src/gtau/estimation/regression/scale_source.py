@@ -51,9 +51,13 @@ def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | Non
     if problem.n_theta in independent_columns(_with_scale(problem))[0]:
         return
     if problem.sensor_channels:
-        named = ", ".join(problem.channels[k].joint for k in problem.sensor_channels)
+        sensors = [problem.channels[k] for k in problem.sensor_channels]
+        named = " and the ".join(
+            f"{kind.group} of {', '.join(each.joint for each in sensors if each.kind == kind)}"
+            for kind in dict.fromkeys(each.kind for each in sensors)
+        )
         raise GtauError(
-            f"the torque sensors of {named} measure no load that the motors carry too, so they "
+            f"the {named} measure no load that the motors carry too, so they "
             "cannot give the scale of the drive gains; add sensors of other joints, runs that move them against "
             f"gravity, {other}."
         )

@@ -238,21 +238,21 @@ def _levels(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
 def _sensors(
     fit: Fit, diagnosis: Diagnosis, found: Mapping[str, Estimate], delays: Sequence[Estimate]
 ) -> tuple[SensorEstimate, ...]:
-    """Collect the estimates of the torque sensors' own parameters."""
+    """Collect the estimates of the own parameters of sensors behind the drives."""
     robot, problem, sensors, (sigma, signal) = fit.dataset.robot, fit.system.problem, [], _levels(fit)
     for k in problem.sensor_channels:
-        channel, joint = problem.channels[k].name, problem.channels[k].joint
+        channel, joint = problem.channels[k], problem.channels[k].joint
         own = {
             name: replace(found[name], unit=unit_of(kind, robot, joint))
             for kind in ("off", *BEARING)
-            if (name := Parameter(kind, channel).name) in found
+            if (name := Parameter(kind, channel.name).name) in found
         }
         residual = TorqueError(joint, float(sigma[k]), float(signal[k]), torque_unit(robot, joint))
-        scale = next((each for each in diagnosis.sensors if each.joint == joint), None)
+        scale = next((each for each in diagnosis.sensors if each.channel == channel), None)
         ratio = None
         if scale is not None:
             ratio = Estimate(joint, scale.value, scale.std, "1", verdict=sensor_verdict(scale, diagnosis.accuracy))
-        sensors.append(SensorEstimate(joint, own, delays[k], residual, ratio))
+        sensors.append(SensorEstimate(joint, own, delays[k], residual, ratio, channel.kind))
     return tuple(sensors)
 
 

@@ -137,7 +137,7 @@ def remarks(result: IdentifiedModel) -> list[Note]:
             notes.append(note(Finding(F.MASS_UNSEEN, (), payload.name, {"sums": sums_with_mass(payload)})))
     for sensor in result.sensors:
         if sensor.verdict.outcome != Outcome.GOOD:
-            what = f"the torque sensor of '{sensor.joint}' {sensor.verdict.outcome.value}: {sensor.verdict.why}"
+            what = f"the {sensor.source} {sensor.verdict.outcome.value}: {sensor.verdict.why}"
             notes.append(_of_verdict(what, sensor.verdict))
     lack = result.statistics["lack_of_fit"]
     if lack > INFLATED and any(each.relative > VISIBLE for each in result.residuals):

@@ -17,6 +17,7 @@ from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.sentences import named
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict
 from gtau.model.singularities import TYPES
+from gtau.signals.channel import SENSOR, ChannelKind
 from gtau.signals.decimation import Decimator
 from gtau.signals.preparation import PreparedRun
 from gtau.signals.storage import rows_at
@@ -149,10 +150,11 @@ class FrictionCurve:
 
 @dataclass(frozen=True)
 class SensorEstimate:
-    """The torque sensor of a joint: its offset and friction by name, its delay (s), and its residual.
+    """The sensor of a joint, behind its drive: its offset and friction by name, its delay (s), and its residual.
 
     The residual is that of its torque, N m or N, over the rows used. ``ratio`` is the torque from the other stated
-    constants over the sensor reading, to first order; None where nothing else gives a scale.
+    constants over the sensor reading, to first order; None where nothing else gives a scale. ``kind`` is that of its
+    channel.
     """
 
     joint: str
@@ -160,6 +162,12 @@ class SensorEstimate:
     delay: Estimate
     residual: TorqueError
     ratio: Estimate | None = None
+    kind: ChannelKind = SENSOR
+
+    @property
+    def source(self) -> str:
+        """Its name as a source of the scale."""
+        return f"{self.kind.name} of '{self.joint}'"
 
     @property
     def verdict(self) -> Verdict:

@@ -93,7 +93,7 @@ class IdentifiedModel:
     data : tuple of Run
         The runs themselves, for predictions and figures; ``model.json`` does not hold them.
     sensors : tuple of SensorEstimate
-        Torque sensors of joints, with what was estimated of each.
+        Sensors of joints, behind their drives, with what was estimated of each.
     singular_values : tuple of float
         Of ``W_tot`` (eq. 33) in falling order, rows weighted by the residuals and columns of unit length; empty where
         the gains were given, and not held by ``model.json``.
@@ -230,7 +230,7 @@ def estimates_table(result: IdentifiedModel) -> Iterator[Row]:
         ("friction", result.friction.values()),
         *(("predicted friction", curve.estimates) for curve in result.curves.values()),
         ("logged speed", speeds),
-        *((f"torque sensor {each.joint}", each.parameters.values()) for each in result.sensors),
+        *((f"{each.kind.name} {each.joint}", each.parameters.values()) for each in result.sensors),
         *((f"payload {each.name} of {each.run}", each.parameters.values()) for each in result.payloads),
     ]
     return (Row(group, each) for group, estimates in groups for each in estimates)

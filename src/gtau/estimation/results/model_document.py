@@ -54,6 +54,7 @@ def to_document(result: IdentifiedModel) -> dict[str, Any]:
         "sensors": [
             {
                 "joint": each.joint,
+                "kind": each.kind.name,
                 "parameters": [_estimate(estimate) for estimate in each.parameters.values()],
                 "delay": _estimate(each.delay, "joint"),
                 "residual": torque_error(each.residual),

@@ -47,6 +47,7 @@ from gtau.estimation.results.model_document import OLDER, SCHEMA, to_document
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.robots.parameter import Parameter
 from gtau.robots.readers.native import parse_native
+from gtau.signals.channel import SENSOR, ChannelKind, sensor_kind
 from gtau.signals.decimation import Decimator
 from gtau.signals.notes import Note
 from gtau.signals.preparation import Preparation
@@ -115,6 +116,7 @@ class _Sensor(_Group):
     delay: _Estimate
     residual: TorqueError
     ratio: _Estimate | None
+    kind: Annotated[ChannelKind, BeforeValidator(sensor_kind)] = SENSOR
 
     def made(self) -> SensorEstimate:
         return SensorEstimate(**dict(self))
