@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from gtau.estimation.results.estimate import Estimate
 from gtau.report.page import (
     Axis,
     Chart,
@@ -186,7 +187,7 @@ def _table(last: Status, count: int | None) -> Table:
         if band is not None and band[0] <= value <= band[1] and strength < 10:
             faint.add(len(rows))
         unit = "1" if chart.kind == "rms" else chart.unit
-        spread = (value, 1.96 * last.entry.std[chart.name])
+        spread = (value, _half(last.entry, chart.name))
         rows.append(
             (chart.name if unit == "1" else f"{chart.name}, {unit}", spread, band, strength, float(last.cusums[k]))
         )
@@ -240,11 +241,16 @@ def watch_report(watch: Watch, last: Status | None, entries: Sequence[Entry]) ->
     return Page(short.title, (*short.sections, *sections), short.lead)
 
 
+def _half(entry: Entry, name: str) -> float:
+    """Compute half the 95 % interval of a chart's value."""
+    return Estimate(name, entry.values[name], entry.std[name], "").half_interval() or 0.0
+
+
 def _history(name: str, entries: Sequence[Entry], band: tuple[float, float], rules: tuple[Rule, ...]) -> Panel:
     """Draw a chart from log to log, with 95 % intervals, in its healthy band."""
     x = np.array([k for k, entry in enumerate(entries) if name in entry.values], dtype=float)
     y = np.array([entry.values[name] for entry in entries if name in entry.values])
-    half = np.array([1.96 * entry.std[name] for entry in entries if name in entry.values])
+    half = np.array([_half(entry, name) for entry in entries if name in entry.values])
     return Panel(
         Axis("log"),
         Axis(KINDS[name.partition("_")[0]]),

@@ -252,7 +252,7 @@ def unlike_legs(dataset: Dataset, system: System, theta: np.ndarray, covariance:
         for each in found
         if each.probability < LEG_PROBABILITY
         for name, relative, deviation in zip(each.compared, each.relative, each.deviations, strict=True)
-        if name.split("_")[0] not in FRICTION and relative > LEG_DIFFERENCE and abs(deviation) > LEG_DIFFERENCE_STD
+        if parameter_of(name).kind not in FRICTION and relative > LEG_DIFFERENCE and abs(deviation) > LEG_DIFFERENCE_STD
     ]
     if not differences:
         return []

@@ -21,7 +21,7 @@ from gtau.estimation.friction.selection import (
 )
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS, UNITS
 from gtau.estimation.results.estimate import Estimate, FrictionCurve, ReferenceTemperatures
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import Robot
 from gtau.robots.units import position_unit, unit_of
 
@@ -103,7 +103,7 @@ def _fixed(fit: Fit, covariance: np.ndarray) -> np.ndarray:
     problem, names, n = fit.system.problem, fit.dataset.base.names, len(fit.dataset.model.actuated)
     place = {name: k for k, name in enumerate(problem.parameters)}
     # friction of the plain law is not subtracted from the torque, so that its errors do not count
-    inertial = [place.get(name, -1) if name.split("_")[0] not in ("fv", "fs", "off") else -1 for name in names]
+    inertial = [place.get(name, -1) if parameter_of(name).kind not in ("fv", "fs", "off") else -1 for name in names]
     index = np.array([*range(problem.n_theta, problem.n_theta + n), *inertial])
     known = index < 0
     found = covariance[np.ix_(np.maximum(index, 0), np.maximum(index, 0))].copy()
