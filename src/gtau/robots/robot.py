@@ -15,6 +15,7 @@ import numpy as np
 
 from gtau.documents.validation import name_problem
 from gtau.errors import GtauError
+from gtau.robots.digits import Rounding
 from gtau.robots.gripper import palm
 
 GROUND = "ground"
@@ -217,7 +218,8 @@ class Robot:
     a sentence each. Without ``home_given`` the joints' and platforms' homes are only where the search for one begins.
     ``floating`` names the link that is a floating base, see :mod:`gtau.robots.floating`, and ``constants`` are the
     numbers that the robot's file names. ``inertias`` are the inertial parameters of bodies, and the rotor inertias,
-    that the file states, by name, SI units: estimates are compared with them.
+    that the file states, by name, SI units: estimates are compared with them. ``rounding`` says how the numbers in the
+    file are rounded where placements are computed from them; without it, placements are the numbers in the file.
     """
 
     name: str
@@ -234,6 +236,7 @@ class Robot:
     springs: tuple[Spring, ...] = ()
     constants: tuple[tuple[str, float], ...] = field(default=(), compare=False)
     inertias: tuple[tuple[str, float], ...] = field(default=(), compare=False)
+    rounding: Rounding | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         if problem := name_problem(self.name):

@@ -20,7 +20,7 @@ from gtau.robots.geometry import rounded
 from gtau.robots.parts import hold_joints, listed, without_idle_pins
 from gtau.robots.readers.inertias import mjcf_inertias, mjcf_masses
 from gtau.robots.readers.mjcf_bodies import fixed_tendons, read_bodies, read_ties, site_springs
-from gtau.robots.readers.mjcf_file import MjcfFile, angle_notes, compile_mjcf, name_in
+from gtau.robots.readers.mjcf_file import MjcfFile, angle_notes, compile_mjcf, mjcf_rounding, name_in
 from gtau.robots.readers.source import Base, BaseChoice
 from gtau.robots.readers.xml_document import read_xml
 from gtau.robots.robot import GROUND, Coupling, Joint, Robot, base_rows
@@ -104,6 +104,7 @@ def _robot(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
         home_given=home_given,
         springs=tuple(springs),
         inertias=mjcf_inertias(file.inertias, bodies.carried, file.armatures),
+        rounding=mjcf_rounding(file.elements),
     )
     return _without_idle_joints(robot, held, motors.pulled, base)
 

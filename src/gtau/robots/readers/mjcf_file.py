@@ -12,6 +12,7 @@ import numpy as np
 
 from gtau.documents.validation import some_of
 from gtau.errors import GtauError, missing_extra
+from gtau.robots.digits import Rounding, digits_of
 from gtau.robots.geometry import (
     MEANT,
     SHORT,
@@ -23,7 +24,7 @@ from gtau.robots.geometry import (
     smallest_unit,
 )
 from gtau.robots.readers.inertias import mjcf_bodies
-from gtau.robots.readers.xml_document import LARGEST, decimals, line_of, read_xml
+from gtau.robots.readers.xml_document import LARGEST, all_numbers, decimals, line_of, read_xml
 from gtau.robots.rigid_body import RigidBody
 from gtau.robots.robot import DAMPING, PRELOAD, SPRING, STIFFNESS, Pose
 from gtau.robots.units import in_degrees
@@ -326,6 +327,21 @@ def rotation_in(quaternion: np.ndarray) -> Rotation:
 def pose_in(position: np.ndarray, quaternion: np.ndarray) -> Pose:
     """Make the pose of a position (3,) and a quaternion (4,), w first."""
     return pose_of(rotation_in(quaternion).as_matrix(), position)
+
+
+PLACED = ("body", "frame", "site", "joint", "connect", "weld")
+ORIENTATIONS = ("quat", "axisangle", "axis", "xyaxes", "zaxis")
+
+
+def mjcf_rounding(roots: list[Element]) -> Rounding:
+    """Find the digits of the placements in a file."""
+    placed = [element for root in roots for element in root.iter() if element.tag in PLACED]
+    radian = any(compiler.get("angle") == "radian" for root in roots for compiler in root.iter("compiler"))
+    angles, unit = all_numbers(placed, ["euler"]), 1.0 if radian else pi / 180
+    directions = digits_of(all_numbers(placed, ORIENTATIONS) + angles * radian)
+    # twice the change of a quaternion's four numbers is a turn
+    turn = 4 * directions.half_unit(0.5) or 4 * unit * digits_of(angles).half_unit(1 / unit)
+    return Rounding(digits_of(all_numbers(placed, ["pos", "anchor"])), turn)
 
 
 SHOWN = 4

@@ -66,6 +66,7 @@ def read_urdf(path: str | Path, base: BaseChoice = None) -> Robot:
             source=path.name,
             notes=notes,
             inertias=tree.inertias,
+            rounding=tree.rounding,
         )
         return _without_motors_of_base(robot, tree.root, tree.carried)
     except GtauError as error:
@@ -178,6 +179,7 @@ def read_urdf_with_loops(urdf: str | Path, loops: str | Path) -> Robot:
             notes=tree.notes,
             home_given=False,
             inertias=tree.inertias,
+            rounding=tree.rounding,
         )
         return without_idle_pins(robot)
     except GtauError as error:

@@ -12,11 +12,13 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.robots.digits import Rounding, digits_of
 from gtau.robots.geometry import ROUNDING, compose, rounded, short_angles_note, written_pose
 from gtau.robots.readers.inertias import urdf_inertias, urdf_masses
 from gtau.robots.readers.source import BASE_ADVICE, FLOATING, BaseChoice
 from gtau.robots.readers.xml_document import (
     LARGEST,
+    all_numbers,
     attribute,
     decimals,
     line_of,
@@ -70,6 +72,7 @@ class UrdfTree:
     root: Element
     carried: Mapping[str, str]
     inertias: tuple[tuple[str, float], ...]
+    rounding: Rounding
 
 
 def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None) -> UrdfTree:
@@ -101,9 +104,18 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
         notes = (*urdf_masses(root, carried), *_limit_notes(ordered))
         notes += (*_reduction_notes(root), *short_angles_note({edge.name: edge.short for edge in ordered}))
         inertias = urdf_inertias(root, frames)
-        return UrdfTree(root.get("name") or path.stem, joints, couplings, frames, notes, root, carried, inertias)
+        name, rounding = root.get("name") or path.stem, _rounding(root)
+        return UrdfTree(name, joints, couplings, frames, notes, root, carried, inertias, rounding)
     except GtauError as error:
         raise GtauError(f"{path}: {error}") from None
+
+
+def _rounding(root: Element) -> Rounding:
+    parts = [part for joint in root.findall("joint") for part in joint]
+    lengths, angles = (all_numbers((part for part in parts if part.tag == "origin"), [key]) for key in ("xyz", "rpy"))
+    angles += all_numbers((part for part in parts if part.tag == "axis"), ["xyz"])
+    # roll, pitch, yaw and the direction of the axis turn a joint
+    return Rounding(digits_of(lengths), 4 * digits_of(angles).half_unit(1.0))
 
 
 def _parse(path: Path) -> Element:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from xml.etree.ElementTree import Element, ParseError, TreeBuilder
 from xml.parsers.expat import errors
@@ -102,6 +103,11 @@ def numbers(text: str, count: int, what: str, endless: bool = False) -> list[flo
         size = "" if endless else f", at most {LARGEST:g} in size"
         raise GtauError(f"the {what} is '{text}'; write {needed}{size}.")
     return values
+
+
+def all_numbers(elements: Iterable[Element], keys: Sequence[str]) -> list[float]:
+    """List the numbers in some attributes of elements."""
+    return [value for element in elements for key in keys for value in decimals(element.get(key, "")) or ()]
 
 
 def position_limits(low: float, high: float) -> tuple[float, float] | None:

@@ -1,0 +1,59 @@
+"""The digits that the numbers of a robot's file are written with, and by how much rounding can have moved them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from decimal import Decimal
+from math import floor, log10
+
+COMPUTED = (
+    14  # significant digits: numbers with as many were computed, not written; of 1,000 computed ones, 1 has fewer
+)
+
+
+def _digits(number: float) -> tuple[int, int]:
+    """Count the significant digits of a number and return the exponent of its last one."""
+    _, digits, exponent = Decimal(repr(float(number))).normalize().as_tuple()
+    return len(digits), int(exponent)
+
+
+def is_written(number: float) -> bool:
+    """Decide whether a number has as few digits as one that is written."""
+    return _digits(number)[0] < COMPUTED
+
+
+@dataclass(frozen=True)
+class Digits:
+    """The digits of the numbers in a file: so many ``decimals``, or so many ``significant`` ones, as MuJoCo writes.
+
+    Trailing zeros are often left out, so a single number does not tell; the longest of all numbers does.
+    """
+
+    decimals: int
+    significant: int
+
+    def half_unit(self, number: float) -> float:
+        """Return half a unit of the last digit with which a number is written; of numbers of no such file, 0."""
+        if not self.significant:
+            return 0.0
+        last = floor(log10(abs(number))) + 1 - self.significant if number else -self.decimals
+        return 0.5 * 10.0 ** max(-self.decimals, last)
+
+
+def digits_of(numbers: Iterable[float]) -> Digits:
+    """Find the digits that numbers are written with; whole and computed ones show none."""
+    found = [_digits(number) for number in numbers if number != round(number) and is_written(number)]
+    significant, exponents = zip(*found, strict=True) if found else ((0,), (0,))
+    return Digits(-min(exponents), max(significant))
+
+
+@dataclass(frozen=True)
+class Rounding:
+    """How the numbers of a file are rounded from which a reader computes placements.
+
+    ``lengths`` are the digits of the lengths, m, and ``turn`` the largest turn about an axis by rounding, rad.
+    """
+
+    lengths: Digits
+    turn: float
