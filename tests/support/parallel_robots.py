@@ -24,6 +24,7 @@ class Drawing:
 
     rng: np.random.Generator
     mount: np.ndarray
+    spins: bool = True  # frames are turned about their axes, so that lengths are not along x
     frames: dict[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
     joints: list[Joint] = field(default_factory=list)
     platforms: list[Platform] = field(default_factory=list)
@@ -38,10 +39,12 @@ class Drawing:
         return Pose((x, y, z), angles_of(R.T @ rotation))
 
     def joint(self, name: str, before: str, point, axis=Z, kind: str = "revolute", motor: bool = False) -> None:
-        point, axis = self.mount @ space(point), self.mount @ np.array(axis)
-        z, *_ = np.linalg.svd(axis[:, None])
-        rotation = np.column_stack([z[:, 1], np.cross(axis, z[:, 1]), axis])
-        rotation = rotation @ Rotation.from_euler("z", self.rng.uniform(-3, 3)).as_matrix()
+        layer = self.rng.uniform(-0.05, 0.05) * np.array(axis) * (len(point) == 2)  # bars lie above each other
+        point, axis = self.mount @ (space(point) + layer), self.mount @ np.array(axis)
+        x = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+        x /= np.linalg.norm(x)
+        rotation = np.column_stack([x, np.cross(axis, x), axis])
+        rotation = rotation @ Rotation.from_euler("z", self.spins * self.rng.uniform(-3, 3)).as_matrix()
         self.joints.append(Joint(name, before, kind, self.at(before, point, rotation), actuated=motor))  # type: ignore[arg-type]
         self.frames[name] = rotation, point
 
@@ -89,8 +92,9 @@ def four_bar(d: Drawing) -> None:
 
 def watt(d: Drawing) -> None:
     pin = four_bar_of(d)
-    e, f = pin["C"] + polar(0.3, d.rng.uniform(1.3, 2.6)), pin["C"] + polar(0.3, d.rng.uniform(-0.6, 0.4))
-    g = (e + f) / 2 + d.rng.uniform(0.6, 1.0) * np.array([f[1] - e[1], e[0] - f[0]]) * -1
+    e = pin["C"] + polar(d.rng.uniform(0.2, 0.4), d.rng.uniform(1.3, 2.6))
+    f = pin["C"] + polar(d.rng.uniform(0.2, 0.4), d.rng.uniform(-0.6, 0.4))
+    g = elbow(e, f, d.rng) + np.array([0.0, d.rng.uniform(0.05, 0.2)])
     d.joint("upper", "coupler", e)
     d.joint("lower", "rocker", f)
     d.tie("upper", "lower", g)
@@ -124,7 +128,8 @@ def five_bar(d: Drawing) -> None:
 
 
 def planar_legs(d: Drawing, slides: bool) -> None:
-    radius, pins, turn = d.rng.uniform(0.3, 0.5), d.rng.uniform(0.08, 0.2), d.rng.uniform(-0.5, 0.5)
+    radius, pins = d.rng.uniform(0.3, 0.5), d.rng.uniform(0.08, 0.2)
+    turn = d.rng.choice([-1, 1]) * d.rng.uniform(0.3, 0.8)  # not 0, where the lines of the legs meet
     d.mount = np.eye(3)  # of a platform that moves along axes of the base
     d.platform("plate", "x y rz", (0, 0))
     for k in range(3):
@@ -148,8 +153,8 @@ def three_rpr(d: Drawing) -> None:
 
 
 def palletiser(d: Drawing) -> None:
-    rng, y = d.rng, (0.0, 1.0, 0.0)
-    height, crank, lower = rng.uniform(0.4, 0.8), polar(rng.uniform(0.2, 0.35), rng.uniform(2.8, 3.5)), None
+    rng, y, d.spins = d.rng, (0.0, 1.0, 0.0), False
+    height, crank = rng.uniform(0.4, 0.8), polar(rng.uniform(0.2, 0.35), rng.uniform(2.8, 3.5))
     lower = polar(rng.uniform(0.7, 1.0), rng.uniform(1.3, 1.8))
 
     def above(point: np.ndarray) -> tuple[float, float, float]:

@@ -9,8 +9,9 @@ rounding, nor is one in poses out of reach, where the loops are stretched.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass, replace
+from itertools import product
 from math import pi
 from typing import Literal
 
@@ -19,7 +20,7 @@ import numpy as np
 
 from gtau.model.kinematics import Coordinates, constant, coordinates, frames
 from gtau.model.loop_closure import CLOSED, LoopErrors, closed, loop_errors
-from gtau.robots.digits import Rounding, digits_of, is_written
+from gtau.robots.digits import digits_of, is_written
 from gtau.robots.geometry import angles_of, euler_angles
 from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Closure, Joint, Mdh, Placement, Pose, Robot
 
@@ -31,6 +32,7 @@ SPREAD = 0.3  # of the motors around home
 HALVINGS = 6  # of the motors' steps, until a pose is within reach
 STRETCHED = 0.2  # share of home's smallest singular value below which a pose is out of reach, or nearly so
 STEPS = 12
+TURNS = 4  # roundings of one angle by which axes may be turned that are meant to be parallel or perpendicular
 EXACT = 1e-14  # gap at which the placements are final
 MDH_ANGLES = (True, False, True, False, True, False)
 POSE_ANGLES = (False, False, False, True, True, True)
@@ -59,18 +61,26 @@ def with_exact_loops(robot: Robot, errors: LoopErrors, home: np.ndarray) -> Robo
         return robot
     poses = list(_around(errors, home, moving))
     gaps = [float(np.abs(errors(c)[0]).max()) for c in poses]
-    if not LITERAL < max(gaps) < DRAWN:
+    joints = [robot.joints[k] for k in errors.looped if k < len(robot.joints)]
+    places = _places(robot, joints)
+    bounds, nonzero = _bounds(robot, places, joints)
+    axes = _axes(errors.layout, _with_carriers(robot, joints))
+    pairs, tilt = _aligned([axes(c)[0].full() for c in poses], bounds)
+    if not LITERAL < max(*gaps, tilt) < DRAWN:
         return robot
-    joints = [int(k) for k in errors.looped if k < len(robot.joints)]
-    varied = _varied(robot, joints)
-    bounds, written = varied.bounds, varied.bounds * varied.nonzero
-    for bound in (written * varied.grounded[:, None], written, bounds):
-        if (change := _fitted(varied, errors, poses, moving, bound)) is not None:
-            exact, shift, angle = _moved(robot, varied, change)
+    varied = _varied(robot, joints, places)
+    written, grounded = bounds * nonzero, np.array([[place.at.body == GROUND] for place in places])
+    for bound, aligned in product((written * grounded, written, bounds), (pairs, ())):
+        if max(gaps) < LITERAL and not aligned:
+            continue
+        if (change := _fitted(varied, errors, poses, moving, bound, aligned)) is not None:
+            exact, shift, angle = _moved(robot, places, change)
+            gap = errors.gap(poses[int(np.argmax(gaps))])
+            if max(gaps) < LITERAL:
+                gap = f"axes in the loops are {np.degrees(tilt):.2g} degrees from parallel or perpendicular"
             note = (
-                f"{errors.gap(poses[int(np.argmax(gaps))])}, as the numbers in the file are rounded; placements in the "
-                f"loops were moved by up to {1e3 * shift:.2g} mm and {np.degrees(angle):.2g} degrees, so that they "
-                "close in every pose"
+                f"{gap}, as the numbers in the file are rounded; placements in the loops were moved by up to "
+                f"{1e3 * shift:.2g} mm and {np.degrees(angle):.2g} degrees, so that they close in every pose"
             )
             return replace(exact, notes=(*robot.notes, note))
     return robot
@@ -79,12 +89,12 @@ def with_exact_loops(robot: Robot, errors: LoopErrors, home: np.ndarray) -> Robo
 def _moving(errors: LoopErrors, home: np.ndarray) -> np.ndarray | None:
     """Select the coordinates (indices into yd) that close the loops, redundant motors included.
 
-    None where there are no more equations than such coordinates.
+    None where there are fewer equations than such coordinates.
     """
     layout, G, passive = errors.layout, errors(home)[1], errors.passive
     rows = G.shape[0] - sum(closure.kind == "weld" for closure in layout.robot.closures)
     motors = np.setdiff1d(errors.looped, passive)
-    if rows <= passive.size or not passive.size:
+    if rows < passive.size or not passive.size:
         return None
     U, *_ = np.linalg.svd(G[:rows, passive])
     tied = U[:, passive.size :].T @ G[:rows, motors]
@@ -95,7 +105,7 @@ def _moving(errors: LoopErrors, home: np.ndarray) -> np.ndarray | None:
         direction = tied[:, k] / sizes[k]
         tied = tied - np.outer(direction, direction @ tied)
     moving = np.sort(np.array([*passive, *chosen], dtype=int))
-    return moving if rows > moving.size else None
+    return moving if rows >= moving.size else None
 
 
 def _around(errors: LoopErrors, home: np.ndarray, moving: np.ndarray) -> Iterator[np.ndarray]:
@@ -153,24 +163,94 @@ class _Place:
         return np.array([*(after.position - before.position), *euler_angles(before.rotation.T @ after.rotation)])
 
 
+def _places(robot: Robot, joints: list[Joint]) -> list[_Place]:
+    computed = robot.rounding is not None
+    places = [_Place(joint.name, Attachment(joint.antecedent, joint.placement), computed) for joint in joints]
+    for number, closure in enumerate(robot.closures):
+        places += [_Place(f"{number} {side}", at, computed) for side, at in (("a", closure.a), ("b", closure.b))]
+    return places
+
+
+def _bounds(robot: Robot, places: list[_Place], joints: list[Joint]) -> tuple[np.ndarray, np.ndarray]:
+    """Find how far the numbers of placements (places, 6) may move, m and rad, and which are not zero.
+
+    A number moves by half a unit of its last digit, one computed by a reader by what the numbers of two placements
+    allow, and one written with all digits not at all. Multiples of pi/12 may have been rounded, and count as zero.
+    """
+    numbers, angular = np.array([place.numbers for place in places]), np.array([place.angular for place in places])
+    remainder = np.where(angular, np.abs(numbers - np.round(numbers / (pi / 12)) * (pi / 12)), np.abs(numbers))
+    nonzero = remainder > CLOSED
+    axes = [component for joint in joints for component in joint.axis]
+    lengths, angles = digits_of(numbers[~angular]), digits_of([*numbers[angular & nonzero], *axes])
+    written = np.vectorize(is_written)(numbers)
+    if robot.rounding is None:
+        half = np.where(angular, np.vectorize(angles.half_unit)(numbers), np.vectorize(lengths.half_unit)(numbers))
+        return np.where(written | ~nonzero, half, 0.0), nonzero
+    lengths, turn = robot.rounding.lengths, robot.rounding.turn
+    half = np.vectorize(lengths.half_unit)(numbers)
+    arms = np.array([[np.linalg.norm(place.at.placement.position)] for place in places])
+    return np.where(angular, turn, np.where(written, half, 2 * half + turn * arms)), nonzero
+
+
+def _with_carriers(robot: Robot, joints: list[Joint]) -> list[str]:
+    """Name the joints and those that carry them."""
+    names = {joint.name for joint in joints} | {joint.antecedent for joint in joints}
+    return [joint.name for joint in robot.joints if joint.name in names]
+
+
+def _axes(layout: Coordinates, names: list[str]) -> ca.Function:
+    """Compile the axes (3 joints,) of joints and their derivatives by the joints' coordinates."""
+    c, joints = ca.SX.sym("c", layout.n_c), [layout.robot.joint(name) for name in names]
+    frame = frames(layout, c)
+    axes = ca.vertcat(*(frame[joint.name].R_0 @ constant(np.array(joint.axis)) for joint in joints))
+    return ca.Function("axes", [c], [ca.densify(axes), ca.densify(ca.jacobian(axes, c))])
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """Two axes that are meant to be parallel or perpendicular."""
+
+    one: int
+    other: int
+    parallel: bool
+
+    def error(self, axes: np.ndarray) -> np.ndarray:
+        """Compute the error, rad, of axes (joints, 3)."""
+        a, b = axes[self.one], axes[self.other]
+        return np.cross(a, b) if self.parallel else np.array([a @ b])
+
+    def slope(self, axes: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+        """Differentiate the error by the coordinates (rows, n), as the axes are by ``slopes`` (joints, 3, n)."""
+        (a, b), (da, db) = (each[[self.one, self.other]] for each in (axes, slopes))
+        return np.cross(da.T, b).T + np.cross(a, db.T).T if self.parallel else (a @ db + b @ da)[None]
+
+
+def _aligned(axes: list[np.ndarray], bounds: np.ndarray) -> tuple[list[_Pair], float]:
+    """Pair the axes that are parallel or perpendicular in all poses up to the digits, and find their largest error."""
+    each = np.array(axes).reshape(len(axes), -1, 3)
+    tolerance = min(DRAWN, TURNS * float(bounds[:, 3:].max()))
+    crossed = np.linalg.norm(np.cross(each[:, :, None], each[:, None]), axis=-1).max(axis=0)
+    along = np.abs(each @ each.transpose(0, 2, 1)).max(axis=0)
+    first = [int(np.argmax(row <= max(tolerance, LITERAL))) for row in crossed]
+    pairs = [_Pair(k, j, parallel=True) for j, k in enumerate(first) if k < j]
+    kinds = sorted(set(first))
+    pairs += [_Pair(k, j, parallel=False) for k in kinds for j in kinds if k < j and along[k, j] < tolerance]
+    errors = [float(np.abs(pair.error(pose)).max()) for pair in pairs for pose in each]
+    return pairs, max(errors, default=0.0)
+
+
 @dataclass(frozen=True, eq=False)
 class _Varied:
     """A robot of joints alone, six of them at each placement in a loop, by which the placement moves.
 
     ``virtual`` (places, 6) are the indices of these joints in ``c``, ``numbers`` those of all others by the names of
-    the robot's coordinates. ``bounds`` (places, 6) say how far the numbers of each placement may move, m and rad;
-    ``nonzero`` marks those that are not zero, nor angles that are multiples of pi/12. ``grounded`` (places,) marks
-    placements on the ground: where moving them is enough, legs that are alike stay so. ``axes`` maps c to the axes of
-    the joints in loops (3 joints,) and their derivatives by c.
+    the robot's coordinates; ``axes`` see :func:`_axes`.
     """
 
     errors: LoopErrors
-    places: tuple[_Place, ...]
+    places: list[_Place]
     virtual: np.ndarray
     numbers: dict[str, int]
-    bounds: np.ndarray
-    nonzero: np.ndarray
-    grounded: np.ndarray
     axes: ca.Function
 
     def configuration(self, layout: Coordinates, c: np.ndarray) -> np.ndarray:
@@ -184,93 +264,66 @@ class _Varied:
                 full[self.numbers[f"{dof}_{slots.platform.name}"]] = values[dof]
         return full
 
+    def aligned(self, pairs: Sequence[_Pair], c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Evaluate errors and scaled Jacobian of the loops and of the pairs of axes."""
+        error, G = self.errors(c)
+        axes, slopes = (found.full() for found in self.axes(c))
+        axes, slopes = axes.reshape(-1, 3), slopes.reshape(-1, 3, c.size) * self.errors.unit
+        rows = [pair.slope(axes, slopes) for pair in pairs]
+        return np.concatenate([error, *(pair.error(axes) for pair in pairs)]), np.vstack([G, *rows])
 
-def _varied(robot: Robot, looped: list[int]) -> _Varied:
+
+def _varied(robot: Robot, looped: list[Joint], places: list[_Place]) -> _Varied:
     joints: list[Joint] = []
-    places: list[_Place] = []
+    at = {place.name: place.at for place in places}
 
     def add(name: str, before: str, kind: Literal["revolute", "prismatic"], placement: Placement, axis: int) -> str:
         joints.append(Joint(name, before, kind, placement, AXES[axis], actuated=False, parameters="none"))
         return name
 
-    def vary(name: str, at: Attachment, before: str, first: Pose) -> str:
+    def vary(name: str, before: str, first: Pose) -> str:
         for k in range(6):
-            placement = {0: first, 3: at.placement}.get(k, Pose())
+            placement = {0: first, 3: at[name].placement}.get(k, Pose())
             before = add(f"{name} {k}", before, "prismatic" if k < 3 else "revolute", placement, k % 3)
-        places.append(_Place(name, at, robot.rounding is not None))
         return before
 
-    for k, joint in enumerate(robot.joints):
-        if k in looped:
-            before = vary(joint.name, Attachment(joint.antecedent, joint.placement), joint.antecedent, Pose())
-            joint = replace(joint, antecedent=before, placement=Pose())
+    for joint in robot.joints:
+        if joint in looped:
+            joint = replace(joint, antecedent=vary(joint.name, joint.antecedent, Pose()), placement=Pose())
         joints.append(joint)
-    carried = {joint.name: (joint.name, Pose()) for joint in robot.joints} | {GROUND: (GROUND, Pose())}
+    carried = {name: (name, Pose()) for name in (GROUND, *(joint.name for joint in robot.joints))}
     for platform in robot.platforms:
-        fixed = (0.0 if dof in platform.dof else x for dof, x in zip(TRANSLATIONS, platform.home.xyz, strict=True))
-        before, placement = GROUND, Pose(tuple(fixed))  # type: ignore[arg-type]
+        x, y, z = (
+            0.0 if dof in platform.dof else value for dof, value in zip(TRANSLATIONS, platform.home.xyz, strict=True)
+        )
+        before, placement = GROUND, Pose((x, y, z))
         for k, dof in enumerate(TRANSLATIONS + ROTATIONS):
             if dof in platform.dof:
-                name = f"{dof}_{platform.name}"
-                before = add(name, before, "prismatic" if k < 3 else "revolute", placement, k % 3)
-                placement = Pose()
+                kind: Literal["revolute", "prismatic"] = "prismatic" if k < 3 else "revolute"
+                before, placement = add(f"{dof}_{platform.name}", before, kind, placement, k % 3), Pose()
         carried[platform.name] = before, Pose(placement.xyz, platform.home.rpy)
     closures = []
     for number, closure in enumerate(robot.closures):
-        a, b = (vary(f"{number} {side}", at, *carried[at.body]) for side, at in (("a", closure.a), ("b", closure.b)))
+        a, b = (vary(f"{number} {side}", *carried[end.body]) for side, end in (("a", closure.a), ("b", closure.b)))
         closures.append(Closure(closure.kind, Attachment(a), Attachment(b)))
     whole = Robot(robot.name, tuple(joints), (), tuple(closures), robot.couplings)
     numbers, layout = {joint.name: k for k, joint in enumerate(joints)}, coordinates(whole)
-    c = ca.SX.sym("c", layout.n_c)
-    frame, turning = frames(layout, c), [robot.joints[k] for k in looped]
-    axes = ca.vertcat(*(frame[joint.name].R_0 @ constant(np.array(joint.axis)) for joint in turning))
-    bounds, nonzero = _bounds(robot.rounding, places, turning)
-    return _Varied(
-        loop_errors(layout),
-        tuple(places),
-        np.array([[numbers[f"{place.name} {k}"] for k in range(6)] for place in places]),
-        numbers,
-        bounds,
-        nonzero,
-        np.array([place.at.body == GROUND for place in places]),
-        ca.Function("axes", [c], [ca.densify(axes), ca.densify(ca.jacobian(axes, c))]),
-    )
-
-
-def _bounds(rounding: Rounding | None, places: list[_Place], joints: list[Joint]) -> tuple[np.ndarray, np.ndarray]:
-    """Find how far the numbers of placements (places, 6) may move, and which of them are written with digits.
-
-    A number moves by half a unit of its last digit; one computed by a reader by what the numbers of two placements
-    allow, one with all digits not at all, but for multiples of pi/12, which may have been rounded to that.
-    """
-    numbers = np.array([place.numbers for place in places])
-    is_angle = np.array([[is_angle for is_angle in place.angular] for place in places])
-    axes = [component for joint in joints for component in joint.axis]
-    lengths, angles = digits_of(numbers[~is_angle]), digits_of([*numbers[is_angle], *axes])
-    if rounding is not None:
-        lengths = rounding.lengths
-    bounds, nonzero = np.zeros(numbers.shape), np.zeros(numbers.shape, dtype=bool)
-    for place, row, marks in zip(places, bounds, nonzero, strict=True):
-        for k, (number, angular) in enumerate(zip(place.numbers, place.angular, strict=True)):
-            multiple = angular and abs(number - round(number / (pi / 12)) * (pi / 12)) < CLOSED
-            marks[k] = number != 0.0 and not multiple
-            if rounding is not None and angular:
-                row[k] = rounding.turn
-            elif multiple or is_written(number):
-                row[k] = (angles if angular else lengths).half_unit(number)
-            elif rounding is not None:
-                row[k] = 2 * lengths.half_unit(number) + rounding.turn * np.linalg.norm(place.at.placement.position)
-    return bounds, nonzero
+    virtual = np.array([[numbers[f"{place.name} {k}"] for k in range(6)] for place in places])
+    return _Varied(loop_errors(layout), places, virtual, numbers, _axes(layout, _with_carriers(robot, looped)))
 
 
 def _fitted(
-    varied: _Varied, errors: LoopErrors, poses: list[np.ndarray], moving: np.ndarray, bound: np.ndarray
+    varied: _Varied,
+    errors: LoopErrors,
+    poses: list[np.ndarray],
+    moving: np.ndarray,
+    bound: np.ndarray,
+    pairs: Sequence[_Pair],
 ) -> np.ndarray | None:
-    """Find the smallest change (places, 6) of the numbers, within ``bound``, with which the loops close in all poses."""
+    """Find the smallest change (places, 6) within ``bound`` with which the loops close in all poses."""
     whole, free = varied.errors, bound > 0.0
     of_whole = np.array([varied.numbers[errors.layout.names[k]] for k in moving])
     configurations = [varied.configuration(errors.layout, c) for c in poses]
-    pairs = _parallel(varied, configurations)
     change = np.zeros(bound.shape)
     for _ in range(STEPS):
         slopes, moved = zip(*(_slope(place, by) for place, by in zip(varied.places, change, strict=True)), strict=True)
@@ -278,7 +331,7 @@ def _fitted(
         for k, c in enumerate(configurations):
             c[varied.virtual] = moved
             configurations[k] = c = closed(whole, c, of_whole)
-            error, G = _with_axes(varied, pairs, c)
+            error, G = varied.aligned(pairs, c)
             U, *_ = np.linalg.svd(G[:, of_whole])
             surplus = U[:, of_whole.size :].T
             by_numbers = np.einsum("rpi,pij->rpj", (G / whole.unit)[:, varied.virtual], np.array(slopes))
@@ -299,24 +352,6 @@ def _slope(place: _Place, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return (ahead - behind).T / 2e-6, place.displacement(change)
 
 
-def _parallel(varied: _Varied, configurations: list[np.ndarray]) -> list[tuple[int, int]]:
-    """Pair the axes in loops that are parallel in all configurations, up to what the digits allow."""
-    axes = np.array([np.reshape(varied.axes(c)[0].full(), (-1, 3)) for c in configurations])
-    apart = np.linalg.norm(np.cross(axes[:, :, None], axes[:, None]), axis=-1).max(axis=0)
-    first = [int(np.argmax(row < min(DRAWN, varied.bounds[:, 3:].sum()))) for row in apart]
-    return [(k, j) for j, k in enumerate(first) if k < j]
-
-
-def _with_axes(varied: _Varied, pairs: list[tuple[int, int]], c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Append to errors (rows,) and scaled Jacobian of the loops the cross products of axes that are parallel."""
-    error, G = varied.errors(c)
-    axes, slopes = (found.full() for found in varied.axes(c))
-    axes, slopes = axes.reshape(-1, 3), slopes.reshape(-1, 3, c.size) * varied.errors.unit
-    crossed = [np.cross(axes[j], axes[k]) for j, k in pairs]
-    turned = [np.cross(slopes[j].T, axes[k]).T + np.cross(axes[j], slopes[k].T).T for j, k in pairs]
-    return np.concatenate([error, *crossed]), np.vstack([G, *turned])
-
-
 def _least(A: np.ndarray, b: np.ndarray, bound: np.ndarray, worst: float) -> np.ndarray:
     """Find the smallest x (n,) within ``bound`` for which ``A x = b``; it is no solution where there is none."""
     x, free = np.zeros(bound.size), np.ones(bound.size, dtype=bool)
@@ -332,9 +367,9 @@ def _least(A: np.ndarray, b: np.ndarray, bound: np.ndarray, worst: float) -> np.
     return x
 
 
-def _moved(robot: Robot, varied: _Varied, change: np.ndarray) -> tuple[Robot, float, float]:
+def _moved(robot: Robot, places: list[_Place], change: np.ndarray) -> tuple[Robot, float, float]:
     """Move the placements, and return the largest shift (m) and turn (rad) with the robot."""
-    by_name = {place.name: place.changed(by) for place, by in zip(varied.places, change, strict=True) if by.any()}
+    by_name = {place.name: place.changed(by) for place, by in zip(places, change, strict=True) if by.any()}
 
     def end(name: str, at: Attachment) -> Attachment:
         return replace(at, placement=by_name.get(name, at.placement))
@@ -344,6 +379,6 @@ def _moved(robot: Robot, varied: _Varied, change: np.ndarray) -> tuple[Robot, fl
         replace(closure, a=end(f"{number} a", closure.a), b=end(f"{number} b", closure.b))
         for number, closure in enumerate(robot.closures)
     )
-    moves = np.array([place.displacement(by) for place, by in zip(varied.places, change, strict=True)])
+    moves = np.array([place.displacement(by) for place, by in zip(places, change, strict=True)])
     shift, angle = (float(np.linalg.norm(part, axis=1).max()) for part in np.split(moves, [3], axis=1))
     return replace(robot, joints=tuple(joints), closures=tuple(closures)), shift, angle
