@@ -6,7 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import parallel_robots
 import pytest
+from engines import closed_torques, random_parameters
+from parallel_robots import KINDS, draw
 from scipy.spatial.transform import Rotation
 
 from gtau.errors import GtauError
@@ -15,7 +18,7 @@ from gtau.model.home import close_home, load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import close_loops
 from gtau.robots.geometry import angles_of
-from gtau.robots.robot import Attachment, Closure, Joint, Placement, Pose, Robot
+from gtau.robots.robot import Attachment, Closure, Joint, Mdh, Placement, Platform, Pose, Robot
 
 TURNED = Rotation.from_euler("xyz", [0.3, -0.7, 1.1]).as_matrix()
 DIGITS = range(3, 13)
@@ -136,3 +139,122 @@ def test_a_file_as_mujoco_saves_it(tmp_path: Path) -> None:
     found = load_robot(tmp_path / "saved.xml")
     assert any("as the numbers in the file are rounded" in note for note in found.notes)
     assert len(names(found)) == 25
+
+
+def three_rrr() -> Robot:
+    """Exact numbers; motors 0.3 rad from home are beyond the reach of the platform."""
+    joints, closures = [], []
+    for k in range(3):
+        angle = 2 * np.pi * k / 3
+        joints += [
+            Joint(f"motor{k}", "ground", "revolute", Mdh(gamma=angle, d=0.4), home=2.24),
+            Joint(f"leg{k}", f"motor{k}", "revolute", flat(0.25), home=1.8, actuated=False),
+        ]
+        pin = Attachment("plate", Mdh(gamma=angle, d=0.1))
+        closures.append(Closure("connect", Attachment(f"leg{k}", flat(0.25)), pin))
+    platforms = (Platform("plate", ("x", "y", "rz")),)
+    return Robot("3-rrr", tuple(joints), platforms, tuple(closures), gravity=(0.0, -9.81, 0.0))
+
+
+def numbers(robot: Robot) -> np.ndarray:
+    ends = (end for closure in robot.closures for end in (closure.a, closure.b))
+    return np.array([[*part.placement.xyz, *part.placement.rpy] for part in (*robot.joints, *ends)])  # type: ignore[union-attr]
+
+
+def test_out_of_reach_is_no_rounding(rng: np.random.Generator) -> None:
+    robot = three_rrr()
+    found = close_home(robot)
+    assert not any("rounded" in note for note in found.notes)
+    for before, after in zip(robot.joints, found.joints, strict=True):
+        assert after.placement == before.placement
+    assert found.closures == robot.closures
+    chi = random_parameters(found, rng)
+    home = np.array([joint.home for joint in found.joints if joint.actuated])
+    states = home + rng.uniform(-0.02, 0.02, (5, 3)), rng.normal(size=(5, 3)), rng.normal(size=(5, 3))
+    expected = closed_torques(found, chi, *states)
+    np.testing.assert_allclose(InverseDynamics(found).torques(*states, chi), expected, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("digits", [6, 17])
+def test_a_gap_beyond_the_digits_is_refused(digits: int) -> None:
+    """Half a millimetre out of the plane is no rounding of numbers with six decimals, nor of any with all digits."""
+    robot = written(load_robot("five-bar"), digits)
+    tip = robot.closures[0].a
+    x, y, z = tip.placement.position.tolist()
+    off = replace(robot.closures[0], a=replace(tip, placement=Pose((x, y, z + 5e-4), tip.placement.rpy)))  # type: ignore[union-attr]
+    with pytest.raises(GtauError, match=r"the loops do not close near the home .* stays open by 0\.[345]"):
+        close_home(replace(robot, closures=(off,)))
+
+
+def check(kind: parallel_robots.Kind, seed: int, digits: int) -> None:
+    """An exact robot stays as it is; a rounded one moves by no more than its digits, and has its base parameters."""
+    exact = draw(kind, seed)
+    assert close_home(exact) == exact
+    given = parallel_robots.written(exact, digits)
+    found = close_home(given)
+    assert np.abs(numbers(found) - numbers(given)).max() < 0.5001 * 10.0**-digits
+    assert names(found) == names(exact)
+
+
+@pytest.mark.parametrize(("kind", "digits"), [(KINDS[1], 5), (KINDS[7], 4), (KINDS[9], 8)])
+def test_published_robots(kind: parallel_robots.Kind, digits: int) -> None:
+    check(kind, digits, digits)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("kind", KINDS)
+def test_all_published_robots(kind: parallel_robots.Kind, seed: int) -> None:
+    check(kind, seed, DIGITS[seed % len(DIGITS)])
+
+
+FIVE_BAR = """<mujoco><compiler angle="radian"/><worldbody>{}</worldbody>
+<equality><connect site1="tip0" site2="tip1"/></equality><actuator><motor joint="a0"/><motor joint="a1"/></actuator>
+</mujoco>"""
+LEG = """<body pos="{}" quat="{}"><joint name="a{n}" axis="{}"/><geom size="1"/><body pos="{}" quat="{}">
+<joint name="f{n}" axis="{}"/><geom size="1"/><site name="tip{n}" pos="{}"/></body></body>"""
+JOINT = """<joint name="{}{n}" type="continuous"><origin xyz="{}" rpy="{}"/><parent link="{}"/><child link="{}"/>
+<axis xyz="{}"/></joint><link name="{}"/>"""
+
+
+def five_bar_file(folder: Path, kind: str, digits: int) -> Path:
+    """A five-bar whose frames lie at random in its links, so that its axes have digits, too."""
+    rng, parts = np.random.default_rng(1), []
+
+    def text(values: np.ndarray | tuple[float, ...]) -> str:
+        return " ".join(f"{value:.{digits}f}" for value in values)
+
+    def turned(rotation: np.ndarray) -> str:
+        quat = Rotation.from_matrix(rotation).as_quat(scalar_first=True)
+        return text(quat if kind == "xml" else angles_of(rotation))
+
+    plane, forearm = Rotation.random(random_state=rng).as_matrix(), np.arccos(0.225 / 0.35)
+    for n, (x, *angles) in enumerate(((-0.1, 2.1, forearm), (0.1, np.pi - 2.1, np.pi - forearm))):
+        first, second = (Rotation.random(random_state=rng).as_matrix() for _ in range(2))
+        arm, tip = (
+            plane @ [length * np.cos(angle), length * np.sin(angle), 0.0]
+            for length, angle in zip((0.25, 0.35), angles, strict=True)
+        )
+        axis, other = text(first.T @ plane[:, 2]), text(second.T @ plane[:, 2])
+        foot, pin, end = text(plane @ [x, 0.2, 0.3]), text(first.T @ arm), text(second.T @ tip)
+        turns = turned(first), turned(first.T @ second)
+        if kind == "xml":
+            parts.append(LEG.format(foot, turns[0], axis, pin, turns[1], other, end, n=n))
+            continue
+        parts.append(JOINT.format("a", foot, turns[0], "base", f"arm{n}", axis, f"arm{n}", n=n))
+        parts.append(JOINT.format("f", pin, turns[1], f"arm{n}", f"forearm{n}", other, f"forearm{n}", n=n))
+        fixed = JOINT.format("tip", end, "0 0 0", f"forearm{n}", f"tip_link{n}", "1 0 0", f"tip_link{n}", n=n)
+        parts.append(fixed.replace("continuous", "fixed"))
+    if kind == "xml":
+        (folder / "five-bar.xml").write_text(FIVE_BAR.format("".join(parts)))
+        return folder / "five-bar.xml"
+    (folder / "five-bar.urdf").write_text(f'<robot name="five-bar"><link name="base"/>{"".join(parts)}</robot>')
+    (folder / "five-bar.yaml").write_text("closed_loop: [[tip0, tip1]]\ntype: [3d]\nname_mot: [a0, a1]\n")
+    return folder / "five-bar.yaml"
+
+
+@pytest.mark.parametrize("digits", [5, 7, 9])
+@pytest.mark.parametrize("kind", ["xml", "urdf"])
+def test_frames_at_odd_angles(kind: str, digits: int, tmp_path: Path) -> None:
+    """Axes that are nearly parallel would meet far away: a spherical linkage, which has 28 parameters."""
+    assert len(names(load_robot(five_bar_file(tmp_path, kind, digits)))) == 25

@@ -12,6 +12,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from gtau.model.kinematics import coordinates
+from gtau.model.loop_closure import loop_errors
 from gtau.robots.geometry import angles_of
 from gtau.robots.robot import GROUND, Attachment, Closure, Joint, Placement, Platform, Pose, Robot
 
@@ -199,7 +201,8 @@ def delta(d: Drawing) -> None:
         d.tie(f"bar{k}", "tool", turn @ tip)
 
 
-KINDS: tuple[Callable[[Drawing], None], ...] = (
+Kind = Callable[[Drawing], None]
+KINDS: tuple[Kind, ...] = (
     four_bar,
     watt,
     stephenson,
@@ -213,14 +216,21 @@ KINDS: tuple[Callable[[Drawing], None], ...] = (
 )
 
 
-def draw(kind: Callable[[Drawing], None], seed: int) -> Robot:
-    """Draw a robot of a kind, with all digits."""
+CONDITION = 20.0  # of robots that work: condition number at home
+
+
+def draw(kind: Kind, seed: int) -> Robot:
+    """Draw a robot of a kind, with all digits, whose home is not close to a singularity."""
     rng = np.random.default_rng(seed)
-    drawing = Drawing(rng, Rotation.random(random_state=rng).as_matrix())
-    kind(drawing)
-    gx, gy, gz = (drawing.mount @ [1.0, -9.0, 2.0]).tolist()
-    parts = tuple(drawing.joints), tuple(drawing.platforms), tuple(drawing.closures)
-    return Robot(kind.__name__.replace("_", "-"), *parts, gravity=(gx, gy, gz))
+    while True:
+        drawing = Drawing(rng, Rotation.random(random_state=rng).as_matrix())
+        kind(drawing)
+        gx, gy, gz = (drawing.mount @ [1.0, -9.0, 2.0]).tolist()
+        parts = tuple(drawing.joints), tuple(drawing.platforms), tuple(drawing.closures)
+        robot = Robot(kind.__name__.replace("_", "-"), *parts, gravity=(gx, gy, gz))
+        errors = loop_errors(coordinates(robot))
+        if errors.condition(errors(errors.layout.home)[1]) < CONDITION:
+            return robot
 
 
 def written(robot: Robot, decimals: int) -> Robot:

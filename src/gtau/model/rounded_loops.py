@@ -70,7 +70,7 @@ def with_exact_loops(robot: Robot, errors: LoopErrors, home: np.ndarray) -> Robo
         return robot
     varied = _varied(robot, joints, places)
     written, grounded = bounds * nonzero, np.array([[place.at.body == GROUND] for place in places])
-    for bound, aligned in product((written * grounded, written, bounds), (pairs, ())):
+    for aligned, bound in product((pairs, []), (written * grounded, written, bounds)):
         if max(gaps) < LITERAL and not aligned:
             continue
         if (change := _fitted(varied, errors, poses, moving, bound, aligned)) is not None:
@@ -324,7 +324,7 @@ def _fitted(
     whole, free = varied.errors, bound > 0.0
     of_whole = np.array([varied.numbers[errors.layout.names[k]] for k in moving])
     configurations = [varied.configuration(errors.layout, c) for c in poses]
-    change = np.zeros(bound.shape)
+    change, before = np.zeros(bound.shape), np.inf
     for _ in range(STEPS):
         slopes, moved = zip(*(_slope(place, by) for place, by in zip(varied.places, change, strict=True)), strict=True)
         A, b, worst = [], [], 0.0
@@ -340,7 +340,9 @@ def _fitted(
             worst = max(worst, float(np.abs(whole(c)[0]).max()), float(np.abs(b[-1]).max(initial=0.0)))
         if worst < EXACT:
             return change
-        stacked = np.vstack(A)
+        if worst > before / 2:
+            return None
+        before, stacked = worst, np.vstack(A)
         change[free] = _least(stacked, stacked @ change[free] - np.concatenate(b), bound[free], worst)
     return None
 

@@ -11,6 +11,8 @@ COMPUTED = (
     14  # significant digits: numbers with as many were computed, not written; of 1,000 computed ones, 1 has fewer
 )
 
+PRINTED = 6  # significant digits that programs write, MuJoCo and others that print by %g
+
 
 def _digits(number: float) -> tuple[int, int]:
     """Count the significant digits of a number and return the exponent of its last one."""
@@ -25,7 +27,7 @@ def is_written(number: float) -> bool:
 
 @dataclass(frozen=True)
 class Digits:
-    """The digits of the numbers in a file: so many ``decimals``, or so many ``significant`` ones, as MuJoCo writes.
+    """The digits of the numbers in a file: so many ``decimals``, or so many ``significant`` ones where those are many.
 
     Trailing zeros are often left out, so a single number does not tell; the longest of all numbers does.
     """
@@ -37,8 +39,10 @@ class Digits:
         """Return half a unit of the last digit with which a number is written; of numbers of no such file, 0."""
         if not self.significant:
             return 0.0
-        last = floor(log10(abs(number))) + 1 - self.significant if number else -self.decimals
-        return 0.5 * 10.0 ** max(-self.decimals, last)
+        last = -self.decimals
+        if number and self.significant >= PRINTED:
+            last = max(last, floor(log10(abs(number))) + 1 - self.significant)
+        return 0.5 * 10.0**last
 
 
 def digits_of(numbers: Iterable[float]) -> Digits:
