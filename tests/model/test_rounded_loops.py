@@ -141,6 +141,21 @@ def test_a_file_as_mujoco_saves_it(tmp_path: Path) -> None:
     assert len(names(found)) == 25
 
 
+def test_angles_in_degrees() -> None:
+    robot = written(load_robot("five-bar"), 17)
+    joints = []
+    for joint in robot.joints:
+        placement = joint.placement
+        assert isinstance(placement, Pose)
+        roll, pitch, yaw = (float(np.radians(round(np.degrees(angle), 4))) for angle in placement.rpy)
+        turned = Pose(placement.xyz, (roll, pitch, yaw)) if joint.antecedent == "ground" else placement
+        joints.append(replace(joint, placement=turned))
+    found = close_home(replace(robot, joints=tuple(joints)))
+    change = [np.subtract(a.placement.rpy, b.placement.rpy) for a, b in zip(found.joints, joints, strict=True)]  # type: ignore[union-attr]
+    assert np.degrees(np.abs(change).max()) < 0.5001e-4
+    assert names(found) == names(robot)
+
+
 def three_rrr() -> Robot:
     """Exact numbers; motors 0.3 rad from home are beyond the reach of the platform."""
     joints, closures = [], []

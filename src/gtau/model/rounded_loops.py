@@ -182,9 +182,14 @@ def _bounds(robot: Robot, places: list[_Place], joints: list[Joint]) -> tuple[np
     nonzero = remainder > CLOSED
     axes = [component for joint in joints for component in joint.axis]
     lengths, angles = digits_of(numbers[~angular]), digits_of([*numbers[angular & nonzero], *axes])
-    written = np.vectorize(is_written)(numbers)
+    written, unit = np.vectorize(is_written)(numbers), 1.0
     if robot.rounding is None:
-        half = np.where(angular, np.vectorize(angles.half_unit)(numbers), np.vectorize(lengths.half_unit)(numbers))
+        if not angles.significant:  # in rad; then perhaps in degrees
+            unit = pi / 180
+            angles = digits_of(np.round(numbers[angular & nonzero] / unit, 10))
+            written |= angular
+        turns = unit * np.vectorize(angles.half_unit)(numbers / unit)
+        half = np.where(angular, turns, np.vectorize(lengths.half_unit)(numbers))
         return np.where(written | ~nonzero, half, 0.0), nonzero
     lengths, turn = robot.rounding.lengths, robot.rounding.turn
     half = np.vectorize(lengths.half_unit)(numbers)

@@ -12,6 +12,7 @@ COMPUTED = (
 )
 
 PRINTED = 6  # significant digits that programs write, MuJoCo and others that print by %g
+FEWEST = 3  # decimals of numbers that were rounded, m or rad
 
 
 def _digits(number: float) -> tuple[int, int]:
@@ -46,10 +47,10 @@ class Digits:
 
 
 def digits_of(numbers: Iterable[float]) -> Digits:
-    """Find the digits that numbers are written with; whole and computed ones show none."""
+    """Find the digits that numbers are written with; computed ones show none, nor do 0.25 and 0.4, which are exact."""
     found = [_digits(number) for number in numbers if number != round(number) and is_written(number)]
     significant, exponents = zip(*found, strict=True) if found else ((0,), (0,))
-    return Digits(-min(exponents), max(significant))
+    return Digits(-min(exponents), max(significant)) if -min(exponents) >= FEWEST else Digits(0, 0)
 
 
 @dataclass(frozen=True)
