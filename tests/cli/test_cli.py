@@ -261,6 +261,10 @@ def test_a_payload_for_a_controller(here: Path) -> None:
     refused = run("payload", "model.json", "weighing.yaml", "--to", "ur")
     assert refused.exit_code != 0
     assert "--to ur writes files; name their folder by --out DIR" in " ".join(refused.stderr.split())
+    refused = run("payload", "model.json", "weighing.yaml", "--to", "ur", "--out", "unnamed")
+    assert refused.exit_code != 0
+    assert "need not be the frame of 'right_forearm'; name it by --frame" in " ".join(refused.stderr.split())
+    assert not (here / "unnamed").exists()
 
 
 def test_wrong_prior_gains_weigh_wrong(here: Path) -> None:

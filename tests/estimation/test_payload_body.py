@@ -17,7 +17,7 @@ from gtau.estimation.results.payload import QUANTITIES, PayloadEstimate, Weighed
 from gtau.estimation.weigh import weigh
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.readers.urdf import frame_on
+from gtau.robots.readers.urdf import frame_on, links_on
 from gtau.robots.rigid_body import RigidBody, inertial_parameters, rigid_body
 from gtau.robots.robot import INERTIAL, Pose
 from gtau.signals.payload import Payload
@@ -130,6 +130,12 @@ def test_a_link_of_the_urdf_is_a_frame(tmp_path: Path) -> None:
     assert placement.rotation == pytest.approx((first * second).as_matrix())
     _, written = frame_on("elbow", "0.1 0 0, 0 0 1.0", None)
     assert written == Pose((0.1, 0.0, 0.0), (0.0, 0.0, 1.0))
+
+
+def test_links_fixed_to_the_carrier_are_offered(tmp_path: Path) -> None:
+    (tmp_path / "two.urdf").write_text(URDF)
+    assert links_on("elbow", tmp_path / "two.urdf") == ["arm", "flange", "tool0"]
+    assert links_on("elbow", "ur10e") == []
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import ast
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -147,3 +148,15 @@ def test_numbers_have_no_exponents(tmp_path: Path) -> None:
 def test_refusals(kind: str, rigid: RigidBody | None, sentence: str, tmp_path: Path) -> None:
     with pytest.raises(GtauError, match=sentence):
         gtau.export_payload(payload(rigid), kind, tmp_path)
+
+
+@pytest.mark.parametrize("kind", READERS)
+def test_a_frame_that_nobody_named_is_refused(kind: str, tmp_path: Path) -> None:
+    """Controllers have a frame of their own; a message of ROS goes with any."""
+    unnamed = replace(payload(), frame="the frame of 'wrist'", named=False)
+    if kind == "ros":
+        assert gtau.export_payload(unnamed, kind, tmp_path).files
+        return
+    with pytest.raises(GtauError, match=r"in the frame of its flange, which need not be the frame of 'wrist'; name it"):
+        gtau.export_payload(unnamed, kind, tmp_path)
+    assert not list(tmp_path.iterdir())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -62,6 +63,54 @@ def test_the_truth_lies_within_the_draws(samples: Samples) -> None:
     truth = result.base.matrix @ [chi(result.robot).get(name, 0.0) for name in result.model.parameter_names]
     low, high = np.quantile(samples.base, [0.025, 0.975], axis=0)
     assert np.mean((truth >= low) & (truth <= high)) > 0.8  # benchmarks/sim_to_real.py counts many experiments
+
+
+@pytest.fixture(scope="module")
+def noisy(tmp_path_factory: pytest.TempPathFactory) -> Result:
+    true = robot(tmp_path_factory.mktemp("noisy"))
+    made = plant(true, noise=3.0)
+    return identify(true, [torque_run(made, 1), torque_run(made, 2)], consistent=True)
+
+
+def test_draws_of_a_weak_result_are_arms(noisy: Result) -> None:
+    """Where the logs say little, the mass stays near the file's 15.2 kg, and no draw is far from the estimates."""
+    samples = draw(noisy, 60, seed=5)
+    names = noisy.model.parameter_names
+    masses = samples.standard[:, [name.startswith("m_") for name in names]].sum(axis=1)
+    assert 10 < masses.min() < 15.2 < masses.max() < 25
+    assert samples.moved.max() < 1
+    assert "all of rigid bodies: the moving mass is" in samples.note
+    assert "no draw lies more than 1 outside" in samples.note
+
+
+def test_what_the_data_leave_open_has_the_files_value_to_30_per_cent(samples: Samples) -> None:
+    """No torque depends on the mass of the first link, which turns about the vertical."""
+    mass = samples.standard[:, samples.result.model.parameter_names.index("m_j1")]
+    assert mass.mean() == pytest.approx(6.0, rel=0.1)
+    assert mass.std() == pytest.approx(0.3 * 6.0, rel=0.2)
+
+
+@pytest.mark.parametrize(("off", "drawn"), [(100.0, True), (2000.0, False)])
+def test_an_estimate_that_no_bodies_have_is_said(result: Result, off: float, drawn: bool) -> None:
+    name = next(name for name in result.parameters if name.startswith("yy_j3"))
+    true = result.parameters[name]
+    false = replace(true, value=true.value - off * true.std)
+    changed = replace(result, parameters={**result.parameters, name: false})
+    if not drawn:
+        with pytest.raises(GtauError, match="no rigid bodies near those of the robot file"):
+            draw(changed, 5)
+        return
+    samples = draw(changed, 5)
+    assert samples.moved_share == 1
+    assert "100 % of the draws lie more than 1 standard deviation outside" in samples.note
+    assert "do not use the draws" in samples.note
+
+
+def test_a_model_file_gives_the_same_draws(result: Result, tmp_path: Path) -> None:
+    result.save(tmp_path / "model.json")
+    read = Result.load(tmp_path / "model.json")
+    assert dict(read.robot.inertias) == dict(result.robot.inertias)
+    np.testing.assert_allclose(draw(read, 2, 1).standard, draw(result, 2, 1).standard, rtol=1e-6, atol=1e-9)
 
 
 def test_a_seed_gives_the_same_draws(result: Result, samples: Samples) -> None:

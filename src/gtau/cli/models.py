@@ -103,7 +103,7 @@ def payload(
         typer.Option(
             metavar="LINK|POSE",
             help="Frame of the centre of mass and inertia: a link of the URDF (tool0), or 'x y z roll pitch yaw' "
-            "(m, rad) from the frame of the body that carries the payload. Default: that frame.",
+            "(m, rad) from the frame of the body that carries the payload. Default: that frame; with --to, name one.",
             show_default=False,
         ),
     ] = "",
@@ -129,15 +129,23 @@ def payload(
             from gtau.estimation.results.model_document import payload_documents
             from gtau.estimation.results.result import Result
             from gtau.estimation.weigh import exact_gains, weigh
+            from gtau.export.payload import refuse_unnamed
+            from gtau.export.registry import PAYLOAD_KINDS, refuse_unknown
             from gtau.report.evidence import settings_of
             from gtau.report.validation import bodies_document, weighing_page, weighing_report
             from gtau.report.write import inputs_of, write_report
+            from gtau.robots.readers.urdf import links_on
             from gtau.signals.experiment import read_experiment
 
-            result = Result.load(model)
+            result, described = Result.load(model), read_experiment(experiment)
+            file = described.robot if isinstance(described.robot, str) else described.robot.file
+            if to is not None:
+                refuse_unknown(to, PAYLOAD_KINDS)
+            if to is not None and not frame:
+                tool = result.robot.tool
+                refuse_unnamed(to, f"the frame of '{tool}'", links_on(tool, file))
             found = weigh(result, experiment, gains=gains.value, progress=progress)
-        described, written, notes = read_experiment(experiment), list[Path](), list[str]()
-        file = described.robot if isinstance(described.robot, str) else described.robot.file
+        written, notes = list[Path](), list[str]()
         bodies = []
         if frame or to or find_spec("clarabel"):  # an extra, without which masses are weighed all the same
             bodies = [each.in_frame(frame, file) for each in found]
@@ -215,8 +223,9 @@ def export(
             files = [str(path) for path in exported.files]
             print_json({"kind": to, "files": files, "notes": list(exported.notes), "figures": dict(exported.figures)})
         else:
+            _show_notes([exported.lost] if exported.lost else [])
             show_written(exported.files)
-            _show_notes(exported.notes)
+            _show_notes([note for note in exported.notes if note != exported.lost])
 
 
 def _show_notes(notes: Sequence[str]) -> None:

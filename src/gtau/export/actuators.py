@@ -29,6 +29,7 @@ from gtau.export import urdf
 from gtau.export.consistent import ConsistentModel, consistent_model
 from gtau.export.exported import Exported, identifier, written
 from gtau.export.mjcf import compiled, digits, imported, model_text
+from gtau.export.open_tree import serial_equivalent, what_is_lost
 from gtau.robots.parameter import Parameter
 
 TIMESTEP = 0.005  # s: of physics in the files, in which delays are counted
@@ -46,6 +47,11 @@ Actuators of '{robot}', identified from logs. Not run in Isaac Lab.
   DelayedPDActuatorCfg(stiffness=..., damping=..., **actuator)
 Delays are in physics steps of 'timestep' (s), the same for all joints. Both frictions are the Coulomb friction.
 A joint missing under 'armature' has one that is not identifiable apart from its link: see 'measured'."""
+
+OPEN_HEAD = """
+The bodies are an OPEN TREE, without the loops of the robot, so this is another robot. 'serial_equivalent' is the
+inertia at each motor with loops closed (at home, 'range' over random poses, 'coupling' to each motor): the armature of
+a tree of the motors alone. Such a tree has no weight and moves like the robot near home only."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,11 +159,16 @@ def export_isaaclab(result: Result, out: Path) -> Exported:
         "min_delay": min(low for low, _ in lags),
         "max_delay": max(high for _, high in lags),
     }
-    document = {"timestep": TIMESTEP, "actuator": {k: v for k, v in fields.items() if v != {}}}
-    text = _yaml_file(ISAACLAB_HEAD.format(robot=result.robot.name), document | {"measured": _measured(found)})
+    document: dict[str, Any] = {"timestep": TIMESTEP, "actuator": {k: v for k, v in fields.items() if v != {}}}
+    if result.robot.closures:
+        document["serial_equivalent"] = serial_equivalent(model)
+    head = ISAACLAB_HEAD.format(robot=result.robot.name) + (OPEN_HEAD if result.robot.closures else "")
+    text = _yaml_file(head, document | {"measured": _measured(found)})
     files = written(out, {f"{name}_isaaclab.yaml": text})
-    notes = (*bodies.notes, *_notes(found), *_notes_beside(found, "Isaac Lab"))
-    return Exported((*files, *bodies.files), notes, bodies.figures)
+    lost = what_is_lost(result.robot, "Isaac Lab", name)
+    said = [each for each in bodies.notes if each != bodies.lost]
+    notes = (*([lost] if lost else []), *said, *_notes(found), *_notes_beside(found, "Isaac Lab"))
+    return Exported((*files, *bodies.files), notes, bodies.figures, lost)
 
 
 def actuators(model: ConsistentModel) -> tuple[Actuator, ...]:

@@ -14,11 +14,15 @@ LONGEST = 40  # characters: with what follows, MATLAB's 63 are not exceeded
 
 @dataclass(frozen=True)
 class Exported:
-    """Files written, notes on what the target cannot express, and figures by name (``rms_percent_11``)."""
+    """Files written, notes on what the target cannot express, and figures by name (``rms_percent_11``).
+
+    ``lost`` is the first of the notes where the files are not the whole robot, to be said before all else.
+    """
 
     files: tuple[Path, ...]
     notes: tuple[str, ...] = ()
     figures: Mapping[str, float] = field(default_factory=dict)
+    lost: str = ""
 
 
 def written(out: Path, texts: Mapping[str, str | bytes]) -> tuple[Path, ...]:

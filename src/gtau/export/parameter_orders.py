@@ -93,6 +93,8 @@ def export(result: Result, out: Path) -> Exported:
         texts[f"{identifier(result.robot.name)}_{program}.csv"] = in_csv(pl.DataFrame(table))
         notes.append(f"{program}: {order.explained}")
     notes.append("all in the frames of gtau's links: a joint's frame, after its motion")
+    if result.robot.closures:
+        notes.append("the tables hold bodies alone: a tree of them is not the robot before its loops are closed")
     return Exported(written(out, texts), tuple(notes))
 
 

@@ -7,7 +7,7 @@ Numbers keep all their digits.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -28,8 +28,10 @@ def write_payload(payload: PayloadBody, kind: str, out: Path) -> Exported:
     Raises
     ------
     GtauError
-        Where the mass is not identifiable.
+        Where the mass is not identifiable, or the frame was not named and the controller has its own.
     """
+    if not payload.named:
+        refuse_unnamed(kind, payload.frame, ())
     if payload.rigid is None:
         raise GtauError(
             f"the mass of payload '{payload.name}' is not identifiable, and {kind} needs one; give its 'center' in the "
@@ -45,6 +47,18 @@ def write_payload(payload: PayloadBody, kind: str, out: Path) -> Exported:
         )
     head = f"payload '{payload.name}' in {payload.frame}, weighed by gtau"
     return Exported(written(out, writer(name, payload.rigid, " ".join(head.split()))), tuple(notes))
+
+
+def refuse_unnamed(kind: str, frame: str, links: Sequence[str]) -> None:
+    """Refuse a ``frame`` that nobody chose for a controller that has its own; ``links`` are frames on the same body."""
+    if kind == "ros":  # the message goes with any frame_id
+        return
+    offered = f"{', '.join(links)} in the robot's file, or " if links else ""
+    raise GtauError(
+        f"a controller ({kind}) takes the payload in the frame of its flange, which need not be {frame}; name it by "
+        f"--frame (in Python in_frame): {offered}'x y z roll pitch yaw' (m, rad) from {frame}, '0 0 0 0 0 0' if it is "
+        "the flange's."
+    )
 
 
 def _ur(name: str, body: RigidBody, head: str) -> Mapping[str, str]:

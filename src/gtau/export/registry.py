@@ -114,7 +114,7 @@ def export_model(
     GtauError
         Where the model lacks what the kind needs, or the files cannot be written.
     """
-    _refuse_unknown(kind, KINDS)
+    refuse_unknown(kind, KINDS)
     result = model if isinstance(model, Result) else Result.load(model)
     if kind not in OF_FLOATING:
         refuse_floating(result.robot, f"export to '{kind}' is")
@@ -138,7 +138,7 @@ def export_model(
     for k, each in zip(range(models), drawn.results(), strict=False):
         files += one(each, Path(out) / "samples" / f"{k:04d}").files
     figures = {**exported.figures, "moved_share": drawn.moved_share}
-    return Exported(tuple(files), (*exported.notes, drawn.note), figures)
+    return Exported(tuple(files), (*exported.notes, drawn.note), figures, exported.lost)
 
 
 @takes(payload=("what PayloadEstimate.in_frame returns", (PayloadBody,)), kind=TEXT, out=PATH)
@@ -162,13 +162,14 @@ def export_payload(payload: PayloadBody, kind: str, out: str | Path) -> Exported
     Raises
     ------
     GtauError
-        Where the mass is not identifiable, or the files cannot be written.
+        Where the mass is not identifiable, the frame was not named, or the files cannot be written.
     """
-    _refuse_unknown(kind, PAYLOAD_KINDS)
+    refuse_unknown(kind, PAYLOAD_KINDS)
     return import_module("gtau.export.payload").write_payload(payload, kind, Path(out))
 
 
-def _refuse_unknown(kind: str, kinds: Mapping[str, str]) -> None:
+def refuse_unknown(kind: str, kinds: Mapping[str, str]) -> None:
+    """Refuse a ``kind`` that is not among ``kinds``."""
     if kind not in kinds:
         close = get_close_matches(kind, kinds, n=1)
         hint = f"did you mean '{close[0]}'?" if close else f"choose from {', '.join(kinds)}."

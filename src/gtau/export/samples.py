@@ -1,31 +1,26 @@
 """Samples of the identified distribution: models as far apart as the data allow, each physically consistent.
 
 Parameters, drive gains and delays are drawn together, with the correlations of the result's covariance and, each by
-itself, the distribution of its interval (Student's t). An inconsistent draw is moved to the nearest consistent one,
-with distances in standard deviations (as in
-:mod:`gtau.estimation.estimators.physical_consistency`). Parameters without effect on any motor are unchanged.
+itself, the distribution of its interval (Student's t), among rigid bodies alone (:mod:`gtau.export.rigid_draws`). What
+the data leave open is drawn about the inertias of the robot's file.
 """
 
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.standard_parameters import Body, constrained_least_squares, natural_size, within_reach
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.export.consistent import PLAIN, consistent_model
-from gtau.robots.geometry import characteristic_length
+from gtau.export.rigid_draws import target_of
 from gtau.robots.parameter import Parameter, parameter_of
-from gtau.robots.robot import DAMPING, INERTIAL
 
-LEAST = 1e-4  # share of a correlation's variance that directions without scatter have: the jackknife has few blocks
-LOOSE = 1e-3  # weight of staying where the data leave parameters open, in natural sizes
-MOVED = 0.1  # standard deviations: a draw that is moved less far is one of rigid bodies
+ALLOWED = 1.0  # standard deviations by which a draw may lie outside what was identified
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +38,10 @@ class Samples:
     friction : dict
         Draws (N,) of the friction with which the model predicts, by name.
     moved : ndarray
-        Distance by which each draw was moved to be physically consistent, in standard deviations, (N,).
+        Distance by which rigid bodies keep each draw outside the 95 % region of the estimates, in standard deviations,
+        (N,).
+    shifts : mapping
+        Distance of the mean of the draws from each estimate, in its standard deviations, by name.
     seed : int
     """
 
@@ -54,6 +52,7 @@ class Samples:
     delays: np.ndarray
     friction: dict[str, np.ndarray]
     moved: np.ndarray
+    shifts: Mapping[str, float]
     seed: int
 
     def __len__(self) -> int:
@@ -61,16 +60,27 @@ class Samples:
 
     @property
     def moved_share(self) -> float:
-        """Share of the draws that were moved."""
-        return float(np.mean(self.moved > MOVED))
+        """Share of the draws that lie outside the identified region by more than ``ALLOWED``."""
+        return float(np.mean(self.moved > ALLOWED))
 
     @property
     def note(self) -> str:
-        """Report the number of draws, and how many were moved."""
-        share, distance = 100 * self.moved_share, float(np.median(self.moved))
+        """Report the number of draws, their masses, and how far rigid bodies keep them from the estimates."""
+        names = self.result.model.parameter_names
+        masses = self.standard[:, [parameter_of(name).kind == "m" for name in names]].sum(axis=1)
+        low, middle, high = np.quantile(masses, [0.025, 0.5, 0.975])
+        worst = max(self.shifts, key=lambda name: self.shifts[name])
+        said = (
+            f"{len(self)} draws of what was identified (seed {self.seed}), all of rigid bodies: the moving mass is "
+            f"{middle:.3g} kg ({low:.3g} to {high:.3g}); the mean of the draws differs from the estimates by at most "
+            f"{self.shifts[worst]:.2g} standard deviations ('{worst}')"
+        )
+        if not self.moved_share:
+            return f"{said}, and no draw lies more than {ALLOWED:g} outside their 95 % region"
         return (
-            f"{len(self)} draws of what was identified (seed {self.seed}): {share:.0f} % of them were moved to "
-            f"parameters that rigid bodies have, by {distance:.2g} standard deviations (median)"
+            f"{said}; {100 * self.moved_share:.0f} % of the draws lie more than {ALLOWED:g} standard deviation outside "
+            f"the 95 % region of the estimates (at most {self.moved.max():.2g}), as rigid bodies near it do not exist: "
+            "do not use the draws before the verdicts and the robot file are settled"
         )
 
     def npz(self) -> bytes:
@@ -145,113 +155,44 @@ def draw(result: Result, count: int, seed: int = 0) -> Samples:
     consistent_model(result, "samples")
     if not 0 < count <= 100_000:
         raise GtauError(f"the number of samples is {count}; ask for 1 to 100000.")
-    changes = _drawn(result, count, seed)
-    base, names, joints = result.base, result.model.parameter_names, result.model.actuated
-    values = {name: each.value for name, each in result.parameters.items() if each.value is not None}
-    values |= {Parameter("gain", joint).name: gain for joint, gain in zip(joints, result.gains, strict=True)}
-    drawn = {name: value + changes.get(name, np.zeros(count)) for name, value in values.items()}
-    nearest = _projection(result, tuple(values))
-    x, moved = np.zeros((count, len(names))), np.zeros(count)
-    gains = np.zeros((count, len(joints)))
-    for k in range(count):
-        x[k], gains[k], moved[k] = nearest(np.array([drawn[name][k] for name in values]))
+    if not np.diag(result.covariance).any():
+        raise GtauError("the model has no standard deviations to draw from; identify it again.")
+    base, n = result.base, len(result.model.parameter_names)
+    estimates = _estimates(result)
+    target, unit, start = target_of(result, estimates)
+    y = target.draws(start, count, seed)
+    x = y[:, :n] * unit
     found = x @ base.matrix.T
-    delays = [
-        (each.value or 0.0) + changes.get(Parameter("delay", joint).name, np.zeros(count))
-        for joint, each in result.delays.items()
-    ]
-    of_base = {
-        own: found[:, k] - values.get(name, 0.0)
-        for k, (name, own) in enumerate(zip(base.names, base.standard, strict=True))
+    deviations = target.deviations(y)
+    changes = dict(zip(list(estimates)[len(estimates) - y.shape[1] + n :], (y[:, n:]).T, strict=True))
+    unchanged = np.zeros(count)
+
+    def of_joints(kind: str, values: Iterable[float | None]) -> np.ndarray:
+        joints = zip(result.model.actuated, values, strict=True)
+        return np.column_stack(
+            [(v or 0.0) + changes.get(Parameter(kind, joint).name, unchanged) for joint, v in joints]
+        )
+
+    changes |= {
+        standard: found[:, k] - (result.parameters[name].value or 0.0)
+        for k, (name, standard) in enumerate(zip(base.names, base.standard, strict=True))
     }
     friction = {
-        name: (each.value or 0.0) + (of_base[name] if name in of_base else changes.get(name, np.zeros(count)))
-        for name, each in result.friction_parameters.items()
+        name: (each.value or 0.0) + changes.get(name, unchanged) for name, each in result.friction_parameters.items()
     }
     for name, each in friction.items():
         if parameter_of(name).kind in PLAIN[:2] and (result.friction_parameters[name].value or 0.0) >= 0:
             friction[name] = np.maximum(each, 0.0)
-    return Samples(result, x, found, gains, np.column_stack(delays), friction, moved, seed)
+    shifts = dict(zip(estimates, map(float, np.abs(deviations.mean(axis=0))), strict=True))
+    gains, delays = of_joints("gain", result.gains), of_joints("delay", (each.value for each in result.delays.values()))
+    return Samples(result, x, found, gains, delays, friction, target.outside(deviations), shifts, seed)
 
 
-def _drawn(result: Result, count: int, seed: int) -> dict[str, np.ndarray]:
-    """Draw changes (N,) of all estimates in the covariance, by name: jointly normal, with Student's t marginals."""
-    from scipy.special import ndtr, stdtrit
-
-    std = np.sqrt(np.diag(result.covariance))
-    known = std > 0
-    if not known.any():
-        raise GtauError("the model has no standard deviations to draw from; identify it again.")
-    names = [name for name, each in zip(result.covariance_names, known, strict=True) if each]
-    C = result.covariance[np.ix_(known, known)] / np.outer(std[known], std[known])
-    sizes, axes = np.linalg.eigh(C)
-    normal = np.random.default_rng(seed).standard_normal((count, len(names)))
-    normal = normal @ (axes * np.sqrt(np.maximum(sizes, 0.0))).T
-    freedom = _freedom(result)
-    return {
-        name: size * (stdtrit(freedom[name], ndtr(z)) if name in freedom else z)
-        for name, size, z in zip(names, std[known], normal.T, strict=True)
-    }
-
-
-def _freedom(result: Result) -> dict[str, float]:
-    """Return the degrees of freedom of estimates by their names in the covariance."""
-    named = {**result.parameters, **result.friction}
-    named |= {Parameter("gain", joint).name: each for joint, each in result.drive_gains.items()}
-    named |= {Parameter("delay", joint).name: each for joint, each in result.delays.items()}
-    return {name: each.freedom for name, each in named.items() if each.freedom is not None}
-
-
-def _projection(
-    result: Result, values: tuple[str, ...]
-) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, float]]:
-    """Prepare the projection of drawn ``values``, base parameters and gains, onto physically consistent ones.
-
-    It gives standard parameters (n_st,), gains (n,), and the distance moved, in standard deviations.
-    """
-    robot, base, names = result.robot, result.base, result.model.parameter_names
-    assert result.consistency is not None
-    standard = np.array([result.consistency.standard[name] for name in names])
-    place = {name: k for k, name in enumerate(names)}
-    bodies = tuple(
-        Body(body, np.array([place[Parameter(kind, body).name] for kind in INERTIAL]), np.zeros(10))
-        for body in robot.bodies
-        if Parameter("m", body).name in place
-    )
-    length = characteristic_length(robot)
-    mass = sum(float(standard[place[Parameter("m", body.name).name]]) for body in bodies)
-    own = [base.names.index(name) for name in values if name in result.parameters]
-    n, gains = len(names), len(values) - len(own)
-    S = np.zeros((len(values), n + gains))
-    S[: len(own), :n], S[len(own) :, n:] = base.matrix[own], np.eye(gains)
-    order = {name: k for k, name in enumerate(result.covariance_names)}
-    rows = [order[name] for name in values if name in order]
-    C = np.eye(len(values))
-    there = np.array([name in order for name in values])
-    C[np.ix_(there, there)] = result.covariance[np.ix_(rows, rows)]
-    std = np.sqrt(np.diag(C))
-    given = std == 0  # a given gain is kept
-    std[given], C[given, given] = 1e-6, 1e-12
-    sizes, axes = np.linalg.eigh(C / np.outer(std, std))
-    R = (axes / np.sqrt(np.maximum(sizes, 0.0) + LEAST)).T / std
-    unit = np.array([natural_size(name, robot, mass, length) for name in names])
-    stay = np.zeros((n, n + gains))
-    stay[:, :n] = np.diag(LOOSE / unit)
-    lower = np.array([0.0 if parameter_of(name).kind in ("ia", *PLAIN[:2], DAMPING) else -np.inf for name in names])
-    within = np.pad(within_reach(robot, bodies, n), ((0, 0), (0, gains))) / (mass * length**2)
-
-    def nearest(drawn: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        found = constrained_least_squares(
-            np.vstack([R @ S, stay]),
-            np.concatenate([R @ drawn, LOOSE * standard / unit]),
-            bodies,
-            np.concatenate([lower, np.full(gains, -np.inf)]),
-            np.full(n + gains, np.inf),
-            np.concatenate([unit, np.ones(gains)]),
-            mass,
-            length,
-            within,
-        )
-        return found[:n], found[n:], float(np.linalg.norm(R @ (S @ found - drawn)))
-
-    return nearest
+def _estimates(result: Result) -> dict[str, Estimate]:
+    """Collect the estimates that are drawn, by their names in the covariance; those of base parameters come first."""
+    deviations = dict(zip(result.covariance_names, np.diag(result.covariance), strict=True))
+    more = {Parameter("gain", joint).name: each for joint, each in result.drive_gains.items()}
+    more |= {Parameter("delay", joint).name: each for joint, each in result.delays.items()}
+    more |= result.friction
+    found = {name: each for name, each in result.parameters.items() if each.value is not None}
+    return found | {name: each for name, each in more.items() if deviations.get(name) and name not in found}

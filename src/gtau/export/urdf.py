@@ -24,6 +24,7 @@ from gtau.export.consistent import (
 )
 from gtau.export.exported import Exported, identifier, written
 from gtau.export.input_file import InputFile, input_file
+from gtau.export.open_tree import serial_equivalent, what_is_lost
 from gtau.robots.geometry import compose, pose_of, turn
 from gtau.robots.rigid_body import RigidBody, rigid_body
 from gtau.robots.robot import (
@@ -62,8 +63,9 @@ def export(result: Result, out: Path) -> Exported:
     texts = {f"{name}.urdf": _text(robot_element(model)), f"{name}_drives.yaml": drives_text(model)}
     if robot.closures:
         texts[f"{name}.yaml"] = _loops_text(robot)
-    found = differences(model, model.standard, cubic=True)
-    return Exported(written(out, texts), (difference_note(found), *notes(model, name)), found)
+    found, lost = differences(model, model.standard, cubic=True), what_is_lost(robot, "a URDF", name)
+    said = (lost,) if lost else ()
+    return Exported(written(out, texts), (*said, difference_note(found), *notes(model, name)), found, lost)
 
 
 def export_into(result: Result, source: Path, out: Path) -> Exported:
@@ -109,10 +111,12 @@ def export_into(result: Result, source: Path, out: Path) -> Exported:
         said.append(
             f"links on fixed joints are part of those that carry them, and have no inertia: {', '.join(lumped)}"
         )
-    exported = file.save(out, said, found)
-    drives = out / f"{identifier(result.robot.name)}_drives.yaml"
+    name = identifier(result.robot.name)
+    lost = what_is_lost(result.robot, "a URDF", "the robot's own")
+    exported = file.save(out, [lost, *said] if lost else said, found)
+    drives = out / f"{name}_drives.yaml"
     write_atomically(drives, drives_text(model))
-    return Exported((*exported.files, drives), exported.notes, exported.figures)
+    return Exported((*exported.files, drives), exported.notes, exported.figures, lost)
 
 
 def notes(model: ConsistentModel, name: str) -> list[str]:
@@ -283,6 +287,8 @@ def drives_text(model: ConsistentModel) -> str:
     document: dict[str, object] = {"robot": model.result.robot.name, "joints": joints}
     if springs := {spring.name: _spring_data(model, spring) for spring in model.result.robot.springs}:
         document["springs"] = springs
+    if model.result.robot.closures:
+        document["serial_equivalent"] = serial_equivalent(model)
     return str(yaml.safe_dump(document, sort_keys=False))
 
 

@@ -89,6 +89,7 @@ def to_document(result: IdentifiedModel) -> dict[str, Any]:
         "notes": [note_document(note) for note in result.notes],
         "covariance": {"names": list(result.covariance_names), "matrix": result.covariance.tolist()},
         "robot_file": native_text(result.robot),
+        "stated_inertias": dict(result.robot.inertias),
         "standard": None if result.consistency is None else _standard(result.consistency, result.robot),
     }
 

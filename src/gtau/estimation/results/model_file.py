@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
@@ -212,6 +213,7 @@ def _statistics(found: dict[str, float]) -> dict[str, float]:
 
 class _Model(_Group):
     robot_file: str
+    stated_inertias: dict[str, FiniteFloat] = {}
     method: Annotated[str, AfterValidator(_method)]
     kind: Literal["current", "torque"]
     drive_gains: _Estimates
@@ -239,11 +241,11 @@ class _Model(_Group):
     def made(self, path: Path, make: type[Model]) -> Model:
         """Assemble the result."""
         rest = dict(self)
-        del rest["robot_file"], rest["standard"]
+        del rest["robot_file"], rest["standard"], rest["stated_inertias"]
         return make(
             **rest
             | {
-                "robot": parse_native(self.robot_file, path),
+                "robot": replace(parse_native(self.robot_file, path), inertias=tuple(self.stated_inertias.items())),
                 "curves": {each.joint: each.made() for each in self.curves},
                 "sensors": tuple(each.made() for each in self.sensors),
                 "payloads": tuple(each.made() for each in self.payloads),

@@ -74,7 +74,8 @@ class PayloadBody:
 
     ``parameters`` are the ``QUANTITIES`` by name, without a value where the motion does not show them; products of
     inertia are entries of the tensor (``Ixy = -int x y dm``). ``rigid`` is a body that can exist: where the motion
-    shows nothing, what a compact one would have; None where the mass is not identifiable.
+    shows nothing, what a compact one would have; None where the mass is not identifiable. ``named`` says whether the
+    frame was chosen; else it is that of the carrier.
     """
 
     name: str
@@ -82,6 +83,7 @@ class PayloadBody:
     frame: str
     parameters: Mapping[str, Estimate]
     rigid: RigidBody | None
+    named: bool = True
 
     @property
     def unseen(self) -> tuple[str, ...]:
@@ -212,7 +214,7 @@ class PayloadEstimate:
         if self.weighed is None:
             raise GtauError(f"payload '{self.name}' was not weighed here; take it from gtau.weigh.")
         called, placement = frame_on(self.weighed.body, frame, file)
-        return payload_body(self.name, self.run, self.weighed, called, placement)
+        return replace(payload_body(self.name, self.run, self.weighed, called, placement), named=bool(frame))
 
 
 def payload_estimates(

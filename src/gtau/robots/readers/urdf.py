@@ -231,6 +231,18 @@ def frame_on(body: str, frame: str | Pose, file: str | Path | None) -> tuple[str
     return f"{x:g} {y:g} {z:g} m, {roll:g} {pitch:g} {yaw:g} rad from {own}", Pose((x, y, z), (roll, pitch, yaw))
 
 
+def links_on(body: str, file: str | Path) -> list[str]:
+    """List the links of the robot's ``file`` that are fixed to a ``body``; none where it is no URDF."""
+    if Path(file).suffix.lower() != ".urdf":
+        return []
+    tree = read_urdf_tree(Path(file), {}, Base())
+    return [link for link in (each.get("name", "") for each in tree.root.findall("link")) if _is_on(tree, link, body)]
+
+
+def _is_on(tree: UrdfTree, link: str, body: str) -> bool:
+    return link in tree.frames and tree.frames[link].body == body
+
+
 def _link(body: str, link: str, file: str | Path | None) -> Placement:
     if file is None or Path(file).suffix.lower() != ".urdf":
         raise GtauError(
