@@ -190,7 +190,7 @@ def _judged(result: Result, experiment: Experiment | None, progress: Progress) -
 
 
 def _data_sheet_notes(drives: Mapping[str, Drive], result: Result) -> tuple[Note, ...]:
-    gains = {Parameter("gain", joint).name: gain for joint, gain in result.drive_gains.items() if gain.std is not None}
+    gains = {Parameter("gain", joint): gain for joint, gain in result.drive_gains.items() if gain.std is not None}
     found = {name: (each.value, each.std) for name, each in (gains | dict(result.parameters)).items()}
     return data_sheet_notes(drives, result.robot, found)
 

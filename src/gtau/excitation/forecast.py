@@ -103,7 +103,7 @@ def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
     std = np.sqrt(np.diag(ml_covariance(problem, theta, task.gains, sigma)))
     found = dict(zip(problem.parameters, std, strict=False))
     n_theta, n = problem.n_theta, len(task.gains)
-    gains = [Parameter("gain", joint).name for joint in task.model.actuated]
+    gains = [Parameter("gain", joint) for joint in task.model.actuated]
     return Forecast(
         tuple(
             Expected(joint, float(g), float(g * std[n_theta + j]))

@@ -246,8 +246,8 @@ def smooth_regressor(model: InverseDynamics, names: Sequence[str], width: np.nda
     chi = {name: ca.SX.sym(name) for name in model.parameter_names}
     tau = torques(layout, c, yd, ydd, J, {name: each for name, each in chi.items() if not name.startswith("fs_")})
     for k, joint in enumerate(joints):
-        if Parameter("fs", joint.name).name in chi:
-            tau += J[k, :].T * chi[Parameter("fs", joint.name).name] * yd[k] / ca.sqrt(yd[k] ** 2 + wide[k] ** 2)
+        if Parameter("fs", joint.name) in chi:
+            tau += J[k, :].T * chi[Parameter("fs", joint.name)] * yd[k] / ca.sqrt(yd[k] ** 2 + wide[k] ** 2)
     W = ca.jacobian(tau, ca.vertcat(*(chi[name] for name in names)))
     rows, columns = (np.array(index, dtype=int) for index in W.sparsity().get_triplet())
     entries = ca.vec(W.nz[:])

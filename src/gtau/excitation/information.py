@@ -84,8 +84,8 @@ def unknowns(
         maps[:, j, :, n_theta + j] = load / gains[j]
     names = (
         *problem.parameters,
-        *(Parameter("gain", j).name for j in model.actuated),
-        *(Parameter("delay", j).name for j in model.actuated),
+        *(Parameter("gain", j) for j in model.actuated),
+        *(Parameter("delay", j) for j in model.actuated),
     )
     scale = np.concatenate([_scales(problem.parameters, theta, payloads), np.ones(n), np.full(n, 1e-2)])
     return DesignUnknowns(names, scale, maps, load, smooth, gains, (VAGUE * scale) ** -2.0)

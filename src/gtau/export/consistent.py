@@ -37,7 +37,7 @@ class ConsistentModel:
 
     def of(self, kind: str, joint: str) -> float:
         """Return a parameter of a joint, or 0 if it has none."""
-        return self.standard.get(Parameter(kind, joint).name, 0.0)
+        return self.standard.get(Parameter(kind, joint), 0.0)
 
     def cubic(self, joint: str) -> float:
         """Return the friction cubic in speed (f3) of a joint, 0 where it has none."""
@@ -56,13 +56,13 @@ def consistent_model(result: Result, target: str) -> ConsistentModel:
     for joint in result.robot.joints:
         name, terms = joint.name, {key: each.value or 0.0 for key, each in result.friction_parameters.items()}
         if name in result.curves:  # whose viscous and Coulomb friction are those of the model, not of rigid bodies
-            standard |= {key: terms[key] for kind in PLAIN if (key := Parameter(kind, name).name) in terms}
+            standard |= {key: terms[key] for kind in PLAIN if (key := Parameter(kind, name)) in terms}
         viscous, coulomb, more, cubic = (
-            (standard | terms).get(Parameter(kind, name).name, 0.0) for kind in ("fv", "fs", "fb", "f3")
+            (standard | terms).get(Parameter(kind, name), 0.0) for kind in ("fv", "fs", "fb", "f3")
         )
         if more or min(viscous, coulomb, cubic) < 0:
             viscous, coulomb = result.friction_law.straight(standard | terms, name)
-            standard |= {Parameter("fv", name).name: viscous, Parameter("fs", name).name: coulomb}
+            standard |= {Parameter("fv", name): viscous, Parameter("fs", name): coulomb}
             straight.append(name)
         elif cubic:
             cubics[name] = cubic

@@ -162,7 +162,7 @@ def _payloads(result: Result, values: np.ndarray) -> dict[str, np.ndarray]:
             with_it = values.copy()
             for kind in INERTIAL:
                 with_it[: base.count] += (
-                    found.get(kind, 0.0) * base.matrix[:, place[Parameter(kind, result.robot.tool).name]]
+                    found.get(kind, 0.0) * base.matrix[:, place[Parameter(kind, result.robot.tool)]]
                 )
             loaded[name] = with_it
     return loaded
@@ -305,6 +305,6 @@ class _Friction:
 
     def _on_motors(self, forces: ca.SX, scales: ca.SX) -> ca.SX:
         joints = self.model.result.robot.joints
-        offsets = ca.vertcat(*(self._values.get(Parameter("off", joint.name).name, 0.0) for joint in joints))
+        offsets = ca.vertcat(*(self._values.get(Parameter("off", joint.name), 0.0) for joint in joints))
         acting = forces * scales
         return self.J[: len(joints), :].T @ (acting[: len(joints)] + offsets) + acting[len(joints) :]

@@ -148,7 +148,7 @@ def draw(result: Result, count: int, seed: int = 0) -> Samples:
     changes = _drawn(result, count, seed)
     base, names, joints = result.base, result.model.parameter_names, result.model.actuated
     values = {name: each.value for name, each in result.parameters.items() if each.value is not None}
-    values |= {Parameter("gain", joint).name: gain for joint, gain in zip(joints, result.gains, strict=True)}
+    values |= {Parameter("gain", joint): gain for joint, gain in zip(joints, result.gains, strict=True)}
     drawn = {name: value + changes.get(name, np.zeros(count)) for name, value in values.items()}
     nearest = _projection(result, tuple(values))
     x, moved = np.zeros((count, len(names))), np.zeros(count)
@@ -157,7 +157,7 @@ def draw(result: Result, count: int, seed: int = 0) -> Samples:
         x[k], gains[k], moved[k] = nearest(np.array([drawn[name][k] for name in values]))
     found = x @ base.matrix.T
     delays = [
-        (each.value or 0.0) + changes.get(Parameter("delay", joint).name, np.zeros(count))
+        (each.value or 0.0) + changes.get(Parameter("delay", joint), np.zeros(count))
         for joint, each in result.delays.items()
     ]
     of_base = {
@@ -197,8 +197,8 @@ def _drawn(result: Result, count: int, seed: int) -> dict[str, np.ndarray]:
 def _freedom(result: Result) -> dict[str, float]:
     """Return the degrees of freedom of estimates by their names in the covariance."""
     named = {**result.parameters, **result.friction}
-    named |= {Parameter("gain", joint).name: each for joint, each in result.drive_gains.items()}
-    named |= {Parameter("delay", joint).name: each for joint, each in result.delays.items()}
+    named |= {Parameter("gain", joint): each for joint, each in result.drive_gains.items()}
+    named |= {Parameter("delay", joint): each for joint, each in result.delays.items()}
     return {name: each.freedom for name, each in named.items() if each.freedom is not None}
 
 
@@ -214,12 +214,12 @@ def _projection(
     standard = np.array([result.consistency.standard[name] for name in names])
     place = {name: k for k, name in enumerate(names)}
     bodies = tuple(
-        Body(body, np.array([place[Parameter(kind, body).name] for kind in INERTIAL]), np.zeros(10))
+        Body(body, np.array([place[Parameter(kind, body)] for kind in INERTIAL]), np.zeros(10))
         for body in robot.bodies
-        if Parameter("m", body).name in place
+        if Parameter("m", body) in place
     )
     length = characteristic_length(robot)
-    mass = sum(float(standard[place[Parameter("m", body.name).name]]) for body in bodies)
+    mass = sum(float(standard[place[Parameter("m", body.name)]]) for body in bodies)
     own = [base.names.index(name) for name in values if name in result.parameters]
     n, gains = len(names), len(values) - len(own)
     S = np.zeros((len(values), n + gains))

@@ -168,7 +168,7 @@ def _along(result: Result, run: Run, residual: np.ndarray) -> Iterator[tuple[np.
     known = {name: k for k, name in enumerate(result.covariance_names)}
     # with the columns of friction: offsets and gravity, for instance, are known together far better than each
     chosen = [k for k, name in enumerate(base.names) if name in known]
-    at = [known[base.names[k]] for k in chosen] + [known[Parameter("gain", joint).name] for joint in joints]
+    at = [known[base.names[k]] for k in chosen] + [known[Parameter("gain", joint)] for joint in joints]
     spread = result.covariance[np.ix_(at, at)]
     columns = model.columns(tuple(base.standard[k] for k in chosen))
     wrenches = model.wrenches([WrenchFrame(result.robot.tool)])

@@ -66,7 +66,7 @@ def symmetric_order(robot: Robot, names: Sequence[str]) -> list[str]:
 
     Joints between the ground and a motor precede the others, so that coupling bars take up no motor's parameters.
     """
-    order = [Parameter(kind, platform.name).name for platform in robot.platforms for kind in INERTIAL]
+    order = [Parameter(kind, platform.name) for platform in robot.platforms for kind in INERTIAL]
     kinds = list(dict.fromkeys(parameter_of(name).kind for name in names))
     towards_motors: set[str] = set()
     for joint in reversed(robot.joints):
@@ -74,8 +74,8 @@ def symmetric_order(robot: Robot, names: Sequence[str]) -> list[str]:
             towards_motors |= {joint.name, joint.antecedent}
     joints = [alike for group in identical_legs(robot) for alike in zip(*group, strict=True)]
     for alike in sorted(joints, key=lambda alike: alike[0] not in towards_motors):
-        order += [Parameter(kind, joint).name for kind in kinds for joint in alike]
-    order += [Parameter(kind, spring.name).name for spring in robot.springs for kind in spring.parameters]
+        order += [Parameter(kind, joint) for kind in kinds for joint in alike]
+    order += [Parameter(kind, spring.name) for spring in robot.springs for kind in spring.parameters]
     wanted = set(names)
     return [name for name in order if name in wanted]
 

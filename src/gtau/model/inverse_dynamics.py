@@ -204,7 +204,7 @@ class InverseDynamics:
             inputs, J = self.symbols
             wrench = ca.SX.sym("w", 6 * len(frames))
             matrix = ca.jacobian(wrench_torques(self.layout, inputs[0], J, frames, wrench), wrench)
-            names = tuple(Parameter(kind, frame.body).name for frame in frames for kind in WRENCH)
+            names = tuple(Parameter(kind, frame.body) for frame in frames for kind in WRENCH)
             self._wrenches[frames] = _regressor(names, inputs, matrix)
         return self._wrenches[frames]
 

@@ -51,7 +51,7 @@ def write_trajectories(design: Design, folder: Path) -> tuple[Path, ...]:
         columns = {"t": np.round(time, DIGITS)}
         for kind, rows in zip(("q", "qd", "qdd"), joints, strict=False):
             columns |= {
-                Parameter(kind, joint).name: np.round(row, DIGITS)
+                Parameter(kind, joint): np.round(row, DIGITS)
                 for joint, row in zip(design.task.model.actuated, rows, strict=True)
             }
         write_table(pl.DataFrame(columns), path)

@@ -254,7 +254,7 @@ def _consistency_section(found: Consistency | None) -> Section | None:
     if found is None:
         return None
     moved = [move for move in found.moves if move.deviations >= MOVED]
-    gains = [Parameter("gain", joint).name for joint in found.gains]
+    gains = [Parameter("gain", joint) for joint in found.gains]
     shown = [move for move in moved if move.name not in gains][:LISTED]
     shown += [move for name in gains for move in found.moves if move.name == name]
     columns = (

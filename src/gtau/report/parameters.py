@@ -109,7 +109,7 @@ def curves_table(result: IdentifiedModel) -> Table:
             joint_label(curve.joint),
             _cell(curve.width),
             _cell(curve.speed),
-            *(_cell(curve.parameters.get(Parameter(kind, curve.joint).name)) for kind in KINDS),
+            *(_cell(curve.parameters.get(Parameter(kind, curve.joint))) for kind in KINDS),
             ", ".join(f"{term} ({t:.1f} standard errors)" for term, t in curve.evidence.items()),
             curve.error,
             curve.plain_error,

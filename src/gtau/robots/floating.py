@@ -115,7 +115,7 @@ def refuse_floating(robot: Robot, what: str) -> None:
 
 def _own(name: str, parameter: str) -> str:
     kind, body, _ = parameter_of(parameter)
-    return Parameter(kind, _on(name, body)).name
+    return Parameter(kind, _on(name, body))
 
 
 def _on(name: str, body: str) -> str:

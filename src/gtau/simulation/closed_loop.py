@@ -132,7 +132,7 @@ def model_parameters(result: Result, payload: Payload | None) -> np.ndarray:
     if payload is not None:
         place = {name: k for k, name in enumerate(model.parameter_names)}
         for kind, value in {**result.payload(payload.name), **known_values(payload)}.items():
-            chi = chi + value * base.matrix[:, place[Parameter(kind, model.robot.tool).name]]
+            chi = chi + value * base.matrix[:, place[Parameter(kind, model.robot.tool)]]
     return chi
 
 

@@ -93,7 +93,7 @@ class JointFriction:
     def propels(self) -> bool:
         """True if some term of the law may propel, and is then scaled down."""
         terms = [
-            {kind: self.values.get(Parameter(kind, joint.name).name, 0.0) for kind in ("fv", "fs", "fb", "fl", "f3")}
+            {kind: self.values.get(Parameter(kind, joint.name), 0.0) for kind in ("fv", "fs", "fb", "fl", "f3")}
             for joint in self.law.model.robot.joints
         ]
         return any(min(each["fv"], each["fs"], each["fs"] + each["fb"], each["fl"], each["f3"]) < 0 for each in terms)
@@ -158,7 +158,7 @@ class JointFriction:
     def offsets(self) -> np.ndarray:
         """Offsets (joints,), N m or N."""
         joints = self.law.model.robot.joints
-        return np.array([self.values.get(Parameter("off", joint.name).name, 0.0) for joint in joints])
+        return np.array([self.values.get(Parameter("off", joint.name), 0.0) for joint in joints])
 
     def _forces(self, yd: ca.SX, z: ca.SX) -> tuple[tuple[ca.SX, ca.SX], ca.SX]:
         """Express the forces of the law at zero load, their change per unit load, and the speeds they oppose."""

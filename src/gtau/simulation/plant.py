@@ -214,16 +214,16 @@ class Plant:
         c = ca.SX.sym("c", layout.n_c)
         potential = ca.SX(0)
         for body, frame in frames(layout, c).items():
-            if Parameter("m", body).name in self.chi:
-                m, *ms = (self.chi[Parameter(kind, body).name] for kind in ("m", "mx", "my", "mz"))
+            if Parameter("m", body) in self.chi:
+                m, *ms = (self.chi[Parameter(kind, body)] for kind in ("m", "mx", "my", "mz"))
                 potential -= ca.dot(ca.SX(ca.DM(layout.robot.gravity)), m * frame.p_0 + frame.R_0 @ ca.SX(ca.DM(ms)))
         for row, joint in enumerate(layout.robot.joints):
-            potential += self.chi.get(Parameter("off", joint.name).name, 0.0) * c[row]
+            potential += self.chi.get(Parameter("off", joint.name), 0.0) * c[row]
             if joint.spring is not None:
                 potential += self.chi.get(f"{STIFFNESS}_{joint.name}", 0.0) * (c[row] - joint.spring) ** 2 / 2
         for spring in layout.robot.springs:
             length, _ = spring_length(spring, frames(layout, c))
-            f0, k = (self.chi.get(Parameter(kind, spring.name).name, 0.0) for kind in (PRELOAD, STIFFNESS))
+            f0, k = (self.chi.get(Parameter(kind, spring.name), 0.0) for kind in (PRELOAD, STIFFNESS))
             potential += k * length**2 / 2 - f0 * length
         return ca.Function("potential", [c], [potential])
 

@@ -98,7 +98,7 @@ class Simulation(Keys):
             kind, joint, _ = parameter_of(name)
             if kind in ("fv", "fs", "fl", DAMPING) and value < 0:
                 raise ValueError(f"the friction '{name}' is negative, and would drive the robot; write 0 or more")
-            rest = Parameter("fs", joint).name
+            rest = Parameter("fs", joint)
             if kind == "fb" and parameters.get(rest, 0.0) + value < 0:
                 raise ValueError(
                     f"the friction at rest, '{rest}' + '{name}', is negative, and would drive the robot; "

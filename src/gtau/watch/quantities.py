@@ -54,7 +54,7 @@ class Quantity:
     @property
     def name(self) -> str:
         """Name in tables and files, such as ``gain_elbow``."""
-        return Parameter(self.kind, self.joint or "load").name
+        return Parameter(self.kind, self.joint or "load")
 
     @property
     def group(self) -> str:
@@ -93,7 +93,7 @@ def quantities_of(model: IdentifiedModel, of_load: Iterable[str]) -> tuple[Quant
         Quantity(kind, joint, unit_of(kind, robot, joint))
         for kind in FRICTION
         for joint in motors
-        if Parameter(kind, joint).name in names
+        if Parameter(kind, joint) in names
     ]
     return (*load, *drives, *rubbing)
 

@@ -245,7 +245,7 @@ def logged_torques(fit: Fit, uncertainty: Uncertainty) -> Iterator[Finding]:
         if len(scales) and scales.min() > GEARED:
             yield Finding(F.MOTOR_SIDE, values={"least": float(scales.min()), "most": float(scales.max())})
     joints, known = fit.dataset.robot.motors, set(fit.system.problem.parameters)
-    if any({name := Parameter("fs", joint).name, name + "R"}.isdisjoint(known) for joint in joints):
+    if any({name := Parameter("fs", joint), name + "R"}.isdisjoint(known) for joint in joints):
         return
     rows = [fit.dataset.model.actuated.index(joint) for joint in joints]
     (fv, fs), torques = friction_levels(fit), rms_torques(fit)

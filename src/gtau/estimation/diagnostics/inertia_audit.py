@@ -260,7 +260,7 @@ def _parameters(
         nu = np.inf if freedom is None else float(freedom[place])
         half = std * float(stdtrit(nu, 0.975))
         each = replace(each, stated=float(file[place]), value=value, std=std, interval=(value - half, value + half))
-        sizes = sizes_of(dict(stated), body) if Parameter("m", body).name in stated else None
+        sizes = sizes_of(dict(stated), body) if Parameter("m", body) in stated else None
         size = abs(file[place]) if kind == "ia" else (sizes or {}).get(kind, 0.0)
         if comparison.open[k]:
             found[name] = replace(each, standing="not stated", stated=own[k] if kind in INERTIAL else None)
@@ -283,7 +283,7 @@ def _links(fit: Fit, comparison: _Comparison, stated: Mapping[str, float]) -> li
     torque = rows @ difference
     members: dict[str, list[int]] = {}
     for k, (kind, body, _) in enumerate(map(parameter_of, names)):
-        if kind in INERTIAL or Parameter(kind, body).name in stated:
+        if kind in INERTIAL or Parameter(kind, body) in stated:
             members.setdefault(ROTORS if kind == "ia" else body, []).append(k)
     bodies = {body: base.matrix[:, columns] for body, columns in members.items()}
     found: list[AuditedLink] = []

@@ -68,7 +68,7 @@ def select_friction_terms(problem: Problem) -> tuple[tuple[str, ...], float]:
         position = {name: k for k, name in enumerate(problem.parameters)}
         kinds = (*TERMS, *TEMPERATURE_TERMS) if channel.kind.free else BEARING
         offered = [
-            Parameter(term, channel.name).name for term in kinds if Parameter(term, channel.name).name in position
+            Parameter(term, channel.name) for term in kinds if Parameter(term, channel.name) in position
         ]
         rest = [k for k in problem.own_columns[j] if k not in {position[name] for name in offered}]
         current = delayed_signal(problem.triangles[j], problem.own_delays[j])

@@ -138,7 +138,7 @@ def consistent(
         if parameter_of(name).run is None and std.get(name)
     ]
     moves += [
-        Move(Parameter("gain", joint).name, float(a), float(b), float(abs(b - a) / s))
+        Move(Parameter("gain", joint), float(a), float(b), float(abs(b - a) / s))
         for joint, a, b, s in zip(problem.joints, solution.gains[:n], gains, free_std, strict=True)
         if free_gains
     ]

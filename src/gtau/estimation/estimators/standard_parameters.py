@@ -194,15 +194,15 @@ def standard_unknowns(
     names = list(dataset.model.parameter_names)
     position = {name: k for k, name in enumerate(names)}
     bodies = [
-        Body(body, np.array([position[Parameter(kind, body).name] for kind in INERTIAL]), np.zeros(10))
+        Body(body, np.array([position[Parameter(kind, body)] for kind in INERTIAL]), np.zeros(10))
         for body in robot.bodies
-        if Parameter("m", body).name in position
+        if Parameter("m", body) in position
     ]
     for each in system.payloads:
         known = known_values(each.payload)
         label = f"L{each.run + 1}"
         first = len(names)
-        names += [Parameter(kind, label).name for kind in each.free]
+        names += [Parameter(kind, label) for kind in each.free]
         places = [first + each.free.index(kind) if kind in each.free else -1 for kind in INERTIAL]
         bodies.append(Body(label, np.array(places), np.array([known.get(kind, 0.0) for kind in INERTIAL])))
     carried = {name for each in system.payloads for name in each.unknown}

@@ -205,7 +205,7 @@ class FrictionLaw:
         forces, speeds = [], [yd[row] for row in range(len(joints))]
         for row, (joint, speed) in enumerate(zip(joints, speeds, strict=True)):
             viscous, height, more, of_load = (
-                values.get(Parameter(kind, joint.name).name, 0.0) for kind in ("fv", "fs", "fb", "fl")
+                values.get(Parameter(kind, joint.name), 0.0) for kind in ("fv", "fs", "fb", "fl")
             )
             shape, motor = self.shapes.get(joint.name, Shape()), self.motor(row)
             if shape.speed:
@@ -215,7 +215,7 @@ class FrictionLaw:
             forces.append(viscous * speed + height * (math.sign(speed) if z is None else z[row]))
         for j, name in enumerate(self.model.actuated):
             speed, top = yd[self.model.layout.actuated[j]], float(self.logged_speeds.get(name, 0.0))
-            cubic = values.get(Parameter("f3", name).name, 0.0)
+            cubic = values.get(Parameter("f3", name), 0.0)
             within = math.fmax(math.fmin(speed, top), -top)
             slope = math.fmax(3 * top**2 * cubic, -self._viscous(values, j))  # with fv, at least 0
             forces.append(cubic * (within * within * within) + slope * (speed - within))
@@ -256,7 +256,7 @@ class FrictionLaw:
         """
         from scipy.optimize import nnls
 
-        viscous, coulomb, more, cubic = (values.get(Parameter(k, joint).name, 0.0) for k in ("fv", "fs", "fb", "f3"))
+        viscous, coulomb, more, cubic = (values.get(Parameter(k, joint), 0.0) for k in ("fv", "fs", "fb", "f3"))
         speed = np.linspace(0.0, self.fastest(joint), SPEEDS)[1:]
         falling = np.exp(-speed / (self.shapes.get(joint, Shape()).speed or np.inf)) if more else 0.0
         friction = np.maximum(viscous * speed + coulomb + more * falling + cubic * speed**3, 0.0)
@@ -292,7 +292,7 @@ class FrictionLaw:
             forces = np.stack(self.forces(np, values, motion.yd, load, self.directions(np, motion.yd, z))[0])
         forces = forces * scales
         for row, joint in enumerate(joints):
-            forces[row] += values.get(Parameter("off", joint.name).name, 0.0)
+            forces[row] += values.get(Parameter("off", joint.name), 0.0)
         of_joints = np.einsum("kjm,km->jm", motion.J[: len(joints)], forces[: len(joints)])
         return np.asarray(of_joints + forces[len(joints) :])
 
@@ -304,7 +304,7 @@ class FrictionLaw:
     def _viscous(self, values: Mapping[str, Any], j: int) -> Any:
         """Sum the viscous friction that the motor of actuated joint ``j`` feels."""
         of_joints = zip(self.model.robot.joints, self.ratios[:, j], strict=True)
-        return sum(values.get(Parameter("fv", joint.name).name, 0.0) * ratio**2 for joint, ratio in of_joints if ratio)
+        return sum(values.get(Parameter("fv", joint.name), 0.0) * ratio**2 for joint, ratio in of_joints if ratio)
 
 
 def carried(math: ModuleType, standard: tuple[str, ...], chi: Any) -> list[Any]:

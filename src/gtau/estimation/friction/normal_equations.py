@@ -99,7 +99,7 @@ def sites_of(dataset: Dataset, law: FrictionLaw) -> tuple[Site, ...]:
     warm = dataset.temperatures
     sites = []
     for row, joint in enumerate(model.robot.joints):
-        plain = tuple(kind for kind in PLAIN if Parameter(kind, joint.name).name in standard)
+        plain = tuple(kind for kind in PLAIN if Parameter(kind, joint.name) in standard)
         if not {"fv", "fs"} & set(plain) or not travel[row] or not rms[row]:
             continue
         motor = law.motor(row)
@@ -203,7 +203,7 @@ def normal_equations(fit: Fit, law: FrictionLaw, sites: Sequence[Site], finer: i
         load, follow = fit.system.load(run, solution.theta), columns_along(sites, dataset, run)
         values = dict(zip(base.standard, fit.system.motion(run, solution.theta), strict=True))
         passive = {
-            Parameter(kind, joint.name).name: values.get(Parameter(kind, joint.name).name, 0.0)
+            Parameter(kind, joint.name): values.get(Parameter(kind, joint.name), 0.0)
             for joint in model.robot.joints
             if joint.name not in names
             for kind in ("fv", "fs", "off")

@@ -83,7 +83,7 @@ def carried_payload(idm: InverseDynamics, base: BaseParameters, run: int, payloa
     order = (*FIRST_MOMENTS, *(kind for kind in INERTIAL if kind not in FIRST_MOMENTS))
     free = [kind for kind in order if kind not in values and kind not in center]
     of_tool = {
-        kind: base.matrix[:, idm.parameter_names.index(Parameter(kind, idm.robot.tool).name)] for kind in INERTIAL
+        kind: base.matrix[:, idm.parameter_names.index(Parameter(kind, idm.robot.tool))] for kind in INERTIAL
     }
     of_tool["m"] = of_tool["m"] + sum(each * of_tool[kind] for kind, each in center.items())  # moments are the mass's
     columns = np.reshape([of_tool[kind] for kind in free], (len(free), base.count)).T
@@ -119,7 +119,7 @@ def column_blocks(
     runs : int
         Number of runs.
     """
-    offsets = tuple(Parameter("off", channel.name).name for channel in channels if channel.kind.behind_drive)
+    offsets = tuple(Parameter("off", channel.name) for channel in channels if channel.kind.behind_drive)
     return [
         ColumnBlock(base.names, lambda run, channel, above: _felt(base, channel, np.eye(base.count))),
         *(_payload_block(base, each) for each in carried),
@@ -146,7 +146,7 @@ def _payload_block(base: BaseParameters, carried: CarriedPayload) -> ColumnBlock
 
 def _drift_block(base: BaseParameters, joints: Sequence[str], runs: int) -> ColumnBlock:
     """Build the block of friction's differences from its mean in every run; they add up to zero."""
-    kinds = {Parameter(kind, joint).name for kind in DRIFTING for joint in joints}
+    kinds = {Parameter(kind, joint) for kind in DRIFTING for joint in joints}
     drifting = [k for k, name in enumerate(base.names) if name in kinds] if runs > 1 else []
     units = np.eye(base.count)[:, drifting]
 

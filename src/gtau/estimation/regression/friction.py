@@ -63,7 +63,7 @@ def term_columns(qd: np.ndarray, effort: np.ndarray) -> np.ndarray:
 
 def all_terms(joints: Sequence[str], terms: Iterable[str] = TERMS) -> tuple[str, ...]:
     """List every one of the ``terms`` of every joint, or torque sensor."""
-    return tuple(Parameter(term, joint).name for joint in joints for term in terms)
+    return tuple(Parameter(term, joint) for joint in joints for term in terms)
 
 
 def transmitted(names: Sequence[str]) -> np.ndarray:

@@ -155,8 +155,8 @@ def build_result(
         ),
         covariance_names=(
             *problem.parameters,
-            *(Parameter("gain", joint).name for joint in joints),
-            *(Parameter("delay", channel.name).name for channel in problem.channels),
+            *(Parameter("gain", joint) for joint in joints),
+            *(Parameter("delay", channel.name) for channel in problem.channels),
         ),
         covariance=covariance[np.ix_(named, named)],
         preparation=dataset.preparation,
@@ -245,7 +245,7 @@ def _sensors(
         own = {
             name: replace(found[name], unit=unit_of(kind, robot, joint))
             for kind in ("off", *BEARING)
-            if (name := Parameter(kind, channel.name).name) in found
+            if (name := Parameter(kind, channel.name)) in found
         }
         residual = TorqueError(joint, float(sigma[k]), float(signal[k]), torque_unit(robot, joint))
         scale = next((each for each in diagnosis.sensors if each.channel == channel), None)
@@ -262,6 +262,6 @@ def _spread(system: System, theta: np.ndarray) -> dict[str, float]:
     for name, value in zip(system.problem.parameters, theta, strict=True):
         kind, body, run = parameter_of(name)
         if run is not None:
-            differences.setdefault(Parameter(kind, body).name, []).append(float(value))
+            differences.setdefault(Parameter(kind, body), []).append(float(value))
     # the differences of all runs add up to zero, and the last is not listed
     return {name: float(np.std([*each, -sum(each)], ddof=1)) for name, each in differences.items()}

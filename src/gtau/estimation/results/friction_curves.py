@@ -147,7 +147,7 @@ def curves_of(
     error, plain_error = (100 * float(np.sqrt(max(each.errors.sum(), 0.0) / signal)) for each in (trial, plain))
 
     def estimate(kind: str, joint: str, value: float, std: float | None) -> Estimate:
-        name, verdict = Parameter(kind, joint).name, parameter_verdict(value, std)
+        name, verdict = Parameter(kind, joint), parameter_verdict(value, std)
         return Estimate(name, value, std, unit(kind, joint), verdict=verdict, freedom=freedom)
 
     made = {}

@@ -319,7 +319,7 @@ def _problems(result: IdentifiedModel) -> Iterator[str]:
         yield f"'curves' has the friction of '{sorted(strange)[0]}', which is no joint"
     if any(each.value == 0 for each in result.drive_gains.values()):
         yield "a drive gain is zero"
-    if not {Parameter("gain", joint).name for joint in robot.motors} <= set(result.covariance_names):
+    if not {Parameter("gain", joint) for joint in robot.motors} <= set(result.covariance_names):
         yield "the covariance lacks the drive gains"
     verdicts = [each.verdict for each in _estimates(result)] + [each.verdict for each in result.payloads]
     causes = (cause for each in result.alternatives for cause in each.causes)

@@ -207,7 +207,7 @@ def friction_values(
         joint = result.friction_law.motor_of(site)
         if joint is not None and joint in run.temperature.of_joint:
             above = run.temperature.at(joint, time) - result.temperatures.of_joint[joint]
-            kind = Parameter(TEMPERATURE_TERMS[term], site).name
+            kind = Parameter(TEMPERATURE_TERMS[term], site)
             values[kind] = values[kind] + slope * above
     return values
 
@@ -262,7 +262,7 @@ def loaded_parameters(result: IdentifiedModel, payload: Payload | None, carrier:
             "'mass'."
         )
     for kind, value in {**identified, **known_values(payload)}.items():
-        chi = chi + value * base.matrix[:, tool[Parameter(kind, result.robot.tool).name]]
+        chi = chi + value * base.matrix[:, tool[Parameter(kind, result.robot.tool)]]
     return chi
 
 

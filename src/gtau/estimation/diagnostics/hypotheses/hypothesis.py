@@ -130,7 +130,7 @@ def friction_levels(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
 
     def of(kind: str) -> np.ndarray:
         joints = fit.dataset.model.actuated
-        return np.array([abs(values.get(Parameter(kind, j).name, values.get(f"{kind}_{j}R", 0.0))) for j in joints])
+        return np.array([abs(values.get(Parameter(kind, j), values.get(f"{kind}_{j}R", 0.0))) for j in joints])
 
     return of("fv"), of("fs")
 
