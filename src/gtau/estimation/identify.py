@@ -191,8 +191,9 @@ def _judged(result: Result, experiment: Experiment | None, progress: Progress) -
 
 def _data_sheet_notes(drives: Mapping[str, Drive], result: Result) -> tuple[Note, ...]:
     gains = {Parameter("gain", joint): gain for joint, gain in result.drive_gains.items() if gain.std is not None}
-    found = {name: (each.value, each.std) for name, each in (gains | dict(result.parameters)).items()}
-    return data_sheet_notes(drives, result.robot, found)
+    estimates = gains | dict(result.parameters)
+    values = {str(name): (estimate.value, estimate.std) for name, estimate in estimates.items()}
+    return data_sheet_notes(drives, result.robot, values)
 
 
 def _check_combination(estimator: Estimator, as_paper: bool, consistent: bool) -> None:

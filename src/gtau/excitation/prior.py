@@ -52,9 +52,7 @@ def rough_parameters(model: InverseDynamics, base: BaseParameters, payload: floa
             continue
         end = np.mean(places_on(robot, body) or [np.zeros(3)], axis=0)
         inertia = (end @ end * np.eye(3) - np.outer(end, end)) / 3 + 1e-3 * np.eye(3)
-        chi |= {
-            Parameter(kind, body): float(value) for kind, value in zip(("mx", "my", "mz"), end / 2, strict=True)
-        }
+        chi |= {Parameter(kind, body): float(value) for kind, value in zip(("mx", "my", "mz"), end / 2, strict=True)}
         places = {"xx": (0, 0), "xy": (0, 1), "xz": (0, 2), "yy": (1, 1), "yz": (1, 2), "zz": (2, 2)}
         chi |= {Parameter(kind, body): float(inertia[place]) for kind, place in places.items()}
         chi[Parameter("m", body)] = 1.0

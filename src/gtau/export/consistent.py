@@ -14,7 +14,7 @@ from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.results.result import Result
 from gtau.export.identified import identified, torques_of
 from gtau.model.random_states import random_motion
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.parameter import Parameter
 
 STATES = 500
 PLAIN = ("fv", "fs", "off")
@@ -127,7 +127,7 @@ def friction_comments(model: ConsistentModel) -> list[Any]:
 def terms_left_out(model: ConsistentModel) -> list[str]:
     """List the friction terms that neither damping nor Coulomb friction of a joint can represent."""
     held = (*PLAIN, "f3", "fb")
-    return [name for name in model.result.friction_parameters if parameter_of(name).kind not in held]
+    return [name for name in model.result.friction_parameters if name.kind not in held]
 
 
 def term_notes(model: ConsistentModel, target: str, left_out: Sequence[str], delays: bool = False) -> list[str]:

@@ -82,15 +82,15 @@ class Identified:
         return np.array([each.value or 0.0 for each in self.parameters])
 
     @property
-    def friction(self) -> tuple[str, ...]:
+    def friction(self) -> tuple[Parameter, ...]:
         """Names of all parameters of friction, those of base parameters by their standard ones."""
-        plain = [name for name in self.result.base.standard if parameter_of(name).kind in ("fv", "fs", "off")]
+        plain = [name for name in self.result.base.standard if name.kind in ("fv", "fs", "off")]
         return (*plain, *self.terms)
 
     @property
-    def terms(self) -> tuple[str, ...]:
+    def terms(self) -> tuple[Parameter, ...]:
         """Names of the friction terms among the parameters (``fl_11``)."""
-        return tuple(each.name for each in self.parameters[self.result.base.count :])
+        return tuple(parameter_of(each.name) for each in self.parameters[self.result.base.count :])
 
 
 def identified(result: Result) -> Identified:
@@ -112,9 +112,7 @@ def identified(result: Result) -> Identified:
         each = replace(friction[standard], name=name, regrouping=plain.regrouping) if standard in friction else plain
         parameters.append(each)
     parameters += [
-        each
-        for name, each in friction.items()
-        if name not in base.standard and parameter_of(name).kind not in TEMPERATURE_TERMS
+        each for name, each in friction.items() if name not in base.standard and name.kind not in TEMPERATURE_TERMS
     ]
     gains = np.array([result.drive_gains[joint].value for joint in robot.actuated], dtype=float)
     values = np.array([each.value or 0.0 for each in parameters])
@@ -173,9 +171,10 @@ def notes_on(model: Identified) -> tuple[str, ...]:
     result = model.result
     lost = [name for name, each in result.parameters.items() if each.value is None]
     notes = [f"not identifiable from the logs and exported as zero: {', '.join(lost)}"] if lost else []
-    bent = [name for name in model.terms if name.startswith("f3_")]
-    bent += [each.name for each in model.parameters if each.name.startswith("fv_") and (each.value or 0.0) < 0]
-    joints = dict.fromkeys(parameter_of(name).body.removesuffix("R") for name in bent)
+    bent = [name for name in model.terms if name.kind == "f3"]
+    values = dict(zip((*result.base.names, *model.terms), model.values, strict=True))
+    bent += [name for name, value in values.items() if name.kind == "fv" and value < 0]
+    joints = dict.fromkeys(name.body for name in bent)
     above = [f"{joint} above {result.friction_law.logged(joint)}" for joint in joints if joint in result.robot.actuated]
     if above:
         notes.append(
@@ -262,7 +261,7 @@ def _function(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.Functi
     return ca.Function(name, inputs, [ca.densify(each) for each in outputs], {"cse": True})
 
 
-def _standard(model: Identified, chi: list[ca.SX]) -> dict[str, ca.SX]:
+def _standard(model: Identified, chi: list[ca.SX]) -> dict[Parameter, ca.SX]:
     """Choose standard parameters with the same torques: base parameters at their representatives, else zero."""
     standard = {name: ca.SX(1, 1) for name in model.result.model.parameter_names}
     return standard | dict(zip(model.result.base.standard, chi, strict=True))

@@ -140,7 +140,7 @@ def _put_friction(file: InputFile, element: Element, model: ConsistentModel, joi
         attributes["armature"] = digits(model.of("ia", joint))
         attributes["damping"] = digits((viscous, 0.0, cubic) if cubic else viscous)
         attributes["frictionloss"] = digits(model.of("fs", joint))
-    if f"{STIFFNESS}_{joint}" in model.standard:
+    if Parameter(STIFFNESS, joint) in model.standard:
         attributes["stiffness"] = digits(model.of(STIFFNESS, joint))
     if attributes:
         file.set(element, **attributes)

@@ -20,7 +20,7 @@ from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.export.consistent import PLAIN, consistent_model
 from gtau.robots.geometry import characteristic_length
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import DAMPING, INERTIAL
 
 LEAST = 1e-4  # share of a correlation's variance that directions without scatter have: the jackknife has few blocks
@@ -52,7 +52,7 @@ class Samples:
     base: np.ndarray
     gains: np.ndarray
     delays: np.ndarray
-    friction: dict[str, np.ndarray]
+    friction: dict[Parameter, np.ndarray]
     moved: np.ndarray
     seed: int
 
@@ -100,11 +100,13 @@ class Samples:
         result, names = self.result, self.result.model.parameter_names
         assert result.consistency is not None
         gains = dict(zip(result.model.actuated, map(float, self.gains[k]), strict=True))
-        standard = dict(zip(names, map(float, self.standard[k]), strict=True))
+        standard: dict[str, float] = dict(zip(names, map(float, self.standard[k]), strict=True))
         base = dict(zip(result.base.names, map(float, self.base[k]), strict=True))
 
+        friction = {str(name): float(values[k]) for name, values in self.friction.items()}
+
         def drawn(each: Estimate) -> Estimate:
-            return replace(each, value=float(self.friction[each.name][k])) if each.name in self.friction else each
+            return replace(each, value=friction.get(each.name, each.value))
 
         return replace(
             result,
@@ -169,7 +171,7 @@ def draw(result: Result, count: int, seed: int = 0) -> Samples:
         for name, each in result.friction_parameters.items()
     }
     for name, each in friction.items():
-        if parameter_of(name).kind in PLAIN[:2] and (result.friction_parameters[name].value or 0.0) >= 0:
+        if name.kind in PLAIN[:2] and (result.friction_parameters[name].value or 0.0) >= 0:
             friction[name] = np.maximum(each, 0.0)
     return Samples(result, x, found, gains, np.column_stack(delays), friction, moved, seed)
 
@@ -224,7 +226,7 @@ def _projection(
     n, gains = len(names), len(values) - len(own)
     S = np.zeros((len(values), n + gains))
     S[: len(own), :n], S[len(own) :, n:] = base.matrix[own], np.eye(gains)
-    order = {name: k for k, name in enumerate(result.covariance_names)}
+    order: dict[str, int] = {name: k for k, name in enumerate(result.covariance_names)}
     rows = [order[name] for name in values if name in order]
     C = np.eye(len(values))
     there = np.array([name in order for name in values])
@@ -237,7 +239,7 @@ def _projection(
     unit = np.array([natural_size(name, robot, mass, length) for name in names])
     stay = np.zeros((n, n + gains))
     stay[:, :n] = np.diag(LOOSE / unit)
-    lower = np.array([0.0 if parameter_of(name).kind in ("ia", *PLAIN[:2], DAMPING) else -np.inf for name in names])
+    lower = np.array([0.0 if name.kind in ("ia", *PLAIN[:2], DAMPING) else -np.inf for name in names])
     within = np.pad(within_reach(robot, bodies, n), ((0, 0), (0, gains))) / (mass * length**2)
 
     def nearest(drawn: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:

@@ -20,7 +20,7 @@ from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.identified_model import estimates_table
 from gtau.estimation.results.result import Result
 from gtau.export.exported import Exported, identifier, written
-from gtau.robots.parameter import parameter_of
+from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import Mdh, Robot
 
 YAML_HEAD = """\
@@ -120,15 +120,13 @@ def _legend(label: Mapping[str, str]) -> str:
     return ", ".join(f"{each} " + r"\allowbreak{}".join(map(in_latex, part)) for each, part in parts)
 
 
-def symbol(name: str, label: Mapping[str, str] = MappingProxyType({})) -> str:
+def symbol(name: Parameter, label: Mapping[str, str] = MappingProxyType({})) -> str:
     """Write a parameter's name in the field's notation, without dollars: ``off_21R`` is tau with the index off 21R.
 
     ``label`` maps a body's name to its label.
     """
-    kind, index, _ = parameter_of(name)
-    plain = re.sub(r"R$", "", index) if index else ""
-    plain = label.get(plain, plain)
-    subscript = in_latex_index(plain) + ("R" if index.endswith("R") else "")
+    kind = name.kind
+    subscript = in_latex_index(label.get(name.body, name.body)) + ("R" if name.regrouped else "")
     if kind == "off":
         return rf"\tau_{{\mathrm{{off}}_{{{subscript}}}}}"
     return rf"{{{SYMBOLS.get(kind, in_latex(kind))}}}_{{{subscript}}}"
@@ -240,7 +238,7 @@ def _lines(regrouping: str, room: float, label: Mapping[str, str]) -> Iterator[s
     line = ""
     for sign, term in re.findall(r"(?:(^|[+-]) ?)(.+?)(?= [+-] |$)", regrouping):
         factor, name = re.fullmatch(r"(?:([\d.]+(?:e[+-]\d+)?) )?(.+)", term).groups()  # type: ignore[union-attr]
-        written = " ".join(filter(None, (sign, factor and rf"{factor}\,", symbol(name, label))))
+        written = " ".join(filter(None, (sign, factor and rf"{factor}\,", symbol(parameter_of(name), label))))
         if line and width(f"{line} {written}") > room:
             yield line
             line = ""

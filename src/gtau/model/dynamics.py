@@ -31,23 +31,23 @@ from gtau.robots.robot import DAMPING, DRIVE, INERTIAL, PRELOAD, STIFFNESS, Robo
 TOUCHING = 1e-9  # m: the length of a spring whose points coincide, where the line between them has no direction
 
 
-def parameter_names(robot: Robot, parameters: str = "all") -> tuple[str, ...]:
+def parameter_names(robot: Robot, parameters: str = "all") -> tuple[Parameter, ...]:
     """List the names of the standard parameters: of each joint, 14 at most, 10 of each platform, and of the springs.
 
     ``"inertial"`` leaves out rotor inertia, friction, offset and springs.
     """
     kinds = {"all": INERTIAL + DRIVE, "inertial": INERTIAL, "drive": DRIVE, "none": ()}
-    joints: list[str] = []
+    joints: list[Parameter] = []
     for joint in robot.joints:
         joints += [Parameter(kind, joint.name) for kind in kinds[joint.parameters] if kind in kinds[parameters]]
         if joint.spring is not None and parameters == "all":
-            joints.append(f"{STIFFNESS}_{joint.name}")
+            joints.append(Parameter(STIFFNESS, joint.name))
     platforms = [Parameter(kind, platform.name) for platform in robot.platforms for kind in INERTIAL]
     springs = [Parameter(kind, spring.name) for spring in robot.springs for kind in spring.parameters]
     return (*joints, *platforms, *(springs if parameters == "all" else ()))
 
 
-def _wrench(chi: dict[str, ca.SX], body: str, twist: Twist, acceleration: Twist) -> Twist:
+def _wrench(chi: dict[Parameter, ca.SX], body: str, twist: Twist, acceleration: Twist) -> Twist:
     """Apply Newton-Euler at the frame's origin: moment (angular) and force (linear) on a body, eqs. (1) and (2)."""
     xx, xy, xz, yy, yz, zz, mx, my, mz, m = (chi[Parameter(kind, body)] for kind in INERTIAL)
     inertia = ca.vertcat(ca.horzcat(xx, xy, xz), ca.horzcat(xy, yy, yz), ca.horzcat(xz, yz, zz))
@@ -77,7 +77,7 @@ def torques(
     yd: ca.SX,
     ydd: ca.SX,
     J: ca.SX,
-    chi: dict[str, ca.SX],
+    chi: dict[Parameter, ca.SX],
     gravity: ca.SX | None = None,
 ) -> ca.SX:
     """Express the torques of the actuated joints ``tau_idm`` (n,), eq. (15).

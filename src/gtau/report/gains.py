@@ -114,7 +114,8 @@ def whole_mass_text(result: IdentifiedModel) -> Text | None:
     """Say what a floating robot weighs, the one figure that everyone can check on a scale."""
     if not result.robot.floating:
         return None
-    mass = result.parameters.get(whole_mass(result.base, result.model.parameter_names))
+    name = whole_mass(result.base, result.model.parameter_names)
+    mass = None if name is None else result.parameters.get(name)
     half = None if mass is None else mass.half_interval()
     if mass is None or mass.value is None or half is None:
         return None

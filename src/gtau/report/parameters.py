@@ -13,7 +13,7 @@ from gtau.estimation.results.identified_model import IdentifiedModel, estimates_
 from gtau.report.evidence import RunEvidence
 from gtau.report.gains import VALUE, regroups, value_cells
 from gtau.report.page import Axis, Chart, Column, Kind, Panel, Section, Series, Table, Text, joint_label, section, table
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.parameter import Parameter
 from gtau.robots.units import position_unit, torque_unit
 from gtau.signals.channel import BEHIND_DRIVE
 from gtau.signals.filters import position_filter
@@ -72,7 +72,7 @@ def _role(each: Estimate, group: str) -> str:
 def reference_text(result: IdentifiedModel) -> Text | None:
     """Name the temperatures to which the friction parameters refer, where friction depends on them."""
     warm = result.temperatures
-    if warm is None or not any(parameter_of(name).kind in TEMPERATURE_TERMS for name in result.friction):
+    if warm is None or not any(name.kind in TEMPERATURE_TERMS for name in result.friction):
         return None
     listed = ", ".join(f"'{joint}' {value:.4g}" for joint, value in warm.of_joint.items())
     same = len(set(warm.of_joint.values())) == 1

@@ -19,7 +19,9 @@ class Parameter(str):
 
     def __new__(cls, kind: str, body: str, run: int | None = None, regrouped: bool = False) -> Parameter:
         """Print the name, and keep what it is made of."""
-        text = f"{kind}_{body}" + ("R" if regrouped else "") + ("" if run is None else f"@{run + 1}")
+        text = (
+            (f"{kind}_{body}" if body else kind) + ("R" if regrouped else "") + ("" if run is None else f"@{run + 1}")
+        )
         made = super().__new__(cls, text)
         made.kind, made.body, made.run, made.regrouped = kind, body, run, regrouped
         return made

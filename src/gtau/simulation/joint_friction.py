@@ -64,7 +64,7 @@ class JointFriction:
                     "presliding cannot be followed; give a width to actuated joints only."
                 )
         for name, value in self.values.items():
-            kind, joint, _ = parameter_of(name)
+            kind, joint = parameter_of(name).kind, parameter_of(name).body
             if kind in TERMS and joint not in joints:
                 raise GtauError(f"robot '{robot.name}' has no joint '{joint}' for the friction '{name}'; correct it.")
             if kind == "fb" and value and not self.law.shapes.get(joint, Shape()).speed:
@@ -190,5 +190,5 @@ def of_model(result: Result, smoothing: Mapping[str, float]) -> tuple[dict[str, 
     """Return standard parameters of the same torques as an identified model's, and its friction."""
     chi = loaded_parameters(result, None, "the robot")
     values = friction_values(result, chi)
-    standard = dict(zip(result.base.standard, map(float, chi), strict=True))
+    standard: dict[str, float] = dict(zip(result.base.standard, map(float, chi), strict=True))
     return standard, JointFriction(result.friction_law, values, smoothing)

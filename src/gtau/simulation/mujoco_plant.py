@@ -179,7 +179,7 @@ def robot_spec(mujoco: ModuleType, robot: Robot, chi: Mapping[str, float]) -> An
             damping=chi.get(Parameter("fv", joint.name), 0.0),
         )
         if joint.spring is not None:
-            stiffness = chi.get(f"{STIFFNESS}_{joint.name}", 0.0)
+            stiffness = chi.get(Parameter(STIFFNESS, joint.name), 0.0)
             made.stiffness = (stiffness, 0.0, 0.0) if np.size(made.stiffness) == 3 else stiffness
             made.springref = joint.spring
     for platform in robot.platforms:

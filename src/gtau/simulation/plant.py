@@ -28,7 +28,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import configuration_rates, frames
 from gtau.model.loop_paths import follow
 from gtau.model.loops import Loops, pose_words
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import PRELOAD, STIFFNESS
 from gtau.simulation.joint_friction import JointFriction, plain_friction
 
@@ -122,7 +122,7 @@ class Plant:
         unknown = [name for name in chi if name not in model.parameter_names]
         if unknown:
             raise GtauError(f"robot '{model.robot.name}' has no standard parameter '{unknown[0]}'; correct its name.")
-        self.chi = {name: float(chi.get(name, 0.0)) for name in model.parameter_names}
+        self.chi: dict[str, float] = {name: float(chi.get(name, 0.0)) for name in model.parameter_names}
         self.friction = friction or plain_friction(model, self.chi)
         self._dynamics, self._effort = self._symbolic_dynamics(), self._symbolic_effort()
         self._step = Compiled(self._symbolic_step())
@@ -220,7 +220,7 @@ class Plant:
         for row, joint in enumerate(layout.robot.joints):
             potential += self.chi.get(Parameter("off", joint.name), 0.0) * c[row]
             if joint.spring is not None:
-                potential += self.chi.get(f"{STIFFNESS}_{joint.name}", 0.0) * (c[row] - joint.spring) ** 2 / 2
+                potential += self.chi.get(Parameter(STIFFNESS, joint.name), 0.0) * (c[row] - joint.spring) ** 2 / 2
         for spring in layout.robot.springs:
             length, _ = spring_length(spring, frames(layout, c))
             f0, k = (self.chi.get(Parameter(kind, spring.name), 0.0) for kind in (PRELOAD, STIFFNESS))
@@ -231,7 +231,7 @@ class Plant:
         """Compile (c, yd, ydd, J) to the mass matrix and the torques of eq. (15), friction and offsets left out."""
         layout = self.layout
         (c, yd, ydd, passive), J = self.model.symbols
-        still = {name: ca.SX(value) for name, value in self.chi.items() if parameter_of(name).kind not in PLAIN}
+        still = {name: ca.SX(self.chi[name]) for name in self.model.parameter_names if name.kind not in PLAIN}
         tau = torques(layout, c, yd, ydd, J, still)
         return ca.Function("dynamics", [c, yd, ydd, passive.T], [ca.jacobian(tau, ydd) @ J, tau], {"cse": True})
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.robots.parameter import Parameter
 from gtau.watch.detectors import FEWEST, MEMORY, Chart, Evidence
 from gtau.watch.quantities import Quantity
 from gtau.watch.state import Alarm, Entry, Explained
@@ -229,7 +230,7 @@ def _stated(each: Explanation, model: IdentifiedModel, factor: float) -> Explain
     relative = None
     if each.kind == "friction":
         friction = model.friction_parameters
-        known = {**model.parameters, **friction}.get(f"{each.quantity}_{each.joint}")
+        known = {**model.parameters, **friction}.get(Parameter(each.quantity, each.joint))
         if known is not None and known.value:
             relative = each.size / known.value
     return Explained(

@@ -190,9 +190,9 @@ class _Comparison:
         system, base, names = fit.system, fit.dataset.base, fit.dataset.model.parameter_names
         identified = system.full(fit.solution.theta)[:-1]
         values = np.array([stated.get(name, 0.0) for name in names])
-        unstated = np.array([parameter_of(name).kind == "ia" and name not in stated for name in names])
-        of_bodies = np.array([parameter_of(name).kind in (*INERTIAL, "ia") for name in names])
-        of_drives = np.array([parameter_of(name).kind in DRIVE[1:] for name in names])
+        unstated = np.array([name.kind == "ia" and name not in stated for name in names])
+        of_bodies = np.array([name.kind in (*INERTIAL, "ia") for name in names])
+        of_drives = np.array([name.kind in DRIVE[1:] for name in names])
         inertial = np.zeros(len(identified), dtype=bool)
         inertial[: base.count] = np.any(base.matrix[:, of_bodies], axis=1) & ~np.any(base.matrix[:, of_drives], axis=1)
         unknown = np.zeros_like(inertial)
@@ -250,7 +250,7 @@ def _parameters(
     for k, name in enumerate(base.names):
         if not comparison.inertial[k]:
             continue
-        kind, body, _ = parameter_of(base.standard[k])
+        kind, body = base.standard[k].kind, base.standard[k].body
         each = AuditedParameter(name, body, unit_of(kind, robot, body), "not identifiable", float(comparison.file[k]))
         found[name] = each
         if name not in kept:

@@ -36,7 +36,7 @@ import numpy as np
 from gtau.estimation.regression.dataset import motor_to_joint_speed
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import Motion
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import DAMPING
 
 LEAST_POWER = 1e-300  # W: keeps 0/0 out of a joint at rest
@@ -307,12 +307,12 @@ class FrictionLaw:
         return sum(values.get(Parameter("fv", joint.name), 0.0) * ratio**2 for joint, ratio in of_joints if ratio)
 
 
-def carried(math: ModuleType, standard: tuple[str, ...], chi: Any) -> list[Any]:
+def carried(math: ModuleType, standard: tuple[Parameter, ...], chi: Any) -> list[Any]:
     """Return the base parameters (n_b) of the torques that joints transmit: 0 for friction and offsets.
 
     Dampers of springs that propel do not count.
     """
-    kinds = [parameter_of(name).kind for name in standard]
+    kinds = [name.kind for name in standard]
     zero = {"fv", "fs", "off"}
     return [
         0.0 * chi[k] if kind in zero else math.fmax(chi[k], 0.0) if kind == DAMPING else chi[k]

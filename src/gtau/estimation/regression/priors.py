@@ -24,7 +24,8 @@ def stated_inertias(robot: Robot) -> dict[str, float]:
     stated = dict(robot.inertias)
     if not stated:
         return {}
-    found = {name: stated.get(name, 0.0) for body in _heavy(robot) for kind in INERTIAL for name in [f"{kind}_{body}"]}
+    inertial = [Parameter(kind, body) for body in _heavy(robot) for kind in INERTIAL]
+    found = {name: stated.get(name, 0.0) for name in inertial}
     rotors = {Parameter("ia", each.name) for each in robot.joints if each.parameters in ("all", "drive")}
     return found | {name: value for name, value in stated.items() if name in rotors}
 

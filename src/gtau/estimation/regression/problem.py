@@ -18,6 +18,7 @@ import numpy as np
 
 from gtau.estimation.regression.equations import FIXED, KNOWN, MODEL, SIGNAL, delayed_signal, select_columns, triangle
 from gtau.model.base_parameters import independent_columns
+from gtau.robots.parameter import Parameter
 from gtau.signals.channel import Channel
 
 
@@ -27,8 +28,8 @@ class Problem:
 
     Attributes
     ----------
-    parameters : tuple of str
-        Names of theta, (n_theta,).
+    parameters : tuple of Parameter
+        Those of theta, (n_theta,).
     channels : tuple of Channel
         The signals explained, (c,): of the n actuated joints, then of torque sensors.
     blocks : ndarray
@@ -46,7 +47,7 @@ class Problem:
         (U,) the same number for blocks that the jackknife leaves out together, of runs that repeat a motion.
     """
 
-    parameters: tuple[str, ...]
+    parameters: tuple[Parameter, ...]
     channels: tuple[Channel, ...]
     blocks: np.ndarray
     rows: np.ndarray

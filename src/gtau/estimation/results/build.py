@@ -18,7 +18,7 @@ from gtau.estimation.estimators.estimator import Estimator, Fit
 from gtau.estimation.estimators.newton import residuals, stacked
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.regression.equations import triangle
-from gtau.estimation.regression.friction import BEARING, TEMPERATURE_TERMS, TERMS
+from gtau.estimation.regression.friction import BEARING
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
 from gtau.estimation.results.estimate import (
@@ -33,7 +33,7 @@ from gtau.estimation.results.estimate import (
 from gtau.estimation.results.friction_curves import friction_unit, reference_temperatures
 from gtau.estimation.results.payload import named_estimates, payload_estimates
 from gtau.estimation.results.result import Result
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
 from gtau.robots.units import gain_unit, torque_unit, unit_of
 
@@ -88,12 +88,11 @@ def build_result(
     spread = _spread(system, solution.theta)
     model_part = {name: min(float(model_std[k]), float(std[k])) for k, name in enumerate(problem.parameters)}
 
-    def parameter(name: str, standard: str) -> Estimate:
-        kind, body, _ = parameter_of(standard)
+    def parameter(name: Parameter) -> Estimate:
         each, regrouping = found.get(name, Estimate(name, None, None, "")), base.regroupings[name]
         return replace(
             each,
-            unit=unit_of(kind, robot, body),
+            unit=unit_of(name.kind, robot, name.body),
             regrouping=regrouping,
             spread=spread.get(name),
             verdict=judge_parameter(each.value, each.std, regrouping),
@@ -134,11 +133,11 @@ def build_result(
             if joint in robot.motors
         },
         delays=dict(zip(joints, delays, strict=False)),
-        parameters={name: parameter(name, of) for name, of in zip(base.names, base.standard, strict=True)},
+        parameters={name: parameter(name) for name in base.names},
         friction={
-            name: replace(found[name], unit=friction_unit(kind, joint, robot, temperatures))
-            for name, (kind, joint, _) in ((each, parameter_of(each)) for each in system.friction.terms)
-            if name in found and kind in (*TERMS, *TEMPERATURE_TERMS)
+            term: replace(found[term], unit=friction_unit(term.kind, term.body, robot, temperatures))
+            for term in system.friction.terms
+            if term in found
         },
         curves=curves,
         sensors=_sensors(fit, diagnosis, found, delays),
@@ -236,7 +235,7 @@ def _levels(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _sensors(
-    fit: Fit, diagnosis: Diagnosis, found: Mapping[str, Estimate], delays: Sequence[Estimate]
+    fit: Fit, diagnosis: Diagnosis, found: Mapping[Parameter, Estimate], delays: Sequence[Estimate]
 ) -> tuple[SensorEstimate, ...]:
     """Collect the estimates of the own parameters of sensors behind the drives."""
     robot, problem, sensors, (sigma, signal) = fit.dataset.robot, fit.system.problem, [], _levels(fit)
@@ -260,8 +259,7 @@ def _spread(system: System, theta: np.ndarray) -> dict[str, float]:
     """Compute the standard deviation between runs of each friction parameter that may drift."""
     differences: dict[str, list[float]] = {}
     for name, value in zip(system.problem.parameters, theta, strict=True):
-        kind, body, run = parameter_of(name)
-        if run is not None:
-            differences.setdefault(Parameter(kind, body), []).append(float(value))
+        if name.run is not None:
+            differences.setdefault(Parameter(name.kind, name.body), []).append(float(value))
     # the differences of all runs add up to zero, and the last is not listed
     return {name: float(np.std([*each, -sum(each)], ddof=1)) for name, each in differences.items()}

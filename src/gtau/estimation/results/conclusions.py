@@ -16,7 +16,6 @@ from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.results.torque_scale import listed, torque_headline
 from gtau.estimation.thresholds.estimates import INFLATED
 from gtau.estimation.thresholds.logs import NEAR_SINGULAR
-from gtau.robots.parameter import parameter_of
 from gtau.signals.columns import Signals
 from gtau.signals.notes import Kind, Note
 from gtau.signals.payload import FIRST_MOMENTS
@@ -163,7 +162,7 @@ def _of_verdict(what: str, verdict: Verdict) -> Note:
 def without_temperature(result: IdentifiedModel, signals: Signals) -> list[str]:
     """Note the temperature assumed for logs without one where the model's friction depends on it."""
     warm = result.temperatures
-    depends = {parameter_of(name).body for name in result.friction if parameter_of(name).kind in TEMPERATURE_TERMS}
+    depends = {name.body for name in result.friction if name.kind in TEMPERATURE_TERMS}
     if warm is None or not depends or signals.temperature is not None:
         return []
     listed = ", ".join(f"'{joint}' {warm.of_joint[joint]:.4g}" for joint in sorted(depends))

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Integral
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Generic, Literal, TypeVar
 
 import numpy as np
 
@@ -17,13 +17,11 @@ from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.sentences import named
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict
 from gtau.model.singularities import TYPES
+from gtau.robots.parameter import Parameter
 from gtau.signals.channel import SENSOR, ChannelKind
 from gtau.signals.decimation import Decimator
 from gtau.signals.preparation import PreparedRun
 from gtau.signals.storage import rows_at
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True, repr=False)
@@ -102,12 +100,15 @@ class Estimate:
         return 100 * self.std / abs(self.value) if self.value and self.std is not None else None
 
 
-class Named(dict[str, Estimate]):
+Key = TypeVar("Key", bound=str)
+
+
+class Named(dict[Key, Estimate], Generic[Key]):
     """Estimates by joint or parameter; ``[11]`` finds joint ``'11'``, a missing name raises GtauError with all."""
 
     def __missing__(self, name: object) -> Estimate:
         if isinstance(name, Integral) and str(name) in self:
-            return self[str(name)]
+            return self[str(name)]  # type: ignore[index]
         raise GtauError(f"there is no '{name}' here; choose from {', '.join(self) or 'nothing'}.")
 
     def _repr_html_(self) -> str:
@@ -135,7 +136,7 @@ class FrictionCurve:
     """
 
     joint: str
-    parameters: Mapping[str, Estimate]
+    parameters: Mapping[Parameter, Estimate]
     width: Estimate | None
     speed: Estimate | None
     evidence: Mapping[str, float]
@@ -158,7 +159,7 @@ class SensorEstimate:
     """
 
     joint: str
-    parameters: Mapping[str, Estimate]
+    parameters: Mapping[Parameter, Estimate]
     delay: Estimate
     residual: TorqueError
     ratio: Estimate | None = None

@@ -21,7 +21,7 @@ from gtau.estimation.friction.selection import (
 )
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS, UNITS
 from gtau.estimation.results.estimate import Estimate, FrictionCurve, ReferenceTemperatures
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
 from gtau.robots.units import position_unit, unit_of
 
@@ -103,7 +103,7 @@ def _fixed(fit: Fit, covariance: np.ndarray) -> np.ndarray:
     problem, names, n = fit.system.problem, fit.dataset.base.names, len(fit.dataset.model.actuated)
     place = {name: k for k, name in enumerate(problem.parameters)}
     # friction of the plain law is not subtracted from the torque, so that its errors do not count
-    inertial = [place.get(name, -1) if parameter_of(name).kind not in ("fv", "fs", "off") else -1 for name in names]
+    inertial = [place.get(name, -1) if name.kind not in ("fv", "fs", "off") else -1 for name in names]
     index = np.array([*range(problem.n_theta, problem.n_theta + n), *inertial])
     known = index < 0
     found = covariance[np.ix_(np.maximum(index, 0), np.maximum(index, 0))].copy()
@@ -164,7 +164,9 @@ def curves_of(
                     of_excess[own[kind]] = sign
             values["fb"] = values.pop("fr") - values["fs"]
             std["fb"] = float(np.sqrt(of_excess @ covariance @ of_excess)) or None
-        parameters = [estimate(kind, site.joint, value, std[kind]) for kind, value in values.items()]
+        parameters = {
+            Parameter(kind, site.joint): estimate(kind, site.joint, value, std[kind]) for kind, value in values.items()
+        }
         shape: dict[str, Estimate] = {}
         for kind, name in (("width", "width"), ("speed", "vs")):
             if (number := structure.get(kind)) is not None:
@@ -174,7 +176,7 @@ def curves_of(
                 shape[kind] = estimate(name, site.joint, value, spread)
         made[site.joint] = FrictionCurve(
             site.joint,
-            {each.name: each for each in parameters},
+            parameters,
             shape.get("width"),
             shape.get("speed"),
             {WORDS[kind]: float(evidence[s, kind]) for kind in KINDS if (s, kind) in evidence},

@@ -28,7 +28,7 @@ from gtau.estimation.results.estimate import (
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.parameter import parameter_of
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
 from gtau.signals.notes import Note
 from gtau.signals.preparation import Preparation
@@ -111,11 +111,11 @@ class IdentifiedModel:
     kind: str
     drive_gains: Mapping[str, Estimate]
     delays: Mapping[str, Estimate]
-    parameters: Mapping[str, Estimate]
-    friction: Mapping[str, Estimate]
+    parameters: Mapping[Parameter, Estimate]
+    friction: Mapping[Parameter, Estimate]
     payloads: tuple[PayloadEstimate, ...]
     residuals: tuple[TorqueError, ...]
-    covariance_names: tuple[str, ...]
+    covariance_names: tuple[Parameter, ...]
     covariance: np.ndarray
     preparation: Preparation
     logged_speeds: Mapping[str, float]
@@ -176,17 +176,17 @@ class IdentifiedModel:
         return np.array([known[joint].value if joint in known else 1.0 for joint in self.robot.actuated], dtype=float)
 
     @property
-    def essential(self) -> Named:
+    def essential(self) -> Named[Parameter]:
         """The base parameters that the reduction keeps (paper, section 5.2), with their values in ``parameters``."""
         return Named({name: each for name, each in self.parameters.items() if each.essential})
 
     @property
-    def params(self) -> dict[str, float]:
+    def params(self) -> dict[Parameter, float]:
         """Values of ``parameters`` by name; 0 for one that is not identifiable."""
         return {name: estimate.value or 0.0 for name, estimate in self.parameters.items()}
 
     @cached_property
-    def friction_parameters(self) -> Mapping[str, Estimate]:
+    def friction_parameters(self) -> Mapping[Parameter, Estimate]:
         """Friction used in predictions, by the names of standard parameters: of the curves, else of the plain law."""
         if not self.curves:
             return self.friction
@@ -217,7 +217,7 @@ def estimates_table(result: IdentifiedModel) -> Iterator[Row]:
     terms that the data ask for), ``predicted friction`` (of all samples, with which the model predicts), ``logged
     speed`` (up to which friction is identified), ``torque sensor JOINT`` and ``payload NAME of RUN``.
     """
-    friction = {name: parameter_of(name).kind in FRICTION for name in result.parameters}
+    friction = {name: name.kind in FRICTION for name in result.parameters}
     robot = result.robot
     speeds = [
         Estimate(joint, speed, None, f"{robot.joint(joint).unit}/s") for joint, speed in result.logged_speeds.items()

@@ -45,7 +45,7 @@ from gtau.estimation.results.estimate import (
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.model_document import OLDER, SCHEMA, to_document
 from gtau.estimation.results.payload import PayloadEstimate
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.readers.native import parse_native
 from gtau.signals.channel import SENSOR, ChannelKind, sensor_kind
 from gtau.signals.decimation import Decimator
@@ -78,6 +78,13 @@ def _by_name(estimates: tuple[Estimate, ...]) -> dict[str, Estimate]:
     return named
 
 
+def _by_parameter(estimates: dict[str, Estimate]) -> dict[Parameter, Estimate]:
+    return {
+        parameter_of(name, regrouped=len(estimate.regrouping.split()) > 1): estimate
+        for name, estimate in estimates.items()
+    }
+
+
 def _method(name: str) -> str:
     if name not in PLACES:
         raise ValueError(unknown(f"method '{name}'", name, PLACES))
@@ -86,6 +93,7 @@ def _method(name: str) -> str:
 
 _Estimate = Annotated[Estimate, BeforeValidator(_gathered)]
 _Estimates = Annotated[tuple[_Estimate, ...], AfterValidator(_by_name)]
+_Parameters = Annotated[tuple[_Estimate, ...], AfterValidator(_by_name), AfterValidator(_by_parameter)]
 NoteEntry = Annotated[
     Note,
     BeforeValidator(lambda note: {k: v for k, v in note.items() if v is not None} if isinstance(note, dict) else note),
@@ -112,7 +120,7 @@ class _Payload(_Group):
 
 class _Sensor(_Group):
     joint: str
-    parameters: _Estimates
+    parameters: _Parameters
     delay: _Estimate
     residual: TorqueError
     ratio: _Estimate | None
@@ -124,7 +132,7 @@ class _Sensor(_Group):
 
 class _Curve(_Group):
     joint: str
-    parameters: _Estimates
+    parameters: _Parameters
     width: _Estimate | None
     speed: _Estimate | None
     evidence: dict[str, float]
@@ -216,8 +224,8 @@ class _Model(_Group):
     kind: Literal["current", "torque"]
     drive_gains: _Estimates
     delays: _Estimates
-    parameters: _Estimates
-    friction: _Estimates
+    parameters: _Parameters
+    friction: _Parameters
     curves: tuple[_Curve, ...] = ()
     sensors: tuple[_Sensor, ...] = ()
     payloads: tuple[_Payload, ...]
@@ -247,7 +255,7 @@ class _Model(_Group):
                 "curves": {each.joint: each.made() for each in self.curves},
                 "sensors": tuple(each.made() for each in self.sensors),
                 "payloads": tuple(each.made() for each in self.payloads),
-                "covariance_names": self.covariance.names,
+                "covariance_names": tuple(map(parameter_of, self.covariance.names)),
                 "covariance": np.array(self.covariance.matrix),
                 "preparation": self.preparation.made(),
                 "consistency": None if self.standard is None else self.standard.made(),

@@ -18,7 +18,7 @@ from gtau.estimation.regression.rows import Law, stream_torques
 from gtau.estimation.results.estimate import Requirement, TorqueError
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.model.loops import Motion
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.parameter import Parameter
 from gtau.robots.units import torque_unit
 from gtau.signals.payload import Payload
 from gtau.signals.preparation import PreparedRun, prepare
@@ -198,12 +198,12 @@ def friction_values(
     """
     values: dict[str, Any] = dict(zip(result.base.standard, chi, strict=True))
     terms = {name: each.value or 0.0 for name, each in result.friction_parameters.items()}
-    values |= {name: value for name, value in terms.items() if parameter_of(name).kind not in TEMPERATURE_TERMS}
+    values |= {name: value for name, value in terms.items() if name.kind not in TEMPERATURE_TERMS}
     if result.temperatures is None or run is None or run.temperature is None or time is None:
         return values
-    warm = {name: value for name, value in terms.items() if parameter_of(name).kind in TEMPERATURE_TERMS}
+    warm = {name: value for name, value in terms.items() if name.kind in TEMPERATURE_TERMS}
     for name, slope in warm.items():
-        term, site, _ = parameter_of(name)
+        term, site = name.kind, name.body
         joint = result.friction_law.motor_of(site)
         if joint is not None and joint in run.temperature.of_joint:
             above = run.temperature.at(joint, time) - result.temperatures.of_joint[joint]
@@ -216,7 +216,7 @@ def torques_along(
     result: IdentifiedModel,
     motion: Motion,
     chi: np.ndarray,
-    terms: Mapping[str, float] | None = None,
+    terms: Mapping[Parameter, float] | None = None,
     z: np.ndarray | None = None,
 ) -> np.ndarray:
     """Compute torques (n, N) along a motion for base parameters ``chi`` (n_b,), all friction included.

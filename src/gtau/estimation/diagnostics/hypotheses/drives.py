@@ -69,8 +69,7 @@ def _friction_shape(fit: Fit) -> Candidates:
     model, base = fit.dataset.model, fit.dataset.base
     regressor, acting = model.columns(base.standard), transmitted(base.names)
     absent = {
-        term: np.array([Parameter(term, j) not in fit.system.friction.terms for j in joints])
-        for term in ("f3", "fl")
+        term: np.array([Parameter(term, j) not in fit.system.friction.terms for j in joints]) for term in ("f3", "fl")
     }
 
     def columns(window: InMemoryRun, values: np.ndarray) -> dict[Cause, np.ndarray]:
