@@ -86,14 +86,31 @@ def model_of(
 
 def preslid(result: Result) -> Result:
     """The model with friction on all samples in its motors: presliding in all of them, bent in the first."""
-    curves = {}
+    curves, values = {}, {}
     for k, joint in enumerate(result.robot.actuated):
-        unit = torque_unit(result.robot, joint)
-        values = {"fv": 0.4, "fs": 2.0, "fl": 0.03} | ({} if k else {"fb": 1.5})
-        made = {f"{kind}_{joint}": Estimate(f"{kind}_{joint}", value, 0.01, unit) for kind, value in values.items()}
-        width, speed = Estimate(f"width_{joint}", 0.004, 1e-4, "rad"), Estimate(f"vs_{joint}", 0.1, 0.01, "rad/s")
-        curves[joint] = FrictionCurve(joint, made, width, None if k else speed, {"presliding": 9.0}, 1.0, 2.0)
-    return replace(result, curves=curves)
+        shown = {"fv": 0.4, "fs": 2.0, "fl": 0.03, "width": 0.004} | ({} if k else {"fb": 1.5, "vs": 0.1})
+        values |= {f"{kind}_{joint}": value for kind, value in shown.items()}
+        curves[joint] = FrictionCurve(joint, {"presliding": 9.0}, 1.0, 2.0)
+    names = dict(zip(result.base.names, result.base.standard, strict=True))
+    parameters = {
+        name: replace(each, value=values.pop(names[name])) if names[name] in values else each
+        for name, each in result.parameters.items()
+    }
+    friction = {name: Estimate(name, value, 1e-4, "N m") for name, value in values.items()}
+    return replace(result, parameters=parameters, friction=friction, curves=curves)
+
+
+def of_equations(result: Result) -> Result:
+    """The same model with the friction of its equations of identification, that is with the plain law."""
+    found = result.equation_friction
+    parameters = {name: found.get(name, each) for name, each in result.parameters.items()}
+    parameters = {
+        name: replace(each, regrouping=result.parameters[name].regrouping, essential=result.parameters[name].essential,
+                      spread=result.parameters[name].spread)
+        for name, each in parameters.items()
+    }  # fmt: skip
+    friction = {name: each for name, each in found.items() if name not in parameters}
+    return replace(result, parameters=parameters, friction=friction, curves={}, equation_friction={})
 
 
 def sprung() -> Robot:

@@ -21,8 +21,7 @@ from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
-import yaml
-
+from gtau.documents.yaml_document import yaml_text
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.export import urdf
@@ -254,7 +253,7 @@ def _estimate(each: Estimate, unit: str) -> dict[str, Any]:
 
 def _yaml_file(head: str, document: dict[str, Any]) -> str:
     """Write a YAML file with a comment on top."""
-    text = yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
+    text = yaml_text(document)
     return "".join(f"# {line}\n" for line in head.splitlines()) + text
 
 

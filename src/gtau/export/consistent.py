@@ -134,7 +134,7 @@ def term_notes(model: ConsistentModel, target: str, left_out: Sequence[str], del
     """List what no rigid-body format holds: friction terms ``left_out``, and delays unless written elsewhere."""
     result, notes = model.result, []
     notes += friction_notes(model)
-    widths = {joint: each.width for joint, each in result.curves.items() if each.width}
+    widths = {name.body: each for name, each in result.friction.items() if name.kind == "width"}
     held = [f"{joint} ({width.value:.2g} {width.unit})" for joint, width in widths.items()]
     if held:
         notes.append(f"{target} has no friction before sliding, of these widths: {', '.join(held)}")

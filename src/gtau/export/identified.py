@@ -11,13 +11,13 @@ configuration updates them too: ``z <- clip(z + ratios . dq / width, -1, 1)``.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.friction.law import carried
+from gtau.estimation.friction.law import SHAPES, carried
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.prediction import torques_along
@@ -28,7 +28,7 @@ from gtau.model.closures import closure_maps
 from gtau.model.kinematics import configuration_rates
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter, parameter_of
-from gtau.robots.robot import INERTIAL
+from gtau.robots.robot import INERTIAL, PLAIN_FRICTION
 from gtau.robots.units import torque_unit
 
 OUTPUTS = {
@@ -84,7 +84,7 @@ class Identified:
     @property
     def friction(self) -> tuple[Parameter, ...]:
         """Names of all parameters of friction, those of base parameters by their standard ones."""
-        plain = [name for name in self.result.base.standard if name.kind in ("fv", "fs", "off")]
+        plain = [name for name in self.result.base.standard if name.kind in PLAIN_FRICTION]
         return (*plain, *self.terms)
 
     @property
@@ -105,15 +105,8 @@ def identified(result: Result) -> Identified:
     missing = [name for name in base.names if name not in result.parameters]
     if missing:
         raise GtauError(f"the model lacks the base parameter '{missing[0]}'; identify it again.")
-    parameters = []
-    friction = result.friction_parameters
-    for name, standard in zip(base.names, base.standard, strict=True):
-        plain = result.parameters[name]
-        each = replace(friction[standard], name=name, regrouping=plain.regrouping) if standard in friction else plain
-        parameters.append(each)
-    parameters += [
-        each for name, each in friction.items() if name not in base.standard and name.kind not in TEMPERATURE_TERMS
-    ]
+    terms = [each for name, each in result.friction.items() if name.kind not in (*TEMPERATURE_TERMS, *SHAPES)]
+    parameters = [*(result.parameters[name] for name in base.names), *terms]
     gains = np.array([result.drive_gains[joint].value for joint in robot.actuated], dtype=float)
     values = np.array([each.value or 0.0 for each in parameters])
     units = tuple(torque_unit(robot, joint) for joint in robot.actuated)

@@ -116,10 +116,6 @@ class Samples:
             drive_gains={joint: replace(each, value=gains[joint]) for joint, each in result.drive_gains.items()},
             parameters={name: replace(each, value=base[name]) for name, each in result.parameters.items()},
             friction={name: drawn(each) for name, each in result.friction.items()},
-            curves={
-                joint: replace(curve, parameters={name: drawn(each) for name, each in curve.parameters.items()})
-                for joint, curve in result.curves.items()
-            },
             delays={
                 joint: replace(each, value=float(self.delays[k, j]))
                 for j, (joint, each) in enumerate(result.delays.items())

@@ -13,9 +13,8 @@ from pathlib import Path
 from types import MappingProxyType
 from unicodedata import normalize
 
-import yaml
-
 from gtau.documents.files import in_csv
+from gtau.documents.yaml_document import yaml_text
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.identified_model import estimates_table
 from gtau.estimation.results.result import Result
@@ -69,7 +68,7 @@ def export_yaml(result: Result, out: Path) -> Exported:
     for row in estimates_table(result):
         groups.setdefault(_key(row.group), {})[row.estimate.name] = _entry(row.estimate)
     document = {"robot": result.robot.name, "method": result.method, "runs": list(result.runs), **groups}
-    text = yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
+    text = yaml_text(document)
     friction = textwrap.fill(
         " ".join(result.friction_law.range_sentence.split()), 116, initial_indent="# ", subsequent_indent="# "
     )

@@ -20,7 +20,7 @@ from gtau.signals.filters import position_filter
 from gtau.signals.run import arrange
 
 GROUPS = ("base parameter", "friction", *(kind.name for kind in BEHIND_DRIVE))
-KINDS = ("fv", "fs", "fb", "fl", "off")
+KINDS = ("width", "vs", "fv", "fs", "fb", "fl", "off")
 POINTS = 3000  # of a panel
 CONTRADICTED = 6  # parameters on a short page
 ORDER = ("contradicted", "agrees", "not stated", "not identifiable")
@@ -97,19 +97,16 @@ def curves_table(result: IdentifiedModel) -> Table:
     """Tabulate the friction of each joint, SI units, values with half their 95 % intervals."""
     columns = (
         Column("joint"),
-        Column("presliding"),
-        Column("v_s"),
-        *(Column(kind) for kind in KINDS),
+        *(Column({"width": "presliding", "vs": "v_s"}.get(kind, kind)) for kind in KINDS),
         Column("shown by", wide=True),
         Column("error, %", Kind.NUMBER, decimals=1),
         Column("plain law, %", Kind.NUMBER, decimals=1),
     )
+    friction = {**result.friction, **result.friction_parameters}
     rows = [
         (
             joint_label(curve.joint),
-            _cell(curve.width),
-            _cell(curve.speed),
-            *(_cell(curve.parameters.get(Parameter(kind, curve.joint))) for kind in KINDS),
+            *(_cell(friction.get(Parameter(kind, curve.joint))) for kind in KINDS),
             ", ".join(f"{term} ({t:.1f} standard errors)" for term, t in curve.evidence.items()),
             curve.error,
             curve.plain_error,

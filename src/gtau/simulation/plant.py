@@ -21,7 +21,6 @@ import numpy as np
 import scipy.linalg
 
 from gtau.errors import GtauError
-from gtau.estimation.friction.normal_equations import PLAIN
 from gtau.model.closures import closure_expressions
 from gtau.model.dynamics import spring_length, torques
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -29,7 +28,7 @@ from gtau.model.kinematics import configuration_rates, frames
 from gtau.model.loop_paths import follow
 from gtau.model.loops import Loops, pose_words
 from gtau.robots.parameter import Parameter
-from gtau.robots.robot import PRELOAD, STIFFNESS
+from gtau.robots.robot import PLAIN_FRICTION, PRELOAD, STIFFNESS
 from gtau.simulation.joint_friction import JointFriction, plain_friction
 
 
@@ -231,7 +230,7 @@ class Plant:
         """Compile (c, yd, ydd, J) to the mass matrix and the torques of eq. (15), friction and offsets left out."""
         layout = self.layout
         (c, yd, ydd, passive), J = self.model.symbols
-        still = {name: ca.SX(self.chi[name]) for name in self.model.parameter_names if name.kind not in PLAIN}
+        still = {name: ca.SX(self.chi[name]) for name in self.model.parameter_names if name.kind not in PLAIN_FRICTION}
         tau = torques(layout, c, yd, ydd, J, still)
         return ca.Function("dynamics", [c, yd, ydd, passive.T], [ca.jacobian(tau, ydd) @ J, tau], {"cse": True})
 

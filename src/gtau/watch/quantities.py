@@ -33,11 +33,11 @@ from gtau.estimation.regression.stretches import stretch_edges, stretch_of
 from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.prediction import check_temperature_unit, friction_along, loaded_parameters
 from gtau.robots.parameter import Parameter
+from gtau.robots.robot import PLAIN_FRICTION
 from gtau.robots.units import unit_of
 from gtau.signals.payload import Payload
 from gtau.signals.run import Run, arrange, without_sensors
 
-FRICTION = ("fv", "fs", "off")
 STEP = 1e-3  # rad or m, of an encoder zero: torques are linear over this
 FEWEST_ROWS = 50  # of a joint in a log, as in an identification
 ZERO_UNITS = {"revolute": ("deg", np.pi / 180), "prismatic": ("mm", 1e-3)}
@@ -91,7 +91,7 @@ def quantities_of(model: IdentifiedModel, of_load: Iterable[str]) -> tuple[Quant
     names = model.base.standard
     rubbing = [
         Quantity(kind, joint, unit_of(kind, robot, joint))
-        for kind in FRICTION
+        for kind in PLAIN_FRICTION
         for joint in motors
         if Parameter(kind, joint) in names
     ]

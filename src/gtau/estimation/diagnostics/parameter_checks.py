@@ -28,7 +28,7 @@ from gtau.estimation.thresholds.logs import DELAY_MOTION, DELAY_STD
 from gtau.model.base_parameters import BaseParameters
 from gtau.robots.geometry import identical_legs
 from gtau.robots.parameter import Parameter, parameter_of
-from gtau.robots.robot import Robot
+from gtau.robots.robot import PLAIN_FRICTION, Robot
 
 NONNEGATIVE = {"m", "xx", "yy", "zz", "ia", "fv", "fs"}
 TERM = re.compile(r"([+-])\s*(?:[\d.e+-]+ )?([a-z]+\d?)_")
@@ -130,9 +130,6 @@ def delay_verdicts(problem: Problem, solution: Solution, std: np.ndarray, period
         else:
             found.append(GOOD)
     return tuple(found)
-
-
-FRICTION = ("fv", "fs", "off")  # these always differ, and the table of parameters shows them
 
 
 @dataclass(frozen=True)
@@ -252,7 +249,7 @@ def unlike_legs(dataset: Dataset, system: System, theta: np.ndarray, covariance:
         for each in found
         if each.probability < LEG_PROBABILITY
         for name, relative, deviation in zip(each.compared, each.relative, each.deviations, strict=True)
-        if name.kind not in FRICTION and relative > LEG_DIFFERENCE and abs(deviation) > LEG_DIFFERENCE_STD
+        if name.kind not in PLAIN_FRICTION and relative > LEG_DIFFERENCE and abs(deviation) > LEG_DIFFERENCE_STD
     ]
     if not differences:
         return []

@@ -37,8 +37,10 @@ from gtau.estimation.regression.dataset import motor_to_joint_speed
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter
-from gtau.robots.robot import DAMPING
+from gtau.robots.robot import DAMPING, PLAIN_FRICTION
 
+SHAPES = ("width", "vs")
+"""Kinds of the parameters of a :class:`Shape`."""
 LEAST_POWER = 1e-300  # W: keeps 0/0 out of a joint at rest
 SPEEDS = 200  # at which a straight line is fitted
 
@@ -313,8 +315,7 @@ def carried(math: ModuleType, standard: tuple[Parameter, ...], chi: Any) -> list
     Dampers of springs that propel do not count.
     """
     kinds = [name.kind for name in standard]
-    zero = {"fv", "fs", "off"}
     return [
-        0.0 * chi[k] if kind in zero else math.fmax(chi[k], 0.0) if kind == DAMPING else chi[k]
+        0.0 * chi[k] if kind in PLAIN_FRICTION else math.fmax(chi[k], 0.0) if kind == DAMPING else chi[k]
         for k, kind in enumerate(kinds)
     ]

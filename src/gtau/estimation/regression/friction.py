@@ -29,6 +29,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.regression.equations import STRETCHES
 from gtau.robots.parameter import Parameter
+from gtau.robots.robot import PLAIN_FRICTION
 from gtau.signals.preparation import PreparedRun
 
 TERMS = ("f3", "fl")
@@ -68,7 +69,7 @@ def all_terms(joints: Sequence[str], terms: Iterable[str] = TERMS) -> tuple[Para
 
 def transmitted(names: Sequence[Parameter]) -> np.ndarray:
     """Mark the base parameters whose torque a joint transmits by 1, friction and offsets by 0, (n_b,)."""
-    return np.array([name.kind not in ("fv", "fs", "off") for name in names], dtype=float)
+    return np.array([name.kind not in PLAIN_FRICTION for name in names], dtype=float)
 
 
 @dataclass(frozen=True, eq=False)

@@ -96,6 +96,12 @@ class Problem:
         together = [self.blocks[self.block_numbers == number] for number in np.unique(self.block_numbers)]
         return tuple(each[0] if len(each) == 1 else np.concatenate(each, axis=1) for each in together)
 
+    @cached_property
+    def unknowns(self) -> tuple[Parameter, ...]:
+        """All unknowns in order, (n_theta + 2 c,): the parameters, then gains and delays of the channels."""
+        gains = (Parameter("gain", channel.name) for channel in self.channels)
+        return (*self.parameters, *gains, *(Parameter("delay", channel.name) for channel in self.channels))
+
     @property
     def gain_rows(self) -> slice:
         """Indices of the joints' gains in (theta, gains, delays)."""

@@ -118,17 +118,12 @@ class Named(dict[Key, Estimate], Generic[Key]):
 
 @dataclass(frozen=True)
 class FrictionCurve:
-    """Friction of a joint, identified on all samples; see :mod:`gtau.estimation.friction.law`.
+    """What the data say of the friction of a joint on all samples; see :mod:`gtau.estimation.friction.law`.
 
     Attributes
     ----------
     joint : str
         Its name.
-    parameters : dict
-        ``off_J``, ``fv_J``, ``fs_J``, ``fb_J``, ``fl_J``, ``fvt_J``, ``fst_J``, those that it has; name to
-        :class:`Estimate`. One that would be negative is 0, without a standard deviation.
-    width, speed : Estimate, optional
-        Of presliding, and v_s, at which friction bends; None where the logs do not show them.
     evidence : dict
         By how many standard errors blocks left out are better for ``presliding``, ``bent``, ``load``, ``temperature``.
     error, plain_error : float
@@ -136,17 +131,9 @@ class FrictionCurve:
     """
 
     joint: str
-    parameters: Mapping[Parameter, Estimate]
-    width: Estimate | None
-    speed: Estimate | None
     evidence: Mapping[str, float]
     error: float
     plain_error: float
-
-    @property
-    def estimates(self) -> tuple[Estimate, ...]:
-        """All its estimates."""
-        return (*self.parameters.values(), *(each for each in (self.width, self.speed) if each is not None))
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import numpy as np
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.estimators.physical_consistency import Consistency
-from gtau.estimation.friction.law import FrictionLaw, Shape
+from gtau.estimation.friction.law import SHAPES, FrictionLaw, Shape
 from gtau.estimation.results.estimate import (
     AlternativeMoves,
     Distances,
@@ -28,17 +28,14 @@ from gtau.estimation.results.estimate import (
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.parameter import Parameter
-from gtau.robots.robot import Robot
+from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.robot import PLAIN_FRICTION, Robot
 from gtau.signals.notes import Note
 from gtau.signals.preparation import Preparation
 from gtau.signals.run import Run
 
 if TYPE_CHECKING:
     import polars as pl
-
-FRICTION = ("fv", "fs", "off")
-"""Kinds of base parameters that are listed as friction."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -54,13 +51,18 @@ class IdentifiedModel:
     drive_gains, delays : dict
         Joint name to :class:`Estimate`.
     friction : dict
-        Friction terms beyond the paper's that the data ask for, in the equations that give gains and inertia; name to
-        Estimate.
+        Friction with which the model predicts beyond that among the base parameters: ``fb_J``, ``fl_J``, ``fvt_J``,
+        ``fst_J``, and in ``width_J`` and ``vs_J`` the width of presliding and the speed at which it bends; for the
+        paper's way the terms of the equations, ``f3_J`` among them. Name to Estimate.
     curves : dict
-        Friction as the model predicts it, identified on all samples at these gains and inertia; joint to FrictionCurve.
-        Empty for the paper's way, where ``parameters`` and ``friction`` predict.
+        What the data say of friction on all samples, at these gains and inertia; joint to FrictionCurve. Empty for the
+        paper's way.
+    equation_friction : dict
+        Friction in the equations that give gains and inertia, which leave out samples near reversals; name to Estimate.
+        Evidence alone; empty for the paper's way, whose equations predict.
     parameters : dict
-        All base parameters, with which the model predicts; name to Estimate. ``essential`` of each says whether the
+        All base parameters, with which the model predicts, friction on all samples among them; name to Estimate.
+        ``essential`` of each says whether the
         reduction keeps it. As in the paper, ``as_paper`` estimates the kept ones again without the others, whose value
         is then None.
     payloads : tuple of PayloadEstimate
@@ -132,13 +134,17 @@ class IdentifiedModel:
     geometry: GeometryTest | None = None
     temperatures: ReferenceTemperatures | None = None
     curves: Mapping[str, FrictionCurve] = field(default_factory=dict)
+    equation_friction: Mapping[Parameter, Estimate] = field(default_factory=dict)
     requirements: tuple[Requirement, ...] = ()
     audit: InertiaAudit | None = None
     known: tuple[InverseDynamics, BaseParameters] | None = None
 
     def __post_init__(self) -> None:
-        for name in ("drive_gains", "delays", "parameters", "friction"):
+        for name in ("drive_gains", "delays"):
             object.__setattr__(self, name, Named(getattr(self, name)))
+        for name in ("parameters", "friction", "equation_friction"):
+            by_parameter = {parameter_of(key): estimate for key, estimate in getattr(self, name).items()}
+            object.__setattr__(self, name, Named(by_parameter))
 
     def __repr__(self) -> str:
         gains = ", ".join(f"{joint} {gain}" for joint, gain in self.drive_gains.items())
@@ -163,9 +169,10 @@ class IdentifiedModel:
     @cached_property
     def friction_law(self) -> FrictionLaw:
         """Friction of the robot at any speed, for these and other parameters."""
+        values = {name: each.value for name, each in self.friction.items()}
         shapes = {
-            joint: Shape(*(None if each is None else each.value for each in (curve.width, curve.speed)))
-            for joint, curve in self.curves.items()
+            joint: Shape(values.get(Parameter("width", joint)), values.get(Parameter("vs", joint)))
+            for joint in self.curves
         }
         return FrictionLaw(self.model, self.logged_speeds, shapes)
 
@@ -187,10 +194,10 @@ class IdentifiedModel:
 
     @cached_property
     def friction_parameters(self) -> Mapping[Parameter, Estimate]:
-        """Friction used in predictions, by the names of standard parameters: of the curves, else of the plain law."""
-        if not self.curves:
-            return self.friction
-        return {name: each for curve in self.curves.values() for name, each in curve.parameters.items()}
+        """All friction by the names of standard parameters, its shapes apart."""
+        pairs = zip(self.base.standard, self.base.names, strict=True)
+        plain = {name: self.parameters[base] for name, base in pairs if name.kind in PLAIN_FRICTION}
+        return plain | {name: each for name, each in self.friction.items() if name.kind not in SHAPES}
 
     def payload(self, name: str) -> dict[str, float]:
         """Return a payload's identified parameters by kind, the mean over its runs; empty for an unknown name."""
@@ -214,10 +221,10 @@ def estimates_table(result: IdentifiedModel) -> Iterator[Row]:
     """List all estimates of a result, each once.
 
     Groups: ``drive gain``, ``delay``, ``base parameter``, ``friction`` (viscous, Coulomb and offsets, and then the
-    terms that the data ask for), ``predicted friction`` (of all samples, with which the model predicts), ``logged
-    speed`` (up to which friction is identified), ``torque sensor JOINT`` and ``payload NAME of RUN``.
+    terms that the data ask for), ``logged speed`` (up to which friction is identified), ``torque sensor JOINT`` and
+    ``payload NAME of RUN``.
     """
-    friction = {name: name.kind in FRICTION for name in result.parameters}
+    friction = {name: name.kind in PLAIN_FRICTION for name in result.parameters}
     robot = result.robot
     speeds = [
         Estimate(joint, speed, None, f"{robot.joint(joint).unit}/s") for joint, speed in result.logged_speeds.items()
@@ -228,7 +235,6 @@ def estimates_table(result: IdentifiedModel) -> Iterator[Row]:
         ("base parameter", [each for name, each in result.parameters.items() if not friction[name]]),
         ("friction", [each for name, each in result.parameters.items() if friction[name]]),
         ("friction", result.friction.values()),
-        *(("predicted friction", curve.estimates) for curve in result.curves.values()),
         ("logged speed", speeds),
         *((f"{each.kind.name} {each.joint}", each.parameters.values()) for each in result.sensors),
         *((f"payload {each.name} of {each.run}", each.parameters.values()) for each in result.payloads),

@@ -32,6 +32,7 @@ from gtau.estimation.diagnostics.sentences import advice, reason
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.estimators.physical_consistency import Consistency, Move
 from gtau.estimation.estimators.registry import PLACES
+from gtau.estimation.friction.law import SHAPES
 from gtau.estimation.results.estimate import (
     AlternativeMoves,
     Estimate,
@@ -132,19 +133,9 @@ class _Sensor(_Group):
 
 class _Curve(_Group):
     joint: str
-    parameters: _Parameters
-    width: _Estimate | None
-    speed: _Estimate | None
     evidence: dict[str, float]
     error: NonNegativeFloat
     plain_error: NonNegativeFloat
-
-    @model_validator(mode="after")
-    def _can_be(self) -> Self:
-        for each in (self.width, self.speed):
-            if each is not None and not (each.value or 0.0) > 0:
-                raise ValueError(f"'{each.name}' is not positive; correct it")
-        return self
 
     def made(self) -> FrictionCurve:
         return FrictionCurve(**dict(self))
@@ -226,6 +217,7 @@ class _Model(_Group):
     delays: _Estimates
     parameters: _Parameters
     friction: _Parameters
+    equation_friction: _Parameters = Field(default=(), validate_default=True)
     curves: tuple[_Curve, ...] = ()
     sensors: tuple[_Sensor, ...] = ()
     payloads: tuple[_Payload, ...]
@@ -298,10 +290,33 @@ def load(path: str | Path, make: type[Model]) -> Model:
             f"{path} has the schema '{document['schema']}', but this version reads '{SCHEMA}'; identify again "
             "with this version."
         )
+    if document["schema"] == "gtau-model/3":
+        document = _one_friction(document)
     result = validate(_Model, Document(path, document, {})).made(path, make)
     for problem in _problems(result):
         raise GtauError(f"{path} is damaged ({problem}); write it again with 'gtau identify'.")
     return result
+
+
+def _one_friction(document: dict[str, Any]) -> dict[str, Any]:
+    """Rewrite a document of schema 3, whose curves have the friction that predicts, as one of schema 4."""
+    try:
+        curves = document["curves"]
+        predicted = {each["name"]: each for curve in curves for each in curve["parameters"]}
+        shapes = [curve[key] for curve in curves for key in ("width", "speed") if curve[key] is not None]
+        parameters = {each["name"]: each for each in document["parameters"]}
+        of_base = {
+            name: name.removesuffix("R") if len(each["regrouping"].split()) > 1 else name
+            for name, each in parameters.items()
+        }
+        replaced = {name: predicted.pop(own) for name, own in of_base.items() if own in predicted}
+    except (KeyError, TypeError, AttributeError):
+        return document  # which the schema then refuses
+    if not curves:
+        return document
+    equations = [*(parameters[name] for name in replaced), *document["friction"]]
+    kept = [parameters[name] | {k: v for k, v in replaced.get(name, {}).items() if k != "name"} for name in parameters]
+    return document | {"parameters": kept, "friction": [*predicted.values(), *shapes], "equation_friction": equations}
 
 
 def _refuse(constant: str) -> float:
@@ -325,6 +340,9 @@ def _problems(result: IdentifiedModel) -> Iterator[str]:
     strange = set(result.curves) - {joint.name for joint in robot.joints}
     if strange:
         yield f"'curves' has the friction of '{sorted(strange)[0]}', which is no joint"
+    for name, each in result.friction.items():
+        if name.kind in SHAPES and not (each.value or 0.0) > 0:
+            yield f"'{name}' is not positive"
     if any(each.value == 0 for each in result.drive_gains.values()):
         yield "a drive gain is zero"
     if not {Parameter("gain", joint) for joint in robot.motors} <= set(result.covariance_names):
@@ -339,11 +357,9 @@ def _problems(result: IdentifiedModel) -> Iterator[str]:
 
 
 def _estimates(result: IdentifiedModel) -> Iterator[Estimate]:
-    for group in (result.drive_gains, result.delays, result.parameters, result.friction):
+    for group in (result.drive_gains, result.delays, result.parameters, result.friction, result.equation_friction):
         yield from group.values()
     for payload in result.payloads:
         yield from payload.parameters.values()
-    for curve in result.curves.values():
-        yield from curve.estimates
     for sensor in result.sensors:
         yield from (*sensor.parameters.values(), sensor.delay, *((sensor.ratio,) if sensor.ratio else ()))

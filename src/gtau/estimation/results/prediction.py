@@ -10,7 +10,7 @@ import numpy as np
 
 from gtau import display
 from gtau.errors import GtauError
-from gtau.estimation.friction.law import carried
+from gtau.estimation.friction.law import SHAPES, carried
 from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.regression.dataset import at_rate_of, check_wrenches, motor_to_joint_speed
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
@@ -197,7 +197,7 @@ def friction_values(
     At the temperatures that a run has at ``time`` (N,), else at those of reference.
     """
     values: dict[str, Any] = dict(zip(result.base.standard, chi, strict=True))
-    terms = {name: each.value or 0.0 for name, each in result.friction_parameters.items()}
+    terms = {name: each.value or 0.0 for name, each in result.friction.items() if name.kind not in SHAPES}
     values |= {name: value for name, value in terms.items() if name.kind not in TEMPERATURE_TERMS}
     if result.temperatures is None or run is None or run.temperature is None or time is None:
         return values
