@@ -276,8 +276,6 @@ def test_a_sensor_beside_known_parameters_is_held_against_them_with_their_deviat
     (each,) = sensor_scales(fit_of(ARM, [plant.run(1), plant.run(2)], priors))
     assert each.std == pytest.approx(0.05, rel=0.2)
     assert each.value == pytest.approx(1.05, abs=0.02)
-    (gain, *_) = identify(ARM, [plant.run(1), plant.run(2)], method="ridge").drive_gains.values()
-    assert gain.verdict.outcome == Outcome.GOOD  # natural sizes say next to nothing of the scale
 
 
 def test_a_wrong_mass_beside_a_sensor_is_named() -> None:
@@ -363,7 +361,7 @@ def test_every_command_takes_a_sensor_column(tmp_path: Path) -> None:
 def test_other_estimators_with_a_sensor() -> None:
     plant = arm().with_sensors("2")
     runs = [plant.run(1), plant.run(2)]
-    for method in ("huber", "2sls", "didim", "ridge"):
+    for method in ("huber", "2sls", "didim"):
         for gain, truth in zip(identify(ARM, runs, method=method).drive_gains.values(), ARM_GAINS, strict=True):
             low, high = gain.interval(0.999) or (0.0, 0.0)
             assert low < truth < high, method
