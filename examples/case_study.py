@@ -249,7 +249,7 @@ def page(study: Study) -> str:
 
 def _table_3(result: Result) -> list[Sequence[str]]:
     chi = standard_parameters()
-    standard = [chi.get(name, 0.0) for name in result.model.parameter_names]
+    standard = [chi.get(name, 0.0) for name in result.idm.parameter_names]
     true = dict(zip(result.base.names, result.base.matrix @ standard, strict=True))
     true |= DRIVE_GAINS
     ours: dict[str, Estimate] = {**result.drive_gains, **result.essential}

@@ -296,7 +296,7 @@ def test_a_result_keeps_its_sensors(tmp_path: Path) -> None:
     assert "torque sensor" in result.summary(verbose=False)
     assert "off_2_sensor" in result.summary()
     last_first = {"torque sensor of '3'": 0.7, "torque sensor of '2'": 0.3}
-    shared = replace(result, drive_gains={k: replace(gain, scale=last_first) for k, gain in result.drive_gains.items()})
+    shared = result.replaced(drive_gains={k: replace(gain, scale=last_first) for k, gain in result.drive_gains.items()})
     assert "scale: from the torque sensors of '2', '3'" in shared.summary(verbose=False)
     result.save(tmp_path / "model.json")
     again = Result.load(tmp_path / "model.json")

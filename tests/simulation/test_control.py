@@ -222,7 +222,7 @@ def test_identification_finds_what_was_simulated(name, tmp_path):
     for joint, gain in gains.items():
         assert result.drive_gains[joint].value == pytest.approx(gain, rel=2e-3)
         assert result.delays[joint].value == pytest.approx(0.5 / RATE, abs=5e-5)  # the held current
-    standard = [chi.get(name, 0.0) for name in result.model.parameter_names]
+    standard = [chi.get(name, 0.0) for name in result.idm.parameter_names]
     true = dict(zip(result.base.names, result.base.matrix @ standard, strict=True))
     z = np.array([(each.value - true[x]) / each.std for x, each in result.parameters.items() if each.value is not None])
     assert np.sqrt(np.mean(z**2)) < 1.5

@@ -11,8 +11,9 @@ from robots_for_tests import slider_crank
 from gtau.estimation.diagnostics.verdict import GOOD
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.results.estimate import Estimate, FrictionCurve
+from gtau.estimation.results.groups import Model
 from gtau.estimation.results.payload import PayloadEstimate
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import Result, result_of
 from gtau.model.base_parameters import base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import SPRING, Attachment, Pose, Robot, Spring
@@ -53,8 +54,8 @@ def model_of(
         friction[f"fl_{joints[0]}"] = Estimate(f"fl_{joints[0]}", 0.07, 0.002, "1")
     payload = {kind: Estimate(kind, value, 0.01, unit_of(kind, robot, robot.tool)) for kind, value in PAYLOAD.items()}
     pairs = zip(joints, gains, units, strict=True)
-    return Result(
-        robot=robot,
+    return result_of(
+        Model(robot),
         method="ml",
         kind="current",
         drive_gains={joint: Estimate(joint, float(gain), 0.01, f"{unit}/A") for joint, gain, unit in pairs},
@@ -97,7 +98,7 @@ def preslid(result: Result) -> Result:
         for name, each in result.parameters.items()
     }
     friction = {name: Estimate(name, value, 1e-4, "N m") for name, value in values.items()}
-    return replace(result, parameters=parameters, friction=friction, curves=curves)
+    return result.replaced(parameters=parameters, friction=friction, curves=curves)
 
 
 def of_equations(result: Result) -> Result:
@@ -110,7 +111,7 @@ def of_equations(result: Result) -> Result:
         for name, each in parameters.items()
     }  # fmt: skip
     friction = {name: each for name, each in found.items() if name not in parameters}
-    return replace(result, parameters=parameters, friction=friction, curves={}, equation_friction={})
+    return result.replaced(parameters=parameters, friction=friction, curves={}, equation_friction={})
 
 
 def sprung() -> Robot:

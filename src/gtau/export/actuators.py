@@ -187,7 +187,7 @@ def _actuator(model: ConsistentModel, joint: str) -> Actuator:
 def _armature(model: ConsistentModel, joint: str) -> tuple[Estimate | None, str]:
     """Find the rotor inertia if it is a base parameter of its own, else the base parameter that contains it."""
     base, name = model.result.base, Parameter("ia", joint)
-    column = base.matrix[:, model.result.model.parameter_names.index(name)]
+    column = base.matrix[:, model.result.idm.parameter_names.index(name)]
     parts = [k for k, factor in enumerate(column) if factor]
     if len(parts) == 1 and (base.matrix[parts[0]] != 0).sum() == 1:
         found = model.result.parameters[base.names[parts[0]]]

@@ -78,7 +78,7 @@ def differences(model: ConsistentModel, expressed: Mapping[str, float], cubic: b
     ``expressed`` are the standard parameters that the target holds, ``cubic`` says whether it holds f3 too; the
     identified torques include all friction terms.
     """
-    result, idm = model.result, model.result.model
+    result, idm = model.result, model.result.idm
     motion = random_motion(idm, STATES, np.random.default_rng(0))
     logged = np.array([[result.logged_speeds.get(joint, 0.0)] for joint in idm.actuated])
     ratio = np.abs(motion.yd[idm.layout.actuated]) / np.where(logged > 0, logged, np.inf)

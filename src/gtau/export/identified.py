@@ -132,7 +132,7 @@ def torques(
     GtauError
         Where the loops cannot be closed, or a pose is too close to a singularity.
     """
-    idm = model.result.model
+    idm = model.result.idm
     return torques_of(model, idm.motion(q.T, qd.T, qdd.T), model.values if values is None else values).T
 
 
@@ -145,7 +145,7 @@ def torques_of(model: Identified, motion: Motion, values: np.ndarray, z: np.ndar
 
 
 def _payloads(result: Result, values: np.ndarray) -> dict[str, np.ndarray]:
-    base, place = result.base, {name: k for k, name in enumerate(result.model.parameter_names)}
+    base, place = result.base, {name: k for k, name in enumerate(result.idm.parameter_names)}
     loaded = {}
     for name in dict.fromkeys(each.name for each in result.payloads):
         found = result.payload(name)
@@ -206,7 +206,7 @@ class Functions:
 
 def functions(model: Identified) -> Functions:
     """Build the exported functions of an identified model."""
-    idm = model.result.model
+    idm = model.result.idm
     layout, loops, n = idm.layout, idm.loops, len(idm.actuated)
     step = last_step = None
     if loops is None:
@@ -256,7 +256,7 @@ def _function(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.Functi
 
 def _standard(model: Identified, chi: list[ca.SX]) -> dict[Parameter, ca.SX]:
     """Choose standard parameters with the same torques: base parameters at their representatives, else zero."""
-    standard = {name: ca.SX(1, 1) for name in model.result.model.parameter_names}
+    standard = {name: ca.SX(1, 1) for name in model.result.idm.parameter_names}
     return standard | dict(zip(model.result.base.standard, chi, strict=True))
 
 

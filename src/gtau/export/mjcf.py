@@ -159,7 +159,7 @@ def _add_actuators(mujoco: ModuleType, spec: Any, model: ConsistentModel) -> Non
 
 def _add_home(spec: Any, compiled: Any, result: Result) -> None:
     """Add the keyframe 'home', in which the loops are closed."""
-    layout, loops = result.model.layout, result.model.loops
+    layout, loops = result.idm.layout, result.idm.loops
     home = layout.home if loops is None else loops.home
     spec.add_key(name="home", qpos=mujoco_positions(compiled, layout, home))
     compile_spec(spec)

@@ -92,7 +92,7 @@ def _joint_name(compiled: Any, number: int) -> str:
 
 def _inertias(mujoco: Any, model: ConsistentModel, compiled: Any) -> dict[int, RigidBody]:
     """Compute rigid bodies by number of the MuJoCo body, in its frame."""
-    robot, layout = model.result.robot, model.result.model.layout
+    robot, layout = model.result.robot, model.result.idm.layout
     data = mujoco.MjData(compiled)
     mujoco.mj_kinematics(compiled, data)
     number, c = {}, np.zeros(layout.n_c)

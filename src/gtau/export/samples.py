@@ -75,7 +75,7 @@ class Samples:
 
     def npz(self) -> bytes:
         """Return the draws as an NPZ file with names."""
-        model, file = self.result.model, io.BytesIO()
+        model, file = self.result.idm, io.BytesIO()
         np.savez(
             file,
             joints=np.array(model.actuated),
@@ -97,9 +97,9 @@ class Samples:
         return (self._result(k) for k in range(len(self)))
 
     def _result(self, k: int) -> Result:
-        result, names = self.result, self.result.model.parameter_names
+        result, names = self.result, self.result.idm.parameter_names
         assert result.consistency is not None
-        gains = dict(zip(result.model.actuated, map(float, self.gains[k]), strict=True))
+        gains = dict(zip(result.idm.actuated, map(float, self.gains[k]), strict=True))
         standard: dict[str, float] = dict(zip(names, map(float, self.standard[k]), strict=True))
         base = dict(zip(result.base.names, map(float, self.base[k]), strict=True))
 
@@ -108,8 +108,7 @@ class Samples:
         def drawn(each: Estimate) -> Estimate:
             return replace(each, value=friction.get(each.name, each.value))
 
-        return replace(
-            result,
+        return result.replaced(
             consistency=replace(
                 result.consistency, standard=standard, gains={joint: (gain, 0.0) for joint, gain in gains.items()}
             ),
@@ -144,7 +143,7 @@ def draw(result: Result, count: int, seed: int = 0) -> Samples:
     if not 0 < count <= 100_000:
         raise GtauError(f"the number of samples is {count}; ask for 1 to 100000.")
     changes = _drawn(result, count, seed)
-    base, names, joints = result.base, result.model.parameter_names, result.model.actuated
+    base, names, joints = result.base, result.idm.parameter_names, result.idm.actuated
     values = {name: each.value for name, each in result.parameters.items() if each.value is not None}
     values |= {Parameter("gain", joint): gain for joint, gain in zip(joints, result.gains, strict=True)}
     drawn = {name: value + changes.get(name, np.zeros(count)) for name, value in values.items()}
@@ -207,7 +206,7 @@ def _projection(
 
     It gives standard parameters (n_st,), gains (n,), and the distance moved, in standard deviations.
     """
-    robot, base, names = result.robot, result.base, result.model.parameter_names
+    robot, base, names = result.robot, result.base, result.idm.parameter_names
     assert result.consistency is not None
     standard = np.array([result.consistency.standard[name] for name in names])
     place = {name: k for k, name in enumerate(names)}

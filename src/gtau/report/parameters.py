@@ -9,7 +9,8 @@ import numpy as np
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.identified_model import IdentifiedModel, estimates_table
+from gtau.estimation.results.result import Result
+from gtau.estimation.results.table import estimates_table
 from gtau.report.evidence import RunEvidence
 from gtau.report.gains import VALUE, regroups, value_cells
 from gtau.report.page import Axis, Chart, Column, Kind, Panel, Section, Series, Table, Text, joint_label, section, table
@@ -35,7 +36,7 @@ FRICTION = (
 CURVES = "The torque that gains and inertia leave to friction, and its prediction, at the rows of the runs."
 
 
-def parameters_section(result: IdentifiedModel) -> Section:
+def parameters_section(result: Result) -> Section:
     """Show base, friction and sensor parameters in one table that sorts and searches."""
     listed = [(row.group, row.estimate) for row in estimates_table(result) if row.group.startswith(GROUPS)]
     columns = (Column("parameter", Kind.NAME), *VALUE, Column("role"), Column("regroups", Kind.NAME, wide=True))
@@ -69,7 +70,7 @@ def _role(each: Estimate, group: str) -> str:
     return "essential" if each.essential else "not essential"
 
 
-def reference_text(result: IdentifiedModel) -> Text | None:
+def reference_text(result: Result) -> Text | None:
     """Name the temperatures to which the friction parameters refer, where friction depends on them."""
     warm = result.temperatures
     if warm is None or not any(name.kind in TEMPERATURE_TERMS for name in result.friction):
@@ -83,7 +84,7 @@ def reference_text(result: IdentifiedModel) -> Text | None:
 # Friction
 
 
-def friction_section(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) -> Section | None:
+def friction_section(result: Result, runs: Sequence[RunEvidence] = ()) -> Section | None:
     """Show the friction of each joint; with ``runs`` also its curve. None for a result with the plain law alone."""
     if not result.curves:
         return None
@@ -93,7 +94,7 @@ def friction_section(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) 
     return section("Friction on all samples", Text(FRICTION), curves_table(result), of_chart, chart, id="friction")
 
 
-def curves_table(result: IdentifiedModel) -> Table:
+def curves_table(result: Result) -> Table:
     """Tabulate the friction of each joint, SI units, values with half their 95 % intervals."""
     columns = (
         Column("joint"),
@@ -123,17 +124,17 @@ def _cell(each: Estimate | None) -> str:
     return f"{each.value:.4g}" + ("" if half is None else f" ± {half:.2g}")
 
 
-def _panels(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> list[Panel]:
+def _panels(result: Result, runs: Sequence[RunEvidence]) -> list[Panel]:
     gathered: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
     for each in runs:
         assert each.prediction is not None
-        found, run = each.prediction, arrange(each.run, result.model.actuated)
+        found, run = each.prediction, arrange(each.run, result.idm.actuated)
         count = int(np.searchsorted(run.time, found.time[-1])) + 1
         qd = position_filter(run.position, run.rate, result.preparation.at(run.rate).cutoff, 0, count)[1]
         speeds = qd[np.minimum(np.searchsorted(run.time, found.time), count - 1)]
         gathered.append((speeds, found.measured - found.predicted + found.friction, found.friction, found.valid))
     panels = []
-    for j, joint in enumerate(result.model.actuated if gathered else ()):
+    for j, joint in enumerate(result.idm.actuated if gathered else ()):
         if joint in result.robot.base:
             continue
         speed, left, made, valid = (np.concatenate([each[k][:, j] for each in gathered]) for k in range(4))

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.estimation.results.result import Result
 from gtau.robots.parameter import Parameter
 from gtau.watch.detectors import FEWEST, MEMORY, Chart, Evidence
 from gtau.watch.quantities import Quantity
@@ -49,7 +49,7 @@ class Explanation:
 
 
 def alarm_of(
-    model: IdentifiedModel,
+    model: Result,
     entries: Sequence[Entry],
     charts: Mapping[str, Chart],
     evidences: Mapping[str, Evidence],
@@ -60,7 +60,7 @@ def alarm_of(
 
     Parameters
     ----------
-    model : IdentifiedModel
+    model : Result
         Of the robot.
     entries : sequence of Entry
         Last logs, the newest one last.
@@ -225,7 +225,7 @@ def _contacts(log: LogStatistics, uneven: Mapping[str, float]) -> tuple[Explanat
     return (Explanation("contact", log.joints[j], RESIDUAL, float(ratio[j]), 0.0, "1", 0.0, 1.0),)
 
 
-def _stated(each: Explanation, model: IdentifiedModel, factor: float) -> Explained:
+def _stated(each: Explanation, model: Result, factor: float) -> Explained:
     """State an explanation with its interval, and its share of the model's friction."""
     relative = None
     if each.kind == "friction":

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.estimation.estimators.estimator import jackknife
-from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.estimation.results.result import Result
 from gtau.robots.robot import PLAIN_FRICTION
 from gtau.robots.units import torque_unit
 from gtau.signals.run import Run
@@ -81,12 +81,12 @@ class LogStatistics:
         return tuple(chart.name for chart, there in zip(self.charts, self.shown, strict=True) if not there)
 
 
-def statistics_of(model: IdentifiedModel, run: Run) -> LogStatistics:
+def statistics_of(model: Result, run: Run) -> LogStatistics:
     """Compute the statistics of a finished log.
 
     Parameters
     ----------
-    model : IdentifiedModel
+    model : Result
         The robot as it was identified.
     run : Run
         From :func:`gtau.read_run`; its payload, if any, is part of what is expected.

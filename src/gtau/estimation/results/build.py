@@ -25,12 +25,14 @@ from gtau.estimation.regression.system import System
 from gtau.estimation.results.estimate import (
     AlternativeMoves,
     Estimate,
+    Named,
     SensorEstimate,
     TorqueError,
     distances_of,
     nearest_poses,
 )
 from gtau.estimation.results.friction_curves import FrictionStep, friction_unit, reference_temperatures
+from gtau.estimation.results.groups import Evidence, FitRecord, Model, ModelEstimates
 from gtau.estimation.results.payload import payload_estimates
 from gtau.estimation.results.result import Result
 from gtau.robots.parameter import Parameter
@@ -71,59 +73,87 @@ def build_result(
     audit : InertiaAudit, optional
         What the data say of the inertias of the robot's file.
     """
-    dataset, system, solution, vector = fit.dataset, fit.system, fit.solution, friction.estimates
-    robot, problem, joints, base = dataset.robot, system.problem, dataset.model.actuated, dataset.base
-    known = not estimates.scatter[problem.gain_rows, problem.gain_rows].any()  # the gains
-    along = [
-        (prepared, dataset.preparation.at(prepared.run.rate).decimator, factors.distances)
-        for prepared, factors in zip(dataset.prepared, dataset.factors, strict=True)
-        if factors.distances is not None
-    ]
-    total, (sigma, signal) = _total(problem, solution.sigma), _levels(fit)
+    return Result(
+        Model(fit.dataset.robot, (), (fit.dataset.model, fit.dataset.base)),
+        _estimates(fit, estimates, friction, diagnosis, essential, consistency),
+        _fit_record(fit, estimator, estimates, examined, diagnosis, friction, loss),
+        _evidence(fit, estimates, examined, diagnosis, friction, audit),
+    )
+
+
+def _estimates(
+    fit: Fit,
+    estimates: Estimates,
+    friction: FrictionStep,
+    diagnosis: Diagnosis,
+    essential: Problem,
+    consistency: Consistency | None,
+) -> ModelEstimates:
+    """Collect the estimates with which the model predicts."""
+    dataset, problem, vector, terms = fit.dataset, fit.system.problem, friction.estimates, fit.system.friction.terms
+    temperatures, base_names = reference_temperatures(fit), set(dataset.base.names)
     delays = [
         _estimate(vector, Parameter("delay", channel.name), "s", channel.joint, verdict)
         for channel, verdict in zip(problem.channels, diagnosis.delays, strict=True)
     ]
-    temperatures = reference_temperatures(fit)
-    of_sensors = {Parameter("gain", channel.name) for channel in problem.channels if channel.kind.behind_drive}
+    sensors = {channel.name for channel in problem.channels if channel.kind.behind_drive}
+    given = {Parameter("gain", sensor) for sensor in sensors}
     if friction.curves:  # terms of the equations that predict nothing
-        of_sensors |= set(system.friction.terms) - set(friction.names)
-    listed = sorted((name for name in vector.unknowns if name not in of_sensors), key=_group)
-    return Result(
-        robot=robot,
+        given |= set(terms) - set(friction.names)
+    listed = sorted((name for name in vector.unknowns if name not in given), key=_group)
+    predicting = [name for name in (friction.names if friction.curves else terms) if name.body not in sensors]
+    return ModelEstimates(
+        drive_gains=Named(_gains(fit, vector, diagnosis)),
+        delays=Named(zip(dataset.model.actuated, delays, strict=False)),
+        parameters=Named(_parameters(fit, vector, essential)),
+        friction=Named(
+            (name, _estimate(vector, name, friction_unit(name.kind, name.body, dataset.robot, temperatures)))
+            for name in predicting
+            if name in vector.places and name not in base_names
+        ),
+        payloads=payload_estimates(
+            dataset,
+            fit.system,
+            fit.solution.theta,
+            estimates.covariance,
+            diagnosis.payloads,
+            estimates.effective_freedom,
+        ),
+        covariance_names=tuple(listed),
+        covariance=vector.select(listed).covariance,
+        sensors=_sensors(fit, diagnosis, vector, delays),
+        temperatures=temperatures,
+        consistency=consistency,
+    )
+
+
+def _fit_record(
+    fit: Fit,
+    estimator: Estimator,
+    estimates: Estimates,
+    examined: Examination,
+    diagnosis: Diagnosis,
+    friction: FrictionStep,
+    loss: float,
+) -> FitRecord:
+    """Record how the estimates were fitted."""
+    dataset, solution = fit.dataset, fit.solution
+    total, (sigma, signal) = _total(fit.system.problem, solution.sigma), _levels(fit)
+    return FitRecord(
         method=estimator.name,
         kind=dataset.runs[0].kind,
-        drive_gains=_gains(fit, vector, diagnosis, known),
-        delays=dict(zip(joints, delays, strict=False)),
-        parameters=_parameters(fit, vector, essential),
-        friction={
-            name: _estimate(vector, name, friction_unit(name.kind, name.body, robot, temperatures))
-            for name in (friction.names if friction.curves else system.friction.terms)
-            if name in vector.places and name not in base.names and name.body in {joint.name for joint in robot.joints}
-        },
-        curves=friction.curves,
-        equation_friction={
-            name: _estimate(estimates, name, friction_unit(name.kind, name.body, robot, temperatures))
-            for name in problem.parameters
-            if friction.curves and name in {*friction.names, *system.friction.terms}
-        },
-        sensors=_sensors(fit, diagnosis, vector, delays),
-        payloads=payload_estimates(
-            dataset, system, solution.theta, estimates.covariance, diagnosis.payloads, estimates.effective_freedom
-        ),
+        runs=tuple(run.name for run in dataset.runs),
+        preparation=dataset.preparation,
         residuals=tuple(
             TorqueError(
                 joint,
                 float(abs(solution.gains[k]) * sigma[k]),
                 float(abs(solution.gains[k]) * signal[k]),
-                torque_unit(robot, joint),
+                torque_unit(dataset.robot, joint),
                 *friction.errors.get(joint, ()),
             )
-            for k, joint in enumerate(joints)
+            for k, joint in enumerate(dataset.model.actuated)
         ),
-        covariance_names=tuple(listed),
-        covariance=vector.select(listed).covariance,
-        preparation=dataset.preparation,
         logged_speeds=_logged_speeds(fit),
         statistics={
             **solution.statistics,
@@ -132,17 +162,39 @@ def build_result(
             "accuracy": float(diagnosis.accuracy),
             "condition_number": _condition_number(total),
         },
-        temperatures=temperatures,
-        runs=tuple(run.name for run in dataset.runs),
+        singular_values=tuple(np.linalg.svd(_scaled(total), compute_uv=False).tolist()) if fit.free_gains else (),
+        data=dataset.runs,
+    )
+
+
+def _evidence(
+    fit: Fit,
+    estimates: Estimates,
+    examined: Examination,
+    diagnosis: Diagnosis,
+    friction: FrictionStep,
+    audit: InertiaAudit | None,
+) -> Evidence:
+    """Collect what speaks for and against the estimates."""
+    dataset, temperatures = fit.dataset, reference_temperatures(fit)
+    replaced = {*friction.names, *fit.system.friction.terms} if friction.curves else set()
+    along = [
+        (prepared, dataset.preparation.at(prepared.run.rate).decimator, factors.distances)
+        for prepared, factors in zip(dataset.prepared, dataset.factors, strict=True)
+        if factors.distances is not None
+    ]
+    return Evidence(
         notes=(*dataset.notes, *diagnosis.notes),
-        consistency=consistency,
+        alternatives=tuple(_moves(each, dataset.robot) for each in examined.alternatives),
+        curves=friction.curves,
+        equation_friction=Named(
+            (name, _estimate(estimates, name, friction_unit(name.kind, name.body, dataset.robot, temperatures)))
+            for name in fit.system.problem.parameters
+            if name in replaced
+        ),
         audit=audit,
-        alternatives=tuple(_moves(each, robot) for each in examined.alternatives),
         singularities=tuple(nearest for run in along for nearest in nearest_poses(*run)),
         distances=tuple(distances_of(*run) for run in along),
-        data=dataset.runs,
-        known=(dataset.model, base),
-        singular_values=() if known else tuple(np.linalg.svd(_scaled(total), compute_uv=False).tolist()),
     )
 
 
@@ -168,7 +220,7 @@ def _estimate(
     return Estimate(called or name, value, std, unit, verdict=judged, freedom=freedom, model_std=model_std)
 
 
-def _gains(fit: Fit, vector: Estimates, diagnosis: Diagnosis, known: bool) -> dict[str, Estimate]:
+def _gains(fit: Fit, vector: Estimates, diagnosis: Diagnosis) -> dict[str, Estimate]:
     """Collect the drive gains of the motors, with the sources of their scale."""
     robot, kind = fit.dataset.robot, fit.dataset.runs[0].kind
     scales = scale_shares(fit) if fit.free_gains else {}

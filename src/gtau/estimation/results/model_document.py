@@ -11,8 +11,8 @@ from gtau.estimation.diagnostics.verdict import Verdict
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.grades import to_document as note_document
 from gtau.estimation.results.estimate import Estimate, TorqueError
-from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.payload import PayloadEstimate
+from gtau.estimation.results.result import Result
 from gtau.robots.parameter import parameter_of
 from gtau.robots.readers.native_text import native_text
 from gtau.robots.robot import Robot
@@ -23,7 +23,7 @@ OLDER = ("gtau-model/2", "gtau-model/3")
 """Schemas that are read too: 2 is without friction on all samples, and 3 has it apart from ``parameters``."""
 
 
-def to_document(result: IdentifiedModel) -> dict[str, Any]:
+def to_document(result: Result) -> dict[str, Any]:
     """Describe a result as a JSON document; ``rel_std`` in per cent, null where a value is known."""
     preparation = result.preparation
     return {

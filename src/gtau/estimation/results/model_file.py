@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator
 from math import isfinite
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import (
@@ -43,17 +43,16 @@ from gtau.estimation.results.estimate import (
     SensorEstimate,
     TorqueError,
 )
-from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.estimation.results.groups import Model
 from gtau.estimation.results.model_document import OLDER, SCHEMA, to_document
 from gtau.estimation.results.payload import PayloadEstimate
+from gtau.estimation.results.result import Result, result_of
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.readers.native import parse_native
 from gtau.signals.channel import SENSOR, ChannelKind, sensor_kind
 from gtau.signals.decimation import Decimator
 from gtau.signals.notes import Note
 from gtau.signals.preparation import Preparation
-
-Model = TypeVar("Model", bound=IdentifiedModel)
 
 
 class _Group(BaseModel):
@@ -236,14 +235,15 @@ class _Model(_Group):
     requirements: tuple[Requirement, ...] = ()
     audit: InertiaAudit | None = None
 
-    def made(self, path: Path, make: type[Model]) -> Model:
+    def made(self, path: Path) -> Result:
         """Assemble the result."""
         rest = dict(self)
         del rest["robot_file"], rest["standard"]
-        return make(
+        model = Model(parse_native(self.robot_file, path), tuple(sensor.joint for sensor in self.sensors))
+        return result_of(
+            model,
             **rest
             | {
-                "robot": parse_native(self.robot_file, path),
                 "curves": {each.joint: each.made() for each in self.curves},
                 "sensors": tuple(each.made() for each in self.sensors),
                 "payloads": tuple(each.made() for each in self.payloads),
@@ -251,22 +251,22 @@ class _Model(_Group):
                 "covariance": np.array(self.covariance.matrix),
                 "preparation": self.preparation.made(),
                 "consistency": None if self.standard is None else self.standard.made(),
-            }
+            },
         )
 
 
-def model_text(result: IdentifiedModel) -> str:
+def model_text(result: Result) -> str:
     """Write the text of a result's file."""
     return json.dumps(to_document(result), indent=1, allow_nan=False) + "\n"
 
 
-def save(result: IdentifiedModel, path: str | Path) -> None:
+def save(result: Result, path: str | Path) -> None:
     """Write ``result`` to ``path``, atomically."""
     write_atomically(path, model_text(result))
 
 
-def load(path: str | Path, make: type[Model]) -> Model:
-    """Read a result, which ``make`` makes.
+def load(path: str | Path) -> Result:
+    """Read a result.
 
     Raises
     ------
@@ -292,7 +292,7 @@ def load(path: str | Path, make: type[Model]) -> Model:
         )
     if document["schema"] == "gtau-model/3":
         document = _one_friction(document)
-    result = validate(_Model, Document(path, document, {})).made(path, make)
+    result = validate(_Model, Document(path, document, {})).made(path)
     for problem in _problems(result):
         raise GtauError(f"{path} is damaged ({problem}); write it again with 'gtau identify'.")
     return result
@@ -327,7 +327,7 @@ def _finite(text: str) -> float:
     return float(text) if isfinite(float(text)) else _refuse(text)
 
 
-def _problems(result: IdentifiedModel) -> Iterator[str]:
+def _problems(result: Result) -> Iterator[str]:
     robot = result.robot
     for what, estimates, joints in (
         ("drive gains", result.drive_gains, robot.motors),
@@ -356,7 +356,7 @@ def _problems(result: IdentifiedModel) -> Iterator[str]:
             yield f"the values of the finding '{finding.kind}' are not those of its sentence"
 
 
-def _estimates(result: IdentifiedModel) -> Iterator[Estimate]:
+def _estimates(result: Result) -> Iterator[Estimate]:
     for group in (result.drive_gains, result.delays, result.parameters, result.friction, result.equation_friction):
         yield from group.values()
     for payload in result.payloads:
