@@ -90,7 +90,7 @@ def shape(time: np.ndarray, onsets: np.ndarray) -> np.ndarray:
 
 def pushed(result: Result, run: Run, onsets: np.ndarray, force: float) -> Run:
     """Take the torques of the contacts from the commands, each at its delayed time."""
-    model, n = result.model, len(run.joints)
+    model, n = result.idm, len(run.joints)
     columns = model.wrenches([WrenchFrame(result.robot.tool)])
     motion = model.motion(run.position.T, 0 * run.position.T, 0 * run.position.T)
     A = np.zeros((len(run.time), n, 6))

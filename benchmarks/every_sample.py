@@ -16,7 +16,6 @@ import argparse
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -47,7 +46,7 @@ def script(result: Result, runs: Sequence[Run], mask: str) -> tuple[Callable[[Ru
     These are ten a link in Pinocchio's order, then of each driven joint rotor inertia, viscous and Coulomb friction and
     offset, each kind together, then ten of the payload; zero where they are not among the base columns.
     """
-    model = result.model
+    model = result.idm
     tree = Pinocchio(result.robot, random_parameters(result.robot, np.random.default_rng(1)))
     ratios, n = result.friction_law.ratios, len(model.actuated)
     links = tree.model.njoints - 1
@@ -153,16 +152,16 @@ def emps_run(joint: str, seed: int) -> Run:
 
 def compare(result: Result, runs: Sequence[Run], checks: Sequence[Run], name: str) -> None:
     """Print a row for each joint and log, and one for each log."""
-    runs, checks = ([arrange(run, result.model.actuated) for run in each] for each in (runs, checks))
+    runs, checks = ([arrange(run, result.idm.actuated) for run in each] for each in (runs, checks))
     scripts = [script(result, runs, mask)[0] for mask in MASKS]
-    plain = replace(result, curves={})
+    plain = result.replaced(curves={})
     for run in checks:
         peer = np.array([errors_of(result, run, by_hand(run)) for by_hand in scripts])  # (masks, n, 2)
         before, after = errors_of(plain, run), errors_of(result, run)
         best = peer[:, :, 0].argmin(axis=0)
         rows = [
             (joint, peer[best[j], j, 0], MASKS[best[j]], before[j, 0], after[j, 0], peer[:, j, 1].min(), after[j, 1])
-            for j, joint in enumerate(result.model.actuated)
+            for j, joint in enumerate(result.idm.actuated)
         ]
         mean = np.exp(np.log(peer).mean(axis=1))  # (masks, 2)
         whole = mean[:, 0].argmin()

@@ -97,7 +97,7 @@ def measured(data: Path) -> None:
             path.write_text(entry.write(data, Path(folder)), encoding="utf-8")
             experiment = read_experiment(path)
             found, seconds, step = timed(lambda experiment=experiment: identify(experiment))
-            plain = replace(found, curves={})
+            plain = found.replaced(curves={})
             for run in read_runs(experiment, experiment.validation):
                 made = [
                     np.array([(each.relative_all, each.relative) for each in result.validate(run)])
@@ -248,7 +248,7 @@ def robots(count: int) -> None:
                     found["joints"] += 1
                     if truth in ("our law", "viscous and Coulomb") and terms == expected:
                         inside += within(result, joint, truths)
-                errors.append([relative(each, runs[2]) for each in (replace(result, curves={}), result)])
+                errors.append([relative(each, runs[2]) for each in (result.replaced(curves={}), result)])
             shares = (found[each] / found["joints"] for each in ("presliding", "bent", "load", "false"))
             before, after = np.exp(np.mean(np.log(errors), axis=0))
             covered = f"{100 * np.mean(inside):.0f}" if inside else "-"

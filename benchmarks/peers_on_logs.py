@@ -167,7 +167,7 @@ def no_gains(case: Case) -> str:
 
 def arm_of(result: Result) -> tuple[Robot, np.ndarray]:
     """The arm without motors of their own, and joint speeds per motor speed (n, n)."""
-    n = len(result.model.actuated)
+    n = len(result.idm.actuated)
     joints = tuple(replace(joint, actuated=True) for joint in result.robot.joints[:n])
     robot = result.robot if len(result.robot.joints) == n else replace(result.robot, joints=joints, couplings=())
     return robot, result.friction_law.ratios[:n]
@@ -177,7 +177,7 @@ def states(result: Result, run: Run) -> np.ndarray:
     """Positions (N, n) of the arm's joints."""
     q = np.asarray(run.position)
     zero = np.zeros_like(q)
-    return result.model.motion(*result.model.samples(q, zero, zero)).c[: q.shape[1]].T
+    return result.idm.motion(*result.idm.samples(q, zero, zero)).c[: q.shape[1]].T
 
 
 def figaroh(case: Case) -> Cells:
@@ -240,7 +240,7 @@ def case_of(entry: Entry, data: Path, folder: Path) -> tuple[Case, float, int]:
     result = identify(experiment)
     seconds = process_time() - begin
     runs, checks = (
-        [arrange(run, result.model.actuated) for run in read_runs(experiment, listed)]
+        [arrange(run, result.idm.actuated) for run in read_runs(experiment, listed)]
         for listed in (experiment.runs, experiment.validation)
     )
     return Case(entry.name, entry.robot, data, folder, result, runs, checks), seconds, lines

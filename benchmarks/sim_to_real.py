@@ -74,7 +74,7 @@ def measured(time: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 def of_file(result: Result, drives: bool) -> Result:
     """The model with the inertias of the robot's file, with or without identified friction and armature."""
-    base, names = result.base, result.model.parameter_names
+    base, names = result.base, result.idm.parameter_names
     standard = dict.fromkeys(names, 0.0) | {name: value for name, value in result.robot.inertias if name in names}
     if drives:
         standard |= {k: v for k, v in result.consistency.standard.items() if k[:3] in ("fv_", "fs_", "off")}
@@ -84,15 +84,15 @@ def of_file(result: Result, drives: bool) -> Result:
             of_rotor = base.matrix[:, names.index(f"ia_{joint}")]
             standard[f"ia_{joint}"] = max(float(of_rotor @ left / (of_rotor @ of_rotor)), 0.0)
     less = {} if drives else {"curves": {}, "friction": {}}
-    return replace(result, consistency=replace(result.consistency, standard=standard), **less)
+    return result.replaced(consistency=replace(result.consistency, standard=standard), **less)
 
 
 def of_truth(result: Result, truth: Mapping[str, float]) -> Result:
     """The model with the parameters of the simulated arm."""
-    standard = dict.fromkeys(result.model.parameter_names, 0.0) | {k: v for k, v in truth.items() if "ground" not in k}
-    gains = {joint: (float(gain), 0.0) for joint, gain in zip(result.model.actuated, GAINS, strict=True)}
+    standard = dict.fromkeys(result.idm.parameter_names, 0.0) | {k: v for k, v in truth.items() if "ground" not in k}
+    gains = {joint: (float(gain), 0.0) for joint, gain in zip(result.idm.actuated, GAINS, strict=True)}
     made = replace(result.consistency, standard=standard, gains=gains)
-    return replace(result, consistency=made, curves={}, friction={})
+    return result.replaced(consistency=made, curves={}, friction={})
 
 
 def models(
@@ -139,14 +139,11 @@ def torques(result: Result, samples: Samples, run: Run) -> None:
     """Print the spread of the draws' torques along the run beside the torque error."""
     prediction = result.predict(run)
     error = np.sqrt(np.mean((prediction.predicted - prediction.measured)[prediction.keep] ** 2))
-    motion = result.model.motion(*_path(run, result))
+    motion = result.idm.motion(*_path(run, result))
     base = result.base.standard
-    regressor = result.model.columns(base)
+    regressor = result.idm.columns(base)
     found = np.stack(
-        [
-            regressor.torques_along(result.model.layout, motion, values)
-            for values in samples.base[: min(len(samples), 32)]
-        ]
+        [regressor.torques_along(result.idm.layout, motion, values) for values in samples.base[: min(len(samples), 32)]]
     )
     print(
         f"|  | torque: error, spread of draws, N m rms | {error:.2f} | {np.sqrt(np.mean(found.std(axis=0) ** 2)):.2f} |"
@@ -181,7 +178,7 @@ def coverage(sets: int, noise: float) -> None:
             result, _ = simulated(Path(folder), 10 * seed, noise=noise)
         samples = draw(result, 256, seed)
         known = [k for k, each in enumerate(result.parameters.values()) if each.value is not None]
-        truth = result.base.matrix @ [chi(result.robot).get(name, 0.0) for name in result.model.parameter_names]
+        truth = result.base.matrix @ [chi(result.robot).get(name, 0.0) for name in result.idm.parameter_names]
         low, high = np.quantile(samples.base, [0.025, 0.975], axis=0)
         inside += list(((truth >= low) & (truth <= high))[known])
         values = np.array([each.value or 0.0 for each in result.parameters.values()])

@@ -45,7 +45,7 @@ def main() -> None:
             middle = perf_counter()
             result = identify(out / "experiment.yaml")
             end = perf_counter()
-        standard = [chi.get(parameter, 0.0) for parameter in result.model.parameter_names]
+        standard = [chi.get(parameter, 0.0) for parameter in result.idm.parameter_names]
         true = dict(zip(result.base.names, result.base.matrix @ standard, strict=True))
         gain = max(abs(result.drive_gains[joint].value / value - 1) for joint, value in gains.items())
         base, essential = deviations(result.parameters, true), deviations(result.essential, true)

@@ -15,6 +15,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 from case_study_figures import payload_chart, references_chart, tracking_chart, trajectory_chart
+from control_comparison import STRATEGIES, ControlComparison, compare_control
 
 from gtau.demo.orthoglide import (
     DRIVE_GAINS,
@@ -39,7 +40,6 @@ from gtau.report.robot_figure import robot_figure
 from gtau.report.torques import part_of, torques_chart
 from gtau.signals.experiment import read_experiment
 from gtau.simulation.closed_loop import sample
-from gtau.simulation.control_comparison import STRATEGIES, ControlComparison, compare_control
 from gtau.simulation.simulation_file import read_simulation
 from gtau.simulation.trajectories import make_trajectory
 
@@ -249,7 +249,7 @@ def page(study: Study) -> str:
 
 def _table_3(result: Result) -> list[Sequence[str]]:
     chi = standard_parameters()
-    standard = [chi.get(name, 0.0) for name in result.model.parameter_names]
+    standard = [chi.get(name, 0.0) for name in result.idm.parameter_names]
     true = dict(zip(result.base.names, result.base.matrix @ standard, strict=True))
     true |= DRIVE_GAINS
     ours: dict[str, Estimate] = {**result.drive_gains, **result.essential}

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from control_comparison import STRATEGIES, ControlComparison
 
 from gtau.estimation.results.estimate import Estimate
 from gtau.report.page import Axis, Chart, Panel, Rule, Series, colour, intervals, joint_label
 from gtau.simulation.closed_loop import Reference
-from gtau.simulation.control_comparison import STRATEGIES, ControlComparison
 
 MICRO = 1e6
 TIME = Axis("time, s")

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from importlib import import_module
 
-from gtau import display
-
 TYPE_CHECKING = False  # typing's own takes 5 ms to import, more than all else here
 if TYPE_CHECKING:
     from typing import Any
@@ -17,7 +15,7 @@ if TYPE_CHECKING:
     from gtau.estimation.identify import identify
     from gtau.estimation.results.estimate import Estimate, TorqueError
     from gtau.estimation.results.payload import PayloadBody, PayloadEstimate
-    from gtau.estimation.results.prediction import Prediction
+    from gtau.estimation.results.predicted import Prediction
     from gtau.estimation.results.result import Result
     from gtau.estimation.weigh import weigh
     from gtau.excitation.design import Design
@@ -102,7 +100,7 @@ _HOMES = {
     "Payload": "signals.payload",
     "PayloadBody": "estimation.results.payload",
     "PayloadEstimate": "estimation.results.payload",
-    "Prediction": "estimation.results.prediction",
+    "Prediction": "estimation.results.predicted",
     "PreparationSettings": "signals.settings",
     "Prior": "signals.experiment",
     "Result": "estimation.results.result",
@@ -134,9 +132,6 @@ _NAMES_AT_HOME = {
     "excite": "design",
     "simulate": "simulate_experiment",
 }  # the others are called the same there
-
-
-display.register(lambda: import_module("gtau.report.notebook"))
 
 
 def __getattr__(name: str) -> Any:

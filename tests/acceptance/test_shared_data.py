@@ -185,10 +185,9 @@ def test_ur10e_consistent_parameters_predict_no_worse(folder: Path, shared: Path
     wrist = {kind: found.standard[f"{kind}_wrist_1_joint"] for kind in ("m", "xx", "yy", "zz")}
     gyration = np.sqrt((wrist["xx"] + wrist["yy"] + wrist["zz"]) / 2 / wrist["m"])
     assert gyration < 0.4  # m, about its joint: half the longest link and its own length; 1.0 without that bound
-    values = result.base.matrix @ np.array([found.standard[name] for name in result.model.parameter_names])
+    values = result.base.matrix @ np.array([found.standard[name] for name in result.idm.parameter_names])
     moved = {move.name: move.consistent for move in found.moves}
-    consistent = replace(
-        result,
+    consistent = result.replaced(
         parameters={
             name: replace(each, value=float(value))
             for (name, each), value in zip(result.parameters.items(), values, strict=True)

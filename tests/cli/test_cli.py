@@ -110,7 +110,7 @@ def test_the_model_file_has_the_keys_that_are_promised(here: Path) -> None:
     printed = document("identify", "experiment.yaml", "--out", "out")
     written = json.loads((here / "out" / "model.json").read_text())
     assert printed == written
-    assert written["schema"] == "gtau-model/3"
+    assert written["schema"] == "gtau-model/4"
     assert written["robot"] == "five-bar"
     assert written["method"] == "ml"
     assert [gain["joint"] for gain in written["drive_gains"]] == list(JOINTS)

@@ -134,8 +134,6 @@ def test_the_experiment_of_the_page_is_identified(tmp_path: Path, monkeypatch: p
     assert weighed["lead"] == pytest.approx(LEAD["m"], rel=0.03)
     (errors,) = json.loads(run("validate", "result/model.json", "experiment.yaml", "--json"))["runs"]
     assert max(each["relative"] for each in errors["joints"]) < 1
-    priors = json.loads(run("identify", "experiment.yaml", "--method", "ridge", "--json"))
-    assert [gain["value"] for gain in priors["drive_gains"]] == pytest.approx(plant.gains, rel=0.01)
 
 
 @pytest.mark.slow

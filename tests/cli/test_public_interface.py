@@ -79,7 +79,7 @@ def test_what_is_known_only_in_sums_has_its_deviation_in_per_cent(result: gtau.R
     lost = replace(next(iter(result.essential.values())), value=0.1, std=0.2)
 
     def summary(name: str, std: float) -> str:
-        return replace(result, parameters={**others, name: replace(lost, std=std)}).summary()
+        return result.replaced(parameters={**others, name: replace(lost, std=std)}).summary()
 
     others = {name: replace(each, essential=False) for name, each in result.parameters.items()}
     assert re.search(rf"{lost.name} .* 200\.00 +kg m2", summary(lost.name, 0.2))
@@ -93,7 +93,7 @@ def test_legs_that_are_not_built_alike_get_one_note(result: gtau.Result) -> None
 
 
 def test_the_price_of_the_reduction(result: gtau.Result) -> None:
-    text = replace(result, statistics={**result.statistics, "reduction_loss": 1.25}).summary()
+    text = result.replaced(statistics={**result.statistics, "reduction_loss": 1.25}).summary()
     assert "raises the torque residual of the worst joint by 1.2 %." in " ".join(text.split())
 
 

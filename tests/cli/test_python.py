@@ -33,7 +33,7 @@ def result(folder: Path) -> gtau.Result:
 
 
 def test_joints_may_be_called_by_numbers(result: gtau.Result) -> None:
-    gains = replace(result, drive_gains={"11": result.drive_gains["left"]}).drive_gains
+    gains = result.replaced(drive_gains={"11": result.drive_gains["left"]}).drive_gains
     assert gains[11] is gains["11"]  # type: ignore[index]
     with pytest.raises(gtau.GtauError, match="there is no '12' here; choose from 11"):
         gains[12]  # type: ignore[index]

@@ -166,7 +166,7 @@ def test_payload_columns_are_those_of_a_body_on_the_tool(data: Dataset) -> None:
 
 def truth(result: Result) -> dict[str, float]:
     """True base parameters."""
-    names = result.model.parameter_names
+    names = result.idm.parameter_names
     chi = result.base.matrix @ np.array([CHI.get(name, 0.0) for name in names])
     return dict(zip(result.base.names, chi, strict=True))
 

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from five_bar_logs import five_bar
 from friction_logs import PLAIN, experiment, robot, run
+from models_to_export import of_equations
 
 import gtau
 from gtau.estimation.friction.law import Follower, FrictionLaw, Shape, stop
 from gtau.estimation.friction.normal_equations import SPEEDS, WIDTHS, Site
 from gtau.estimation.friction.selection import parameter_columns
+from gtau.estimation.results.friction_curves import FrictionStep
+from gtau.robots.robot import PLAIN_FRICTION
 
 SHAPES = {"left": Shape(width=1.5e-3), "right": Shape(speed=0.2)}
 VALUES = {"fb_right": 0.6, "fl_left": 0.05}
@@ -63,21 +65,33 @@ def test_terms_and_parameters_are_found(result: gtau.Result) -> None:
     left, right = result.curves["left"], result.curves["right"]
     assert set(left.evidence) == {"presliding", "load"}
     assert set(right.evidence) == {"bent"}
-    assert right.width is None
-    assert left.speed is None
-    truth = PLAIN | VALUES
-    for each in (*left.parameters.values(), *right.parameters.values()):
-        low, high = each.interval(0.999)
-        assert low <= truth[each.name] <= high, each
-    low, high = left.width.interval(0.999)
-    assert low < 1.5e-3 < high
-    low, high = right.speed.interval(0.999)
-    assert low < 0.2 < high
+    truth = PLAIN | VALUES | {"width_left": 1.5e-3, "vs_right": 0.2}
+    truth = {name: value for name, value in truth.items() if not name.endswith("forearm")}  # passive
+    found = {**result.friction_parameters, **result.friction}
+    assert {name for name in found if name.body in result.curves} == set(truth)
+    for name in truth:
+        estimate = found[name]
+        low, high = estimate.interval(0.999)
+        assert low <= truth[name] <= high, estimate
+
+
+def test_friction_has_one_value_a_name(result: gtau.Result) -> None:
+    """That with which the model predicts, whose variance the covariance has; that of the equations is evidence."""
+    names = result.to_frame()["name"].to_list()
+    assert len(names) == len(set(names) | set(result.drive_gains)) + 2 * len(result.drive_gains)
+    variances = dict(zip(result.covariance_names, np.diag(result.covariance), strict=True))
+    for name, estimate in {**result.friction_parameters, **result.friction}.items():
+        assert np.sqrt(variances[name]) == pytest.approx(estimate.std or 0.0)
+    assert set(result.equation_friction) == {
+        "fl_left",
+        *(f"{kind}_{side}" for kind in PLAIN_FRICTION for side in SHAPES),
+    }
+    assert result.equation_friction["fs_left"].value != result.parameters["fs_left"].value
 
 
 def test_every_sample_is_predicted_better_than_by_the_plain_law(result: gtau.Result) -> None:
     check = run("check", SHAPES, VALUES, seed=7)
-    plain = replace(result, curves={})
+    plain = of_equations(result)
     for found, before in zip(result.validate(check), plain.validate(check), strict=True):
         assert found.relative_all < 0.5 * before.relative_all
         assert found.relative_all < 1.2 * found.relative + 0.3
@@ -88,18 +102,18 @@ def test_every_sample_is_predicted_better_than_by_the_plain_law(result: gtau.Res
 
 def test_friction_moves_no_gain(result: gtau.Result, monkeypatch: pytest.MonkeyPatch) -> None:
     """Gains, parameters and their intervals are those of an identification without the step."""
-    monkeypatch.setattr("gtau.estimation.pipeline.friction_curves", lambda *_: ({}, {}))
+    monkeypatch.setattr("gtau.estimation.pipeline.friction_step", lambda _, estimates: FrictionStep(estimates))
     plain = gtau.identify(robot(), experiment(SHAPES, VALUES))
     assert plain.curves == {}
     assert dict(plain.drive_gains) == dict(result.drive_gains)
-    assert dict(plain.parameters) == dict(result.parameters)
+    assert dict(plain.parameters) == dict(of_equations(result).parameters)
 
 
 def test_plain_friction_stays_plain() -> None:
     found = gtau.identify(robot(), experiment({}, {}, seed=11))
     for curve in found.curves.values():
         assert curve.evidence == {}
-        assert (curve.width, curve.speed) == (None, None)
+    assert found.friction == {}
 
 
 def test_a_model_file_holds_the_curves_and_older_ones_are_read(result: gtau.Result, tmp_path: Path) -> None:
@@ -108,9 +122,47 @@ def test_a_model_file_holds_the_curves_and_older_ones_are_read(result: gtau.Resu
     assert again.curves == dict(result.curves)
     assert again.friction_law.shapes == result.friction_law.shapes
     document = json.loads((tmp_path / "model.json").read_text())
-    del document["curves"]
-    (tmp_path / "old.json").write_text(json.dumps(document | {"schema": "gtau-model/2"}))
-    assert gtau.Result.load(tmp_path / "old.json").curves == {}
+    (tmp_path / "3.json").write_text(json.dumps(schema_3(document)))
+    third = gtau.Result.load(tmp_path / "3.json")
+    third.save(tmp_path / "again.json")
+    again = json.loads((tmp_path / "again.json").read_text())
+    for group in (again, document):
+        group["friction"].sort(key=lambda each: each["name"])
+    assert again == document
+    del document["curves"], document["equation_friction"]
+    (tmp_path / "2.json").write_text(json.dumps(document | {"schema": "gtau-model/2"}))
+    assert gtau.Result.load(tmp_path / "2.json").curves == {}
+
+
+def schema_3(document: dict) -> dict:
+    """The document as its older schema has it: the friction that predicts in the curves."""
+    predicted = {each["name"]: each for each in document["friction"]}
+    plain = {
+        each["name"]: each
+        for each in document["parameters"]
+        if each["name"] in {one["name"] for one in document["equation_friction"]}
+    }
+    equations = {each["name"]: each for each in document["equation_friction"]}
+    more = ("regrouping", "spread", "essential")
+    old = {"schema": "gtau-model/3", "friction": [each for name, each in equations.items() if name not in plain]}
+    old["parameters"] = [
+        equations[each["name"]] | {key: each[key] for key in more} if each["name"] in plain else each
+        for each in document["parameters"]
+    ]
+    old["curves"] = [
+        curve
+        | {
+            "parameters": [
+                {key: value for key, value in each.items() if key not in more}
+                for name, each in (plain | predicted).items()
+                if name.endswith(f"_{curve['joint']}") and not name.startswith(("width", "vs"))
+            ],
+            "width": predicted.get(f"width_{curve['joint']}"),
+            "speed": predicted.get(f"vs_{curve['joint']}"),
+        }
+        for curve in document["curves"]
+    ]
+    return {key: value for key, value in document.items() if key != "equation_friction"} | old
 
 
 def test_friction_of_curves_takes_energy_at_every_speed_and_load(result: gtau.Result, rng: np.random.Generator) -> None:

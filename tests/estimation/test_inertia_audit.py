@@ -51,7 +51,7 @@ def test_the_link_whose_mass_is_wrong_is_named(true: Robot, tmp_path: Path) -> N
     # the value that the file would have to have
     for each in audit.of("contradicted"):
         k = result.base.names.index(each.name)
-        truth = float(result.base.matrix[k] @ [chi(true).get(name, 0.0) for name in result.model.parameter_names])
+        truth = float(result.base.matrix[k] @ [chi(true).get(name, 0.0) for name in result.idm.parameter_names])
         assert abs(each.value - truth) < 5 * each.std
     shown = " ".join(result.summary(verbose=False).split())
     assert "The file's inertias predict the torques to" in shown

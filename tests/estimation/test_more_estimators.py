@@ -22,11 +22,12 @@ from gtau.estimation.estimators.standard_parameters import standard_unknowns
 from gtau.estimation.estimators.two_stage import two_stage
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
-from gtau.estimation.regression.friction import Friction
+from gtau.estimation.regression.friction import Friction, all_terms
 from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
 from gtau.progress import silent
 from gtau.report.comparison import comparison_table
+from gtau.robots.parameter import Parameter
 from gtau.signals.experiment import Prior
 from gtau.signals.payload import Payload
 from gtau.signals.run import Run
@@ -163,23 +164,16 @@ def test_prior_equations_are_further_rows(data: Dataset) -> None:
     assert np.sqrt(solution.covariance[k, k]) == pytest.approx(std / np.sqrt(2), rel=0.05)
 
 
-def test_natural_sizes_alone_hardly_move_what_the_data_tell(runs: list[Run]) -> None:
-    plain, drawn = identify(FIVE_BAR, runs), identify(FIVE_BAR, runs, method="ridge")
-    for joint in JOINTS:
-        a, b = plain.drive_gains[joint], drawn.drive_gains[joint]
-        assert abs((a.value or 0.0) - (b.value or 0.0)) < 0.1 * (a.std or 0.0)
-
-
 def test_a_stated_prior_counts_with_its_deviation(runs: list[Run]) -> None:
     plain = identify(FIVE_BAR, runs)
-    std = plain.parameters["fs_left"].std or 0.0
-    sure = identify(FIVE_BAR, runs, method="ridge", priors={"fs_left": Prior(value=0.8, std=std / 100)})
-    assert sure.parameters["fs_left"].value == pytest.approx(0.8, abs=std / 30)
-    assert (sure.parameters["fs_left"].std or 0.0) == pytest.approx(std / 100, rel=0.2)
+    std = plain.equation_friction["fs_left"].std or 0.0
+    sure = identify(FIVE_BAR, runs, priors={"fs_left": Prior(value=0.8, std=std / 100)})
+    assert sure.equation_friction["fs_left"].value == pytest.approx(0.8, abs=std / 30)
+    assert (sure.equation_friction["fs_left"].std or 0.0) == pytest.approx(std / 100, rel=0.2)
 
 
 def test_the_unknowns_give_the_problem_s_parameters(data: Dataset) -> None:
-    system = data.system(Friction(("f3_left",), True))
+    system = data.system(Friction((Parameter("f3", "left"),), True))
     unknowns = standard_unknowns(data, system, ml(system.problem), {})
     assert unknowns.S.shape == (len(system.whole.parameters), len(unknowns.names))
     x = np.array([CHI.get(name, STEEL.get(name.removesuffix("_L2"), 0.0)) for name in unknowns.names])
@@ -264,7 +258,7 @@ def test_only_friction_that_all_equations_tell_is_kept(runs: list[Run]) -> None:
         replace(run, command=run.command + np.column_stack([0.2 * qd**3 / GAINS[0], 0 * qd]))
         for run, qd in zip(runs, speed, strict=True)
     ]
-    data, both = reduce_runs(FIVE_BAR, cubed), Friction(("f3_left", "f3_right"), True)
+    data, both = reduce_runs(FIVE_BAR, cubed), Friction(all_terms(JOINTS, ("f3",)), True)
     problem = data.system(both).problem
     assert prune_friction_terms(problem, both, ml) == ("f3_left",)
     solution, k = ml(problem), problem.parameters.index("f3_left")
@@ -282,8 +276,8 @@ def test_a_current_that_is_mostly_friction_does_not_hide_cubic_friction(coulomb:
         friction = (coulomb * np.sign(speed) + cubic * speed**3) / GAINS[0]
         rubbing.append(replace(run, command=run.command + np.column_stack([friction, 0 * speed])))
     result = identify(FIVE_BAR, rubbing)
-    assert list(result.friction) == ["f3_left"]
-    found = result.friction["f3_left"]
+    assert [name for name in result.equation_friction if name not in result.parameters] == ["f3_left"]
+    found = result.equation_friction["f3_left"]
     assert found.value == pytest.approx(cubic, abs=4 * found.std)
     assert result.drive_gains["left"].std < 0.01 * GAINS[0]
     assert np.abs(gain_errors(result)).max() < 4

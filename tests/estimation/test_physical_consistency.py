@@ -141,7 +141,7 @@ def test_every_body_can_exist_and_friction_dissipates(result: Result) -> None:
 
 def test_the_standard_parameters_regroup_to_what_moved(result: Result) -> None:
     consistency = found(result)
-    chi = np.array([consistency.standard[name] for name in result.model.parameter_names])
+    chi = np.array([consistency.standard[name] for name in result.idm.parameter_names])
     regrouped = dict(zip(result.base.names, result.base.matrix @ chi, strict=True))
     moves = {move.name: move for move in consistency.moves}
     for name in result.parameters:

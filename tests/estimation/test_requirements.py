@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +40,7 @@ def test_limits_are_held_against_fit_validation_and_intervals(result: gtau.Resul
     assert not gains.met
     assert result.believable
     assert not result.accepted
-    assert replace(result, requirements=(fit, check)).accepted
+    assert result.replaced(requirements=(fit, check)).accepted
     assert not Requirement("torque_error", 5.0, None, run="refused").met
 
 
@@ -77,7 +76,7 @@ def test_r_squared_is_of_the_kept_samples_of_all_runs() -> None:
 
 def test_names_of_drifting_parameters_and_many_estimates_are_explained(result: gtau.Result) -> None:
     shown = correlation_section(
-        replace(result, covariance_names=("fv_left@2", *(f"p{k}" for k in range(69))), covariance=np.eye(70))
+        result.replaced(covariance_names=("fv_left@2", *(f"p{k}" for k in range(69))), covariance=np.eye(70))
     )
     assert shown is not None
     text = plain(Page("", (shown,)))

@@ -276,8 +276,6 @@ def test_a_sensor_beside_known_parameters_is_held_against_them_with_their_deviat
     (each,) = sensor_scales(fit_of(ARM, [plant.run(1), plant.run(2)], priors))
     assert each.std == pytest.approx(0.05, rel=0.2)
     assert each.value == pytest.approx(1.05, abs=0.02)
-    (gain, *_) = identify(ARM, [plant.run(1), plant.run(2)], method="ridge").drive_gains.values()
-    assert gain.verdict.outcome == Outcome.GOOD  # natural sizes say next to nothing of the scale
 
 
 def test_a_wrong_mass_beside_a_sensor_is_named() -> None:
@@ -298,7 +296,7 @@ def test_a_result_keeps_its_sensors(tmp_path: Path) -> None:
     assert "torque sensor" in result.summary(verbose=False)
     assert "off_2_sensor" in result.summary()
     last_first = {"torque sensor of '3'": 0.7, "torque sensor of '2'": 0.3}
-    shared = replace(result, drive_gains={k: replace(gain, scale=last_first) for k, gain in result.drive_gains.items()})
+    shared = result.replaced(drive_gains={k: replace(gain, scale=last_first) for k, gain in result.drive_gains.items()})
     assert "scale: from the torque sensors of '2', '3'" in shared.summary(verbose=False)
     result.save(tmp_path / "model.json")
     again = Result.load(tmp_path / "model.json")
@@ -363,7 +361,7 @@ def test_every_command_takes_a_sensor_column(tmp_path: Path) -> None:
 def test_other_estimators_with_a_sensor() -> None:
     plant = arm().with_sensors("2")
     runs = [plant.run(1), plant.run(2)]
-    for method in ("huber", "2sls", "didim", "ridge"):
+    for method in ("huber", "2sls", "didim"):
         for gain, truth in zip(identify(ARM, runs, method=method).drive_gains.values(), ARM_GAINS, strict=True):
             low, high = gain.interval(0.999) or (0.0, 0.0)
             assert low < truth < high, method

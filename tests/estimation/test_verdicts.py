@@ -264,7 +264,7 @@ def test_no_gain_is_called_known_that_another_joint_makes_doubtful(result: Resul
     gains = [
         replace(gain, verdict=each) for gain, each in zip(result.drive_gains.values(), (wrong, doubt), strict=True)
     ]
-    doubtful = replace(result, drive_gains=dict(zip(JOINTS, gains, strict=True)))
+    doubtful = result.replaced(drive_gains=dict(zip(JOINTS, gains, strict=True)))
     said = headline(doubtful)
     assert f"Joint '{JOINTS[1]}' is in doubt." in said
     assert reasons(doubtful)[1] == Reason(doubt.outcome, (JOINTS[1],), doubt.why, doubt.advice)
@@ -319,7 +319,7 @@ def test_autocorrelated_residuals_are_a_lack_of_fit(result: Result, runs: list[R
 
 def test_what_is_said_of_several_gains_is_said_once(result: Result) -> None:
     turned = verdict_of(Finding(F.NEGATIVE_GAIN))
-    both = replace(result, drive_gains={j: replace(gain, verdict=turned) for j, gain in result.drive_gains.items()})
+    both = result.replaced(drive_gains={j: replace(gain, verdict=turned) for j, gain in result.drive_gains.items()})
     (row,) = reasons(both)
     assert (set(row.joints), row.why, row.action) == (set(JOINTS), turned.why, turned.advice)
     assert " ".join(both.summary(False).split()).count(turned.advice) == 1
@@ -331,7 +331,7 @@ def test_reasons_that_differ_in_numbers_are_one_row_with_the_worst(result: Resul
         for (joint, gain), half in zip(result.drive_gains.items(), (10.0, 20.0), strict=True)
         for values in [{"half": half / 100, "accuracy": 0.03, "payload": True, "wrenches": False, "random": True}]
     }
-    (row,) = reasons(replace(result, drive_gains=gains))
+    (row,) = reasons(result.replaced(drive_gains=gains))
     assert row.joints == JOINTS[::-1]
     assert "20" in row.why
     assert JOINTS[1] in row.why

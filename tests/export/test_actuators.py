@@ -51,7 +51,7 @@ def forces(model: mujoco.MjModel, ctrl: np.ndarray, seed: int) -> np.ndarray:
 
 
 def test_mujoco_drives_bodies_and_actuators_as_the_whole_model(result: Result, tmp_path: Path) -> None:
-    undelayed = replace(result, delays=model_of(ARM, terms=False).delays)
+    undelayed = result.replaced(delays=model_of(ARM, terms=False).delays)
     (whole,) = export_model(undelayed, "mjcf", tmp_path / "whole").files
     divided, _ = export_model(undelayed, "mujoco-actuators", tmp_path / "divided").files
     one, other = (mujoco.MjModel.from_xml_path(str(path)) for path in (whole, divided))

@@ -80,7 +80,7 @@ def test_payloads_of_names_alike_are_two_arrays(tmp_path: Path) -> None:
     result = model_of(tree())
     (load,) = result.payloads
     loads = tuple(replace(load, name=name, run=name) for name in ("a-b", "a_b", "*/ =é"))
-    c = Compiled(replace(result, payloads=loads), tmp_path)
+    c = Compiled(result.replaced(payloads=loads), tmp_path)
     for end in ("a_b", "a_b_2", "_____"):
         array = (ctypes.c_double * c.n_p).in_dll(c.library, f"{c.model.name}_parameters_with_{end}")
         np.testing.assert_array_equal(np.array(array), c.model.payloads["a-b"])
@@ -116,7 +116,7 @@ def test_the_loops_close_along_a_fast_motion(tmp_path: Path) -> None:
     c = Compiled(result, tmp_path)
     time = np.arange(0, 0.5, 1e-3)
     q = home(robot) + 0.08 * np.sin(2 * np.pi * 3 * time[:, None] + np.arange(3))  # 1.5 m/s
-    closed = result.model.path(q.T)
+    closed = result.idm.path(q.T)
     assert c("start", q[0]) == 0
     for k in range(len(time)):
         assert c("move", q[k]) == 0
@@ -241,7 +241,7 @@ def test_c_code_takes_energy_and_swings_down(tmp_path: Path, rng: np.random.Gene
         assert (friction * qd).min() >= -1e-9  # W: rounding
     result = propelling(tree())
     (tmp_path / "swing").mkdir()
-    c, plant = Compiled(result, tmp_path / "swing"), Plant(result.model, {
+    c, plant = Compiled(result, tmp_path / "swing"), Plant(result.idm, {
         name: value for name, value in result.consistency.standard.items() if name[:3] not in ("fv_", "fs_")
     })  # fmt: skip
     for speed in (-5.0, 0.4, 1.3, 3.1, 6.0):
@@ -278,7 +278,7 @@ def test_friction_before_sliding_follows_the_pose(robot: Robot, tmp_path: Path) 
     time = np.linspace(0, 0.4, 41)
     way = 0.02 * np.sin(2 * np.pi * 4 * time)[:, None]
     q, qd, qdd = home(robot) + way, np.gradient(way, time, axis=0) + 0 * home(robot), 0 * home(robot) + 0 * way
-    motion = result.model.motion(*(np.ascontiguousarray(each.T) for each in (q, qd, qdd)))
+    motion = result.idm.motion(*(np.ascontiguousarray(each.T) for each in (q, qd, qdd)))
     law, z = result.friction_law, np.zeros((len(c.model.joints), len(time)))
     for k in range(1, len(time)):
         z[:, k] = np.clip(z[:, k - 1] + (q[k] - q[k - 1]) / law.widths, -1, 1)

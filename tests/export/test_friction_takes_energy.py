@@ -158,7 +158,7 @@ def test_fmu_takes_energy(tmp_path: Path) -> None:
 def test_predictions_take_energy_at_every_temperature(rng: np.random.Generator) -> None:
     """Friction that falls by temperature ends at none, and does not begin to propel."""
     result = propelling(tree(), -0.3)
-    idm, law = result.model, result.friction_law
+    idm, law = result.idm, result.friction_law
     qd, qdd = states(result, rng)
     motion = idm.motion(np.tile(home(tree()), (len(qd), 1)).T, qd.T, qdd.T)
     load = rng.normal(0.0, 200.0, qd.T.shape)
@@ -180,7 +180,7 @@ def test_friction_that_takes_energy_is_the_fitted_one(rng: np.random.Generator) 
     for fastest, cubic in ((LOGGED, CUBIC), (50.0, 0.0)):
         v = rng.uniform(-fastest, fastest, motions.shape).T
         load = rng.normal(0.0, 50.0, v.shape)
-        motion = result.model.motion(motions.T, v, 0 * v)
+        motion = result.idm.motion(motions.T, v, 0 * v)
         values |= {f"f3_{joint}": cubic for joint in joints}
         expected = VISCOUS * v + (COULOMB + 0.1 * np.abs(load)) * np.sign(v) + cubic * v**3
         np.testing.assert_allclose(result.friction_law.torques(motion, values, load), expected, rtol=1e-12)
@@ -190,7 +190,7 @@ def test_without_a_logged_speed_cubic_friction_does_not_count() -> None:
     result = replace(propelling(tree()), logged_speeds={})
     n, first = len(result.robot.actuated), result.robot.actuated[0]
     still = np.zeros((n, 1))
-    motion = result.model.motion(home(tree())[:, None], still + 2.0, still)
+    motion = result.idm.motion(home(tree())[:, None], still + 2.0, still)
     found = result.friction_law.torques(motion, {f"f3_{first}": 5.0, f"fv_{first}": 1.0}, still)
     assert found[:, 0] == pytest.approx([2.0] + [0.0] * (n - 1))
 

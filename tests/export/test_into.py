@@ -104,7 +104,7 @@ def test_a_urdf_keeps_all_but_inertias_and_friction(tmp_path: Path, rng: np.rand
     assert one == other
     assert any("flange" in note for note in exported.notes)
     model = pin.buildModelFromUrdf(str(exported.files[0]))
-    data, idm = model.createData(), result.model
+    data, idm = model.createData(), result.idm
     motion = random_motion(idm, 5, rng)
     inertial = {name: v for name, v in result.consistency.standard.items() if name[:2] not in ("ia", "fv", "fs", "of")}
     tau = idm.full.torques_along(idm.layout, motion, np.array([inertial.get(name, 0) for name in idm.parameter_names]))
@@ -138,7 +138,7 @@ def test_an_mjcf_keeps_all_but_inertias_friction_and_gears(tmp_path: Path, rng: 
         for each in list(getattr(spec, kind)):
             spec.delete(each)
     model = spec.compile()
-    data, idm = mujoco.MjData(model), result.model
+    data, idm = mujoco.MjData(model), result.idm
     assert model.actuator("m1").gear[0] == result.consistency.gains["shoulder"][0]
     motion = random_motion(idm, 5, rng)
     standard = {name: 0.0 if name.startswith("off") else v for name, v in result.consistency.standard.items()}

@@ -36,7 +36,7 @@ FIT = [*SERIAL, GEARED, sprung(), *(robot for robot in CLOSED if robot.name != "
 
 def state(result: Result, model: mujoco.MjModel, motion: Motion, k: int) -> tuple[np.ndarray, np.ndarray]:
     """MuJoCo's configuration (nq,) of sample k, and the map (nv, n_y) of velocities, whose own axes a ball turns in."""
-    layout = result.model.layout
+    layout = result.idm.layout
     qpos, T = model.qpos0.copy(), np.zeros((model.nv, layout.n_y))
     for row, joint in enumerate(result.robot.joints):
         qpos[model.joint(joint.name).qposadr[0]] = motion.c[row, k]
@@ -63,8 +63,8 @@ def state(result: Result, model: mujoco.MjModel, motion: Motion, k: int) -> tupl
 )
 def test_mujoco_moves_with_the_torques_of_the_model(robot: Robot, tmp_path: Path, rng: np.random.Generator) -> None:
     result = model_of(robot)
-    result = replace(result, friction={name: each for name, each in result.friction.items() if name.startswith("f3")})
-    idm, standard = result.model, dict(result.consistency.standard)
+    result = result.replaced(friction={name: each for name, each in result.friction.items() if name.startswith("f3")})
+    idm, standard = result.idm, dict(result.consistency.standard)
     standard |= {f"off_{joint.name}": 0.0 for joint in robot.joints if not joint.actuated}
     (path,) = export(result, tmp_path).files
     model = mujoco.MjModel.from_xml_path(str(path))

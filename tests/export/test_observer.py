@@ -56,8 +56,8 @@ def test_momentum_changes_by_torques_and_its_drift_on_simulated_motions(name: st
     result = model_of(robot, terms=False)
     chi = {key: 0.0 if key[:3] == "fs_" else value for key, value in result.consistency.standard.items()}
     base, model = result.base, identified(result)
-    values = base.matrix @ [chi.get(each, 0.0) for each in result.model.parameter_names]
-    made, plant = functions(model).outputs, Plant(result.model, chi)
+    values = base.matrix @ [chi.get(each, 0.0) for each in result.idm.parameter_names]
+    made, plant = functions(model).outputs, Plant(result.idm, chi)
     n, step = len(robot.actuated), 1e-3
     tau = 2.0 * np.cos(np.arange(n))
     state = plant.start(home(robot))
@@ -78,7 +78,7 @@ def test_a_contact_is_seen_behind_a_low_pass_and_from_the_past_alone(name: str) 
     robot = BY_NAME[name]
     result = model_of(robot, terms=False)
     delays = {joint: Estimate(joint, d, None, "s") for joint, d in zip(robot.actuated, (4e-3, -2e-3), strict=False)}
-    result = replace(result, delays=dict(result.delays) | delays)
+    result = result.replaced(delays=dict(result.delays) | delays)
     late = np.array([result.delays[joint].value for joint in robot.actuated])
     time, n, bandwidth, onset = np.arange(0, 3, 1e-3), len(robot.actuated), 5.0, 1.5
     push = 3.0 * np.cos(np.arange(n))

@@ -37,7 +37,7 @@ def samples(result: Result) -> Samples:
 
 
 def test_every_draw_is_of_rigid_bodies(samples: Samples) -> None:
-    names = list(samples.result.model.parameter_names)
+    names = list(samples.result.idm.parameter_names)
     for body in samples.result.robot.bodies:
         columns = [names.index(f"{kind}_{body}") for kind in INERTIAL]
         assert min(np.linalg.eigvalsh(pseudo_inertia(values))[0] for values in samples.standard[:, columns]) > 0
@@ -60,7 +60,7 @@ def test_draws_are_as_wide_and_as_correlated_as_the_result(samples: Samples) -> 
 
 def test_the_truth_lies_within_the_draws(samples: Samples) -> None:
     result = samples.result
-    truth = result.base.matrix @ [chi(result.robot).get(name, 0.0) for name in result.model.parameter_names]
+    truth = result.base.matrix @ [chi(result.robot).get(name, 0.0) for name in result.idm.parameter_names]
     low, high = np.quantile(samples.base, [0.025, 0.975], axis=0)
     assert np.mean((truth >= low) & (truth <= high)) > 0.8  # benchmarks/sim_to_real.py counts many experiments
 

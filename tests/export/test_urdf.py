@@ -60,7 +60,7 @@ def spring_torques(model: pin.Model, data: pin.Data, q: np.ndarray, v: np.ndarra
 def test_pinocchio_moves_with_the_torques_of_the_model(robot: Robot, tmp_path: Path, rng: np.random.Generator) -> None:
     result = model_of(robot, terms=False)
     exported = export(result, tmp_path)
-    idm, standard = result.model, result.consistency.standard
+    idm, standard = result.idm, result.consistency.standard
     model = pin.buildModelFromUrdf(str(exported.files[0]))
     model.gravity.linear = np.array([0.0, 0.0, -np.linalg.norm(robot.gravity)])
     data = model.createData()

@@ -34,7 +34,7 @@ def known(robot: Robot, rms: float) -> gtau.Result:
     """A model whose gains are known, with residuals of this rms, N m or N."""
     result = model_of(robot, terms=False)
     residuals = tuple(TorqueError(joint, rms, 10.0, "N m") for joint in robot.actuated)
-    return replace(result, residuals=residuals, covariance=1e-14 * result.covariance)
+    return result.replaced(residuals=residuals, covariance=1e-14 * result.covariance)
 
 
 def pressed(result: gtau.Result, wrench: np.ndarray, noise: float = 0.0, path: tuple | None = None) -> gtau.Run:
@@ -110,9 +110,9 @@ def test_three_motors_of_a_parallel_robot_see_forces_and_no_moment() -> None:
     result = known(robot, 0.5)
     time = np.arange(0, 3, 2e-3)
     q, qd, qdd = trajectory(robot, time)
-    at = result.model.layout.platforms[0].position
+    at = result.idm.layout.platforms[0].position
     force, step = np.array([5.0, -8.0, 12.0]), 1e-5
-    slopes = [result.model.path((q + step * e).T)[at] - result.model.path((q - step * e).T)[at] for e in np.eye(3)]
+    slopes = [result.idm.path((q + step * e).T)[at] - result.idm.path((q - step * e).T)[at] for e in np.eye(3)]
     external = np.einsum("kxi,x->ik", np.array(slopes) / (2 * step), force)  # tau dq = F dx
     run = gtau.Run("pushed", robot.actuated, time, q, (result.torques(q, qd, qdd) - external) / result.gains)
     found = torques_along_log(result, run, frame_on(robot.tool, "", None)).wrench

@@ -15,8 +15,6 @@ from gtau.errors import GtauError
 from gtau.estimation.identify import identify
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.report.comparison import control_page
-from gtau.report.render.terminal import plain
 from gtau.robots.readers.native_text import native_text
 from gtau.robots.robot import Joint, Limits, Robot
 from gtau.signals.experiment import read_experiment
@@ -31,7 +29,6 @@ from gtau.simulation.closed_loop import (
     simulate,
     write_log,
 )
-from gtau.simulation.control_comparison import STRATEGIES, ControlComparison, Tracking
 from gtau.simulation.experiment_files import simulate_experiment
 from gtau.simulation.plant import Plant
 from gtau.simulation.simulation_file import read_simulation
@@ -225,7 +222,7 @@ def test_identification_finds_what_was_simulated(name, tmp_path):
     for joint, gain in gains.items():
         assert result.drive_gains[joint].value == pytest.approx(gain, rel=2e-3)
         assert result.delays[joint].value == pytest.approx(0.5 / RATE, abs=5e-5)  # the held current
-    standard = [chi.get(name, 0.0) for name in result.model.parameter_names]
+    standard = [chi.get(name, 0.0) for name in result.idm.parameter_names]
     true = dict(zip(result.base.names, result.base.matrix @ standard, strict=True))
     z = np.array([(each.value - true[x]) / each.std for x, each in result.parameters.items() if each.value is not None])
     assert np.sqrt(np.mean(z**2)) < 1.5
@@ -358,22 +355,6 @@ def test_passive_joints_keep_to_their_limits_too(tmp_path):
     (tmp_path / "narrow.yaml").write_text(narrow, encoding="utf-8")
     with pytest.raises(GtauError, match=r"run 'a': joint '31' is to move from -0\.\d+ to 0\.\d+, beyond its limits"):
         simulate_experiment(written(tmp_path, robot="narrow.yaml"), tmp_path, silent)
-
-
-@pytest.mark.parametrize("joints", [("11", "12", "13"), tuple(f"shoulder_{k}_joint" for k in range(6))])
-def test_tables_of_tracking_errors_fit_a_terminal_and_have_every_error_once(joints):
-    n = len(joints)
-    errors = 1e-6 * np.arange(1000, 1000 + 20 * n).reshape(2, 5, 2, n)
-    tracking = tuple(
-        Tracking(name, strategy, *errors[i, k], np.zeros(1), np.zeros((1, n)))
-        for i, name in enumerate(("one", "two"))
-        for k, strategy in enumerate(STRATEGIES)
-    )
-    shown = plain(control_page(ControlComparison(joints, ("m",) * n, tracking, {"one": None, "two": None}, {})))
-    assert max(map(len, shown.splitlines())) <= 80
-    assert sorted(word for word in shown.split() if len(word) == 4 and word.isdigit()) == [
-        str(1000 + k) for k in range(20 * n)
-    ]
 
 
 def test_the_mujoco_engine_makes_the_same_run(tmp_path):

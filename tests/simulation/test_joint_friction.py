@@ -11,7 +11,7 @@ import pytest
 from c_code import Compiled, needs_gcc
 from engines import random_parameters
 from friction_logs import experiment, robot
-from models_to_export import model_of, preslid
+from models_to_export import model_of, of_equations, preslid
 from scipy.optimize import brentq
 
 import gtau
@@ -66,7 +66,7 @@ def along(plant: Plant, state: PlantState, samples: int, force) -> list[tuple[Pl
 def test_the_plant_the_law_and_the_c_code_agree_through_reversals(tmp_path: Path) -> None:
     result = five_bar()
     chi, friction = of_model(result, WIDTH)
-    plant = Plant(result.model, chi, friction)
+    plant = Plant(result.idm, chi, friction)
     start = plant.start(np.array([joint.home for joint in result.robot.joints if joint.actuated]))
     weight = -plant.mass_matrix(start.c) @ plant.acceleration(start, np.zeros(2))
     push = np.array([60.0, -50.0])
@@ -91,12 +91,9 @@ def test_the_plant_the_law_and_the_c_code_agree_through_reversals(tmp_path: Path
 def test_friction_takes_energy(rng: np.random.Generator) -> None:
     """What the motors give less what the robot has grows, but for what presliding may store, height times width / 2."""
     result = five_bar()
-    curves = {
-        joint: replace(curve, parameters={n: e for n, e in curve.parameters.items() if n[:2] in ("fv", "fs")})
-        for joint, curve in result.curves.items()
-    }
-    chi, friction = of_model(replace(result, curves=curves), WIDTH)
-    plant = Plant(result.model, chi, friction)
+    shapes = {name: each for name, each in result.friction.items() if name.kind in ("width", "vs")}
+    chi, friction = of_model(result.replaced(friction=shapes), WIDTH)
+    plant = Plant(result.idm, chi, friction)
     state = plant.start(np.array([joint.home for joint in result.robot.joints if joint.actuated]))
     weight = -plant.mass_matrix(state.c) @ plant.acceleration(state, np.zeros(2))
     start, work, taken = plant.energy(state), 0.0, [0.0]
@@ -171,10 +168,10 @@ def test_an_identified_model_is_simulated_with_its_friction(tmp_path: Path) -> N
     run = gtau.read_run(log, signals)
     scaled = replace(run, command=run.command * [2.5, 4.0] / found.gains)
     held = {joint: replace(each, value=PERIOD / 2) for joint, each in found.delays.items()}
-    left, right = replace(found, delays=held).validate(scaled)
+    left, right = found.replaced(delays=held).validate(scaled)
     assert left.relative < 0.5
     assert left.relative_all < 3.5  # 3.0, as the path is smoothed against noise: docs/evidence/measured.md
-    assert 2 * left.relative_all < replace(found, delays=held, curves={}).validate(scaled)[0].relative_all
+    assert 2 * left.relative_all < of_equations(found).replaced(delays=held).validate(scaled)[0].relative_all
     assert right.relative < 0.5 < right.relative_all
     with pytest.raises(GtauError, match="identified of another robot than 'ur10e'"):
         simulate_experiment(document | {"robot": "ur10e", "drives": {

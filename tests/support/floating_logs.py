@@ -152,7 +152,7 @@ def experiment(folder: Path, base: str, truth: Truth, more: str = "") -> Path:
 def deviations(result: Result, chi: dict[str, float]) -> np.ndarray:
     """Errors of the base parameters in standard deviations, and of the gains."""
     base = result.base
-    true = base.matrix @ np.array([chi.get(name, 0.0) for name in result.model.parameter_names])
+    true = base.matrix @ np.array([chi.get(name, 0.0) for name in result.idm.parameter_names])
     found = [result.parameters[name] for name in base.names]
     pairs = [(each.value - value, each.std) for each, value in zip(found, true, strict=True) if each.std]
     pairs += [(result.drive_gains[joint].value - gain, result.drive_gains[joint].std) for joint, gain in GAINS.items()]

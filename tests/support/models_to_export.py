@@ -11,8 +11,9 @@ from robots_for_tests import slider_crank
 from gtau.estimation.diagnostics.verdict import GOOD
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.results.estimate import Estimate, FrictionCurve
+from gtau.estimation.results.groups import Model
 from gtau.estimation.results.payload import PayloadEstimate
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import Result, result_of
 from gtau.model.base_parameters import base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import SPRING, Attachment, Pose, Robot, Spring
@@ -53,8 +54,8 @@ def model_of(
         friction[f"fl_{joints[0]}"] = Estimate(f"fl_{joints[0]}", 0.07, 0.002, "1")
     payload = {kind: Estimate(kind, value, 0.01, unit_of(kind, robot, robot.tool)) for kind, value in PAYLOAD.items()}
     pairs = zip(joints, gains, units, strict=True)
-    return Result(
-        robot=robot,
+    return result_of(
+        Model(robot),
         method="ml",
         kind="current",
         drive_gains={joint: Estimate(joint, float(gain), 0.01, f"{unit}/A") for joint, gain, unit in pairs},
@@ -86,14 +87,31 @@ def model_of(
 
 def preslid(result: Result) -> Result:
     """The model with friction on all samples in its motors: presliding in all of them, bent in the first."""
-    curves = {}
+    curves, values = {}, {}
     for k, joint in enumerate(result.robot.actuated):
-        unit = torque_unit(result.robot, joint)
-        values = {"fv": 0.4, "fs": 2.0, "fl": 0.03} | ({} if k else {"fb": 1.5})
-        made = {f"{kind}_{joint}": Estimate(f"{kind}_{joint}", value, 0.01, unit) for kind, value in values.items()}
-        width, speed = Estimate(f"width_{joint}", 0.004, 1e-4, "rad"), Estimate(f"vs_{joint}", 0.1, 0.01, "rad/s")
-        curves[joint] = FrictionCurve(joint, made, width, None if k else speed, {"presliding": 9.0}, 1.0, 2.0)
-    return replace(result, curves=curves)
+        shown = {"fv": 0.4, "fs": 2.0, "fl": 0.03, "width": 0.004} | ({} if k else {"fb": 1.5, "vs": 0.1})
+        values |= {f"{kind}_{joint}": value for kind, value in shown.items()}
+        curves[joint] = FrictionCurve(joint, {"presliding": 9.0}, 1.0, 2.0)
+    names = dict(zip(result.base.names, result.base.standard, strict=True))
+    parameters = {
+        name: replace(each, value=values.pop(names[name])) if names[name] in values else each
+        for name, each in result.parameters.items()
+    }
+    friction = {name: Estimate(name, value, 1e-4, "N m") for name, value in values.items()}
+    return result.replaced(parameters=parameters, friction=friction, curves=curves)
+
+
+def of_equations(result: Result) -> Result:
+    """The same model with the friction of its equations of identification, that is with the plain law."""
+    found = result.equation_friction
+    parameters = {name: found.get(name, each) for name, each in result.parameters.items()}
+    parameters = {
+        name: replace(each, regrouping=result.parameters[name].regrouping, essential=result.parameters[name].essential,
+                      spread=result.parameters[name].spread)
+        for name, each in parameters.items()
+    }  # fmt: skip
+    friction = {name: each for name, each in found.items() if name not in parameters}
+    return result.replaced(parameters=parameters, friction=friction, curves={}, equation_friction={})
 
 
 def sprung() -> Robot:

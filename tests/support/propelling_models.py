@@ -27,7 +27,7 @@ def propelling(robot: Robot, load: float = 0.0, worse: bool = False) -> Result:
     if worse:
         standard |= {f"fs_{joint}": -3.0 for joint in actuated}
         standard |= {f"fv_{each.name}": -20.0 for each in robot.joints if not each.actuated}
-    base = result.base.matrix @ [standard[name] for name in result.model.parameter_names]
+    base = result.base.matrix @ [standard[name] for name in result.idm.parameter_names]
     parameters = {
         name: replace(each, value=float(value))
         for (name, each), value in zip(result.parameters.items(), base, strict=True)
@@ -35,8 +35,7 @@ def propelling(robot: Robot, load: float = 0.0, worse: bool = False) -> Result:
     friction = {f"f3_{joint}": Estimate(f"f3_{joint}", CUBIC, 0.1, "N m s3/rad3") for joint in actuated}
     if load:
         friction |= {f"fl_{joint}": Estimate(f"fl_{joint}", load, 0.01, "1") for joint in actuated}
-    return replace(
-        result,
+    return result.replaced(
         parameters=parameters,
         friction=friction,
         consistency=replace(result.consistency, standard=standard),

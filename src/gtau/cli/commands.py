@@ -12,7 +12,7 @@ from gtau import __version__
 from gtau.cli.identification import compare, fleet, identify
 from gtau.cli.logs import check, init
 from gtau.cli.models import export, payload, use, validate
-from gtau.cli.robots import compare_control, demo, excite, robot, simulate, tutorial
+from gtau.cli.robots import demo, excite, robot, simulate, tutorial
 from gtau.cli.watch import watch
 
 
@@ -70,7 +70,6 @@ COMMANDS: dict[Callable[..., None], str] = {
     robot: "Show joints, loops and base parameters of a robot.",
     demo: "Simulate, identify and weigh on an Orthoglide.",
     simulate: "Simulate a robot under control, and write its logs.",
-    compare_control: "Compare PID and computed torque (the paper's Table 4).",
 }
 for command, short in COMMANDS.items():
     app.command(name=command.__name__.replace("_", "-"), cls=_Command, short_help=short)(command)

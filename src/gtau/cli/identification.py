@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from contextlib import ExitStack
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from time import perf_counter
@@ -112,7 +111,7 @@ def identify(
         from gtau.estimation.results.torque_scale import torque_scale_text, torque_scales
         from gtau.report.write import write_identification
 
-        result = replace(result, notes=(*guessed, *result.notes))
+        result = result.replaced(notes=(*guessed, *result.notes))
         written = [folder_of(out) / name for name in ("model.json", "summary.txt", "singularities.parquet")]
         result.save(written[0])
         write_atomically(written[1], result.summary(True) + "\n")

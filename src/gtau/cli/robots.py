@@ -1,4 +1,4 @@
-"""Commands on robots: robot, excite, simulate, compare-control, demo, tutorial."""
+"""Commands on robots: robot, excite, simulate, demo, tutorial."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from gtau.cli.console import ExperimentFile, Json, base_choice, print_json, progress_bar, refusals, show, show_written
+from gtau.cli.console import Json, base_choice, print_json, progress_bar, refusals, show, show_written
 from gtau.cli.interruption import stop_request
 from gtau.documents.files import folder_of, refuse_as_folder
 from gtau.errors import GtauError
@@ -237,24 +237,3 @@ def simulate(
             show_written(written)
             if light:
                 typer.echo(f"without mass and inertia, because 'parameters' lists none for them: {', '.join(light)}")
-
-
-def compare_control(simulation: SimulationFile, experiment: ExperimentFile, json_: Json = False) -> None:
-    """Compare PID and computed torque with three sets of drive gains on a simulated robot (the paper's Table 4).
-
-    SIMULATION.yaml lists the motions under 'control'; each is simulated with every control law. EXPERIMENT.yaml, with
-    the logs that 'gtau simulate' wrote, has the manufacturer's 'prior_gains'; from its logs the models of computed
-    torque are identified. Printed are the largest and the rms tracking error of each law, motion and joint.
-    """
-    with refusals(json_):
-        with progress_bar() as progress:
-            from gtau.simulation.control_comparison import compare_control as run
-            from gtau.simulation.control_comparison import table_document
-
-            comparison = run(simulation, experiment, progress)
-        if json_:
-            print_json({"tracking": table_document(comparison)})
-        else:
-            from gtau.report.comparison import control_page
-
-            show(control_page(comparison))

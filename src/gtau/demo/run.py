@@ -40,7 +40,6 @@ COMMANDS = (
     "gtau validate model.json experiment.yaml",
     "gtau payload model.json second_payload.yaml --gains prior",
     "gtau payload model.json second_payload.yaml --gains identified",
-    "gtau compare-control simulation.yaml experiment.yaml",
 )
 CONTENT = {
     "README.txt": "this text and the whole result",

@@ -12,7 +12,7 @@ from gtau.documents.validation import MAPPING, NUMBER, expect, read_group
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.regression.priors import inertia_priors
-from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
@@ -162,12 +162,12 @@ def geometry_of(
     return geometry_test(model, signals.pose, signals.joints, logged, progress)
 
 
-def read_log(model: IdentifiedModel, log: str | Path, experiment: str | Path | None = None, part: Part = WHOLE) -> Run:
+def read_log(model: Result, log: str | Path, experiment: str | Path | None = None, part: Part = WHOLE) -> Run:
     """Read a log to be used with a model.
 
     Parameters
     ----------
-    model : IdentifiedModel
+    model : Result
         Of the robot.
     log : path
         The log.
@@ -198,7 +198,7 @@ def read_log(model: IdentifiedModel, log: str | Path, experiment: str | Path | N
         raise GtauError(f"{str(error).rstrip('.')}; or name its columns by --experiment EXPERIMENT.yaml.") from None
 
 
-def carrying(model: IdentifiedModel, run: Run, payload: str) -> Run:
+def carrying(model: Result, run: Run, payload: str) -> Run:
     """Return the run with one of the model's payloads; raises GtauError where the model does not know its mass."""
     known = [name for name in dict.fromkeys(each.name for each in model.payloads) if "m" in model.payload(name)]
     if payload not in known:
@@ -206,7 +206,7 @@ def carrying(model: IdentifiedModel, run: Run, payload: str) -> Run:
     return replace(run, payload=Payload(name=payload))
 
 
-def experiment_of(model: IdentifiedModel, path: str | Path) -> Experiment:
+def experiment_of(model: Result, path: str | Path) -> Experiment:
     """Read an experiment file that is to be used with an identified model.
 
     Raises
@@ -220,7 +220,7 @@ def experiment_of(model: IdentifiedModel, path: str | Path) -> Experiment:
     return found.experiment
 
 
-def require_same(model: IdentifiedModel, robot: Robot, kind: str, where: str) -> None:
+def require_same(model: Result, robot: Robot, kind: str, where: str) -> None:
     """Check that a robot and the kind of its logs are those of an identified model; raises GtauError."""
     if _mechanism(robot) != _mechanism(model.robot):
         raise GtauError(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -162,7 +161,7 @@ def identify(
         geometry = geometry_of(experiment, experiment.runs, dataset.model, progress) if experiment else None
         found = [*([geometry.note] if geometry else []), *map(note, command_lag(dataset, system))]
         notes = (*found, *_data_sheet_notes(experiment.drives if experiment else {}, result), *result.notes)
-        return _judged(replace(result, geometry=geometry, notes=notes), experiment, progress)
+        return _judged(result.replaced(geometry=geometry, notes=notes), experiment, progress)
 
 
 def _tested(
@@ -178,7 +177,7 @@ def _tested(
     except GtauError as error:
         why = str(error).rstrip(".")
     result = run(estimator_of("wls"), otherwise)
-    return replace(result, notes=(note(Finding(F.SCALE_UNTESTED, values={"why": why})), *result.notes))
+    return result.replaced(notes=(note(Finding(F.SCALE_UNTESTED, values={"why": why})), *result.notes))
 
 
 def _judged(result: Result, experiment: Experiment | None, progress: Progress) -> Result:
@@ -186,13 +185,14 @@ def _judged(result: Result, experiment: Experiment | None, progress: Progress) -
     if experiment is None:
         return result
     tested = experiment.validation if experiment.require.torque_error is not None else ()
-    return replace(result, requirements=judge(result, experiment.require, read_runs(experiment, tested, progress)))
+    return result.replaced(requirements=judge(result, experiment.require, read_runs(experiment, tested, progress)))
 
 
 def _data_sheet_notes(drives: Mapping[str, Drive], result: Result) -> tuple[Note, ...]:
-    gains = {Parameter("gain", joint).name: gain for joint, gain in result.drive_gains.items() if gain.std is not None}
-    found = {name: (each.value, each.std) for name, each in (gains | dict(result.parameters)).items()}
-    return data_sheet_notes(drives, result.robot, found)
+    gains = {Parameter("gain", joint): gain for joint, gain in result.drive_gains.items() if gain.std is not None}
+    estimates = gains | dict(result.parameters)
+    values = {str(name): (estimate.value, estimate.std) for name, estimate in estimates.items()}
+    return data_sheet_notes(drives, result.robot, values)
 
 
 def _check_combination(estimator: Estimator, as_paper: bool, consistent: bool) -> None:

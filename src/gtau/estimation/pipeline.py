@@ -8,17 +8,18 @@ from dataclasses import replace
 import numpy as np
 
 from gtau.estimation.diagnostics.diagnose import diagnose
-from gtau.estimation.diagnostics.examine import examine, uncertainty_of
+from gtau.estimation.diagnostics.examine import estimates_of, examine
 from gtau.estimation.diagnostics.inertia_audit import audit_inertias, prior_findings, without_file_inertias
 from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.diagnostics.stated_constants import weigh_known
 from gtau.estimation.estimators.essential import essential_fit, select_friction
+from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Estimator, Given
 from gtau.estimation.estimators.physical_consistency import consistent as find_consistent
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.friction import PAPER
 from gtau.estimation.results.build import build_result
-from gtau.estimation.results.friction_curves import friction_curves
+from gtau.estimation.results.friction_curves import FrictionStep, friction_step
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import ACCURACY
 
@@ -74,21 +75,18 @@ def estimate(
     progress("estimation", 0, 1)
     fit = estimator.fit(dataset, system, given)  # eqs. (24) to (28), or (34) to (39)
     examined = examine(fit, progress)
-    uncertainty = uncertainty_of(fit, examined, correlated=not as_paper)
+    estimates = estimates_of(fit, examined, correlated=not as_paper)
     essential, reduced, loss = essential_fit(fit, ratio, correlated=not as_paper, joint=as_paper)
-    bare = without_file_inertias(fit, uncertainty.covariance, uncertainty.effective_freedom)
+    bare = without_file_inertias(fit, estimates.covariance, estimates.effective_freedom)
     audit = bare and audit_inertias(*bare, fit.dataset.prior_inertias)
     payloads = weigh_known(bare[0], estimator.name, accuracy) if bare else {}
     bodies = find_consistent(dataset, fit.system, fit.solution, given.priors, fit.free_gains) if consistent else None
     progress("estimation", 1, 1)
     if as_paper:  # the gains that go with the essential parameters
         fit = replace(fit, system=replace(fit.system, problem=essential), solution=reduced)
-        covariance = reduced.covariance
-        nothing = np.zeros_like(covariance)
-        uncertainty = replace(uncertainty, scatter=covariance, scale=nothing, model=nothing)
-    diagnosis = diagnose(fit, examined, uncertainty, payloads, prior_gains or {}, accuracy)
+        nothing = np.zeros_like(reduced.covariance)
+        estimates = Estimates(essential.unknowns, reduced.stacked, reduced.covariance, nothing, nothing, None)
+    diagnosis = diagnose(fit, examined, estimates, payloads, prior_gains or {}, accuracy)
     diagnosis = replace(diagnosis, notes=(*diagnosis.notes, *map(note, prior_findings(audit))))
-    curves, errors = ({}, {}) if as_paper else friction_curves(fit, uncertainty.covariance)
-    return build_result(
-        fit, estimator, examined, uncertainty, essential, loss, diagnosis, curves, errors, bodies, audit
-    )
+    friction = FrictionStep(estimates) if as_paper else friction_step(fit, estimates)
+    return build_result(fit, estimator, examined, estimates, essential, loss, diagnosis, friction, bodies, audit)

@@ -88,7 +88,7 @@ def weigh(
         covariance = np.diag([subject.gain_stds.get(joint, 0.0) ** 2 for joint in robot.actuated])
     else:
         g_tau = model.gains
-        rows = [model.covariance_names.index(Parameter("gain", joint).name) for joint in robot.actuated]
+        rows = [model.covariance_names.index(Parameter("gain", joint)) for joint in robot.actuated]
         covariance = model.covariance[np.ix_(rows, rows)]
     weighed = tuple(without_sensors(run) for run in chosen)  # the model's gains say as much
     dataset = reduce_runs(robot, weighed, at_rate_of(weighed, model.preparation), progress=progress)

@@ -20,7 +20,7 @@ from gtau.excitation.information import root_covariance
 from gtau.excitation.task import DesignProblem, close
 from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.model.loops import Motion
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.parameter import Parameter
 from gtau.signals.preparation import prepare
 from gtau.signals.preparation_choice import choose_preparation
 from gtau.signals.run import Run
@@ -103,7 +103,7 @@ def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
     std = np.sqrt(np.diag(ml_covariance(problem, theta, task.gains, sigma)))
     found = dict(zip(problem.parameters, std, strict=False))
     n_theta, n = problem.n_theta, len(task.gains)
-    gains = [Parameter("gain", joint).name for joint in task.model.actuated]
+    gains = [Parameter("gain", joint) for joint in task.model.actuated]
     return Forecast(
         tuple(
             Expected(joint, float(g), float(g * std[n_theta + j]))
@@ -171,7 +171,7 @@ def weak_unknowns(design: Design, expected: Forecast) -> tuple[Weak, ...]:
     relative = {
         k: expected.std.get(name, np.inf) / unknowns.scale[k]
         for k, name in enumerate(unknowns.names)
-        if parameter_of(name).kind != "delay" and parameter_of(name).run is None
+        if name.kind != "delay" and name.run is None
     }
     weak = [k for k, each in relative.items() if each >= WEAK]
     if not weak:

@@ -238,16 +238,16 @@ class SmoothRegressor:
         return np.vstack([motion.c, motion.yd, motion.ydd, J, width])
 
 
-def smooth_regressor(model: InverseDynamics, names: Sequence[str], width: np.ndarray) -> SmoothRegressor:
+def smooth_regressor(model: InverseDynamics, names: Sequence[Parameter], width: np.ndarray) -> SmoothRegressor:
     """Compile the columns ``names`` of a robot's regressor and their pullback."""
     layout, joints = model.layout, model.robot.joints
     (c, yd, ydd, passive), J = model.symbols
     wide = ca.SX.sym("width", len(joints))
     chi = {name: ca.SX.sym(name) for name in model.parameter_names}
-    tau = torques(layout, c, yd, ydd, J, {name: each for name, each in chi.items() if not name.startswith("fs_")})
+    tau = torques(layout, c, yd, ydd, J, {name: each for name, each in chi.items() if name.kind != "fs"})
     for k, joint in enumerate(joints):
-        if Parameter("fs", joint.name).name in chi:
-            tau += J[k, :].T * chi[Parameter("fs", joint.name).name] * yd[k] / ca.sqrt(yd[k] ** 2 + wide[k] ** 2)
+        if Parameter("fs", joint.name) in chi:
+            tau += J[k, :].T * chi[Parameter("fs", joint.name)] * yd[k] / ca.sqrt(yd[k] ** 2 + wide[k] ** 2)
     W = ca.jacobian(tau, ca.vertcat(*(chi[name] for name in names)))
     rows, columns = (np.array(index, dtype=int) for index in W.sparsity().get_triplet())
     entries = ca.vec(W.nz[:])

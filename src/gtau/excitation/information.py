@@ -24,7 +24,7 @@ from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.system import assemble_system
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.parameter import Parameter
 from gtau.signals.payload import Payload
 
 VAGUE = 1e3  # prior standard deviations of the unknowns, in units of their scale: wide enough to have no influence
@@ -48,7 +48,7 @@ class DesignUnknowns:
         (P,) of the vague prior.
     """
 
-    names: tuple[str, ...]
+    names: tuple[Parameter, ...]
     scale: np.ndarray
     maps: np.ndarray
     load: np.ndarray
@@ -84,16 +84,16 @@ def unknowns(
         maps[:, j, :, n_theta + j] = load / gains[j]
     names = (
         *problem.parameters,
-        *(Parameter("gain", j).name for j in model.actuated),
-        *(Parameter("delay", j).name for j in model.actuated),
+        *(Parameter("gain", j) for j in model.actuated),
+        *(Parameter("delay", j) for j in model.actuated),
     )
     scale = np.concatenate([_scales(problem.parameters, theta, payloads), np.ones(n), np.full(n, 1e-2)])
     return DesignUnknowns(names, scale, maps, load, smooth, gains, (VAGUE * scale) ** -2.0)
 
 
-def _scales(names: tuple[str, ...], theta: np.ndarray, payloads: Sequence[Payload | None]) -> np.ndarray:
+def _scales(names: tuple[Parameter, ...], theta: np.ndarray, payloads: Sequence[Payload | None]) -> np.ndarray:
     """Estimate the typical size of each parameter: its prior value, or that of the others of its kind."""
-    kinds = [parameter_of(name).kind for name in names]
+    kinds = [name.kind for name in names]
     mass = max((payload.mass or 1.0 for payload in payloads if payload is not None), default=1.0)
     # a load of that mass some decimetre away
     usual = {"m": mass, "mx": 0.1 * mass, "my": 0.1 * mass, "mz": 0.1 * mass, "fv": 1.0, "fs": 1.0, "off": 1.0}
@@ -225,9 +225,7 @@ def criterion(name: str, unknowns: DesignUnknowns) -> Criterion:
     GtauError
         Where a name is neither a criterion nor an unknown.
     """
-    estimated = np.array(
-        [parameter_of(each).kind != "delay" and parameter_of(each).run is None for each in unknowns.names]
-    )
+    estimated = np.array([each.kind != "delay" and each.run is None for each in unknowns.names])
     if name == "condition":
         return condition
     if name == "logdet":

@@ -48,23 +48,21 @@ def rough_parameters(model: InverseDynamics, base: BaseParameters, payload: floa
     robot = model.robot
     chi: dict[str, float] = {}
     for body in robot.bodies:
-        if Parameter("m", body).name not in model.parameter_names:
+        if Parameter("m", body) not in model.parameter_names:
             continue
         end = np.mean(places_on(robot, body) or [np.zeros(3)], axis=0)
         inertia = (end @ end * np.eye(3) - np.outer(end, end)) / 3 + 1e-3 * np.eye(3)
-        chi |= {
-            Parameter(kind, body).name: float(value) for kind, value in zip(("mx", "my", "mz"), end / 2, strict=True)
-        }
+        chi |= {Parameter(kind, body): float(value) for kind, value in zip(("mx", "my", "mz"), end / 2, strict=True)}
         places = {"xx": (0, 0), "xy": (0, 1), "xz": (0, 2), "yy": (1, 1), "yz": (1, 2), "zz": (2, 2)}
-        chi |= {Parameter(kind, body).name: float(inertia[place]) for kind, place in places.items()}
-        chi[Parameter("m", body).name] = 1.0
+        chi |= {Parameter(kind, body): float(inertia[place]) for kind, place in places.items()}
+        chi[Parameter("m", body)] = 1.0
     torque = rms_torque(model, base, given_parameters(model, base, chi))  # of links of 1 kg
     effort = np.array([robot.joint(joint).limits.effort or np.inf for joint in model.actuated])
     mass = float(min(2 * payload, np.min(MODERATE * effort / np.maximum(torque, 1e-12))))
     chi = {name: mass * value for name, value in chi.items()}
     for joint, size in zip(model.actuated, mass * torque, strict=True):
-        chi[Parameter("fs", joint).name] = float(FRICTION * size)
-        chi[Parameter("fv", joint).name] = float(FRICTION * size / (robot.joint(joint).limits.velocity or 1.0))
+        chi[Parameter("fs", joint)] = float(FRICTION * size)
+        chi[Parameter("fv", joint)] = float(FRICTION * size / (robot.joint(joint).limits.velocity or 1.0))
     return chi, mass
 
 

@@ -21,8 +21,7 @@ from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
-import yaml
-
+from gtau.documents.yaml_document import yaml_text
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.export import urdf
@@ -198,8 +197,8 @@ def _actuator(model: ConsistentModel, joint: str) -> Actuator:
 
 def _armature(model: ConsistentModel, joint: str) -> tuple[Estimate | None, str]:
     """Find the rotor inertia if it is a base parameter of its own, else the base parameter that contains it."""
-    base, name = model.result.base, Parameter("ia", joint).name
-    column = base.matrix[:, model.result.model.parameter_names.index(name)]
+    base, name = model.result.base, Parameter("ia", joint)
+    column = base.matrix[:, model.result.idm.parameter_names.index(name)]
     parts = [k for k, factor in enumerate(column) if factor]
     if len(parts) == 1 and (base.matrix[parts[0]] != 0).sum() == 1:
         found = model.result.parameters[base.names[parts[0]]]
@@ -265,7 +264,7 @@ def _estimate(each: Estimate, unit: str) -> dict[str, Any]:
 
 def _yaml_file(head: str, document: dict[str, Any]) -> str:
     """Write a YAML file with a comment on top."""
-    text = yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
+    text = yaml_text(document)
     return "".join(f"# {line}\n" for line in head.splitlines()) + text
 
 

@@ -63,7 +63,7 @@ def _filled(template: str, fields: Mapping[str, str]) -> str:
 
 def _fields(model: Identified, made: Functions) -> dict[str, str]:
     result, n = model.result, len(model.joints)
-    loops = result.model.loops
+    loops = result.idm.loops
     home = made.home[made.actuated]
     turns = [result.robot.joint(joint).turns for joint in model.joints]
     length = 1.0 if loops is None else loops.equations.length

@@ -14,7 +14,7 @@ from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.results.result import Result
 from gtau.export.identified import identified, torques_of
 from gtau.model.random_states import random_motion
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.parameter import Parameter
 
 STATES = 500
 PLAIN = ("fv", "fs", "off")
@@ -37,7 +37,7 @@ class ConsistentModel:
 
     def of(self, kind: str, joint: str) -> float:
         """Return a parameter of a joint, or 0 if it has none."""
-        return self.standard.get(Parameter(kind, joint).name, 0.0)
+        return self.standard.get(Parameter(kind, joint), 0.0)
 
     def cubic(self, joint: str) -> float:
         """Return the friction cubic in speed (f3) of a joint, 0 where it has none."""
@@ -56,13 +56,13 @@ def consistent_model(result: Result, target: str) -> ConsistentModel:
     for joint in result.robot.joints:
         name, terms = joint.name, {key: each.value or 0.0 for key, each in result.friction_parameters.items()}
         if name in result.curves:  # whose viscous and Coulomb friction are those of the model, not of rigid bodies
-            standard |= {key: terms[key] for kind in PLAIN if (key := Parameter(kind, name).name) in terms}
+            standard |= {key: terms[key] for kind in PLAIN if (key := Parameter(kind, name)) in terms}
         viscous, coulomb, more, cubic = (
-            (standard | terms).get(Parameter(kind, name).name, 0.0) for kind in ("fv", "fs", "fb", "f3")
+            (standard | terms).get(Parameter(kind, name), 0.0) for kind in ("fv", "fs", "fb", "f3")
         )
         if more or min(viscous, coulomb, cubic) < 0:
             viscous, coulomb = result.friction_law.straight(standard | terms, name)
-            standard |= {Parameter("fv", name).name: viscous, Parameter("fs", name).name: coulomb}
+            standard |= {Parameter("fv", name): viscous, Parameter("fs", name): coulomb}
             straight.append(name)
         elif cubic:
             cubics[name] = cubic
@@ -78,7 +78,7 @@ def differences(model: ConsistentModel, expressed: Mapping[str, float], cubic: b
     ``expressed`` are the standard parameters that the target holds, ``cubic`` says whether it holds f3 too; the
     identified torques include all friction terms.
     """
-    result, idm = model.result, model.result.model
+    result, idm = model.result, model.result.idm
     motion = random_motion(idm, STATES, np.random.default_rng(0))
     logged = np.array([[result.logged_speeds.get(joint, 0.0)] for joint in idm.actuated])
     ratio = np.abs(motion.yd[idm.layout.actuated]) / np.where(logged > 0, logged, np.inf)
@@ -127,14 +127,14 @@ def friction_comments(model: ConsistentModel) -> list[Any]:
 def terms_left_out(model: ConsistentModel) -> list[str]:
     """List the friction terms that neither damping nor Coulomb friction of a joint can represent."""
     held = (*PLAIN, "f3", "fb")
-    return [name for name in model.result.friction_parameters if parameter_of(name).kind not in held]
+    return [name for name in model.result.friction_parameters if name.kind not in held]
 
 
 def term_notes(model: ConsistentModel, target: str, left_out: Sequence[str], delays: bool = False) -> list[str]:
     """List what no rigid-body format holds: friction terms ``left_out``, and delays unless written elsewhere."""
     result, notes = model.result, []
     notes += friction_notes(model)
-    widths = {joint: each.width for joint, each in result.curves.items() if each.width}
+    widths = {name.body: each for name, each in result.friction.items() if name.kind == "width"}
     held = [f"{joint} ({width.value:.2g} {width.unit})" for joint, width in widths.items()]
     if held:
         notes.append(f"{target} has no friction before sliding, of these widths: {', '.join(held)}")

@@ -26,7 +26,8 @@ import numpy as np
 from gtau.documents import files
 from gtau.documents.validation import NUMBER, takes
 from gtau.errors import GtauError
-from gtau.estimation.results.prediction import Prediction, loaded_parameters, suited
+from gtau.estimation.results.predicted import Prediction
+from gtau.estimation.results.prediction import loaded_parameters, suited
 from gtau.estimation.results.result import Result
 from gtau.export.identified import OBSERVED, functions, identified
 from gtau.export.wrench import WrenchAlongLog, wrench_along_log
@@ -164,7 +165,7 @@ def observed(
     h = np.diff(time)
     middle, qd = (q[1:] + q[:-1]) / 2, np.diff(q, axis=0) / h[:, None]
     path = np.vstack([q[:1], middle]).T
-    motion = result.model.motion(path, 0 * path, 0 * path)
+    motion = result.idm.motion(path, 0 * path, 0 * path)
     states = np.vstack([motion.c, result.friction_law.followers(lambda _: path)(time)])
     given = ca.DM(states[:, 1:]), ca.DM(qd.T), ca.DM.zeros(*qd.T.shape), ca.DM(values)
     momentum, drift = (np.array(made[each](*given)).reshape(-1, len(qd), order="F").T for each in OBSERVED)

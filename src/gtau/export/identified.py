@@ -11,13 +11,13 @@ configuration updates them too: ``z <- clip(z + ratios . dq / width, -1, 1)``.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.friction.law import carried
+from gtau.estimation.friction.law import SHAPES, carried
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.prediction import torques_along
@@ -28,7 +28,7 @@ from gtau.model.closures import closure_maps
 from gtau.model.kinematics import configuration_rates
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter, parameter_of
-from gtau.robots.robot import INERTIAL
+from gtau.robots.robot import INERTIAL, PLAIN_FRICTION
 from gtau.robots.units import torque_unit
 
 OUTPUTS = {
@@ -82,15 +82,15 @@ class Identified:
         return np.array([each.value or 0.0 for each in self.parameters])
 
     @property
-    def friction(self) -> tuple[str, ...]:
+    def friction(self) -> tuple[Parameter, ...]:
         """Names of all parameters of friction, those of base parameters by their standard ones."""
-        plain = [name for name in self.result.base.standard if parameter_of(name).kind in ("fv", "fs", "off")]
+        plain = [name for name in self.result.base.standard if name.kind in PLAIN_FRICTION]
         return (*plain, *self.terms)
 
     @property
-    def terms(self) -> tuple[str, ...]:
+    def terms(self) -> tuple[Parameter, ...]:
         """Names of the friction terms among the parameters (``fl_11``)."""
-        return tuple(each.name for each in self.parameters[self.result.base.count :])
+        return tuple(parameter_of(each.name) for each in self.parameters[self.result.base.count :])
 
 
 def identified(result: Result) -> Identified:
@@ -105,17 +105,8 @@ def identified(result: Result) -> Identified:
     missing = [name for name in base.names if name not in result.parameters]
     if missing:
         raise GtauError(f"the model lacks the base parameter '{missing[0]}'; identify it again.")
-    parameters = []
-    friction = result.friction_parameters
-    for name, standard in zip(base.names, base.standard, strict=True):
-        plain = result.parameters[name]
-        each = replace(friction[standard], name=name, regrouping=plain.regrouping) if standard in friction else plain
-        parameters.append(each)
-    parameters += [
-        each
-        for name, each in friction.items()
-        if name not in base.standard and parameter_of(name).kind not in TEMPERATURE_TERMS
-    ]
+    terms = [each for name, each in result.friction.items() if name.kind not in (*TEMPERATURE_TERMS, *SHAPES)]
+    parameters = [*(result.parameters[name] for name in base.names), *terms]
     gains = np.array([result.drive_gains[joint].value for joint in robot.actuated], dtype=float)
     values = np.array([each.value or 0.0 for each in parameters])
     units = tuple(torque_unit(robot, joint) for joint in robot.actuated)
@@ -141,7 +132,7 @@ def torques(
     GtauError
         Where the loops cannot be closed, or a pose is too close to a singularity.
     """
-    idm = model.result.model
+    idm = model.result.idm
     return torques_of(model, idm.motion(q.T, qd.T, qdd.T), model.values if values is None else values).T
 
 
@@ -154,7 +145,7 @@ def torques_of(model: Identified, motion: Motion, values: np.ndarray, z: np.ndar
 
 
 def _payloads(result: Result, values: np.ndarray) -> dict[str, np.ndarray]:
-    base, place = result.base, {name: k for k, name in enumerate(result.model.parameter_names)}
+    base, place = result.base, {name: k for k, name in enumerate(result.idm.parameter_names)}
     loaded = {}
     for name in dict.fromkeys(each.name for each in result.payloads):
         found = result.payload(name)
@@ -162,7 +153,7 @@ def _payloads(result: Result, values: np.ndarray) -> dict[str, np.ndarray]:
             with_it = values.copy()
             for kind in INERTIAL:
                 with_it[: base.count] += (
-                    found.get(kind, 0.0) * base.matrix[:, place[Parameter(kind, result.robot.tool).name]]
+                    found.get(kind, 0.0) * base.matrix[:, place[Parameter(kind, result.robot.tool)]]
                 )
             loaded[name] = with_it
     return loaded
@@ -173,9 +164,10 @@ def notes_on(model: Identified) -> tuple[str, ...]:
     result = model.result
     lost = [name for name, each in result.parameters.items() if each.value is None]
     notes = [f"not identifiable from the logs and exported as zero: {', '.join(lost)}"] if lost else []
-    bent = [name for name in model.terms if name.startswith("f3_")]
-    bent += [each.name for each in model.parameters if each.name.startswith("fv_") and (each.value or 0.0) < 0]
-    joints = dict.fromkeys(parameter_of(name).body.removesuffix("R") for name in bent)
+    bent = [name for name in model.terms if name.kind == "f3"]
+    values = dict(zip((*result.base.names, *model.terms), model.values, strict=True))
+    bent += [name for name, value in values.items() if name.kind == "fv" and value < 0]
+    joints = dict.fromkeys(name.body for name in bent)
     above = [f"{joint} above {result.friction_law.logged(joint)}" for joint in joints if joint in result.robot.actuated]
     if above:
         notes.append(
@@ -214,7 +206,7 @@ class Functions:
 
 def functions(model: Identified) -> Functions:
     """Build the exported functions of an identified model."""
-    idm = model.result.model
+    idm = model.result.idm
     layout, loops, n = idm.layout, idm.loops, len(idm.actuated)
     step = last_step = None
     if loops is None:
@@ -262,9 +254,9 @@ def _function(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.Functi
     return ca.Function(name, inputs, [ca.densify(each) for each in outputs], {"cse": True})
 
 
-def _standard(model: Identified, chi: list[ca.SX]) -> dict[str, ca.SX]:
+def _standard(model: Identified, chi: list[ca.SX]) -> dict[Parameter, ca.SX]:
     """Choose standard parameters with the same torques: base parameters at their representatives, else zero."""
-    standard = {name: ca.SX(1, 1) for name in model.result.model.parameter_names}
+    standard = {name: ca.SX(1, 1) for name in model.result.idm.parameter_names}
     return standard | dict(zip(model.result.base.standard, chi, strict=True))
 
 
@@ -305,6 +297,6 @@ class _Friction:
 
     def _on_motors(self, forces: ca.SX, scales: ca.SX) -> ca.SX:
         joints = self.model.result.robot.joints
-        offsets = ca.vertcat(*(self._values.get(Parameter("off", joint.name).name, 0.0) for joint in joints))
+        offsets = ca.vertcat(*(self._values.get(Parameter("off", joint.name), 0.0) for joint in joints))
         acting = forces * scales
         return self.J[: len(joints), :].T @ (acting[: len(joints)] + offsets) + acting[len(joints) :]

@@ -110,7 +110,7 @@ def _spec(mujoco: ModuleType, model: ConsistentModel) -> tuple[Any, dict[str, fl
     _draw(mujoco, robot, spec)
     _add_couplings(mujoco, spec, robot)
     _add_actuators(mujoco, spec, model)
-    unable = {Parameter("off", joint.name).name for joint in robot.joints if not joint.actuated}
+    unable = {Parameter("off", joint.name) for joint in robot.joints if not joint.actuated}
     return spec, {name: value for name, value in model.standard.items() if name not in unable}
 
 
@@ -159,7 +159,7 @@ def _add_actuators(mujoco: ModuleType, spec: Any, model: ConsistentModel) -> Non
 
 def _add_home(spec: Any, compiled: Any, result: Result) -> None:
     """Add the keyframe 'home', in which the loops are closed."""
-    layout, loops = result.model.layout, result.model.loops
+    layout, loops = result.idm.layout, result.idm.loops
     home = layout.home if loops is None else loops.home
     spec.add_key(name="home", qpos=mujoco_positions(compiled, layout, home))
     compile_spec(spec)
@@ -211,7 +211,7 @@ def _couplings(spec: Any) -> list[Any]:
 def notes(model: ConsistentModel, expressed: Mapping[str, float], cubic: bool, delays: bool = False) -> list[str]:
     """List the quantities that the file lacks: friction terms, offsets, massless bodies."""
     result = model.result
-    unlike = [] if cubic else [Parameter("f3", joint).name for joint in model.cubics]
+    unlike = [] if cubic else [Parameter("f3", joint) for joint in model.cubics]
     said = term_notes(model, "MJCF", [*unlike, *terms_left_out(model)], delays)
     unable = [name for name, value in model.standard.items() if name not in expressed and value]
     if unable:

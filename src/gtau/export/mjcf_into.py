@@ -58,7 +58,7 @@ def export(result: Result, source: Path, out: Path) -> Exported:
     if left:
         said.append(f"these springs are not tendons with a stiffness and were left unchanged: {', '.join(left)}")
     _check(mujoco, file)
-    unable = {Parameter(kind, name).name for kind in SPRING for name in left}
+    unable = {Parameter(kind, name) for kind in SPRING for name in left}
     expressed = {
         name: value for name, value in model.standard.items() if not name.startswith("off_") and name not in unable
     }
@@ -92,7 +92,7 @@ def _joint_name(compiled: Any, number: int) -> str:
 
 def _inertias(mujoco: Any, model: ConsistentModel, compiled: Any) -> dict[int, RigidBody]:
     """Compute rigid bodies by number of the MuJoCo body, in its frame."""
-    robot, layout = model.result.robot, model.result.model.layout
+    robot, layout = model.result.robot, model.result.idm.layout
     data = mujoco.MjData(compiled)
     mujoco.mj_kinematics(compiled, data)
     number, c = {}, np.zeros(layout.n_c)
@@ -109,7 +109,7 @@ def _inertias(mujoco: Any, model: ConsistentModel, compiled: Any) -> dict[int, R
     frame = frames(layout, ca.SX(c))
     found = {}
     for name in robot.bodies:
-        if Parameter("m", name).name in model.standard:
+        if Parameter("m", name) in model.standard:
             at = data.body(number[name])
             R, p = np.array(ca.evalf(frame[name].R_0)), np.array(ca.evalf(frame[name].p_0)).ravel()
             rotation, position = R.T @ at.xmat.reshape(3, 3), R.T @ (at.xpos - p)
@@ -135,12 +135,12 @@ def _put_inertial(file: InputFile, element: Element, body: RigidBody) -> None:
 
 def _put_friction(file: InputFile, element: Element, model: ConsistentModel, joint: str) -> None:
     attributes = {}
-    if Parameter("fv", joint).name in model.standard:
+    if Parameter("fv", joint) in model.standard:
         viscous, cubic = model.of("fv", joint), model.cubic(joint)
         attributes["armature"] = digits(model.of("ia", joint))
         attributes["damping"] = digits((viscous, 0.0, cubic) if cubic else viscous)
         attributes["frictionloss"] = digits(model.of("fs", joint))
-    if f"{STIFFNESS}_{joint}" in model.standard:
+    if Parameter(STIFFNESS, joint) in model.standard:
         attributes["stiffness"] = digits(model.of(STIFFNESS, joint))
     if attributes:
         file.set(element, **attributes)

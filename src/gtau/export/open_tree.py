@@ -21,7 +21,7 @@ POSES = 200  # at random within the workspace
 
 def motor_inertias(model: ConsistentModel) -> np.ndarray:
     """Compute the inertias M (1 + POSES, n, n) at the motors, with loops closed, at home and at random poses."""
-    idm = model.result.model
+    idm = model.result.idm
     assert idm.loops is not None
     poses = random_motion(idm, POSES, np.random.default_rng(0)).c
     c, n = np.column_stack([idm.loops.home, poses]), len(idm.actuated)

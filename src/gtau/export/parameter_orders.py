@@ -116,7 +116,7 @@ def to_order(chi: Mapping[str, float], body: str, program: str) -> dict[str, flo
         Where the body has no mass and the program gives a centre of mass, or there is no such program.
     """
     order = _order(program)
-    kinds = {kind: chi.get(Parameter(kind, body).name, 0.0) for kind in INERTIAL}
+    kinds = {kind: chi.get(Parameter(kind, body), 0.0) for kind in INERTIAL}
     if order.moments:
         values = [kinds[kind] for kind in ("m", "mx", "my", "mz", *order.inertia)]
         return _named(order, values)
@@ -147,7 +147,7 @@ def from_order(values: Mapping[str, float] | Sequence[float], body: str, program
     else:
         moments = first if order.moments else m * first
         found = dict(zip(("m", "mx", "my", "mz", *order.inertia), (m, *moments, *entries), strict=True))
-    return {Parameter(kind, body).name: float(found[kind]) for kind in INERTIAL}
+    return {Parameter(kind, body): float(found[kind]) for kind in INERTIAL}
 
 
 def _order(program: str) -> Order:

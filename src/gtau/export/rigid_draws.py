@@ -19,7 +19,7 @@ from gtau.estimation.estimators.standard_parameters import BASIS, SLENDER, natur
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.robots.geometry import characteristic_length
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import DAMPING, INERTIAL
 
 TRUST = 0.3  # relative standard deviation of a body's mass where the data say nothing, as --prior-inertias 0.3
@@ -174,7 +174,7 @@ class Target:
         return found
 
 
-def target_of(result: Result, estimates: Mapping[str, Estimate]) -> tuple[Target, np.ndarray, np.ndarray]:
+def target_of(result: Result, estimates: Mapping[Parameter, Estimate]) -> tuple[Target, np.ndarray, np.ndarray]:
     """Build the density of what was identified.
 
     Parameters
@@ -191,12 +191,12 @@ def target_of(result: Result, estimates: Mapping[str, Estimate]) -> tuple[Target
     unit, start : ndarray
         Natural sizes (n,) of the standard parameters, and unknowns (n + r,) to search from.
     """
-    robot, base, names = result.robot, result.base, result.model.parameter_names
+    robot, base, names = result.robot, result.base, result.idm.parameter_names
     assert result.consistency is not None
     standard = np.array([result.consistency.standard[name] for name in names])
     place = {name: k for k, name in enumerate(names)}
-    bodies = [body for body in robot.bodies if Parameter("m", body).name in place]
-    places = np.array([[place[Parameter(kind, body).name] for kind in INERTIAL] for body in bodies])
+    bodies = [body for body in robot.bodies if Parameter("m", body) in place]
+    places = np.array([[place[Parameter(kind, body)] for kind in INERTIAL] for body in bodies])
     length, mass = characteristic_length(robot), float(standard[places[:, -1]].sum())
     unit = np.array([natural_size(name, robot, mass, length) for name in names])
     rows = [base.names.index(name) for name in estimates if name in base.names]
@@ -222,12 +222,12 @@ def target_of(result: Result, estimates: Mapping[str, Estimate]) -> tuple[Target
     stiffness[places] = 0.0
     y = about.copy()
     for body, at in zip(bodies, places, strict=True):
-        stated = np.array([dict(robot.inertias).get(Parameter(kind, body).name, 0.0) for kind in INERTIAL])
+        stated = np.array([dict(robot.inertias).get(Parameter(kind, body), 0.0) for kind in INERTIAL])
         y[at] = (
             _plausible(stated, THINNER * length) if stated[-1] > 0 else _plausible(y[at] * unit[at], SLENDER * length)
         )
         y[at] /= unit[at]
-    positive = np.flatnonzero([parameter_of(name).kind in POSITIVE for name in names])
+    positive = np.flatnonzero([name.kind in POSITIVE for name in names])
     y[positive] = np.maximum(y[positive], SMALL)
     basis = BASIS * unit[places][:, :, None, None]
     scaled = S / std[:, None]

@@ -14,11 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.friction.law import SHAPES
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.export.consistent import PLAIN, consistent_model
 from gtau.export.rigid_draws import target_of
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.parameter import Parameter
 
 ALLOWED = 1.0  # standard deviations by which a draw may lie outside what was identified
 
@@ -50,9 +51,9 @@ class Samples:
     base: np.ndarray
     gains: np.ndarray
     delays: np.ndarray
-    friction: dict[str, np.ndarray]
+    friction: dict[Parameter, np.ndarray]
     moved: np.ndarray
-    shifts: Mapping[str, float]
+    shifts: Mapping[Parameter, float]
     seed: int
 
     def __len__(self) -> int:
@@ -66,8 +67,8 @@ class Samples:
     @property
     def note(self) -> str:
         """Report the number of draws, their masses, and how far rigid bodies keep them from the estimates."""
-        names = self.result.model.parameter_names
-        masses = self.standard[:, [parameter_of(name).kind == "m" for name in names]].sum(axis=1)
+        names = self.result.idm.parameter_names
+        masses = self.standard[:, [name.kind == "m" for name in names]].sum(axis=1)
         low, middle, high = np.quantile(masses, [0.025, 0.5, 0.975])
         worst = max(self.shifts, key=lambda name: self.shifts[name])
         said = (
@@ -85,7 +86,7 @@ class Samples:
 
     def npz(self) -> bytes:
         """Return the draws as an NPZ file with names."""
-        model, file = self.result.model, io.BytesIO()
+        model, file = self.result.idm, io.BytesIO()
         np.savez(
             file,
             joints=np.array(model.actuated),
@@ -107,27 +108,24 @@ class Samples:
         return (self._result(k) for k in range(len(self)))
 
     def _result(self, k: int) -> Result:
-        result, names = self.result, self.result.model.parameter_names
+        result, names = self.result, self.result.idm.parameter_names
         assert result.consistency is not None
-        gains = dict(zip(result.model.actuated, map(float, self.gains[k]), strict=True))
-        standard = dict(zip(names, map(float, self.standard[k]), strict=True))
+        gains = dict(zip(result.idm.actuated, map(float, self.gains[k]), strict=True))
+        standard: dict[str, float] = dict(zip(names, map(float, self.standard[k]), strict=True))
         base = dict(zip(result.base.names, map(float, self.base[k]), strict=True))
 
-        def drawn(each: Estimate) -> Estimate:
-            return replace(each, value=float(self.friction[each.name][k])) if each.name in self.friction else each
+        friction = {str(name): float(values[k]) for name, values in self.friction.items()}
 
-        return replace(
-            result,
+        def drawn(each: Estimate) -> Estimate:
+            return replace(each, value=friction.get(each.name, each.value))
+
+        return result.replaced(
             consistency=replace(
                 result.consistency, standard=standard, gains={joint: (gain, 0.0) for joint, gain in gains.items()}
             ),
             drive_gains={joint: replace(each, value=gains[joint]) for joint, each in result.drive_gains.items()},
             parameters={name: replace(each, value=base[name]) for name, each in result.parameters.items()},
             friction={name: drawn(each) for name, each in result.friction.items()},
-            curves={
-                joint: replace(curve, parameters={name: drawn(each) for name, each in curve.parameters.items()})
-                for joint, curve in result.curves.items()
-            },
             delays={
                 joint: replace(each, value=float(self.delays[k, j]))
                 for j, (joint, each) in enumerate(result.delays.items())
@@ -157,7 +155,7 @@ def draw(result: Result, count: int, seed: int = 0) -> Samples:
         raise GtauError(f"the number of samples is {count}; ask for 1 to 100000.")
     if not np.diag(result.covariance).any():
         raise GtauError("the model has no standard deviations to draw from; identify it again.")
-    base, n = result.base, len(result.model.parameter_names)
+    base, n = result.base, len(result.idm.parameter_names)
     estimates = _estimates(result)
     target, unit, start = target_of(result, estimates)
     y = target.draws(start, count, seed)
@@ -168,10 +166,8 @@ def draw(result: Result, count: int, seed: int = 0) -> Samples:
     unchanged = np.zeros(count)
 
     def of_joints(kind: str, values: Iterable[float | None]) -> np.ndarray:
-        joints = zip(result.model.actuated, values, strict=True)
-        return np.column_stack(
-            [(v or 0.0) + changes.get(Parameter(kind, joint).name, unchanged) for joint, v in joints]
-        )
+        joints = zip(result.idm.actuated, values, strict=True)
+        return np.column_stack([(v or 0.0) + changes.get(Parameter(kind, joint), unchanged) for joint, v in joints])
 
     changes |= {
         standard: found[:, k] - (result.parameters[name].value or 0.0)
@@ -181,18 +177,18 @@ def draw(result: Result, count: int, seed: int = 0) -> Samples:
         name: (each.value or 0.0) + changes.get(name, unchanged) for name, each in result.friction_parameters.items()
     }
     for name, each in friction.items():
-        if parameter_of(name).kind in PLAIN[:2] and (result.friction_parameters[name].value or 0.0) >= 0:
+        if name.kind in PLAIN[:2] and (result.friction_parameters[name].value or 0.0) >= 0:
             friction[name] = np.maximum(each, 0.0)
     shifts = dict(zip(estimates, map(float, np.abs(deviations.mean(axis=0))), strict=True))
     gains, delays = of_joints("gain", result.gains), of_joints("delay", (each.value for each in result.delays.values()))
     return Samples(result, x, found, gains, delays, friction, target.outside(deviations), shifts, seed)
 
 
-def _estimates(result: Result) -> dict[str, Estimate]:
+def _estimates(result: Result) -> dict[Parameter, Estimate]:
     """Collect the estimates that are drawn, by their names in the covariance; those of base parameters come first."""
     deviations = dict(zip(result.covariance_names, np.diag(result.covariance), strict=True))
-    more = {Parameter("gain", joint).name: each for joint, each in result.drive_gains.items()}
-    more |= {Parameter("delay", joint).name: each for joint, each in result.delays.items()}
-    more |= result.friction
+    more = {Parameter("gain", joint): each for joint, each in result.drive_gains.items()}
+    more |= {Parameter("delay", joint): each for joint, each in result.delays.items()}
+    more |= {name: each for name, each in result.friction.items() if name.kind not in SHAPES}
     found = {name: each for name, each in result.parameters.items() if each.value is not None}
     return found | {name: each for name, each in more.items() if deviations.get(name) and name not in found}

@@ -13,14 +13,13 @@ from pathlib import Path
 from types import MappingProxyType
 from unicodedata import normalize
 
-import yaml
-
 from gtau.documents.files import in_csv
+from gtau.documents.yaml_document import yaml_text
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.identified_model import estimates_table
 from gtau.estimation.results.result import Result
+from gtau.estimation.results.table import estimates_table
 from gtau.export.exported import Exported, identifier, written
-from gtau.robots.parameter import parameter_of
+from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import Mdh, Robot
 
 YAML_HEAD = """\
@@ -69,7 +68,7 @@ def export_yaml(result: Result, out: Path) -> Exported:
     for row in estimates_table(result):
         groups.setdefault(_key(row.group), {})[row.estimate.name] = _entry(row.estimate)
     document = {"robot": result.robot.name, "method": result.method, "runs": list(result.runs), **groups}
-    text = yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
+    text = yaml_text(document)
     friction = textwrap.fill(
         " ".join(result.friction_law.range_sentence.split()), 116, initial_indent="# ", subsequent_indent="# "
     )
@@ -120,15 +119,13 @@ def _legend(label: Mapping[str, str]) -> str:
     return ", ".join(f"{each} " + r"\allowbreak{}".join(map(in_latex, part)) for each, part in parts)
 
 
-def symbol(name: str, label: Mapping[str, str] = MappingProxyType({})) -> str:
+def symbol(name: Parameter, label: Mapping[str, str] = MappingProxyType({})) -> str:
     """Write a parameter's name in the field's notation, without dollars: ``off_21R`` is tau with the index off 21R.
 
     ``label`` maps a body's name to its label.
     """
-    kind, index, _ = parameter_of(name)
-    plain = re.sub(r"R$", "", index) if index else ""
-    plain = label.get(plain, plain)
-    subscript = in_latex_index(plain) + ("R" if index.endswith("R") else "")
+    kind = name.kind
+    subscript = in_latex_index(label.get(name.body, name.body)) + ("R" if name.regrouped else "")
     if kind == "off":
         return rf"\tau_{{\mathrm{{off}}_{{{subscript}}}}}"
     return rf"{{{SYMBOLS.get(kind, in_latex(kind))}}}_{{{subscript}}}"
@@ -240,7 +237,7 @@ def _lines(regrouping: str, room: float, label: Mapping[str, str]) -> Iterator[s
     line = ""
     for sign, term in re.findall(r"(?:(^|[+-]) ?)(.+?)(?= [+-] |$)", regrouping):
         factor, name = re.fullmatch(r"(?:([\d.]+(?:e[+-]\d+)?) )?(.+)", term).groups()  # type: ignore[union-attr]
-        written = " ".join(filter(None, (sign, factor and rf"{factor}\,", symbol(name, label))))
+        written = " ".join(filter(None, (sign, factor and rf"{factor}\,", symbol(parameter_of(name), label))))
         if line and width(f"{line} {written}") > room:
             yield line
             line = ""

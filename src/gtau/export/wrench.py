@@ -14,7 +14,8 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.rows import stream_motions
-from gtau.estimation.results.prediction import Prediction, prepared_for
+from gtau.estimation.results.predicted import Prediction
+from gtau.estimation.results.prediction import prepared_for
 from gtau.estimation.results.result import Result
 from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.loops import Motion
@@ -164,11 +165,11 @@ def _to_body(placement: Placement) -> np.ndarray:
 
 def _along(result: Result, run: Run, residual: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield blocks of ``J^T`` (N, n, 6) at the body's frame, and of the external torques' covariance (N, n, n)."""
-    model, base, joints = result.model, result.base, result.robot.actuated
+    model, base, joints = result.idm, result.base, result.robot.actuated
     known = {name: k for k, name in enumerate(result.covariance_names)}
     # with the columns of friction: offsets and gravity, for instance, are known together far better than each
     chosen = [k for k, name in enumerate(base.names) if name in known]
-    at = [known[base.names[k]] for k in chosen] + [known[Parameter("gain", joint).name] for joint in joints]
+    at = [known[base.names[k]] for k in chosen] + [known[Parameter("gain", joint)] for joint in joints]
     spread = result.covariance[np.ix_(at, at)]
     columns = model.columns(tuple(base.standard[k] for k in chosen))
     wrenches = model.wrenches([WrenchFrame(result.robot.tool)])

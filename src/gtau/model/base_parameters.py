@@ -14,7 +14,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.random_states import random_motion
 from gtau.progress import Progress, silent
 from gtau.robots.geometry import identical_legs
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import DRIVE, INERTIAL, Robot
 
 DEPENDENT = 1e-8  # share of a unit column left outside the columns kept before it
@@ -30,25 +30,25 @@ class BaseParameters:
 
     Attributes
     ----------
-    names : tuple of str
-        ``count`` names; one that regroups others ends in ``R``.
-    standard : tuple of str
+    names : tuple of Parameter
+        ``count`` parameters; the name of one that regroups others ends in ``R``.
+    standard : tuple of Parameter
         The standard parameter whose column each base parameter keeps.
     regroupings : dict
         Name to formula in standard parameters, as text.
     matrix : ndarray
         (count, n_st): base parameters from standard ones, ``chi = matrix @ chi_st``.
-    without_effect : tuple of str
+    without_effect : tuple of Parameter
         Standard parameters without effect on any actuated joint.
     inertial_count : int
         Number of base parameters without rotor inertia, friction and offset.
     """
 
-    names: tuple[str, ...]
-    standard: tuple[str, ...]
-    regroupings: dict[str, str]
+    names: tuple[Parameter, ...]
+    standard: tuple[Parameter, ...]
+    regroupings: dict[Parameter, str]
     matrix: np.ndarray
-    without_effect: tuple[str, ...]
+    without_effect: tuple[Parameter, ...]
     inertial_count: int
 
     def __repr__(self) -> str:
@@ -61,32 +61,31 @@ class BaseParameters:
         return len(self.names)
 
 
-def symmetric_order(robot: Robot, names: Sequence[str]) -> list[str]:
+def symmetric_order(robot: Robot, names: Sequence[Parameter]) -> list[Parameter]:
     """Order ``names`` as eq. (23): platforms first, then parameter by parameter over like legs.
 
     Joints between the ground and a motor precede the others, so that coupling bars take up no motor's parameters.
     """
-    order = [Parameter(kind, platform.name).name for platform in robot.platforms for kind in INERTIAL]
-    kinds = list(dict.fromkeys(parameter_of(name).kind for name in names))
+    order = [Parameter(kind, platform.name) for platform in robot.platforms for kind in INERTIAL]
+    kinds = list(dict.fromkeys(name.kind for name in names))
     towards_motors: set[str] = set()
     for joint in reversed(robot.joints):
         if joint.name in robot.driven or joint.name in towards_motors:
             towards_motors |= {joint.name, joint.antecedent}
     joints = [alike for group in identical_legs(robot) for alike in zip(*group, strict=True)]
     for alike in sorted(joints, key=lambda alike: alike[0] not in towards_motors):
-        order += [Parameter(kind, joint).name for kind in kinds for joint in alike]
-    order += [Parameter(kind, spring.name).name for spring in robot.springs for kind in spring.parameters]
+        order += [Parameter(kind, joint) for kind in kinds for joint in alike]
+    order += [Parameter(kind, spring.name) for spring in robot.springs for kind in spring.parameters]
     wanted = set(names)
     return [name for name in order if name in wanted]
 
 
-def of_drive(name: str, joint: str) -> bool:
+def of_drive(name: Parameter, joint: str) -> bool:
     """Return whether a standard parameter is a drive parameter."""
-    kind, body, _ = parameter_of(name)
-    return kind in DRIVE and body == joint
+    return name.kind in DRIVE and name.body == joint
 
 
-def seen_by_sensor(names: Sequence[str], joint: str) -> np.ndarray:
+def seen_by_sensor(names: Sequence[Parameter], joint: str) -> np.ndarray:
     """Mark the standard parameters measured by a joint torque sensor with 1, those of the drive with 0."""
     return np.array([not of_drive(name, joint) for name in names], dtype=float)
 
@@ -125,7 +124,7 @@ def base_parameters(
     position = {name: k for k, name in enumerate(idm.parameter_names)}
     R = _settled_triangle(idm, [position[name] for name in order], np.random.default_rng(seed), sensors, progress)
     kept, coefficients, idle = independent_columns(R)
-    inertial = [k for k, name in enumerate(order) if parameter_of(name).kind in INERTIAL]
+    inertial = [k for k, name in enumerate(order) if name.kind in INERTIAL]
     matrix = np.zeros((len(kept), len(position)))
     for row in range(len(kept)):
         for column, name in enumerate(order):
@@ -134,7 +133,7 @@ def base_parameters(
     names, regroupings = [], {}
     for row, own in enumerate(standard):
         others = [name for name in idm.parameter_names if name != own and matrix[row, position[name]]]
-        names.append(own + "R" if others else own)
+        names.append(Parameter(own.kind, own.body, regrouped=bool(others)))
         regroupings[names[-1]] = own + "".join(_term(matrix[row, position[name]], name) for name in others)
     inertial_count = len(independent_columns(R[:, inertial])[0])
     without_effect = tuple(order[k] for k in idle)
@@ -214,11 +213,11 @@ def _term(coefficient: float, name: str) -> str:
     return f" {sign} {name}" if abs(size - 1.0) < 1e-6 else f" {sign} {size:.5g} {name}"
 
 
-def whole_mass(base: BaseParameters, standard: Sequence[str]) -> str:
-    """Return the name of the base parameter equal to the total mass (kg) of a floating robot, or an empty one.
+def whole_mass(base: BaseParameters, standard: Sequence[Parameter]) -> Parameter | None:
+    """Return the base parameter equal to the total mass (kg) of a floating robot, None where there is none.
 
     ``standard`` are the names of the standard parameters, the columns of ``base.matrix``.
     """
-    masses = np.array([name.startswith("m_") for name in standard], dtype=float)
+    masses = np.array([name.kind == "m" for name in standard], dtype=float)
     found = (name for name, row in zip(base.names, base.matrix, strict=True) if np.allclose(row, masses, atol=1e-6))
-    return next(found, "")
+    return next(found, None)

@@ -31,25 +31,25 @@ from gtau.robots.robot import DAMPING, DRIVE, INERTIAL, PRELOAD, STIFFNESS, Robo
 TOUCHING = 1e-9  # m: the length of a spring whose points coincide, where the line between them has no direction
 
 
-def parameter_names(robot: Robot, parameters: str = "all") -> tuple[str, ...]:
+def parameter_names(robot: Robot, parameters: str = "all") -> tuple[Parameter, ...]:
     """List the names of the standard parameters: of each joint, 14 at most, 10 of each platform, and of the springs.
 
     ``"inertial"`` leaves out rotor inertia, friction, offset and springs.
     """
     kinds = {"all": INERTIAL + DRIVE, "inertial": INERTIAL, "drive": DRIVE, "none": ()}
-    joints: list[str] = []
+    joints: list[Parameter] = []
     for joint in robot.joints:
-        joints += [Parameter(kind, joint.name).name for kind in kinds[joint.parameters] if kind in kinds[parameters]]
+        joints += [Parameter(kind, joint.name) for kind in kinds[joint.parameters] if kind in kinds[parameters]]
         if joint.spring is not None and parameters == "all":
-            joints.append(f"{STIFFNESS}_{joint.name}")
-    platforms = [Parameter(kind, platform.name).name for platform in robot.platforms for kind in INERTIAL]
-    springs = [Parameter(kind, spring.name).name for spring in robot.springs for kind in spring.parameters]
+            joints.append(Parameter(STIFFNESS, joint.name))
+    platforms = [Parameter(kind, platform.name) for platform in robot.platforms for kind in INERTIAL]
+    springs = [Parameter(kind, spring.name) for spring in robot.springs for kind in spring.parameters]
     return (*joints, *platforms, *(springs if parameters == "all" else ()))
 
 
-def _wrench(chi: dict[str, ca.SX], body: str, twist: Twist, acceleration: Twist) -> Twist:
+def _wrench(chi: dict[Parameter, ca.SX], body: str, twist: Twist, acceleration: Twist) -> Twist:
     """Apply Newton-Euler at the frame's origin: moment (angular) and force (linear) on a body, eqs. (1) and (2)."""
-    xx, xy, xz, yy, yz, zz, mx, my, mz, m = (chi[Parameter(kind, body).name] for kind in INERTIAL)
+    xx, xy, xz, yy, yz, zz, mx, my, mz, m = (chi[Parameter(kind, body)] for kind in INERTIAL)
     inertia = ca.vertcat(ca.horzcat(xx, xy, xz), ca.horzcat(xy, yy, yz), ca.horzcat(xz, yz, zz))
     ms = ca.vertcat(mx, my, mz)
     omega, alpha, a = twist.angular, acceleration.angular, acceleration.linear
@@ -77,7 +77,7 @@ def torques(
     yd: ca.SX,
     ydd: ca.SX,
     J: ca.SX,
-    chi: dict[str, ca.SX],
+    chi: dict[Parameter, ca.SX],
     gravity: ca.SX | None = None,
 ) -> ca.SX:
     """Express the torques of the actuated joints ``tau_idm`` (n,), eq. (15).
@@ -102,7 +102,7 @@ def torques(
     twist = twists(layout, frame, yd)
     gravity = constant(np.array(robot.gravity)) if gravity is None else gravity
     acceleration = accelerations(layout, frame, twist, yd, ydd, gravity)
-    massive = [body for body in robot.bodies if Parameter("m", body).name in chi]
+    massive = [body for body in robot.bodies if Parameter("m", body) in chi]
     wrench = {body: _wrench(chi, body, twist[body], acceleration[body]) for body in massive}
     pulls = []  # of the springs: the rate of whose length they want, and the force against it
     for spring in robot.springs:
@@ -110,8 +110,8 @@ def torques(
         stretching = _lengthening(spring, direction, frame, twist)
         pull = ca.SX(0)
         for kind, effort in ((PRELOAD, ca.SX(-1)), (STIFFNESS, length), (DAMPING, stretching)):
-            if Parameter(kind, spring.name).name in chi:
-                pull += chi[Parameter(kind, spring.name).name] * effort
+            if Parameter(kind, spring.name) in chi:
+                pull += chi[Parameter(kind, spring.name)] * effort
         pulls.append((spring, direction, pull))
     tau, n_joints = [], len(robot.joints)
     for k in range(J.shape[1]):
@@ -127,8 +127,8 @@ def torques(
             if joint.spring is not None:
                 terms[STIFFNESS] = c[row] - joint.spring
             for kind in terms:
-                if Parameter(kind, joint.name).name in chi:
-                    power += J[row, k] * chi[Parameter(kind, joint.name).name] * terms[kind]
+                if Parameter(kind, joint.name) in chi:
+                    power += J[row, k] * chi[Parameter(kind, joint.name)] * terms[kind]
         for spring, direction, pull in pulls:
             power += pull * _lengthening(spring, direction, frame, partial)
         tau.append(power)

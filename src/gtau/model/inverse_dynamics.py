@@ -171,7 +171,7 @@ class InverseDynamics:
             return Motion(c, qd, qdd, J, np.ones(samples))
         return differentiate(self.loops, c, qd, qdd, labels)
 
-    def columns(self, names: Sequence[str]) -> Regressor:
+    def columns(self, names: Sequence[Parameter]) -> Regressor:
         """Return the regressor of the standard parameters ``names``."""
         names = tuple(names)
         if names not in self._regressors:
@@ -204,7 +204,7 @@ class InverseDynamics:
             inputs, J = self.symbols
             wrench = ca.SX.sym("w", 6 * len(frames))
             matrix = ca.jacobian(wrench_torques(self.layout, inputs[0], J, frames, wrench), wrench)
-            names = tuple(Parameter(kind, frame.body).name for frame in frames for kind in WRENCH)
+            names = tuple(Parameter(kind, frame.body) for frame in frames for kind in WRENCH)
             self._wrenches[frames] = _regressor(names, inputs, matrix)
         return self._wrenches[frames]
 
@@ -228,7 +228,7 @@ class InverseDynamics:
         tau = torques(self.layout, c, yd, ydd, J, chi)
         return inputs, ca.jacobian(tau, ca.vertcat(*chi.values()))
 
-    def gravity_torques(self, names: Sequence[str]) -> Regressor:
+    def gravity_torques(self, names: Sequence[Parameter]) -> Regressor:
         """Return a regressor whose three columns are the torques (n,) per m/s2 of gravity along the axes of the base.
 
         Its program takes values of the standard parameters ``names``, the others being zero, as parameters.

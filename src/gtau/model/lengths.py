@@ -18,6 +18,7 @@ from gtau.model.interpreter.program import Program, compile_program
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import Coordinates, Shifted, coordinates, frames, twists
 from gtau.robots.geometry import characteristic_length, moved_ends, pose_of
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Mdh, Placement, Pose, Robot
 
 # Measured on 17 robots, those of the catalog and of third-party robot files: the shortest length is 0.046 of the
@@ -174,7 +175,7 @@ def variable_geometry(robot: Robot, body: str) -> VariableGeometry:
     return VariableGeometry(layout, tuple(constants), shifts, unit, residual.numel(), program)
 
 
-def models_alike(robots: Sequence[Robot], standard: Sequence[str]) -> list[InverseDynamics]:
+def models_alike(robots: Sequence[Robot], standard: Sequence[Parameter]) -> list[InverseDynamics]:
     """Make models of robots that differ only in lengths, with one shared regressor of the ``standard`` parameters.
 
     It is derived once, with the shifts of places as parameters of its program: to derive it for each robot takes most

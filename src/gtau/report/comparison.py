@@ -1,9 +1,8 @@
-"""Show comparisons as pages: of estimators on the same logs, of control laws on the same motions."""
+"""Show a comparison of estimators on the same logs as a page."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,10 +10,6 @@ from gtau.estimation.compare import EstimatorComparison
 from gtau.estimation.diagnostics.sentences import percent_text
 from gtau.report.page import Chart, Column, Kind, Page, Table, Text, intervals, joint_label, page, section, table
 
-if TYPE_CHECKING:
-    from gtau.simulation.control_comparison import ControlComparison
-
-MICRO = 1e6
 BELIEVED = ("good", "weak")
 
 
@@ -93,17 +88,3 @@ def _charts(found: EstimatorComparison, prior: Mapping[str, float]) -> list[Char
         axis = f"{joint_label(joint)}, {unit}"
         charts.append(Chart((intervals([row.method for row in rows], values, halves, axis, other=("prior", given)),)))
     return charts if rows else []
-
-
-def control_page(comparison: ControlComparison) -> Page:
-    """Show the largest and the rms tracking errors of each law, in micrometres or microradians."""
-    named = list(zip(comparison.joints, comparison.units, strict=True))
-    columns = [Column("strategy")]
-    for what in ("largest", "rms"):
-        columns += [Column(f"{what} {joint}, µ{unit}", Kind.NUMBER, decimals=0) for joint, unit in named]
-    sections = []
-    for trajectory in comparison.references:
-        found = [each for each in comparison.tracking if each.trajectory == trajectory]
-        rows = [(each.strategy, *(MICRO * np.concatenate([each.maximum, each.rms])).tolist()) for each in found]
-        sections.append(section(f"Tracking errors on {trajectory}", table(columns, rows)))
-    return page("", *sections)

@@ -51,7 +51,7 @@ def write_trajectories(design: Design, folder: Path) -> tuple[Path, ...]:
         columns = {"t": np.round(time, DIGITS)}
         for kind, rows in zip(("q", "qd", "qdd"), joints, strict=False):
             columns |= {
-                Parameter(kind, joint).name: np.round(row, DIGITS)
+                Parameter(kind, joint): np.round(row, DIGITS)
                 for joint, row in zip(design.task.model.actuated, rows, strict=True)
             }
         write_table(pl.DataFrame(columns), path)
@@ -79,7 +79,9 @@ def design_document(design: Design, assumed: Mapping[str, str], masses: Sequence
         "runs": ["none" if payload is None else payload.name for payload in task.payloads],
         "gains_rms": _rms(expected),
         "gains": [_entry(each, f"{torque_unit(robot, each.name)}/A", "gains" in assumed) for each in expected.gains],
-        "parameters": [_entry(each, _unit(each.name, task), "parameters" in assumed) for each in expected.parameters],
+        "parameters": [
+            _entry(each, _unit(parameter_of(each.name), task), "parameters" in assumed) for each in expected.parameters
+        ],
         "rows_kept": [
             {"joint": joint, "share": float(kept)}
             for joint, kept in zip(task.model.actuated, expected.kept, strict=True)
@@ -108,9 +110,8 @@ def _entry(each: Expected, unit: str, assumed: bool) -> dict[str, Any]:
     }
 
 
-def _unit(name: str, task: DesignProblem) -> str:
-    kind, body, _ = parameter_of(task.base.standard[task.base.names.index(name)])
-    return unit_of(kind, task.model.robot, body)
+def _unit(name: Parameter, task: DesignProblem) -> str:
+    return unit_of(name.kind, task.model.robot, name.body)
 
 
 def _advice(weak: Weak) -> dict[str, Any]:

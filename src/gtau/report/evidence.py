@@ -9,8 +9,9 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.results.estimate import TorqueError
-from gtau.estimation.results.identified_model import IdentifiedModel
-from gtau.estimation.results.prediction import Prediction, predict, torque_errors
+from gtau.estimation.results.predicted import Prediction
+from gtau.estimation.results.prediction import predict, torque_errors
+from gtau.estimation.results.result import Result
 from gtau.progress import Progress, silent
 from gtau.signals.preparation import Preparation
 from gtau.signals.run import Run
@@ -64,7 +65,7 @@ class RunEvidence:
 
 
 def gather(
-    result: IdentifiedModel, runs: Iterable[Run], validation: Iterable[Run] = (), progress: Progress = silent
+    result: Result, runs: Iterable[Run], validation: Iterable[Run] = (), progress: Progress = silent
 ) -> tuple[RunEvidence, ...]:
     """Predict the runs that a result was identified from, and those kept for validation.
 
@@ -82,7 +83,7 @@ def gather(
     return tuple(found)
 
 
-def predicted(result: IdentifiedModel, run: Run, used: bool = False, longest: int | None = LONGEST) -> RunEvidence:
+def predicted(result: Result, run: Run, used: bool = False, longest: int | None = LONGEST) -> RunEvidence:
     """Predict a run, or its beginning; raises GtauError where it does not suit the model."""
     cut = longest is not None and len(run.time) > longest
     prediction = predict(result, _beginning(run, longest or 0) if cut else run)
@@ -99,7 +100,7 @@ def _beginning(run: Run, count: int) -> Run:
     return replace(run, time=time, position=position, command=command, valid=valid)
 
 
-def _unknown_payload(result: IdentifiedModel, run: Run) -> tuple[str, ...]:
+def _unknown_payload(result: Result, run: Run) -> tuple[str, ...]:
     """Note where the model has not seen the payload of a run, and the run gives only its mass."""
     payload = run.payload
     if payload is None or payload.mass is None or payload.parameters or result.payload(payload.name):
@@ -133,7 +134,7 @@ def preparation_words(preparation: Preparation, digits: int = 3) -> tuple[str, s
     return f"{bandwidth:.{digits}g} Hz", low_pass, f"{decimator.factor} ({decimator.kind})"
 
 
-def settings_of(result: IdentifiedModel) -> dict[str, str]:
+def settings_of(result: Result) -> dict[str, str]:
     """List the settings of an identification by name."""
     bandwidth, cutoff, decimation = preparation_words(result.preparation, 4)
     return {

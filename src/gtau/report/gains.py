@@ -8,8 +8,8 @@ from gtau.estimation.diagnostics.sentences import percent_text
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.results.conclusions import reasons
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.payload import PayloadEstimate
+from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import ACCURACY
 from gtau.model.base_parameters import whole_mass
 from gtau.report.page import Chart, Column, Kind, Section, Table, Text, intervals, joint_label, section, table
@@ -20,7 +20,7 @@ NOT_SHOWN = 1000.0  # per cent: a larger standard deviation is shown as larger
 
 
 def gains_section(
-    result: IdentifiedModel, prior: Mapping[str, float] | None = None, charts: bool = True, short: bool = False
+    result: Result, prior: Mapping[str, float] | None = None, charts: bool = True, short: bool = False
 ) -> Section:
     """Show drive gains with their 95 % intervals, beside the prior ones, and the sources of their scale."""
     estimated = any(gain.std is not None for gain in result.drive_gains.values())
@@ -39,7 +39,7 @@ def gains_section(
     )
 
 
-def gains_table(result: IdentifiedModel, prior: Mapping[str, float]) -> Table:
+def gains_table(result: Result, prior: Mapping[str, float]) -> Table:
     """Tabulate drive gains: verdict, value, interval with its two parts, delay, and the prior gain."""
     estimated = any(gain.std is not None for gain in result.drive_gains.values())
     accuracy = 100 * result.statistics.get("accuracy", ACCURACY)
@@ -67,7 +67,7 @@ def gains_table(result: IdentifiedModel, prior: Mapping[str, float]) -> Table:
     return table(columns, rows)
 
 
-def reasons_table(result: IdentifiedModel) -> Table | None:
+def reasons_table(result: Result) -> Table | None:
     """Tabulate why gains are not good, and what to do; None if all are good."""
     sentences = (Column("reason", Kind.SENTENCE), Column("action", Kind.SENTENCE))
     columns = (Column("joint"), Column("verdict", Kind.BADGE), *sentences)
@@ -110,11 +110,12 @@ def _delay(delay: Estimate | None) -> tuple[float, float] | None:
     return 1e3 * delay.value, 1e3 * (delay.half_interval() or 0.0)
 
 
-def whole_mass_text(result: IdentifiedModel) -> Text | None:
+def whole_mass_text(result: Result) -> Text | None:
     """Say what a floating robot weighs, the one figure that everyone can check on a scale."""
     if not result.robot.floating:
         return None
-    mass = result.parameters.get(whole_mass(result.base, result.model.parameter_names))
+    name = whole_mass(result.base, result.idm.parameter_names)
+    mass = None if name is None else result.parameters.get(name)
     half = None if mass is None else mass.half_interval()
     if mass is None or mass.value is None or half is None:
         return None
@@ -124,7 +125,7 @@ def whole_mass_text(result: IdentifiedModel) -> Text | None:
 # What the scale rests on
 
 
-def _scale_text(result: IdentifiedModel, short: bool) -> Text | None:
+def _scale_text(result: Result, short: bool) -> Text | None:
     if short:
         found = all_sources(result)
         return Text(f"scale: from {found}") if found else None
@@ -132,7 +133,7 @@ def _scale_text(result: IdentifiedModel, short: bool) -> Text | None:
     return Text(lines[0] if len(lines) == 1 else "", tuple(lines) if len(lines) > 1 else ()) if lines else None
 
 
-def scale_lines(result: IdentifiedModel) -> list[str]:
+def scale_lines(result: Result) -> list[str]:
     """Describe what the scale of all gains rests on, or of each where they differ; empty where they were given."""
     known = {each.name: each.parameters["m"].value for each in result.payloads if "m" in each.known}
     masses = {name: f"payload '{name}' ({mass:g} kg)" for name, mass in known.items() if mass is not None}
@@ -145,7 +146,7 @@ def scale_lines(result: IdentifiedModel) -> list[str]:
     return [f"The scale of '{joint}' comes from {each}." for joint, each in words.items()]
 
 
-def all_sources(result: IdentifiedModel) -> str:
+def all_sources(result: Result) -> str:
     """List all sources of the scale, those on which most gains rest first; sensors of a kind together, by joint."""
     totals: dict[str, float] = {}
     for gain in result.drive_gains.values():
@@ -162,7 +163,7 @@ def all_sources(result: IdentifiedModel) -> str:
     return " and ".join([*together, *(names.get(source, source) for source in found)])
 
 
-def _sensors(result: IdentifiedModel) -> dict[str, str]:
+def _sensors(result: Result) -> dict[str, str]:
     """Name the sensors behind the drives, by the source of a scale that each is."""
     return {each.source: f"the {each.source}" for each in result.sensors}
 
@@ -191,7 +192,7 @@ def payloads_section(payloads: Iterable[PayloadEstimate], title: str = "Payloads
     return section(title, *parts, id="payloads") if parts else None
 
 
-def unknown_payloads(result: IdentifiedModel) -> list[PayloadEstimate]:
+def unknown_payloads(result: Result) -> list[PayloadEstimate]:
     """List the payloads of which something was identified."""
     return [each for each in result.payloads if set(each.parameters) - each.known]
 

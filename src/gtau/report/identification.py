@@ -12,7 +12,6 @@ from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.estimators.registry import ESTIMATORS
 from gtau.estimation.results.conclusions import VISIBLE, findings, headline, remarks
 from gtau.estimation.results.estimate import Requirement
-from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.result import Result
 from gtau.report.evidence import RunEvidence, preparation_words, worst_joint
 from gtau.report.findings import findings_section, same_in_several
@@ -33,7 +32,7 @@ MOVED = 0.5  # standard deviations: a smaller move is not worth a line
 LISTED = 12
 
 
-def summary_page(result: IdentifiedModel) -> Page:
+def summary_page(result: Result) -> Page:
     """Show verdict, drive gains, payloads, fit and the most important notes on one screen."""
     notes = [each for each in findings(result) if each.kind != NoteKind.DRAFT]
     more = len(same_in_several(notes)) - NOTES
@@ -52,7 +51,7 @@ def summary_page(result: IdentifiedModel) -> Page:
     )
 
 
-def _draft_section(result: IdentifiedModel) -> Section | None:
+def _draft_section(result: Result) -> Section | None:
     """List all assumptions of a drafted experiment file."""
     guessed = [each for each in result.notes if each.kind == NoteKind.DRAFT]
     if not guessed:
@@ -61,7 +60,7 @@ def _draft_section(result: IdentifiedModel) -> Section | None:
     return section("Assumptions from the logs", Text(f"Correct any wrong entry in {guessed[0].source}:", said))
 
 
-def full_page(result: IdentifiedModel) -> Page:
+def full_page(result: Result) -> Page:
     """Show all that an identification found, without charts."""
     ratio = result.statistics.get("singular_ratio")
     words = (
@@ -111,7 +110,7 @@ def report_page(result: Result, runs: Sequence[RunEvidence], prior: Mapping[str,
     )
 
 
-def verdict_section(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) -> Section:
+def verdict_section(result: Result, runs: Sequence[RunEvidence] = ()) -> Section:
     """Show the verdict in words, with the key figures."""
     outcomes = Counter(gain.verdict.outcome for gain in result.drive_gains.values())
     style = "good" if set(outcomes) <= set(GOOD_OUTCOMES) else "weak"
@@ -130,7 +129,7 @@ def verdict_section(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) -
     return section("Verdict", Text(*words, style), Facts(facts), id="verdict")  # type: ignore[arg-type]
 
 
-def counts(result: IdentifiedModel) -> str:
+def counts(result: Result) -> str:
     """Count the verdicts on the drive gains, in one sentence."""
     outcomes = Counter(gain.verdict.outcome for gain in result.drive_gains.values())
     (first, count), *others = outcomes.most_common()
@@ -141,7 +140,7 @@ def counts(result: IdentifiedModel) -> str:
     return f"{count} of {total} {what} {'is' if count == 1 else 'are'} {first.value}{more}.{required}"
 
 
-def _worst_errors(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> dict[str, str]:
+def _worst_errors(result: Result, runs: Sequence[RunEvidence]) -> dict[str, str]:
     """List the largest rms torque residual of the fit and error of a validation run, and the smallest R²."""
     found = {}
     if worst := worst_joint(result.residuals):
@@ -156,12 +155,12 @@ def _worst_errors(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> dict[
     return found
 
 
-def _condition(result: IdentifiedModel) -> dict[str, str]:
+def _condition(result: Result) -> dict[str, str]:
     found = result.statistics.get("condition_number")
     return {} if found is None else {"condition number of the observation matrix": f"{found:.3g}"}
 
 
-def _settings(result: IdentifiedModel) -> Facts:
+def _settings(result: Result) -> Facts:
     bandwidth, cutoff, decimation = preparation_words(result.preparation)
     given = f"; by hand: {', '.join(result.preparation.given)}" if result.preparation.given else ""
     return Facts(
@@ -174,7 +173,7 @@ def _settings(result: IdentifiedModel) -> Facts:
     )
 
 
-def _fit_words(result: IdentifiedModel) -> list[Item]:
+def _fit_words(result: Result) -> list[Item]:
     worst = worst_joint(result.residuals)
     if worst is None:
         return []
@@ -189,7 +188,7 @@ def _fit_words(result: IdentifiedModel) -> list[Item]:
     return found
 
 
-def _sensors_section(result: IdentifiedModel) -> Section | None:
+def _sensors_section(result: Result) -> Section | None:
     """Show the fit of the sensors behind the drives, and their scale by all other data."""
     if not result.sensors:
         return None
@@ -214,7 +213,7 @@ def _sensors_section(result: IdentifiedModel) -> Section | None:
     )
 
 
-def requirements_section(result: IdentifiedModel) -> Section | None:
+def requirements_section(result: Result) -> Section | None:
     """Tabulate each requirement, the value found, and pass or fail; None without requirements."""
     if not result.requirements:
         return None
@@ -233,7 +232,7 @@ def requirements_section(result: IdentifiedModel) -> Section | None:
     return section("Requirements", table(columns, rows), id="requirements")
 
 
-def missed(result: IdentifiedModel) -> list[str]:
+def missed(result: Result) -> list[str]:
     """Describe each requirement that is not met."""
     said = []
     for each in result.requirements:
@@ -254,7 +253,7 @@ def _consistency_section(found: Consistency | None) -> Section | None:
     if found is None:
         return None
     moved = [move for move in found.moves if move.deviations >= MOVED]
-    gains = [Parameter("gain", joint).name for joint in found.gains]
+    gains = [Parameter("gain", joint) for joint in found.gains]
     shown = [move for move in moved if move.name not in gains][:LISTED]
     shown += [move for name in gains for move in found.moves if move.name == name]
     columns = (

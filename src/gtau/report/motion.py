@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from gtau.estimation.results.estimate import Distances, NearestPose
-from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.logs import NEAR_SINGULAR
 from gtau.report.evidence import RunEvidence
 from gtau.report.page import (
@@ -39,7 +39,7 @@ POSES = 1500  # of a run, in its path
 TIME = Axis("time from the start of the run, s")
 
 
-def motion_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Section:
+def motion_section(result: Result, runs: Sequence[RunEvidence]) -> Section:
     """Show the robot, the path of the body that carries the payload, and distances to singular poses."""
     used = any(run.used for run in runs)
     drawn = [each.run for each in runs if each.used == used][:PATHS]
@@ -130,13 +130,13 @@ def paths_chart(paths: Sequence[tuple[str, np.ndarray]]) -> Chart:
     return Chart(tuple(panels), columns=3)
 
 
-def body_path(result: IdentifiedModel, run: Run) -> np.ndarray:
+def body_path(result: Result, run: Run) -> np.ndarray:
     """Compute positions (P, 3), m, along a run of the body that carries the payload."""
     import casadi as ca
 
     from gtau.model.kinematics import frames
 
-    model = result.model
+    model = result.idm
     run = arrange(run, model.actuated)
     shown = np.arange(0, len(run.time), -(-len(run.time) // POSES))
     c = model.path(np.ascontiguousarray(rows_at(run.position, shown).T))

@@ -9,18 +9,19 @@ import numpy as np
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.identified_model import IdentifiedModel, estimates_table
+from gtau.estimation.results.result import Result
+from gtau.estimation.results.table import estimates_table
 from gtau.report.evidence import RunEvidence
 from gtau.report.gains import VALUE, regroups, value_cells
 from gtau.report.page import Axis, Chart, Column, Kind, Panel, Section, Series, Table, Text, joint_label, section, table
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.parameter import Parameter
 from gtau.robots.units import position_unit, torque_unit
 from gtau.signals.channel import BEHIND_DRIVE
 from gtau.signals.filters import position_filter
 from gtau.signals.run import arrange
 
 GROUPS = ("base parameter", "friction", *(kind.name for kind in BEHIND_DRIVE))
-KINDS = ("fv", "fs", "fb", "fl", "off")
+KINDS = ("width", "vs", "fv", "fs", "fb", "fl", "off")
 POINTS = 3000  # of a panel
 CONTRADICTED = 6  # parameters on a short page
 ORDER = ("contradicted", "agrees", "not stated", "not identifiable")
@@ -35,7 +36,7 @@ FRICTION = (
 CURVES = "The torque that gains and inertia leave to friction, and its prediction, at the rows of the runs."
 
 
-def parameters_section(result: IdentifiedModel) -> Section:
+def parameters_section(result: Result) -> Section:
     """Show base, friction and sensor parameters in one table that sorts and searches."""
     listed = [(row.group, row.estimate) for row in estimates_table(result) if row.group.startswith(GROUPS)]
     columns = (Column("parameter", Kind.NAME), *VALUE, Column("role"), Column("regroups", Kind.NAME, wide=True))
@@ -69,10 +70,10 @@ def _role(each: Estimate, group: str) -> str:
     return "essential" if each.essential else "not essential"
 
 
-def reference_text(result: IdentifiedModel) -> Text | None:
+def reference_text(result: Result) -> Text | None:
     """Name the temperatures to which the friction parameters refer, where friction depends on them."""
     warm = result.temperatures
-    if warm is None or not any(parameter_of(name).kind in TEMPERATURE_TERMS for name in result.friction):
+    if warm is None or not any(name.kind in TEMPERATURE_TERMS for name in result.friction):
         return None
     listed = ", ".join(f"'{joint}' {value:.4g}" for joint, value in warm.of_joint.items())
     same = len(set(warm.of_joint.values())) == 1
@@ -83,7 +84,7 @@ def reference_text(result: IdentifiedModel) -> Text | None:
 # Friction
 
 
-def friction_section(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) -> Section | None:
+def friction_section(result: Result, runs: Sequence[RunEvidence] = ()) -> Section | None:
     """Show the friction of each joint; with ``runs`` also its curve. None for a result with the plain law alone."""
     if not result.curves:
         return None
@@ -93,23 +94,20 @@ def friction_section(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) 
     return section("Friction on all samples", Text(FRICTION), curves_table(result), of_chart, chart, id="friction")
 
 
-def curves_table(result: IdentifiedModel) -> Table:
+def curves_table(result: Result) -> Table:
     """Tabulate the friction of each joint, SI units, values with half their 95 % intervals."""
     columns = (
         Column("joint"),
-        Column("presliding"),
-        Column("v_s"),
-        *(Column(kind) for kind in KINDS),
+        *(Column({"width": "presliding", "vs": "v_s"}.get(kind, kind)) for kind in KINDS),
         Column("shown by", wide=True),
         Column("error, %", Kind.NUMBER, decimals=1),
         Column("plain law, %", Kind.NUMBER, decimals=1),
     )
+    friction = {**result.friction, **result.friction_parameters}
     rows = [
         (
             joint_label(curve.joint),
-            _cell(curve.width),
-            _cell(curve.speed),
-            *(_cell(curve.parameters.get(Parameter(kind, curve.joint).name)) for kind in KINDS),
+            *(_cell(friction.get(Parameter(kind, curve.joint))) for kind in KINDS),
             ", ".join(f"{term} ({t:.1f} standard errors)" for term, t in curve.evidence.items()),
             curve.error,
             curve.plain_error,
@@ -126,17 +124,17 @@ def _cell(each: Estimate | None) -> str:
     return f"{each.value:.4g}" + ("" if half is None else f" ± {half:.2g}")
 
 
-def _panels(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> list[Panel]:
+def _panels(result: Result, runs: Sequence[RunEvidence]) -> list[Panel]:
     gathered: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
     for each in runs:
         assert each.prediction is not None
-        found, run = each.prediction, arrange(each.run, result.model.actuated)
+        found, run = each.prediction, arrange(each.run, result.idm.actuated)
         count = int(np.searchsorted(run.time, found.time[-1])) + 1
         qd = position_filter(run.position, run.rate, result.preparation.at(run.rate).cutoff, 0, count)[1]
         speeds = qd[np.minimum(np.searchsorted(run.time, found.time), count - 1)]
         gathered.append((speeds, found.measured - found.predicted + found.friction, found.friction, found.valid))
     panels = []
-    for j, joint in enumerate(result.model.actuated if gathered else ()):
+    for j, joint in enumerate(result.idm.actuated if gathered else ()):
         if joint in result.robot.base:
             continue
         speed, left, made, valid = (np.concatenate([each[k][:, j] for each in gathered]) for k in range(4))

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.prediction import predict
+from gtau.estimation.results.result import Result
 from gtau.report.evidence import RunEvidence
 from gtau.report.gains import gains_chart
 from gtau.report.logs import seconds
@@ -35,7 +35,7 @@ class Plots:
     that was loaded from a file has no runs: give one of :func:`gtau.read_run`.
     """
 
-    result: IdentifiedModel
+    result: Result
 
     def __repr__(self) -> str:
         names = [name for name in dir(self) if not name.startswith("_") and name != "result"]

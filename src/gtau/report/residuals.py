@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.estimation.results.result import Result
 from gtau.report.evidence import RunEvidence
 from gtau.report.page import (
     Axis,
@@ -32,7 +32,7 @@ Residuals = Sequence[tuple[np.ndarray, np.ndarray]]
 """Of each run, times (K,) in s on a uniform grid and residuals (K,), NaN where they are masked."""
 
 
-def residuals_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Section | None:
+def residuals_section(result: Result, runs: Sequence[RunEvidence]) -> Section | None:
     """Show histogram, spectrum and autocorrelation of the residuals of each joint, over all runs used."""
     used = [each for each in runs if each.used and each.prediction is not None]
     if not used:

@@ -12,7 +12,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import TYPES, singularities
 from gtau.progress import Progress, silent
 from gtau.report.page import Column, Facts, Kind, Page, Table, Text, page, section, table, table_of
-from gtau.robots.parameter import parameter_of
+from gtau.robots.parameter import Parameter
 from gtau.robots.plausibility import oddities, tool_note
 from gtau.robots.robot import DAMPING, PRELOAD, STIFFNESS, Robot, base_rows
 from gtau.robots.units import position_unit, unit_of
@@ -170,9 +170,8 @@ def _base_table(base: dict[str, Any]) -> Table:
     return table((Column("parameter", Kind.NAME), Column("unit"), Column("regroups")), rows)
 
 
-def _unit(parameter: str, robot: Robot) -> str:
-    kind, body, _ = parameter_of(parameter)
-    return unit_of(kind, robot, body)
+def _unit(parameter: Parameter, robot: Robot) -> str:
+    return unit_of(parameter.kind, robot, parameter.body)
 
 
 def _limits(joint: dict[str, Any]) -> str:

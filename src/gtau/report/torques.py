@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from gtau.estimation.results.estimate import TorqueError
-from gtau.estimation.results.identified_model import IdentifiedModel
-from gtau.estimation.results.prediction import Prediction
+from gtau.estimation.results.predicted import Prediction
+from gtau.estimation.results.result import Result
 from gtau.report.evidence import RunEvidence
 from gtau.report.logs import payload_words
 from gtau.report.motion import TIME
@@ -88,7 +88,7 @@ def determination(runs: Sequence[RunEvidence]) -> dict[str, float]:
     return found
 
 
-def torques_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Section | None:
+def torques_section(result: Result, runs: Sequence[RunEvidence]) -> Section | None:
     """Show measured and predicted torques of every joint along every run, used and not used."""
     if not runs:
         return None
@@ -118,7 +118,7 @@ def torques_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Sec
     )
 
 
-def units_of(result: IdentifiedModel, prediction: Prediction) -> list[str]:
+def units_of(result: Result, prediction: Prediction) -> list[str]:
     """List the units of the predicted torques."""
     return [torque_unit(result.robot, joint) for joint in prediction.joints]
 

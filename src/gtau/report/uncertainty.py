@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from gtau.estimation.results.estimate import AlternativeMoves
-from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.estimation.results.result import Result
 from gtau.report.page import Axis, Chart, Column, Kind, Panel, Section, Series, Text, joint_label, section, table
 
 STRONG = 0.9  # correlation from which on a pair is listed
@@ -17,7 +17,7 @@ PAPER = "Briot and Gautier 2015"  # Multibody System Dynamics 33
 SHOWN = 60  # estimates whose names fit beside a matrix
 
 
-def correlation_of(result: IdentifiedModel) -> tuple[tuple[str, ...], np.ndarray]:
+def correlation_of(result: Result) -> tuple[tuple[str, ...], np.ndarray]:
     """Compute names and correlations (m, m) of all estimates that have a variance."""
     covariance = result.covariance
     std = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
@@ -33,7 +33,7 @@ def correlation_chart(names: tuple[str, ...], matrix: np.ndarray) -> Chart:
     return Chart((Panel(Axis(label, names=shown), Axis(label, names=shown), matrix=matrix, height=5.2),))
 
 
-def correlation_section(result: IdentifiedModel) -> Section | None:
+def correlation_section(result: Result) -> Section | None:
     """Show the correlation matrix of the estimates, and the pairs that are strongly correlated."""
     names, matrix = correlation_of(result)
     if len(names) < 2:
@@ -73,7 +73,7 @@ def singular_values_chart(values: np.ndarray) -> Chart:
     return Chart((Panel(Axis("number"), Axis("singular value", log=True), series, height=2.2),))
 
 
-def singular_values_section(result: IdentifiedModel) -> Section | None:
+def singular_values_section(result: Result) -> Section | None:
     """Show singular values in falling order with the gap before the smallest; None where the result has none."""
     values = np.array(result.singular_values)
     if len(values) < 2 or values[-1] <= 0:
@@ -87,7 +87,7 @@ def singular_values_section(result: IdentifiedModel) -> Section | None:
     return section("Singular values", Text(words), singular_values_chart(values), id="singular-values")
 
 
-def alternatives_section(result: IdentifiedModel) -> Section | None:
+def alternatives_section(result: Result) -> Section | None:
     """Show other models of the same data, and by how much each moves the gains; None where the result lists none."""
     if not result.alternatives:
         return None
@@ -124,7 +124,7 @@ def alternatives_section(result: IdentifiedModel) -> Section | None:
     return section("Alternatives", Text(words), drifting, listed, id="alternatives")
 
 
-def _drift_text(texts: Iterable[str], result: IdentifiedModel) -> Text | None:
+def _drift_text(texts: Iterable[str], result: Result) -> Text | None:
     """Explain names such as ``fv_left@2``, where there are any."""
     found = next(filter(None, (re.search(r"(\w+)@(\d+)", each) for each in texts)), None)
     if found is None:

@@ -113,9 +113,9 @@ def refuse_floating(robot: Robot, what: str) -> None:
         )
 
 
-def _own(name: str, parameter: str) -> str:
-    kind, body, _ = parameter_of(parameter)
-    return Parameter(kind, _on(name, body)).name
+def _own(name: str, parameter: str) -> Parameter:
+    stated = parameter_of(parameter)
+    return Parameter(stated.kind, _on(name, stated.body))
 
 
 def _on(name: str, body: str) -> str:

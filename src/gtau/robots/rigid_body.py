@@ -40,7 +40,7 @@ class RigidBody:
 
 def rigid_body(chi: Mapping[str, float], body: str) -> RigidBody:
     """Make the body called ``body`` from standard parameters by name; those missing are zero."""
-    xx, xy, xz, yy, yz, zz, mx, my, mz, m = (chi.get(Parameter(kind, body).name, 0.0) for kind in INERTIAL)
+    xx, xy, xz, yy, yz, zz, mx, my, mz, m = (chi.get(Parameter(kind, body), 0.0) for kind in INERTIAL)
     center = np.array([mx, my, mz]) / m if m else np.zeros(3)
     about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     return RigidBody(m, center, about_origin - m * (center @ center * np.eye(3) - np.outer(center, center)))
@@ -58,6 +58,6 @@ def lumped(parts: Iterable[tuple[Attachment, RigidBody]]) -> dict[str, float]:
     for at, part in parts:
         rotation = at.placement.rotation
         for kind, value in inertial_parameters(part.seen_from(rotation.T, -rotation.T @ at.placement.position)).items():
-            name = Parameter(kind, at.body).name
+            name = Parameter(kind, at.body)
             found[name] = found.get(name, 0.0) + value
     return found

@@ -24,6 +24,8 @@ INERTIAL = ("xx", "xy", "xz", "yy", "yz", "zz", "mx", "my", "mz", "m")
 """Inertial parameters of a body in its own frame, at the frame's origin; ``xy = -int x y dm``."""
 DRIVE = ("ia", "fv", "fs", "off")
 """Rotor inertia, viscous and Coulomb friction, and offset of a joint."""
+PLAIN_FRICTION = ("fv", "fs", "off")
+"""Those of a joint's friction, offset included."""
 STIFFNESS = "k"
 """Stiffness of a spring across a joint, or between two points."""
 PRELOAD, DAMPING = "f0", "c"

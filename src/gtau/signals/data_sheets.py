@@ -94,8 +94,8 @@ def data_sheet_notes(
     said = []
     for joint, drive in drives.items():
         rows = (
-            ("gain", drive.gain, Parameter("gain", joint).name, f"{torque_unit(robot, joint)}/A"),
-            ("rotor inertia", drive.inertia, Parameter("ia", joint).name, unit_of("ia", robot, joint)),
+            ("gain", drive.gain, Parameter("gain", joint), f"{torque_unit(robot, joint)}/A"),
+            ("rotor inertia", drive.inertia, Parameter("ia", joint), unit_of("ia", robot, joint)),
         )
         for what, expected, name, unit in rows:
             value, std = found.get(name, (None, None))

@@ -151,7 +151,7 @@ class Experiment(Keys):
                 )
             if drive.gain is not None and joint in info.data.get("prior_gains", {}):
                 raise ValueError(f"joint '{joint}' has a 'prior_gains' too; remove it, or its 'torque_constant' here")
-            if drive.inertia is not None and Parameter("ia", joint).name in info.data.get("priors", {}):
+            if drive.inertia is not None and Parameter("ia", joint) in info.data.get("priors", {}):
                 raise ValueError(f"'priors' has 'ia_{joint}' too; remove it, or the 'rotor_inertia' of '{joint}' here")
         return drives
 
@@ -170,7 +170,7 @@ class Experiment(Keys):
     @property
     def expected_parameters(self) -> dict[str, Prior]:
         """Priors of standard parameters: ``priors``, and rotor inertias of data sheets."""
-        sheets = {Parameter("ia", joint).name: drive.inertia for joint, drive in self.drives.items()}
+        sheets = {Parameter("ia", joint): drive.inertia for joint, drive in self.drives.items()}
         return self.priors | {
             name: Prior(value=each[0], std=each[1]) for name, each in sheets.items() if each is not None
         }

@@ -108,7 +108,7 @@ def computed_torque(
     GtauError
         Where the robot cannot follow the reference.
     """
-    model, n = result.model, len(result.model.actuated)
+    model, n = result.idm, len(result.idm.actuated)
     chi = model_parameters(result, payload)
     regressor = model.columns(result.base.standard)
 
@@ -127,12 +127,12 @@ def computed_torque(
 
 def model_parameters(result: Result, payload: Payload | None) -> np.ndarray:
     """Return the base parameters (n_b,) of the identified robot with the known parameters of its payload."""
-    model, base = result.model, result.base
+    model, base = result.idm, result.base
     chi = np.array([result.params[name] for name in base.names])
     if payload is not None:
         place = {name: k for k, name in enumerate(model.parameter_names)}
         for kind, value in {**result.payload(payload.name), **known_values(payload)}.items():
-            chi = chi + value * base.matrix[:, place[Parameter(kind, model.robot.tool).name]]
+            chi = chi + value * base.matrix[:, place[Parameter(kind, model.robot.tool)]]
     return chi
 
 

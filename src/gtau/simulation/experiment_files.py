@@ -47,7 +47,7 @@ def loaded(chi: Mapping[str, float], robot: Robot, payload: Payload | None) -> d
     chi = dict(chi)
     if payload is not None:
         for kind, value in {"m": payload.mass or 0.0, **payload.parameters}.items():
-            name = Parameter(kind, robot.tool).name
+            name = Parameter(kind, robot.tool)
             chi[name] = chi.get(name, 0.0) + value
     return chi
 

@@ -64,7 +64,7 @@ class JointFriction:
                     "presliding cannot be followed; give a width to actuated joints only."
                 )
         for name, value in self.values.items():
-            kind, joint, _ = parameter_of(name)
+            kind, joint = parameter_of(name).kind, parameter_of(name).body
             if kind in TERMS and joint not in joints:
                 raise GtauError(f"robot '{robot.name}' has no joint '{joint}' for the friction '{name}'; correct it.")
             if kind == "fb" and value and not self.law.shapes.get(joint, Shape()).speed:
@@ -93,7 +93,7 @@ class JointFriction:
     def propels(self) -> bool:
         """True if some term of the law may propel, and is then scaled down."""
         terms = [
-            {kind: self.values.get(Parameter(kind, joint.name).name, 0.0) for kind in ("fv", "fs", "fb", "fl", "f3")}
+            {kind: self.values.get(Parameter(kind, joint.name), 0.0) for kind in ("fv", "fs", "fb", "fl", "f3")}
             for joint in self.law.model.robot.joints
         ]
         return any(min(each["fv"], each["fs"], each["fs"] + each["fb"], each["fl"], each["f3"]) < 0 for each in terms)
@@ -158,7 +158,7 @@ class JointFriction:
     def offsets(self) -> np.ndarray:
         """Offsets (joints,), N m or N."""
         joints = self.law.model.robot.joints
-        return np.array([self.values.get(Parameter("off", joint.name).name, 0.0) for joint in joints])
+        return np.array([self.values.get(Parameter("off", joint.name), 0.0) for joint in joints])
 
     def _forces(self, yd: ca.SX, z: ca.SX) -> tuple[tuple[ca.SX, ca.SX], ca.SX]:
         """Express the forces of the law at zero load, their change per unit load, and the speeds they oppose."""
@@ -190,5 +190,5 @@ def of_model(result: Result, smoothing: Mapping[str, float]) -> tuple[dict[str, 
     """Return standard parameters of the same torques as an identified model's, and its friction."""
     chi = loaded_parameters(result, None, "the robot")
     values = friction_values(result, chi)
-    standard = dict(zip(result.base.standard, map(float, chi), strict=True))
+    standard: dict[str, float] = dict(zip(result.base.standard, map(float, chi), strict=True))
     return standard, JointFriction(result.friction_law, values, smoothing)

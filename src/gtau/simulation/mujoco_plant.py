@@ -70,7 +70,7 @@ class MujocoPlant:
             raise GtauError(
                 f"friction by load ('{by_load[0]}') is not supported by the engine 'mujoco'; use the engine 'gtau'."
             )
-        viscous = [Parameter("fv", joint.name).name for joint in robot.joints]
+        viscous = [Parameter("fv", joint.name) for joint in robot.joints]
         chi |= {name: max(friction.values.get(name, 0.0), 0.0) for name in viscous}
         try:
             self._model = robot_spec(mujoco, robot, chi).compile()
@@ -175,11 +175,11 @@ def robot_spec(mujoco: ModuleType, robot: Robot, chi: Mapping[str, float]) -> An
             name=joint.name,
             type=hinge if joint.turns else slide,
             axis=joint.axis,
-            armature=chi.get(Parameter("ia", joint.name).name, 0.0),
-            damping=chi.get(Parameter("fv", joint.name).name, 0.0),
+            armature=chi.get(Parameter("ia", joint.name), 0.0),
+            damping=chi.get(Parameter("fv", joint.name), 0.0),
         )
         if joint.spring is not None:
-            stiffness = chi.get(f"{STIFFNESS}_{joint.name}", 0.0)
+            stiffness = chi.get(Parameter(STIFFNESS, joint.name), 0.0)
             made.stiffness = (stiffness, 0.0, 0.0) if np.size(made.stiffness) == 3 else stiffness
             made.springref = joint.spring
     for platform in robot.platforms:
@@ -218,7 +218,7 @@ def spring_attributes(spring: Spring, chi: Mapping[str, float]) -> dict[str, Any
 
     A tendon's stiffness and length at rest are not negative, so no tendon is a gas spring of constant force.
     """
-    f0, k, c = (chi.get(Parameter(kind, spring.name).name, 0.0) for kind in (PRELOAD, STIFFNESS, DAMPING))
+    f0, k, c = (chi.get(Parameter(kind, spring.name), 0.0) for kind in (PRELOAD, STIFFNESS, DAMPING))
     if k < 0 or c < 0 or f0 < 0 or (f0 and not k):
         return None
     rest = f0 / k if k else 0.0
@@ -238,7 +238,7 @@ def _add_spring(
         for name, value in attributes.items():  # numbers, or the first coefficients of polynomials
             setattr(tendon, name, (value, 0.0, 0.0) if np.size(getattr(tendon, name)) == 3 else value)
         return
-    bias = [chi.get(Parameter(kind, spring.name).name, 0.0) for kind in (PRELOAD, STIFFNESS, DAMPING)]
+    bias = [chi.get(Parameter(kind, spring.name), 0.0) for kind in (PRELOAD, STIFFNESS, DAMPING)]
     actuator = spec.add_actuator(name=spring.name, target=spring.name, trntype=mujoco.mjtTrn.mjTRN_TENDON)
     actuator.gainprm[0] = 0.0
     actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE

@@ -21,15 +21,14 @@ import numpy as np
 import scipy.linalg
 
 from gtau.errors import GtauError
-from gtau.estimation.friction.normal_equations import PLAIN
 from gtau.model.closures import closure_expressions
 from gtau.model.dynamics import spring_length, torques
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import configuration_rates, frames
 from gtau.model.loop_paths import follow
 from gtau.model.loops import Loops, pose_words
-from gtau.robots.parameter import Parameter, parameter_of
-from gtau.robots.robot import PRELOAD, STIFFNESS
+from gtau.robots.parameter import Parameter
+from gtau.robots.robot import PLAIN_FRICTION, PRELOAD, STIFFNESS
 from gtau.simulation.joint_friction import JointFriction, plain_friction
 
 
@@ -122,7 +121,7 @@ class Plant:
         unknown = [name for name in chi if name not in model.parameter_names]
         if unknown:
             raise GtauError(f"robot '{model.robot.name}' has no standard parameter '{unknown[0]}'; correct its name.")
-        self.chi = {name: float(chi.get(name, 0.0)) for name in model.parameter_names}
+        self.chi: dict[str, float] = {name: float(chi.get(name, 0.0)) for name in model.parameter_names}
         self.friction = friction or plain_friction(model, self.chi)
         self._dynamics, self._effort = self._symbolic_dynamics(), self._symbolic_effort()
         self._step = Compiled(self._symbolic_step())
@@ -214,16 +213,16 @@ class Plant:
         c = ca.SX.sym("c", layout.n_c)
         potential = ca.SX(0)
         for body, frame in frames(layout, c).items():
-            if Parameter("m", body).name in self.chi:
-                m, *ms = (self.chi[Parameter(kind, body).name] for kind in ("m", "mx", "my", "mz"))
+            if Parameter("m", body) in self.chi:
+                m, *ms = (self.chi[Parameter(kind, body)] for kind in ("m", "mx", "my", "mz"))
                 potential -= ca.dot(ca.SX(ca.DM(layout.robot.gravity)), m * frame.p_0 + frame.R_0 @ ca.SX(ca.DM(ms)))
         for row, joint in enumerate(layout.robot.joints):
-            potential += self.chi.get(Parameter("off", joint.name).name, 0.0) * c[row]
+            potential += self.chi.get(Parameter("off", joint.name), 0.0) * c[row]
             if joint.spring is not None:
-                potential += self.chi.get(f"{STIFFNESS}_{joint.name}", 0.0) * (c[row] - joint.spring) ** 2 / 2
+                potential += self.chi.get(Parameter(STIFFNESS, joint.name), 0.0) * (c[row] - joint.spring) ** 2 / 2
         for spring in layout.robot.springs:
             length, _ = spring_length(spring, frames(layout, c))
-            f0, k = (self.chi.get(Parameter(kind, spring.name).name, 0.0) for kind in (PRELOAD, STIFFNESS))
+            f0, k = (self.chi.get(Parameter(kind, spring.name), 0.0) for kind in (PRELOAD, STIFFNESS))
             potential += k * length**2 / 2 - f0 * length
         return ca.Function("potential", [c], [potential])
 
@@ -231,7 +230,7 @@ class Plant:
         """Compile (c, yd, ydd, J) to the mass matrix and the torques of eq. (15), friction and offsets left out."""
         layout = self.layout
         (c, yd, ydd, passive), J = self.model.symbols
-        still = {name: ca.SX(value) for name, value in self.chi.items() if parameter_of(name).kind not in PLAIN}
+        still = {name: ca.SX(self.chi[name]) for name in self.model.parameter_names if name.kind not in PLAIN_FRICTION}
         tau = torques(layout, c, yd, ydd, J, still)
         return ca.Function("dynamics", [c, yd, ydd, passive.T], [ca.jacobian(tau, ydd) @ J, tau], {"cse": True})
 

@@ -95,10 +95,10 @@ class Simulation(Keys):
     @classmethod
     def _friction_takes_energy(cls, parameters: dict[str, float]) -> dict[str, float]:
         for name, value in parameters.items():
-            kind, joint, _ = parameter_of(name)
+            kind, joint = parameter_of(name).kind, parameter_of(name).body
             if kind in ("fv", "fs", "fl", DAMPING) and value < 0:
                 raise ValueError(f"the friction '{name}' is negative, and would drive the robot; write 0 or more")
-            rest = Parameter("fs", joint).name
+            rest = Parameter("fs", joint)
             if kind == "fb" and parameters.get(rest, 0.0) + value < 0:
                 raise ValueError(
                     f"the friction at rest, '{rest}' + '{name}', is negative, and would drive the robot; "

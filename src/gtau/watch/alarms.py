@@ -15,7 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.estimation.results.result import Result
+from gtau.robots.parameter import Parameter
 from gtau.watch.detectors import FEWEST, MEMORY, Chart, Evidence
 from gtau.watch.quantities import Quantity
 from gtau.watch.state import Alarm, Entry, Explained
@@ -48,7 +49,7 @@ class Explanation:
 
 
 def alarm_of(
-    model: IdentifiedModel,
+    model: Result,
     entries: Sequence[Entry],
     charts: Mapping[str, Chart],
     evidences: Mapping[str, Evidence],
@@ -59,7 +60,7 @@ def alarm_of(
 
     Parameters
     ----------
-    model : IdentifiedModel
+    model : Result
         Of the robot.
     entries : sequence of Entry
         Last logs, the newest one last.
@@ -224,12 +225,12 @@ def _contacts(log: LogStatistics, uneven: Mapping[str, float]) -> tuple[Explanat
     return (Explanation("contact", log.joints[j], RESIDUAL, float(ratio[j]), 0.0, "1", 0.0, 1.0),)
 
 
-def _stated(each: Explanation, model: IdentifiedModel, factor: float) -> Explained:
+def _stated(each: Explanation, model: Result, factor: float) -> Explained:
     """State an explanation with its interval, and its share of the model's friction."""
     relative = None
     if each.kind == "friction":
         friction = model.friction_parameters
-        known = {**model.parameters, **friction}.get(f"{each.quantity}_{each.joint}")
+        known = {**model.parameters, **friction}.get(Parameter(each.quantity, each.joint))
         if known is not None and known.value:
             relative = each.size / known.value
     return Explained(

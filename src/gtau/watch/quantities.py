@@ -30,14 +30,14 @@ from gtau.estimation.regression.dataset import at_rate_of, check_wrenches, prepa
 from gtau.estimation.regression.equations import STRETCHES, delayed
 from gtau.estimation.regression.rows import Labels, Rows, stream_rows
 from gtau.estimation.regression.stretches import stretch_edges, stretch_of
-from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.prediction import check_temperature_unit, friction_along, loaded_parameters
+from gtau.estimation.results.result import Result
 from gtau.robots.parameter import Parameter
+from gtau.robots.robot import PLAIN_FRICTION
 from gtau.robots.units import unit_of
 from gtau.signals.payload import Payload
 from gtau.signals.run import Run, arrange, without_sensors
 
-FRICTION = ("fv", "fs", "off")
 STEP = 1e-3  # rad or m, of an encoder zero: torques are linear over this
 FEWEST_ROWS = 50  # of a joint in a log, as in an identification
 ZERO_UNITS = {"revolute": ("deg", np.pi / 180), "prismatic": ("mm", 1e-3)}
@@ -54,7 +54,7 @@ class Quantity:
     @property
     def name(self) -> str:
         """Name in tables and files, such as ``gain_elbow``."""
-        return Parameter(self.kind, self.joint or "load").name
+        return Parameter(self.kind, self.joint or "load")
 
     @property
     def group(self) -> str:
@@ -78,7 +78,7 @@ class NormalEquations:
     sigma: np.ndarray
 
 
-def quantities_of(model: IdentifiedModel, of_load: Iterable[str]) -> tuple[Quantity, ...]:
+def quantities_of(model: Result, of_load: Iterable[str]) -> tuple[Quantity, ...]:
     """List the watched quantities of a model and the parameters ``of_load``, in the order of the columns."""
     robot, motors = model.robot, model.robot.motors
     load = (Quantity(kind, "", unit_of(kind, robot, robot.tool)) for kind in of_load)
@@ -91,14 +91,14 @@ def quantities_of(model: IdentifiedModel, of_load: Iterable[str]) -> tuple[Quant
     names = model.base.standard
     rubbing = [
         Quantity(kind, joint, unit_of(kind, robot, joint))
-        for kind in FRICTION
+        for kind in PLAIN_FRICTION
         for joint in motors
-        if Parameter(kind, joint).name in names
+        if Parameter(kind, joint) in names
     ]
     return (*load, *drives, *rubbing)
 
 
-def normal_equations(model: IdentifiedModel, run: Run) -> NormalEquations:
+def normal_equations(model: Result, run: Run) -> NormalEquations:
     """Reduce a log to the normal equations of the watched quantities.
 
     Raises
@@ -113,7 +113,7 @@ def normal_equations(model: IdentifiedModel, run: Run) -> NormalEquations:
             f"run '{run.name}' holds {run.kind}s, but the model was identified from {model.kind}s; give a log of the "
             "same kind."
         )
-    idm, base = model.model, model.base
+    idm, base = model.idm, model.base
     run = without_sensors(arrange(run, idm.actuated))
     check_wrenches(model.robot, run)
     check_temperature_unit(model, run)
@@ -148,7 +148,7 @@ def normal_equations(model: IdentifiedModel, run: Run) -> NormalEquations:
     return NormalEquations(quantities, G, rows, np.sqrt(power / np.maximum(count, 1)), sigma)
 
 
-def _sigma(model: IdentifiedModel) -> np.ndarray:
+def _sigma(model: Result) -> np.ndarray:
     """Take the torque residual (n,) of the identification; of a joint without one the median of the others."""
     known = {each.joint: each.rms for each in model.residuals}
     middle = float(np.median([*known.values()])) if known else 1.0
@@ -156,13 +156,13 @@ def _sigma(model: IdentifiedModel) -> np.ndarray:
 
 
 def _columns(
-    model: IdentifiedModel, part: Rows, load: np.ndarray, payload: np.ndarray, quantities: Sequence[Quantity], run: str
+    model: Result, part: Rows, load: np.ndarray, payload: np.ndarray, quantities: Sequence[Quantity], run: str
 ) -> tuple[np.ndarray, np.ndarray]:
     """Build the rows ``[columns | y]`` (n, K, p + 1) of all joints, and the torques of the model (n, K).
 
     ``load`` are the identified base parameters, and ``payload`` (n_b, k) the columns of a payload among them.
     """
-    idm = model.model
+    idm = model.idm
     n, regressor = len(idm.actuated), idm.columns(model.base.standard)
     W = np.zeros((n, len(part.time), len(regressor.names)))
     W[regressor.rows, :, regressor.columns] = part.entries
@@ -193,9 +193,9 @@ def _columns(
     return A, tau
 
 
-def _of_zeros(model: IdentifiedModel, part: Rows, load: np.ndarray, run: str) -> np.ndarray:
+def _of_zeros(model: Result, part: Rows, load: np.ndarray, run: str) -> np.ndarray:
     """Differentiate the torques (n, K) with respect to each encoder zero, (n, n, K), per degree or millimetre."""
-    idm = model.model
+    idm = model.idm
     n, actuated = len(idm.actuated), idm.layout.actuated
     regressor, motion, labels = idm.columns(model.base.standard), part.motion, Labels(run, part.time)
     q, qd, qdd = (np.ascontiguousarray(each[actuated]) for each in (motion.c, motion.yd, motion.ydd))

@@ -15,10 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.estimation.estimators.estimator import jackknife
-from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.estimation.results.result import Result
+from gtau.robots.robot import PLAIN_FRICTION
 from gtau.robots.units import torque_unit
 from gtau.signals.run import Run
-from gtau.watch.quantities import FRICTION, NormalEquations, Quantity, normal_equations
+from gtau.watch.quantities import NormalEquations, Quantity, normal_equations
 
 SPANNED = 1e-6  # of the square of a column: a smaller residual is linear dependence on the others
 SHOWN = 0.03  # of a joint's rms torque, by which a change of one standard deviation may at most move it
@@ -80,12 +81,12 @@ class LogStatistics:
         return tuple(chart.name for chart, there in zip(self.charts, self.shown, strict=True) if not there)
 
 
-def statistics_of(model: IdentifiedModel, run: Run) -> LogStatistics:
+def statistics_of(model: Result, run: Run) -> LogStatistics:
     """Compute the statistics of a finished log.
 
     Parameters
     ----------
-    model : IdentifiedModel
+    model : Result
         The robot as it was identified.
     run : Run
         From :func:`gtau.read_run`; its payload, if any, is part of what is expected.
@@ -151,7 +152,7 @@ class _Columns:
 
     @staticmethod
     def of(quantities: tuple[Quantity, ...]) -> _Columns:
-        friction = tuple(k for k, each in enumerate(quantities) if each.group in FRICTION)
+        friction = tuple(k for k, each in enumerate(quantities) if each.group in PLAIN_FRICTION)
         load = tuple(k for k, each in enumerate(quantities) if each.group == "load")
         single = tuple(k for k in range(len(quantities)) if k not in friction and k not in load)
         charts = tuple(  # inertia of the load and offsets are estimated with the others

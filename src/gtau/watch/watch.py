@@ -17,6 +17,7 @@ from gtau.errors import GtauError
 from gtau.estimation.results.model_document import to_document
 from gtau.estimation.results.result import Result
 from gtau.model.interpreter.threads import single_threaded_blas
+from gtau.robots.robot import PLAIN_FRICTION
 from gtau.signals.run import Run
 from gtau.watch.alarms import alarm_of
 from gtau.watch.detectors import (
@@ -33,7 +34,7 @@ from gtau.watch.detectors import (
     cusum_limit,
     evidence,
 )
-from gtau.watch.quantities import FRICTION, Quantity
+from gtau.watch.quantities import Quantity
 from gtau.watch.state import Alarm, Entry, Settings, append, open_history, reset_date
 from gtau.watch.statistics import RESIDUAL, LogStatistics, statistics_of
 
@@ -259,7 +260,7 @@ class Watch:
 def _begun(name: str, baseline: int) -> Chart:
     """Begin the chart of this name."""
     kind = name.partition("_")[0]
-    return Chart(baseline, kind == RESIDUAL, OF_FRICTION if kind in (*FRICTION, RESIDUAL) else MEMORY)
+    return Chart(baseline, kind == RESIDUAL, OF_FRICTION if kind in (*PLAIN_FRICTION, RESIDUAL) else MEMORY)
 
 
 def _shown(log: LogStatistics, values: np.ndarray) -> dict[str, float]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gtau.estimation.diagnostics.examine import Examination, Uncertainty
+from gtau.estimation.diagnostics.examine import Examination
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.gain_checks import (
@@ -33,6 +33,7 @@ from gtau.estimation.diagnostics.stated_constants import (
     sensor_scales,
 )
 from gtau.estimation.diagnostics.verdict import GIVEN, GOOD, Outcome, Verdict, decide
+from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Fit
 from gtau.model.base_parameters import whole_mass
 from gtau.signals.notes import Note
@@ -58,7 +59,7 @@ class Diagnosis:
 def diagnose(
     fit: Fit,
     examined: Examination,
-    uncertainty: Uncertainty,
+    estimates: Estimates,
     payloads: Mapping[str, Verdict],
     prior_gains: Mapping[str, float],
     accuracy: float,
@@ -67,7 +68,7 @@ def diagnose(
 
     Parameters
     ----------
-    fit, examined, uncertainty : Fit, Examination, Uncertainty
+    fit, examined, estimates : Fit, Examination, Estimates
         What was estimated, what the data say against it, and how well it is known.
     payloads : mapping
         Verdicts on known payloads, by name.
@@ -78,7 +79,7 @@ def diagnose(
     """
     dataset, problem, joints = fit.dataset, fit.system.problem, motors(fit)
     sensors = sensor_scales(fit) if fit.free_gains else ()
-    priors = prior_contradictions(fit, uncertainty.covariance, accuracy)
+    priors = prior_contradictions(fit, estimates.covariance, accuracy)
     mass = whole_mass(dataset.base, dataset.model.parameter_names) if dataset.robot.floating else ""
     against = [
         *wrench_contradictions(fit),
@@ -86,7 +87,7 @@ def diagnose(
     ]
     if fit.free_gains:
         against += [
-            *estimated_gains(fit, examined, uncertainty, accuracy, prior_gains),
+            *estimated_gains(fit, examined, estimates, accuracy, prior_gains),
             *prior_gains_off(fit, prior_gains),
             *sensor_contradictions(sensors, problem.joints, accuracy),
             *(
@@ -97,20 +98,20 @@ def diagnose(
         ]
     else:
         against += given_gains(fit, examined, payloads)
-    delay_std = np.sqrt(np.diag(uncertainty.random))[problem.n_theta + len(problem.channels) :]
+    delay_std = np.sqrt(np.diag(estimates.random))[problem.n_theta + len(problem.channels) :]
     period = 1 / min(run.rate for run in dataset.runs)
     delays = delay_verdicts(problem, fit.solution, delay_std, period) if delay_std.any() else (GOOD,) * len(delay_std)
     beside = [
-        *unlike_legs(dataset, fit.system, fit.solution.theta, uncertainty.covariance),
+        *unlike_legs(dataset, fit.system, fit.solution.theta, estimates.covariance),
         *priors,
         *efforts_exceeded(fit),
         *position_noise(fit, examined.alternatives),
         *ripple_findings(examined.ripple, fit),
         *repeated_motion_findings(fit, examined.alternatives),
         *(_small_refutations(examined, accuracy) if fit.free_gains else []),
-        *(gains_apart(fit, uncertainty) if fit.free_gains else []),
-        *(common_scale(fit, uncertainty, accuracy) if fit.free_gains else []),
-        *logged_torques(fit, uncertainty),
+        *(gains_apart(fit, estimates) if fit.free_gains else []),
+        *(common_scale(fit, estimates, accuracy) if fit.free_gains else []),
+        *logged_torques(fit, estimates),
         *examined.untested,
     ]
     against, beside = ([in_context(fit, each) for each in found] for found in (against, beside))

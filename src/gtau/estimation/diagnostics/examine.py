@@ -35,6 +35,7 @@ from gtau.estimation.diagnostics.other_gravity import (
 )
 from gtau.estimation.diagnostics.repeating_residuals import PositionRipple, position_ripple
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
+from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.thresholds.estimates import (
@@ -153,40 +154,8 @@ def _most_of_wrenches(alternatives: Sequence[Alternative]) -> float:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Uncertainty:
-    """Covariances (k, k) of (theta, gains, delays) from ``scatter``, the ``scale`` and ``model`` deficits.
-
-    ``freedom`` (k,) are the degrees of freedom behind the scatter, None for very many.
-    """
-
-    scatter: np.ndarray
-    scale: np.ndarray
-    model: np.ndarray
-    freedom: np.ndarray | None
-
-    @property
-    def random(self) -> np.ndarray:
-        """Random part: scatter, and uncertainty of the masses and calibrations that set the scale."""
-        return self.scatter + self.scale
-
-    @property
-    def covariance(self) -> np.ndarray:
-        """Both parts together."""
-        return self.random + self.model
-
-    @property
-    def effective_freedom(self) -> np.ndarray | None:
-        """Degrees of freedom of all parts together (k,): all but the scatter counts as known (Satterthwaite)."""
-        if self.freedom is None:
-            return None
-        scatter, total = np.diag(self.scatter), np.diag(self.covariance)
-        share = np.divide(total, scatter, out=np.ones_like(total), where=scatter > 0)
-        return np.asarray(self.freedom * share**2)
-
-
-def uncertainty_of(fit: Fit, examined: Examination, correlated: bool) -> Uncertainty:
-    """Compute the uncertainty of a fit.
+def estimates_of(fit: Fit, examined: Examination, correlated: bool) -> Estimates:
+    """Collect the estimates of a fit with their covariance.
 
     Parameters
     ----------
@@ -195,8 +164,11 @@ def uncertainty_of(fit: Fit, examined: Examination, correlated: bool) -> Uncerta
     correlated : bool
         By the block jackknife and with the model part, or by the method's formula alone, as the paper does.
     """
+    problem, solution = fit.system.problem, fit.solution
     of_scale = scale_uncertainty(fit.dataset, fit.system, fit.solve)
     if not correlated:
-        return Uncertainty(fit.solution.covariance, of_scale, np.zeros_like(of_scale), None)
-    freedom = degrees_of_freedom(fit.system.problem, fit.solution, fit.free_gains)
-    return Uncertainty(fit.solution.jackknife, of_scale, examined.covariance, freedom)
+        parts = (solution.covariance, of_scale, np.zeros_like(of_scale))
+        return Estimates(problem.unknowns, solution.stacked, *parts, None)
+    freedom = degrees_of_freedom(problem, solution, fit.free_gains)
+    parts = (solution.jackknife, of_scale, examined.covariance)
+    return Estimates(problem.unknowns, solution.stacked, *parts, freedom)

@@ -21,13 +21,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from gtau.estimation.diagnostics.examine import Examination, Uncertainty
+from gtau.estimation.diagnostics.examine import Examination
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.hypotheses.hypothesis import friction_levels, rms_speeds, rms_torques
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
 from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
 from gtau.estimation.diagnostics.verdict import Verdict
+from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.thresholds.estimates import (
     APART,
@@ -49,13 +50,13 @@ from gtau.robots.units import gain_unit, torque_unit
 
 
 def estimated_gains(
-    fit: Fit, examined: Examination, uncertainty: Uncertainty, accuracy: float, prior_gains: Mapping[str, float]
+    fit: Fit, examined: Examination, estimates: Estimates, accuracy: float, prior_gains: Mapping[str, float]
 ) -> Iterator[Finding]:
     """Check drive gains that were estimated by their own equations.
 
     Parameters
     ----------
-    fit, examined, uncertainty : Fit, Examination, Uncertainty
+    fit, examined, estimates : Fit, Examination, Estimates
         What was estimated, what the data say against it, and how well it is known.
     accuracy : float
         Half the relative width of the 95 % interval up to which a gain is good.
@@ -63,9 +64,9 @@ def estimated_gains(
         Gains expected, by joint; where one is negative, a motor turns against its joint, and all may.
     """
     problem, solution, gains = fit.system.problem, fit.solution, fit.gains
-    stds = np.sqrt(np.diag(uncertainty.random))[problem.gain_rows] / np.abs(gains)
-    halves = half_widths(fit, uncertainty)
-    random_halves = halves * stds / (np.sqrt(np.diag(uncertainty.covariance)[problem.gain_rows]) / np.abs(gains))
+    stds = np.sqrt(np.diag(estimates.random))[problem.gain_rows] / np.abs(gains)
+    halves = half_widths(fit, estimates)
+    random_halves = halves * stds / (np.sqrt(np.diag(estimates.covariance)[problem.gain_rows]) / np.abs(gains))
     misfits = unexplained_shares(problem, solution)
     yield from examined.swapped
     free = problem.free[: len(gains)]
@@ -97,15 +98,15 @@ def estimated_gains(
                 yield Finding(F.OTHER_ESTIMATOR, mine, values=values, causes=each.causes, severity=abs(each.t))
         if half > accuracy:
             values = {"half": half, "accuracy": accuracy, "random": bool(random_halves[j] > accuracy)}
-            kind, causes = _widest(examined, uncertainty, problem.n_theta + j)
+            kind, causes = _widest(examined, estimates, problem.n_theta + j)
             yield Finding(kind, mine, values=values, causes=causes)
         if gains[j] < 0:
             yield Finding(F.NEGATIVE_GAIN, mine)
 
 
-def gains_apart(fit: Fit, uncertainty: Uncertainty) -> Iterator[Finding]:
+def gains_apart(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
     """Find joints whose gains differ by more than motors and gears of one robot explain; ignore lost gains."""
-    known, robot, kind = half_widths(fit, uncertainty) < 1, fit.dataset.robot, fit.dataset.runs[0].kind
+    known, robot, kind = half_widths(fit, estimates) < 1, fit.dataset.robot, fit.dataset.runs[0].kind
     joints = zip(fit.system.problem.joints, np.abs(fit.gains), known & ~np.isin(fit.system.problem.joints, robot.base),
                  strict=True)  # fmt: skip
     of_unit: dict[str, list[tuple[float, str]]] = {}
@@ -119,20 +120,20 @@ def gains_apart(fit: Fit, uncertainty: Uncertainty) -> Iterator[Finding]:
                 yield Finding(F.GAINS_APART, (below, above), values=values)
 
 
-def half_widths(fit: Fit, uncertainty: Uncertainty) -> np.ndarray:
+def half_widths(fit: Fit, estimates: Estimates) -> np.ndarray:
     """Compute half the relative widths of the gains' 95 % intervals, (n,)."""
     from scipy.special import ndtri, stdtrit
 
     gains = fit.system.problem.gain_rows
-    std = np.sqrt(np.diag(uncertainty.covariance)[gains]) / np.abs(fit.gains)
-    freedom = uncertainty.effective_freedom
+    std = np.sqrt(np.diag(estimates.covariance)[gains]) / np.abs(fit.gains)
+    freedom = estimates.effective_freedom
     return np.asarray(std * (ndtri(0.975) if freedom is None else stdtrit(freedom[gains], 0.975)))
 
 
-def _widest(examined: Examination, uncertainty: Uncertainty, row: int) -> tuple[F, tuple[Finding, ...]]:
+def _widest(examined: Examination, estimates: Estimates, row: int) -> tuple[F, tuple[Finding, ...]]:
     """Find the largest contribution to the interval of an estimate."""
-    random, model = uncertainty.random[row, row], uncertainty.model[row, row]
-    if uncertainty.scale[row, row] > NAMED_SHARE * (random + model):
+    random, model = estimates.random[row, row], estimates.model[row, row]
+    if estimates.scale[row, row] > NAMED_SHARE * (random + model):
         return F.WIDE_SCALE, ()
     if model < NAMED_SHARE * (random + model):
         return F.WIDE_RANDOM, ()
@@ -236,16 +237,16 @@ def base_misfit(fit: Fit) -> dict[str, float]:
     }
 
 
-def logged_torques(fit: Fit, uncertainty: Uncertainty) -> Iterator[Finding]:
+def logged_torques(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
     """Find motor-side torques, by their scale, and torques or currents computed by a model."""
     kind = fit.dataset.runs[0].kind
     yield from doubtful_commands(fit.dataset.runs, fit.dataset.robot)
     if fit.free_gains and kind == "torque":
-        scales = np.abs(fit.gains)[half_widths(fit, uncertainty) < 1]
+        scales = np.abs(fit.gains)[half_widths(fit, estimates) < 1]
         if len(scales) and scales.min() > GEARED:
             yield Finding(F.MOTOR_SIDE, values={"least": float(scales.min()), "most": float(scales.max())})
     joints, known = fit.dataset.robot.motors, set(fit.system.problem.parameters)
-    if any({name := Parameter("fs", joint).name, name + "R"}.isdisjoint(known) for joint in joints):
+    if any({name := Parameter("fs", joint), name + "R"}.isdisjoint(known) for joint in joints):
         return
     rows = [fit.dataset.model.actuated.index(joint) for joint in joints]
     (fv, fs), torques = friction_levels(fit), rms_torques(fit)
@@ -256,17 +257,17 @@ def logged_torques(fit: Fit, uncertainty: Uncertainty) -> Iterator[Finding]:
         yield Finding(F.MODEL_TORQUES, values=values)
 
 
-def common_scale(fit: Fit, uncertainty: Uncertainty, accuracy: float) -> Iterator[Finding]:
+def common_scale(fit: Fit, estimates: Estimates, accuracy: float) -> Iterator[Finding]:
     """Find one factor, other than 1, that explains the torque scales of all joints which rest on one payload's mass."""
     from scipy.stats import chi2
 
     masses = {run.payload.name: run.payload.mass for run in fit.dataset.runs if run.payload}
     known = {name: mass for name, mass in masses.items() if mass is not None}
-    judged = np.flatnonzero(half_widths(fit, uncertainty) < 1)
+    judged = np.flatnonzero(half_widths(fit, estimates) < 1)
     if fit.dataset.runs[0].kind != "torque" or fit.system.problem.scaled or len(known) != 1 or len(judged) < 2:
         return
     rows = fit.system.problem.gain_rows
-    covariance = uncertainty.covariance[rows, rows][np.ix_(judged, judged)]
+    covariance = estimates.covariance[rows, rows][np.ix_(judged, judged)]
     gains, precision = fit.gains[judged], np.linalg.pinv(covariance)
     variance = 1 / float(precision.sum())
     scale = variance * float(precision.sum(axis=0) @ gains)

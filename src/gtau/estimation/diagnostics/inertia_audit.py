@@ -190,9 +190,9 @@ class _Comparison:
         system, base, names = fit.system, fit.dataset.base, fit.dataset.model.parameter_names
         identified = system.full(fit.solution.theta)[:-1]
         values = np.array([stated.get(name, 0.0) for name in names])
-        unstated = np.array([parameter_of(name).kind == "ia" and name not in stated for name in names])
-        of_bodies = np.array([parameter_of(name).kind in (*INERTIAL, "ia") for name in names])
-        of_drives = np.array([parameter_of(name).kind in DRIVE[1:] for name in names])
+        unstated = np.array([name.kind == "ia" and name not in stated for name in names])
+        of_bodies = np.array([name.kind in (*INERTIAL, "ia") for name in names])
+        of_drives = np.array([name.kind in DRIVE[1:] for name in names])
         inertial = np.zeros(len(identified), dtype=bool)
         inertial[: base.count] = np.any(base.matrix[:, of_bodies], axis=1) & ~np.any(base.matrix[:, of_drives], axis=1)
         unknown = np.zeros_like(inertial)
@@ -250,7 +250,7 @@ def _parameters(
     for k, name in enumerate(base.names):
         if not comparison.inertial[k]:
             continue
-        kind, body, _ = parameter_of(base.standard[k])
+        kind, body = base.standard[k].kind, base.standard[k].body
         each = AuditedParameter(name, body, unit_of(kind, robot, body), "not identifiable", float(comparison.file[k]))
         found[name] = each
         if name not in kept:
@@ -260,7 +260,7 @@ def _parameters(
         nu = np.inf if freedom is None else float(freedom[place])
         half = std * float(stdtrit(nu, 0.975))
         each = replace(each, stated=float(file[place]), value=value, std=std, interval=(value - half, value + half))
-        sizes = sizes_of(dict(stated), body) if Parameter("m", body).name in stated else None
+        sizes = sizes_of(dict(stated), body) if Parameter("m", body) in stated else None
         size = abs(file[place]) if kind == "ia" else (sizes or {}).get(kind, 0.0)
         if comparison.open[k]:
             found[name] = replace(each, standing="not stated", stated=own[k] if kind in INERTIAL else None)
@@ -283,7 +283,7 @@ def _links(fit: Fit, comparison: _Comparison, stated: Mapping[str, float]) -> li
     torque = rows @ difference
     members: dict[str, list[int]] = {}
     for k, (kind, body, _) in enumerate(map(parameter_of, names)):
-        if kind in INERTIAL or Parameter(kind, body).name in stated:
+        if kind in INERTIAL or Parameter(kind, body) in stated:
             members.setdefault(ROTORS if kind == "ia" else body, []).append(k)
     bodies = {body: base.matrix[:, columns] for body, columns in members.items()}
     found: list[AuditedLink] = []

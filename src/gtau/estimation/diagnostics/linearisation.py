@@ -14,7 +14,6 @@ from gtau.estimation.regression.equations import FIXED, triangle
 from gtau.estimation.regression.factors import EXTRA, equations
 from gtau.estimation.regression.rows import Rows, stream_rows
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.parameter import parameter_of
 from gtau.signals.filters import STENCIL
 from gtau.signals.preparation import InMemoryRun, PreparedRun, joined
 
@@ -186,7 +185,7 @@ def window_rows(
         (c, K) of bool.
     """
     regressor, c = model.columns(fit.dataset.base.standard), len(fit.system.problem.channels)
-    loaded = any(parameter_of(term).kind == "fl" for term in fit.system.friction.terms)
+    loaded = any(term.kind == "fl" for term in fit.system.friction.terms)
     load = fit.system.load(run, fit.solution.theta) if loaded else None
     decimator = fit.dataset.preparation.at(window.run.rate).decimator
     parts, keep = [], []

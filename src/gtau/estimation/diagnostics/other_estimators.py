@@ -41,7 +41,6 @@ from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.equations import SIGNALS, triangle
 from gtau.estimation.regression.friction import TERMS
 from gtau.estimation.thresholds.estimates import DIFFERENT_PROBABILITY, DIFFERENT_STD, NOISE_STD, WEAK_INSTRUMENTS
-from gtau.robots.parameter import parameter_of
 from gtau.signals.filters import below_nyquist
 from gtau.signals.preparation import Preparation
 
@@ -241,7 +240,7 @@ def _pairs(fit: Fit, usual: Windows, further: Windows) -> list[tuple[np.ndarray,
     further changes at other samples, which is no noise: columns of Coulomb friction are the usual ones in both.
     """
     model, found = fit.dataset.model, []
-    dry = [k for k, name in enumerate(fit.dataset.base.standard) if parameter_of(name).kind == "fs"]
+    dry = [k for k, name in enumerate(fit.dataset.base.standard) if name.kind == "fs"]
     dry.append(fit.dataset.base.count + TERMS.index("fl"))
     for (run, window), (_, filtered) in zip(usual, further, strict=True):
         A, keep = window_rows(fit, run, window, None, model)

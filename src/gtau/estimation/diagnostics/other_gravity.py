@@ -46,7 +46,6 @@ from gtau.estimation.thresholds.estimates import (
 from gtau.estimation.thresholds.logs import AS_WELL, GRAVITY_FELT, NO_GRAVITY, UNFELT
 from gtau.model.base_parameters import base_parameters
 from gtau.progress import Progress, silent
-from gtau.robots.parameter import parameter_of
 from gtau.signals.preparation import InMemoryRun
 
 STEPS = 4  # of Gauss-Newton, from an axis at most 55 degrees off
@@ -113,7 +112,7 @@ def fitted(fit: Fit, dataset: Dataset, gravity: np.ndarray) -> Fit | None:
         model = model.with_gravity(gravity)
         base = base_parameters(model, sensors=dataset.runs[0].sensed)
     friction, given = fit.system.friction, Given(None if fit.free_gains else fit.gains)
-    friction = Friction(tuple(each for each in friction.terms if parameter_of(each).kind != "fl"), friction.per_run)
+    friction = Friction(tuple(each for each in friction.terms if each.kind != "fl"), friction.per_run)
     try:
         other = replace(dataset, robot=model.robot, model=model, base=base, factors=()).reduced()
         system = other.system(friction, fit.system.problem.slowest > 0)

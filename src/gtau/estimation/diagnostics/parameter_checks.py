@@ -27,8 +27,8 @@ from gtau.estimation.thresholds.estimates import (
 from gtau.estimation.thresholds.logs import DELAY_MOTION, DELAY_STD
 from gtau.model.base_parameters import BaseParameters
 from gtau.robots.geometry import identical_legs
-from gtau.robots.parameter import parameter_of
-from gtau.robots.robot import Robot
+from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.robot import PLAIN_FRICTION, Robot
 
 NONNEGATIVE = {"m", "xx", "yy", "zz", "ia", "fv", "fs"}
 TERM = re.compile(r"([+-])\s*(?:[\d.e+-]+ )?([a-z]+\d?)_")
@@ -132,9 +132,6 @@ def delay_verdicts(problem: Problem, solution: Solution, std: np.ndarray, period
     return tuple(found)
 
 
-FRICTION = ("fv", "fs", "off")  # these always differ, and the table of parameters shows them
-
-
 @dataclass(frozen=True)
 class LegDifference:
     """Differences between a leg's identified parameters and the mean of the legs of the same geometry.
@@ -154,7 +151,7 @@ class LegDifference:
     """
 
     leg: tuple[str, ...]
-    compared: tuple[str, ...]
+    compared: tuple[Parameter, ...]
     deviations: np.ndarray
     relative: np.ndarray
     probability: float
@@ -163,7 +160,7 @@ class LegDifference:
 def leg_differences(
     robot: Robot,
     base: BaseParameters,
-    names: Sequence[str],
+    names: Sequence[Parameter],
     parameters: np.ndarray,
     covariance: np.ndarray,
 ) -> list[LegDifference]:
@@ -174,7 +171,7 @@ def leg_differences(
     robot : Robot
     base : BaseParameters
         Of the robot: only parameters that regroup the same standard ones, leg by leg, are compared.
-    names : sequence of str
+    names : sequence of Parameter
         Base parameters that were identified, all or the essential ones.
     parameters : ndarray
         Their values, (len(names),).
@@ -221,19 +218,19 @@ def leg_differences(
     return found
 
 
-def _by_meaning(leg: tuple[str, ...], base: BaseParameters, names: Sequence[str]) -> dict[str, int]:
+def _by_meaning(leg: tuple[str, ...], base: BaseParameters, names: Sequence[Parameter]) -> dict[str, int]:
     """Locate a leg's parameters in ``names`` by what they regroup, joints counted from the leg's first."""
     found = {}
     for position, name in enumerate(names):
         words = base.regroupings[name].split()
-        if parameter_of(words[0]).body in leg:
+        if name.body in leg:
             found[" ".join(_in_leg(word, leg) for word in words)] = position
     return found
 
 
 def _in_leg(word: str, leg: tuple[str, ...]) -> str:
-    kind, joint, _ = parameter_of(word)
-    return f"{kind}_[{leg.index(joint)}]" if joint in leg else re.sub(r"^(\d+\.\d{3})\d*$", r"\1", word)
+    term = parameter_of(word)
+    return f"{term.kind}_[{leg.index(term.body)}]" if term.body in leg else re.sub(r"^(\d+\.\d{3})\d*$", r"\1", word)
 
 
 def unlike_legs(dataset: Dataset, system: System, theta: np.ndarray, covariance: np.ndarray) -> list[Finding]:
@@ -252,7 +249,7 @@ def unlike_legs(dataset: Dataset, system: System, theta: np.ndarray, covariance:
         for each in found
         if each.probability < LEG_PROBABILITY
         for name, relative, deviation in zip(each.compared, each.relative, each.deviations, strict=True)
-        if parameter_of(name).kind not in FRICTION and relative > LEG_DIFFERENCE and abs(deviation) > LEG_DIFFERENCE_STD
+        if name.kind not in PLAIN_FRICTION and relative > LEG_DIFFERENCE and abs(deviation) > LEG_DIFFERENCE_STD
     ]
     if not differences:
         return []

@@ -34,10 +34,10 @@ def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> tuple
         if less < criterion and set(alone) & set(of_temperature):
             terms, per_run = alone, False
     friction = Friction(terms, per_run)
-    if any(term.startswith("fl_") for term in terms):
+    if any(term.kind == "fl" for term in terms):
         # Until the torques are known the current stands for them, which explains itself where friction is most of it:
         # the terms are chosen again once a fit without load-dependent ones has given the torques.
-        without = Friction(tuple(term for term in offered if not term.startswith("fl_")), per_run)
+        without = Friction(tuple(term for term in offered if term.kind != "fl"), per_run)
         terms, _ = select_friction_terms(dataset.system(without).problem)
         system, gains = dataset.system(Friction(terms, per_run)), None
         for _ in range(LOAD_PASSES):
@@ -55,21 +55,19 @@ def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> tuple
     return dataset, dataset.system(Friction(prune_friction_terms(system.problem, friction, solve), per_run))
 
 
-def select_friction_terms(problem: Problem) -> tuple[tuple[str, ...], float]:
+def select_friction_terms(problem: Problem) -> tuple[tuple[Parameter, ...], float]:
     """Select friction terms joint by joint by the Bayesian information criterion.
 
     Each joint's current, or sensor's torque, is fitted by its own regressor alone, with every subset of its terms in
     ``problem``; the subset of least ``r log(sigma^2) + k log(r)`` is taken. As the criterion assumes
     independent errors, and real ones are autocorrelated, a term must also reduce the error by 2 per cent.
     """
-    chosen: list[str] = []
+    chosen: list[Parameter] = []
     total = 0.0
     for j, channel in enumerate(problem.channels):
         position = {name: k for k, name in enumerate(problem.parameters)}
         kinds = (*TERMS, *TEMPERATURE_TERMS) if channel.kind.free else BEARING
-        offered = [
-            Parameter(term, channel.name).name for term in kinds if Parameter(term, channel.name).name in position
-        ]
+        offered = [Parameter(term, channel.name) for term in kinds if Parameter(term, channel.name) in position]
         rest = [k for k in problem.own_columns[j] if k not in {position[name] for name in offered}]
         current = delayed_signal(problem.triangles[j], problem.own_delays[j])
         rows = problem.total_rows[j]
@@ -80,11 +78,11 @@ def select_friction_terms(problem: Problem) -> tuple[tuple[str, ...], float]:
         columns = problem.triangles[j][:, [*rest, *(position[name] for name in offered)]]
         few = triangle(np.column_stack([columns, current]))[len(rest) :, len(rest) :]
 
-        def criterion(terms: tuple[str, ...]) -> float:
+        def criterion(terms: tuple[Parameter, ...]) -> float:
             left = triangle(few[:, [*(offered.index(name) for name in terms), -1]])[-1, -1]  # noqa: B023
             return float(rows * np.log(max(left**2, 1e-300)) + len(terms) * price)  # noqa: B023
 
-        subsets: list[tuple[str, ...]] = [()]
+        subsets: list[tuple[Parameter, ...]] = [()]
         for name in offered:
             subsets += [(*subset, name) for subset in subsets]
         criteria = [criterion(subset) for subset in subsets]
@@ -95,7 +93,7 @@ def select_friction_terms(problem: Problem) -> tuple[tuple[str, ...], float]:
     return tuple(chosen), float(total)
 
 
-def prune_friction_terms(problem: Problem, friction: Friction, solve: Solve) -> tuple[str, ...]:
+def prune_friction_terms(problem: Problem, friction: Friction, solve: Solve) -> tuple[Parameter, ...]:
     """Keep the terms whose jackknife standard deviations are below a third of them, dropping the worst first."""
     terms = tuple(name for name in friction.terms if name in problem.parameters)
     while terms:

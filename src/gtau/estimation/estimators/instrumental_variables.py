@@ -33,6 +33,7 @@ from gtau.estimation.regression.stretches import stretch_of
 from gtau.estimation.regression.system import System
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress
+from gtau.robots.parameter import Parameter
 from gtau.signals.decimation import Decimator
 from gtau.signals.preparation import InMemoryRun, PreparedRun
 
@@ -164,7 +165,7 @@ def paired(dataset: Dataset, system: System, solution: Solution) -> Pair:
 
 def _reduced(
     idm: InverseDynamics,
-    columns: tuple[str, ...],
+    columns: tuple[Parameter, ...],
     measured: PreparedRun,
     simulated: InMemoryRun,
     decimator: Decimator,

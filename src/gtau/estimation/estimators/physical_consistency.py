@@ -31,7 +31,7 @@ from gtau.estimation.regression.equations import leave_one_out, triangle
 from gtau.estimation.regression.priors import of_theta
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import INERTIAL
 from gtau.signals.experiment import Prior
 
@@ -135,10 +135,10 @@ def consistent(
     moves = [
         Move(name, values[name], float(value), abs(float(value) - values[name]) / std[name])
         for name, value in zip(problem.parameters, state.theta, strict=True)
-        if parameter_of(name).run is None and std.get(name)
+        if name.run is None and std.get(name)
     ]
     moves += [
-        Move(Parameter("gain", joint).name, float(a), float(b), float(abs(b - a) / s))
+        Move(Parameter("gain", joint), float(a), float(b), float(abs(b - a) / s))
         for joint, a, b, s in zip(problem.joints, solution.gains[:n], gains, free_std, strict=True)
         if free_gains
     ]

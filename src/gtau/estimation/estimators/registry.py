@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 PLACES = {
     "ml": "maximum_likelihood.ML",
     "huber": "huber.HUBER",
-    "ridge": "ridge.RIDGE",
     "iv": "instrumental_variables.IV",
     "didim": "didim.DIDIM",
     "2sls": "two_stage.TWO_STAGE",

@@ -20,7 +20,7 @@ from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import LAST_OVERHANG, OVERHANG
 from gtau.robots.geometry import characteristic_length, extent, longest_placement
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import DAMPING, INERTIAL, STANDARD_GRAVITY, STIFFNESS, Robot
 from gtau.signals.channel import Channel
 from gtau.signals.experiment import Prior
@@ -173,7 +173,7 @@ def constrained_least_squares(
 class StandardUnknowns:
     """Unknowns x (c,) of the consistent fit, ``theta = S x`` of the problem, (n_theta, c), and ``within @ x >= 0``."""
 
-    names: tuple[str, ...]
+    names: tuple[Parameter, ...]
     S: np.ndarray
     bodies: tuple[Body, ...]
     lower: np.ndarray
@@ -194,15 +194,15 @@ def standard_unknowns(
     names = list(dataset.model.parameter_names)
     position = {name: k for k, name in enumerate(names)}
     bodies = [
-        Body(body, np.array([position[Parameter(kind, body).name] for kind in INERTIAL]), np.zeros(10))
+        Body(body, np.array([position[Parameter(kind, body)] for kind in INERTIAL]), np.zeros(10))
         for body in robot.bodies
-        if Parameter("m", body).name in position
+        if Parameter("m", body) in position
     ]
     for each in system.payloads:
         known = known_values(each.payload)
         label = f"L{each.run + 1}"
         first = len(names)
-        names += [Parameter(kind, label).name for kind in each.free]
+        names += [Parameter(kind, label) for kind in each.free]
         places = [first + each.free.index(kind) if kind in each.free else -1 for kind in INERTIAL]
         bodies.append(Body(label, np.array(places), np.array([known.get(kind, 0.0) for kind in INERTIAL])))
     carried = {name for each in system.payloads for name in each.unknown}
@@ -211,9 +211,9 @@ def standard_unknowns(
     S = np.zeros((problem.n_theta, len(names)))
     S[: dataset.base.count, : len(position)] = dataset.base.matrix
     row = {name: k for k, name in enumerate(problem.parameters)}
-    column = {name: k for k, name in enumerate(names)}
+    column: dict[str, int] = {name: k for k, name in enumerate(names)}
     for each in system.payloads:
-        columns = [column[f"{kind}_L{each.run + 1}"] for kind in each.free]
+        columns = [column[Parameter(kind, f"L{each.run + 1}")] for kind in each.free]
         S[np.ix_([row[name] for name in each.unknown], columns)] = each.sums
     for name in others:
         S[row[name], column[name]] = 1.0
@@ -227,13 +227,13 @@ def standard_unknowns(
         plausible[[1, 2, 4, 6, 7, 8]] = 0.0
         plausible[9] = mass / len(robot.bodies)
         centre[body.places[body.places >= 0]] = plausible[body.places >= 0]
-    for k, name in enumerate(names):
-        if parameter_of(name).kind in ("ia", "fv", "fs", "fl", DAMPING) and parameter_of(name).run is None:
+    for k, parameter in enumerate(names):
+        if parameter.kind in ("ia", "fv", "fs", "fl", DAMPING) and parameter.run is None:
             lower[k] = 0.0
-    for name, prior in priors.items():
-        if name not in column:  # a base parameter: see known_equations
+    for stated, prior in priors.items():
+        if stated not in column:  # a base parameter: see known_equations
             continue
-        k = column[name]
+        k = column[stated]
         lower[k] = lower[k] if prior.min is None else prior.min
         upper[k] = upper[k] if prior.max is None else prior.max
         if prior.value is not None and prior.std is not None:
@@ -258,12 +258,12 @@ def _mass_scale(robot: Robot, problem: Problem, solution: Solution, length: floa
     return float(np.max(torques / np.array(lever)) / STANDARD_GRAVITY)
 
 
-def natural_size(name: str, robot: Robot, mass: float, length: float, channels: Sequence[Channel] = ()) -> float:
+def natural_size(name: Parameter, robot: Robot, mass: float, length: float, channels: Sequence[Channel] = ()) -> float:
     """Return a size of a standard parameter that a robot of this ``mass`` (kg) and ``length`` (m) might have.
 
     The parameter may be one of the ``channels``' own.
     """
-    kind, body, _ = parameter_of(name)
+    kind, body = name.kind, name.body
     if kind in INERTIAL:
         return mass if kind == "m" else mass * length if kind.startswith("m") else mass * length**2
     if any(spring.name == body for spring in robot.springs):

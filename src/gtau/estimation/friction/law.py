@@ -36,9 +36,11 @@ import numpy as np
 from gtau.estimation.regression.dataset import motor_to_joint_speed
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import Motion
-from gtau.robots.parameter import Parameter, parameter_of
-from gtau.robots.robot import DAMPING
+from gtau.robots.parameter import Parameter
+from gtau.robots.robot import DAMPING, PLAIN_FRICTION
 
+SHAPES = ("width", "vs")
+"""Kinds of the parameters of a :class:`Shape`."""
 LEAST_POWER = 1e-300  # W: keeps 0/0 out of a joint at rest
 SPEEDS = 200  # at which a straight line is fitted
 
@@ -205,7 +207,7 @@ class FrictionLaw:
         forces, speeds = [], [yd[row] for row in range(len(joints))]
         for row, (joint, speed) in enumerate(zip(joints, speeds, strict=True)):
             viscous, height, more, of_load = (
-                values.get(Parameter(kind, joint.name).name, 0.0) for kind in ("fv", "fs", "fb", "fl")
+                values.get(Parameter(kind, joint.name), 0.0) for kind in ("fv", "fs", "fb", "fl")
             )
             shape, motor = self.shapes.get(joint.name, Shape()), self.motor(row)
             if shape.speed:
@@ -215,7 +217,7 @@ class FrictionLaw:
             forces.append(viscous * speed + height * (math.sign(speed) if z is None else z[row]))
         for j, name in enumerate(self.model.actuated):
             speed, top = yd[self.model.layout.actuated[j]], float(self.logged_speeds.get(name, 0.0))
-            cubic = values.get(Parameter("f3", name).name, 0.0)
+            cubic = values.get(Parameter("f3", name), 0.0)
             within = math.fmax(math.fmin(speed, top), -top)
             slope = math.fmax(3 * top**2 * cubic, -self._viscous(values, j))  # with fv, at least 0
             forces.append(cubic * (within * within * within) + slope * (speed - within))
@@ -256,7 +258,7 @@ class FrictionLaw:
         """
         from scipy.optimize import nnls
 
-        viscous, coulomb, more, cubic = (values.get(Parameter(k, joint).name, 0.0) for k in ("fv", "fs", "fb", "f3"))
+        viscous, coulomb, more, cubic = (values.get(Parameter(k, joint), 0.0) for k in ("fv", "fs", "fb", "f3"))
         speed = np.linspace(0.0, self.fastest(joint), SPEEDS)[1:]
         falling = np.exp(-speed / (self.shapes.get(joint, Shape()).speed or np.inf)) if more else 0.0
         friction = np.maximum(viscous * speed + coulomb + more * falling + cubic * speed**3, 0.0)
@@ -292,7 +294,7 @@ class FrictionLaw:
             forces = np.stack(self.forces(np, values, motion.yd, load, self.directions(np, motion.yd, z))[0])
         forces = forces * scales
         for row, joint in enumerate(joints):
-            forces[row] += values.get(Parameter("off", joint.name).name, 0.0)
+            forces[row] += values.get(Parameter("off", joint.name), 0.0)
         of_joints = np.einsum("kjm,km->jm", motion.J[: len(joints)], forces[: len(joints)])
         return np.asarray(of_joints + forces[len(joints) :])
 
@@ -304,17 +306,16 @@ class FrictionLaw:
     def _viscous(self, values: Mapping[str, Any], j: int) -> Any:
         """Sum the viscous friction that the motor of actuated joint ``j`` feels."""
         of_joints = zip(self.model.robot.joints, self.ratios[:, j], strict=True)
-        return sum(values.get(Parameter("fv", joint.name).name, 0.0) * ratio**2 for joint, ratio in of_joints if ratio)
+        return sum(values.get(Parameter("fv", joint.name), 0.0) * ratio**2 for joint, ratio in of_joints if ratio)
 
 
-def carried(math: ModuleType, standard: tuple[str, ...], chi: Any) -> list[Any]:
+def carried(math: ModuleType, standard: tuple[Parameter, ...], chi: Any) -> list[Any]:
     """Return the base parameters (n_b) of the torques that joints transmit: 0 for friction and offsets.
 
     Dampers of springs that propel do not count.
     """
-    kinds = [parameter_of(name).kind for name in standard]
-    zero = {"fv", "fs", "off"}
+    kinds = [name.kind for name in standard]
     return [
-        0.0 * chi[k] if kind in zero else math.fmax(chi[k], 0.0) if kind == DAMPING else chi[k]
+        0.0 * chi[k] if kind in PLAIN_FRICTION else math.fmax(chi[k], 0.0) if kind == DAMPING else chi[k]
         for k, kind in enumerate(kinds)
     ]

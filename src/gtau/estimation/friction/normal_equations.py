@@ -17,6 +17,7 @@ from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.rows import Law, stream_rows
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter
+from gtau.robots.robot import PLAIN_FRICTION
 from gtau.signals.storage import block, spans
 
 # Widths, of a joint's travel, and speeds, of its rms speed, that are tried. Presliding of real joints was found at 4e-5
@@ -24,7 +25,6 @@ from gtau.signals.storage import block, spans
 # sign at 0.003 to 0.03 of it.
 WIDTHS = 10.0 ** np.arange(-5.25, -1.99, 0.25)
 SPEEDS = 10.0 ** np.arange(-2.5, 0.51, 0.5)
-PLAIN = ("off", "fv", "fs")
 BLOCKS = 20  # of a run, as many as the stretches of identification
 MOST_BLOCKS = 60  # of all runs
 # Rows for one of identification: a reversal is short. With 1, 2, 3 and 4, errors over all samples of runs not used are
@@ -99,7 +99,7 @@ def sites_of(dataset: Dataset, law: FrictionLaw) -> tuple[Site, ...]:
     warm = dataset.temperatures
     sites = []
     for row, joint in enumerate(model.robot.joints):
-        plain = tuple(kind for kind in PLAIN if Parameter(kind, joint.name).name in standard)
+        plain = tuple(kind for kind in PLAIN_FRICTION if Parameter(kind, joint.name) in standard)
         if not {"fv", "fs"} & set(plain) or not travel[row] or not rms[row]:
             continue
         motor = law.motor(row)
@@ -203,10 +203,10 @@ def normal_equations(fit: Fit, law: FrictionLaw, sites: Sequence[Site], finer: i
         load, follow = fit.system.load(run, solution.theta), columns_along(sites, dataset, run)
         values = dict(zip(base.standard, fit.system.motion(run, solution.theta), strict=True))
         passive = {
-            Parameter(kind, joint.name).name: values.get(Parameter(kind, joint.name).name, 0.0)
+            Parameter(kind, joint.name): values.get(Parameter(kind, joint.name), 0.0)
             for joint in model.robot.joints
             if joint.name not in names
-            for kind in ("fv", "fs", "off")
+            for kind in PLAIN_FRICTION
         }
 
         def friction(time, motion, effort, follow=follow, passive=passive):  # type: ignore[no-untyped-def]

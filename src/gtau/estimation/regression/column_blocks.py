@@ -18,7 +18,7 @@ from gtau.estimation.regression.factors import EXTRA
 from gtau.estimation.regression.friction import DRIFTING, TEMPERATURE_TERMS, TERMS, Friction
 from gtau.model.base_parameters import BaseParameters, independent_columns, seen_by_sensor
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import INERTIAL
 from gtau.signals.channel import Channel
 from gtau.signals.payload import FIRST_MOMENTS, Payload
@@ -30,17 +30,17 @@ class ColumnBlock:
 
     Attributes
     ----------
-    names : tuple of str
-        Parameters, (k,).
+    names : tuple of Parameter
+        (k,).
     columns : callable
         From a run, a channel and its temperature above the mean, (...,), to the combinations (..., p, k).
     stated : mapping
         Values of the names that are known: their columns, times these, are added to the column ``known``.
     """
 
-    names: tuple[str, ...]
+    names: tuple[Parameter, ...]
     columns: Callable[[int, Channel, np.ndarray], np.ndarray]
-    stated: Mapping[str, float] = field(default_factory=dict)
+    stated: Mapping[Parameter, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ class CarriedPayload:
 
     run: int
     payload: Payload
-    unknown: Mapping[str, str]
+    unknown: Mapping[Parameter, str]
     regroupings: Mapping[str, str]
     free: tuple[str, ...]
     sums: np.ndarray
@@ -82,9 +82,7 @@ def carried_payload(idm: InverseDynamics, base: BaseParameters, run: int, payloa
     values, center = known_values(payload), dict(zip(FIRST_MOMENTS, payload.center or (), strict=False))
     order = (*FIRST_MOMENTS, *(kind for kind in INERTIAL if kind not in FIRST_MOMENTS))
     free = [kind for kind in order if kind not in values and kind not in center]
-    of_tool = {
-        kind: base.matrix[:, idm.parameter_names.index(Parameter(kind, idm.robot.tool).name)] for kind in INERTIAL
-    }
+    of_tool = {kind: base.matrix[:, idm.parameter_names.index(Parameter(kind, idm.robot.tool))] for kind in INERTIAL}
     of_tool["m"] = of_tool["m"] + sum(each * of_tool[kind] for kind, each in center.items())  # moments are the mass's
     columns = np.reshape([of_tool[kind] for kind in free], (len(free), base.count)).T
     kept, coefficients, _ = independent_columns(columns)
@@ -96,7 +94,7 @@ def carried_payload(idm: InverseDynamics, base: BaseParameters, run: int, payloa
         )
         for row, k in enumerate(kept)
     }
-    unknown = {f"{free[k]}_L{run + 1}": free[k] for k in kept}
+    unknown = {Parameter(free[k], f"L{run + 1}"): free[k] for k in kept}
     both = np.array([of_tool[kind] for kind in (*unknown.values(), *values)]).T.reshape(base.count, -1)
     return CarriedPayload(run, payload, unknown, formulas, tuple(free), coefficients, both)
 
@@ -119,7 +117,7 @@ def column_blocks(
     runs : int
         Number of runs.
     """
-    offsets = tuple(Parameter("off", channel.name).name for channel in channels if channel.kind.behind_drive)
+    offsets = tuple(Parameter("off", channel.name) for channel in channels if channel.kind.behind_drive)
     return [
         ColumnBlock(base.names, lambda run, channel, above: _felt(base, channel, np.eye(base.count))),
         *(_payload_block(base, each) for each in carried),
@@ -136,7 +134,7 @@ def _felt(base: BaseParameters, channel: Channel, columns: np.ndarray) -> np.nda
 
 
 def _payload_block(base: BaseParameters, carried: CarriedPayload) -> ColumnBlock:
-    values = {f"{kind}_L{carried.run + 1}": value for kind, value in known_values(carried.payload).items()}
+    values = {Parameter(kind, f"L{carried.run + 1}"): value for kind, value in known_values(carried.payload).items()}
 
     def columns(run: int, channel: Channel, above: np.ndarray) -> np.ndarray:
         return _felt(base, channel, carried.columns * (run == carried.run))
@@ -146,18 +144,18 @@ def _payload_block(base: BaseParameters, carried: CarriedPayload) -> ColumnBlock
 
 def _drift_block(base: BaseParameters, joints: Sequence[str], runs: int) -> ColumnBlock:
     """Build the block of friction's differences from its mean in every run; they add up to zero."""
-    kinds = {Parameter(kind, joint).name for kind in DRIFTING for joint in joints}
+    kinds = {Parameter(kind, joint) for kind in DRIFTING for joint in joints}
     drifting = [k for k, name in enumerate(base.names) if name in kinds] if runs > 1 else []
     units = np.eye(base.count)[:, drifting]
 
     def columns(run: int, channel: Channel, above: np.ndarray) -> np.ndarray:
         return _felt(base, channel, np.hstack([units * ((k == run) - (run == runs - 1)) for k in range(runs - 1)]))
 
-    names = tuple(parameter_of(base.names[k])._replace(run=run).name for run in range(runs - 1) for k in drifting)
+    names = tuple(Parameter(base.names[k].kind, base.names[k].body, run) for run in range(runs - 1) for k in drifting)
     return ColumnBlock(names, columns) if names else ColumnBlock((), lambda *_: np.zeros((base.count + EXTRA, 0)))
 
 
-def _own_block(base: BaseParameters, names: tuple[str, ...]) -> ColumnBlock:
+def _own_block(base: BaseParameters, names: tuple[Parameter, ...]) -> ColumnBlock:
     """Build the block of parameters that act only in the equations of the channel whose name they end in.
 
     They are further friction of a drive, or friction and offset of a sensor, whose columns are those of its joint's.
@@ -166,10 +164,9 @@ def _own_block(base: BaseParameters, names: tuple[str, ...]) -> ColumnBlock:
     def columns(run: int, channel: Channel, above: np.ndarray) -> np.ndarray:
         found = np.zeros((*above.shape, base.count + EXTRA, len(names)))
         for k, name in enumerate(names):
-            kind, owner, _ = parameter_of(name)
-            if owner != channel.name:
+            if name.body != channel.name:
                 continue
-            if kind in TERMS:
+            if (kind := name.kind) in TERMS:
                 found[..., base.count + TERMS.index(kind), k] = 1.0
             else:
                 row = base.standard.index(f"{TEMPERATURE_TERMS.get(kind, kind)}_{channel.joint}")
@@ -179,7 +176,7 @@ def _own_block(base: BaseParameters, names: tuple[str, ...]) -> ColumnBlock:
     return ColumnBlock(names, columns)
 
 
-def unknown_names(blocks: Sequence[ColumnBlock]) -> tuple[str, ...]:
+def unknown_names(blocks: Sequence[ColumnBlock]) -> tuple[Parameter, ...]:
     """List the unknown parameters of the effects, the theta of the problem."""
     return tuple(name for block in blocks for name in block.names if name not in block.stated)
 

@@ -19,6 +19,7 @@ from gtau.estimation.regression.rows import FAST_SAMPLES, Rows, stream_rows
 from gtau.estimation.regression.stretches import stretch_edges, stretch_of
 from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.singularities import singularities
+from gtau.robots.parameter import Parameter
 from gtau.signals.channel import Channel
 from gtau.signals.decimation import Decimator
 from gtau.signals.preparation import InMemoryRun, PreparedRun
@@ -109,7 +110,7 @@ class Triangles:
 
 def reduce_run(
     idm: InverseDynamics,
-    columns: tuple[str, ...],
+    columns: tuple[Parameter, ...],
     prepared: PreparedRun | InMemoryRun,
     decimator: Decimator,
     load: np.ndarray | None = None,

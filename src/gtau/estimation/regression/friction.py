@@ -28,7 +28,8 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.equations import STRETCHES
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.parameter import Parameter
+from gtau.robots.robot import PLAIN_FRICTION
 from gtau.signals.preparation import PreparedRun
 
 TERMS = ("f3", "fl")
@@ -48,7 +49,7 @@ INSTANTS = 50  # of a stretch, over which the mean is taken
 class Friction:
     """A friction model: the terms taken (``fl_11``), and whether friction may drift between runs."""
 
-    terms: tuple[str, ...] = ()
+    terms: tuple[Parameter, ...] = ()
     per_run: bool = False
 
 
@@ -61,14 +62,14 @@ def term_columns(qd: np.ndarray, effort: np.ndarray) -> np.ndarray:
     return np.stack([qd * qd * qd, np.abs(effort) * np.sign(qd)])  # a power would take ten times as long
 
 
-def all_terms(joints: Sequence[str], terms: Iterable[str] = TERMS) -> tuple[str, ...]:
+def all_terms(joints: Sequence[str], terms: Iterable[str] = TERMS) -> tuple[Parameter, ...]:
     """List every one of the ``terms`` of every joint, or torque sensor."""
-    return tuple(Parameter(term, joint).name for joint in joints for term in terms)
+    return tuple(Parameter(term, joint) for joint in joints for term in terms)
 
 
-def transmitted(names: Sequence[str]) -> np.ndarray:
+def transmitted(names: Sequence[Parameter]) -> np.ndarray:
     """Mark the base parameters whose torque a joint transmits by 1, friction and offsets by 0, (n_b,)."""
-    return np.array([parameter_of(name).kind not in ("fv", "fs", "off") for name in names], dtype=float)
+    return np.array([name.kind not in PLAIN_FRICTION for name in names], dtype=float)
 
 
 @dataclass(frozen=True, eq=False)

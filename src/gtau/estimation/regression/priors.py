@@ -24,8 +24,9 @@ def stated_inertias(robot: Robot) -> dict[str, float]:
     stated = dict(robot.inertias)
     if not stated:
         return {}
-    found = {name: stated.get(name, 0.0) for body in _heavy(robot) for kind in INERTIAL for name in [f"{kind}_{body}"]}
-    rotors = {Parameter("ia", each.name).name for each in robot.joints if each.parameters in ("all", "drive")}
+    inertial = [Parameter(kind, body) for body in _heavy(robot) for kind in INERTIAL]
+    found = {name: stated.get(name, 0.0) for name in inertial}
+    rotors = {Parameter("ia", each.name) for each in robot.joints if each.parameters in ("all", "drive")}
     return found | {name: value for name, value in stated.items() if name in rotors}
 
 
@@ -35,8 +36,8 @@ def sizes_of(stated: dict[str, float], body: str) -> dict[str, float] | None:
     The radius r is the root mean square distance of its mass from the frame's origin, ``m r^2 = tr(I) / 2``: so a
     centre of mass that the file puts at the origin may move too. None for a body without mass or extent.
     """
-    mass = stated[Parameter("m", body).name]
-    second = sum(stated[Parameter(kind, body).name] for kind in ("xx", "yy", "zz")) / 2
+    mass = stated[Parameter("m", body)]
+    second = sum(stated[Parameter(kind, body)] for kind in ("xx", "yy", "zz")) / 2
     if mass <= 0 or second <= 0:
         return None
     return {
@@ -70,7 +71,7 @@ def inertia_priors(robot: Robot, std: float) -> dict[str, Prior]:
         )
     sizes: dict[str, float] = {}
     for body in _heavy(robot):
-        sizes |= {Parameter(kind, body).name: size for kind, size in (sizes_of(stated, body) or {}).items()}
+        sizes |= {Parameter(kind, body): size for kind, size in (sizes_of(stated, body) or {}).items()}
     sizes |= {name: value for name, value in stated.items() if parameter_of(name).kind == "ia" and value > 0}
     return {name: Prior(value=stated[name], std=std * size) for name, size in sizes.items()}
 

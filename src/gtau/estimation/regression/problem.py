@@ -18,6 +18,7 @@ import numpy as np
 
 from gtau.estimation.regression.equations import FIXED, KNOWN, MODEL, SIGNAL, delayed_signal, select_columns, triangle
 from gtau.model.base_parameters import independent_columns
+from gtau.robots.parameter import Parameter
 from gtau.signals.channel import Channel
 
 
@@ -27,8 +28,8 @@ class Problem:
 
     Attributes
     ----------
-    parameters : tuple of str
-        Names of theta, (n_theta,).
+    parameters : tuple of Parameter
+        Those of theta, (n_theta,).
     channels : tuple of Channel
         The signals explained, (c,): of the n actuated joints, then of torque sensors.
     blocks : ndarray
@@ -46,7 +47,7 @@ class Problem:
         (U,) the same number for blocks that the jackknife leaves out together, of runs that repeat a motion.
     """
 
-    parameters: tuple[str, ...]
+    parameters: tuple[Parameter, ...]
     channels: tuple[Channel, ...]
     blocks: np.ndarray
     rows: np.ndarray
@@ -94,6 +95,12 @@ class Problem:
         """Return the units of the jackknife in turn, (c, ., n_theta + 4): a block, or all blocks in step."""
         together = [self.blocks[self.block_numbers == number] for number in np.unique(self.block_numbers)]
         return tuple(each[0] if len(each) == 1 else np.concatenate(each, axis=1) for each in together)
+
+    @cached_property
+    def unknowns(self) -> tuple[Parameter, ...]:
+        """All unknowns in order, (n_theta + 2 c,): the parameters, then gains and delays of the channels."""
+        gains = (Parameter("gain", channel.name) for channel in self.channels)
+        return (*self.parameters, *gains, *(Parameter("delay", channel.name) for channel in self.channels))
 
     @property
     def gain_rows(self) -> slice:

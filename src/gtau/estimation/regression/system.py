@@ -24,7 +24,7 @@ from gtau.estimation.regression.priors import known_equations
 from gtau.estimation.regression.problem import Problem
 from gtau.model.base_parameters import BaseParameters, independent_columns
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.parameter import parameter_of
+from gtau.robots.parameter import Parameter
 from gtau.signals.channel import Channel, channels_of
 from gtau.signals.experiment import Prior
 from gtau.signals.payload import Payload
@@ -48,7 +48,7 @@ class System:
     whole: Problem
     base: BaseParameters
     payloads: tuple[CarriedPayload, ...]
-    unexcited: tuple[str, ...]
+    unexcited: tuple[Parameter, ...]
     friction: Friction
     block_positions: np.ndarray
     effects: tuple[ColumnBlock, ...]
@@ -82,7 +82,7 @@ class System:
     @cached_property
     def _rows(self) -> list[int]:
         """Joint of each base column that may be that joint's friction."""
-        joints, bodies = self.whole.joints, [parameter_of(name).body for name in self.base.standard]
+        joints, bodies = self.whole.joints, [name.body for name in self.base.standard]
         return [joints.index(body) if body in joints else 0 for body in bodies]
 
     def load(self, run: int, theta: np.ndarray) -> np.ndarray:
@@ -91,7 +91,7 @@ class System:
 
     def loads(self, theta: np.ndarray) -> list[np.ndarray | None]:
         """Return :meth:`load` of each run, None where no friction depends on it."""
-        loaded = any(term.startswith("fl_") for term in self.friction.terms)
+        loaded = any(term.kind == "fl" for term in self.friction.terms)
         return [self.load(run, theta) if loaded else None for run in range(len(self.above))]
 
 
@@ -214,7 +214,7 @@ def _require_rows(problem: Problem) -> None:
             )
 
 
-def _unexcited(problem: Problem) -> tuple[str, ...]:
+def _unexcited(problem: Problem) -> tuple[Parameter, ...]:
     stacked = np.concatenate(
         [
             *(R[:, MODEL] / sigma for R, sigma in zip(problem.triangles, problem.own_sigma, strict=True)),

@@ -2,38 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.diagnose import Diagnosis
-from gtau.estimation.diagnostics.examine import Examination, Uncertainty
+from gtau.estimation.diagnostics.examine import Examination
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
-from gtau.estimation.diagnostics.parameter_checks import judge_parameter
+from gtau.estimation.diagnostics.parameter_checks import judge_parameter, parameter_verdict
 from gtau.estimation.diagnostics.stated_constants import scale_shares, sensor_verdict
-from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.diagnostics.verdict import Outcome, Verdict
+from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Estimator, Fit
 from gtau.estimation.estimators.newton import residuals, stacked
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.regression.equations import triangle
-from gtau.estimation.regression.friction import BEARING, TEMPERATURE_TERMS, TERMS
+from gtau.estimation.regression.friction import BEARING
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
 from gtau.estimation.results.estimate import (
     AlternativeMoves,
     Estimate,
-    FrictionCurve,
+    Named,
     SensorEstimate,
     TorqueError,
     distances_of,
     nearest_poses,
 )
-from gtau.estimation.results.friction_curves import friction_unit, reference_temperatures
-from gtau.estimation.results.payload import named_estimates, payload_estimates
+from gtau.estimation.results.friction_curves import FrictionStep, friction_unit, reference_temperatures
+from gtau.estimation.results.groups import Evidence, FitRecord, Model, ModelEstimates
+from gtau.estimation.results.payload import payload_estimates
 from gtau.estimation.results.result import Result
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
 from gtau.robots.units import gain_unit, torque_unit, unit_of
 
@@ -42,12 +44,11 @@ def build_result(
     fit: Fit,
     estimator: Estimator,
     examined: Examination,
-    uncertainty: Uncertainty,
+    estimates: Estimates,
     essential: Problem,
     loss: float,
     diagnosis: Diagnosis,
-    curves: Mapping[str, FrictionCurve],
-    errors: Mapping[str, tuple[float, float]],
+    friction: FrictionStep,
     consistency: Consistency | None = None,
     audit: InertiaAudit | None = None,
 ) -> Result:
@@ -59,107 +60,100 @@ def build_result(
         The estimates with all base parameters, and what made them.
     examined : Examination
         What the data say against the model.
-    uncertainty : Uncertainty
-        Covariances of (theta, gains, delays), and the degrees of freedom behind them.
+    estimates : Estimates
+        Of the equations.
     essential, loss : Problem, float
         From :func:`gtau.estimation.estimators.essential.essential_fit`.
     diagnosis : Diagnosis
         What can be believed.
-    curves, errors : mappings
-        Friction on all samples; see :func:`friction_curves`. Empty where the plain law is to predict.
+    friction : FrictionStep
+        Friction on all samples; without curves the plain law predicts.
     consistency : Consistency, optional
         Physically consistent standard parameters.
     audit : InertiaAudit, optional
         What the data say of the inertias of the robot's file.
     """
-    dataset, system, solution = fit.dataset, fit.system, fit.solution
-    covariance, freedom = uncertainty.covariance, uncertainty.effective_freedom
-    robot, problem, joints, base = dataset.robot, system.problem, dataset.model.actuated, dataset.base
-    n_theta, n = problem.n_theta, len(problem.channels)
-    named = [*range(n_theta), *range(n_theta, n_theta + len(joints)), *range(n_theta + n, n_theta + 2 * n)]
-    std, model_std = (np.sqrt(np.diag(each)) for each in (covariance, uncertainty.model))
-    gain_std = std[n_theta : n_theta + n]
-    along = [
-        (prepared, dataset.preparation.at(prepared.run.rate).decimator, factors.distances)
-        for prepared, factors in zip(dataset.prepared, dataset.factors, strict=True)
-        if factors.distances is not None
-    ]
-    found, total = named_estimates(problem, solution.theta, std, freedom), _total(problem, solution.sigma)
-    spread = _spread(system, solution.theta)
-    model_part = {name: min(float(model_std[k]), float(std[k])) for k, name in enumerate(problem.parameters)}
-
-    def parameter(name: str, standard: str) -> Estimate:
-        kind, body, _ = parameter_of(standard)
-        each, regrouping = found.get(name, Estimate(name, None, None, "")), base.regroupings[name]
-        return replace(
-            each,
-            unit=unit_of(kind, robot, body),
-            regrouping=regrouping,
-            spread=spread.get(name),
-            verdict=judge_parameter(each.value, each.std, regrouping),
-            model_std=model_part.get(name),
-            essential=name in essential.parameters,
-        )
-
-    delays = [
-        Estimate(
-            channel.joint,
-            float(solution.delays[k]),
-            # none where the value is not identifiable or given
-            None if verdict.outcome == Outcome.NOT_IDENTIFIABLE else float(std[n_theta + n + k]) or None,
-            "s",
-            verdict=verdict,
-            freedom=None if freedom is None else float(freedom[n_theta + n + k]),
-        )
-        for k, (channel, verdict) in enumerate(zip(problem.channels, diagnosis.delays, strict=True))
-    ]
-    scales, (sigma, signal) = scale_shares(fit) if fit.free_gains else {}, _levels(fit)
-    temperatures = reference_temperatures(fit)
     return Result(
-        robot=robot,
+        Model(fit.dataset.robot, (), (fit.dataset.model, fit.dataset.base)),
+        _estimates(fit, estimates, friction, diagnosis, essential, consistency),
+        _fit_record(fit, estimator, estimates, examined, diagnosis, friction, loss),
+        _evidence(fit, estimates, examined, diagnosis, friction, audit),
+    )
+
+
+def _estimates(
+    fit: Fit,
+    estimates: Estimates,
+    friction: FrictionStep,
+    diagnosis: Diagnosis,
+    essential: Problem,
+    consistency: Consistency | None,
+) -> ModelEstimates:
+    """Collect the estimates with which the model predicts."""
+    dataset, problem, vector, terms = fit.dataset, fit.system.problem, friction.estimates, fit.system.friction.terms
+    temperatures, base_names = reference_temperatures(fit), set(dataset.base.names)
+    delays = [
+        _estimate(vector, Parameter("delay", channel.name), "s", channel.joint, verdict)
+        for channel, verdict in zip(problem.channels, diagnosis.delays, strict=True)
+    ]
+    sensors = {channel.name for channel in problem.channels if channel.kind.behind_drive}
+    given = {Parameter("gain", sensor) for sensor in sensors}
+    if friction.curves:  # terms of the equations that predict nothing
+        given |= set(terms) - set(friction.names)
+    listed = sorted((name for name in vector.unknowns if name not in given), key=_group)
+    predicting = [name for name in (friction.names if friction.curves else terms) if name.body not in sensors]
+    return ModelEstimates(
+        drive_gains=Named(_gains(fit, vector, diagnosis)),
+        delays=Named(zip(dataset.model.actuated, delays, strict=False)),
+        parameters=Named(_parameters(fit, vector, essential)),
+        friction=Named(
+            (name, _estimate(vector, name, friction_unit(name.kind, name.body, dataset.robot, temperatures)))
+            for name in predicting
+            if name in vector.places and name not in base_names
+        ),
+        payloads=payload_estimates(
+            dataset,
+            fit.system,
+            fit.solution.theta,
+            estimates.covariance,
+            diagnosis.payloads,
+            estimates.effective_freedom,
+        ),
+        covariance_names=tuple(listed),
+        covariance=vector.select(listed).covariance,
+        sensors=_sensors(fit, diagnosis, vector, delays),
+        temperatures=temperatures,
+        consistency=consistency,
+    )
+
+
+def _fit_record(
+    fit: Fit,
+    estimator: Estimator,
+    estimates: Estimates,
+    examined: Examination,
+    diagnosis: Diagnosis,
+    friction: FrictionStep,
+    loss: float,
+) -> FitRecord:
+    """Record how the estimates were fitted."""
+    dataset, solution = fit.dataset, fit.solution
+    total, (sigma, signal) = _total(fit.system.problem, solution.sigma), _levels(fit)
+    return FitRecord(
         method=estimator.name,
         kind=dataset.runs[0].kind,
-        drive_gains={
-            joint: Estimate(
-                joint,
-                float(solution.gains[k]),
-                float(gain_std[k]) if gain_std.any() else None,
-                gain_unit(robot, joint, dataset.runs[0].kind),
-                verdict=diagnosis.gains[joint],
-                freedom=None if freedom is None else float(freedom[n_theta + k]),
-                model_std=float(model_std[n_theta + k]) if gain_std.any() else None,
-                scale={source: float(share[k]) for source, share in scales.items()},
-            )
-            for k, joint in enumerate(joints)
-            if joint in robot.motors
-        },
-        delays=dict(zip(joints, delays, strict=False)),
-        parameters={name: parameter(name, of) for name, of in zip(base.names, base.standard, strict=True)},
-        friction={
-            name: replace(found[name], unit=friction_unit(kind, joint, robot, temperatures))
-            for name, (kind, joint, _) in ((each, parameter_of(each)) for each in system.friction.terms)
-            if name in found and kind in (*TERMS, *TEMPERATURE_TERMS)
-        },
-        curves=curves,
-        sensors=_sensors(fit, diagnosis, found, delays),
-        payloads=payload_estimates(dataset, system, solution.theta, covariance, diagnosis.payloads, freedom),
+        runs=tuple(run.name for run in dataset.runs),
+        preparation=dataset.preparation,
         residuals=tuple(
             TorqueError(
                 joint,
                 float(abs(solution.gains[k]) * sigma[k]),
                 float(abs(solution.gains[k]) * signal[k]),
-                torque_unit(robot, joint),
-                *errors.get(joint, ()),
+                torque_unit(dataset.robot, joint),
+                *friction.errors.get(joint, ()),
             )
-            for k, joint in enumerate(joints)
+            for k, joint in enumerate(dataset.model.actuated)
         ),
-        covariance_names=(
-            *problem.parameters,
-            *(Parameter("gain", joint).name for joint in joints),
-            *(Parameter("delay", channel.name).name for channel in problem.channels),
-        ),
-        covariance=covariance[np.ix_(named, named)],
-        preparation=dataset.preparation,
         logged_speeds=_logged_speeds(fit),
         statistics={
             **solution.statistics,
@@ -168,18 +162,93 @@ def build_result(
             "accuracy": float(diagnosis.accuracy),
             "condition_number": _condition_number(total),
         },
-        temperatures=temperatures,
-        runs=tuple(run.name for run in dataset.runs),
+        singular_values=tuple(np.linalg.svd(_scaled(total), compute_uv=False).tolist()) if fit.free_gains else (),
+        data=dataset.runs,
+    )
+
+
+def _evidence(
+    fit: Fit,
+    estimates: Estimates,
+    examined: Examination,
+    diagnosis: Diagnosis,
+    friction: FrictionStep,
+    audit: InertiaAudit | None,
+) -> Evidence:
+    """Collect what speaks for and against the estimates."""
+    dataset, temperatures = fit.dataset, reference_temperatures(fit)
+    replaced = {*friction.names, *fit.system.friction.terms} if friction.curves else set()
+    along = [
+        (prepared, dataset.preparation.at(prepared.run.rate).decimator, factors.distances)
+        for prepared, factors in zip(dataset.prepared, dataset.factors, strict=True)
+        if factors.distances is not None
+    ]
+    return Evidence(
         notes=(*dataset.notes, *diagnosis.notes),
-        consistency=consistency,
+        alternatives=tuple(_moves(each, dataset.robot) for each in examined.alternatives),
+        curves=friction.curves,
+        equation_friction=Named(
+            (name, _estimate(estimates, name, friction_unit(name.kind, name.body, dataset.robot, temperatures)))
+            for name in fit.system.problem.parameters
+            if name in replaced
+        ),
         audit=audit,
-        alternatives=tuple(_moves(each, robot) for each in examined.alternatives),
         singularities=tuple(nearest for run in along for nearest in nearest_poses(*run)),
         distances=tuple(distances_of(*run) for run in along),
-        data=dataset.runs,
-        known=(dataset.model, base),
-        singular_values=tuple(np.linalg.svd(_scaled(total), compute_uv=False).tolist()) if gain_std.any() else (),
     )
+
+
+def _group(name: Parameter) -> int:
+    """Order estimates in the covariance: parameters, then gains, then delays."""
+    return {"gain": 1, "delay": 2}.get(name.kind, 0)
+
+
+def _estimate(
+    vector: Estimates, name: Parameter, unit: str, called: str = "", verdict: Verdict | None = None
+) -> Estimate:
+    """Make the estimate of an unknown, by default under its own name and judged by its standard deviation.
+
+    One that is given, or whose value the data do not determine, has no standard deviation.
+    """
+    k = vector.places[name]
+    value, std = float(vector.values[k]), float(np.sqrt(vector.covariance[k, k])) or None
+    freedom = None if vector.effective_freedom is None else float(vector.effective_freedom[k])
+    judged = verdict or parameter_verdict(value, std)
+    if name.kind == "delay" and judged.outcome == Outcome.NOT_IDENTIFIABLE:
+        std = None
+    model_std = None if std is None else min(float(np.sqrt(vector.model[k, k])), std)
+    return Estimate(called or name, value, std, unit, verdict=judged, freedom=freedom, model_std=model_std)
+
+
+def _gains(fit: Fit, vector: Estimates, diagnosis: Diagnosis) -> dict[str, Estimate]:
+    """Collect the drive gains of the motors, with the sources of their scale."""
+    robot, kind = fit.dataset.robot, fit.dataset.runs[0].kind
+    scales = scale_shares(fit) if fit.free_gains else {}
+    return {
+        joint: replace(
+            _estimate(vector, Parameter("gain", joint), gain_unit(robot, joint, kind), joint, diagnosis.gains[joint]),
+            scale={source: float(share[k]) for source, share in scales.items()},
+        )
+        for k, joint in enumerate(fit.dataset.model.actuated)
+        if joint in robot.motors
+    }
+
+
+def _parameters(fit: Fit, vector: Estimates, essential: Problem) -> dict[Parameter, Estimate]:
+    """Collect the base parameters, those without a value included."""
+    base, robot, spread = fit.dataset.base, fit.dataset.robot, _spread(fit.system, fit.solution.theta)
+    found = {}
+    for name in base.names:
+        unit, regrouping = unit_of(name.kind, robot, name.body), base.regroupings[name]
+        made = _estimate(vector, name, unit) if name in vector.places else Estimate(name, None, None, unit)
+        found[name] = replace(
+            made,
+            regrouping=regrouping,
+            spread=spread.get(name),
+            verdict=judge_parameter(made.value, made.std, regrouping),
+            essential=name in essential.parameters,
+        )
+    return found
 
 
 def _condition_number(total: np.ndarray) -> float:
@@ -236,16 +305,16 @@ def _levels(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _sensors(
-    fit: Fit, diagnosis: Diagnosis, found: Mapping[str, Estimate], delays: Sequence[Estimate]
+    fit: Fit, diagnosis: Diagnosis, vector: Estimates, delays: Sequence[Estimate]
 ) -> tuple[SensorEstimate, ...]:
     """Collect the estimates of the own parameters of sensors behind the drives."""
     robot, problem, sensors, (sigma, signal) = fit.dataset.robot, fit.system.problem, [], _levels(fit)
     for k in problem.sensor_channels:
         channel, joint = problem.channels[k], problem.channels[k].joint
         own = {
-            name: replace(found[name], unit=unit_of(kind, robot, joint))
+            name: _estimate(vector, name, unit_of(kind, robot, joint))
             for kind in ("off", *BEARING)
-            if (name := Parameter(kind, channel.name).name) in found
+            if (name := Parameter(kind, channel.name)) in vector.places
         }
         residual = TorqueError(joint, float(sigma[k]), float(signal[k]), torque_unit(robot, joint))
         scale = next((each for each in diagnosis.sensors if each.channel == channel), None)
@@ -260,8 +329,7 @@ def _spread(system: System, theta: np.ndarray) -> dict[str, float]:
     """Compute the standard deviation between runs of each friction parameter that may drift."""
     differences: dict[str, list[float]] = {}
     for name, value in zip(system.problem.parameters, theta, strict=True):
-        kind, body, run = parameter_of(name)
-        if run is not None:
-            differences.setdefault(Parameter(kind, body).name, []).append(float(value))
+        if name.run is not None:
+            differences.setdefault(Parameter(name.kind, name.body), []).append(float(value))
     # the differences of all runs add up to zero, and the last is not listed
     return {name: float(np.std([*each, -sum(each)], ddof=1)) for name, each in differences.items()}

@@ -11,12 +11,11 @@ from gtau.estimation.diagnostics.sentences import note, percent_text
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.results.estimate import Estimate, NearestPose
-from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.payload import PayloadEstimate
+from gtau.estimation.results.result import Result
 from gtau.estimation.results.torque_scale import listed, torque_headline
 from gtau.estimation.thresholds.estimates import INFLATED
 from gtau.estimation.thresholds.logs import NEAR_SINGULAR
-from gtau.robots.parameter import parameter_of
 from gtau.signals.columns import Signals
 from gtau.signals.notes import Kind, Note
 from gtau.signals.payload import FIRST_MOMENTS
@@ -36,7 +35,7 @@ class Reason:
     action: str
 
 
-def headline(result: IdentifiedModel) -> str:
+def headline(result: Result) -> str:
     """Summarise the gains: how many are known to which accuracy, and which contradict the description."""
     gains = list(result.drive_gains.values())
     if result.kind == "torque":
@@ -56,7 +55,7 @@ def headline(result: IdentifiedModel) -> str:
     return " ".join(sentences)
 
 
-def reasons(result: IdentifiedModel) -> tuple[Reason, ...]:
+def reasons(result: Result) -> tuple[Reason, ...]:
     """List reasons and advice for the verdicts on gains, the worst first: joints with equal advice share a row."""
     groups: dict[tuple[Outcome, str, str], list[Estimate]] = {}
     for gain in sorted(result.drive_gains.values(), key=lambda gain: -(gain.half_width or 0.0)):
@@ -121,12 +120,12 @@ def _number(count: int) -> str:
     return NUMBERS[count] if count < len(NUMBERS) else str(count)
 
 
-def findings(result: IdentifiedModel) -> list[Note]:
+def findings(result: Result) -> list[Note]:
     """Collect all notes on a result beside its verdicts: on the fit, the motion, the logs and the robot."""
     return [*remarks(result), *near_singularities(result.singularities), *result.notes]
 
 
-def remarks(result: IdentifiedModel) -> list[Note]:
+def remarks(result: Result) -> list[Note]:
     """Note faults of the fit beside the gains, with advice."""
     notes = []
     for payload in {each.name: each for each in result.payloads}.values():
@@ -160,10 +159,10 @@ def _of_verdict(what: str, verdict: Verdict) -> Note:
     return Note(Kind.MODEL, what, verdict.advice, finding="" if verdict.finding is None else verdict.finding.kind)
 
 
-def without_temperature(result: IdentifiedModel, signals: Signals) -> list[str]:
+def without_temperature(result: Result, signals: Signals) -> list[str]:
     """Note the temperature assumed for logs without one where the model's friction depends on it."""
     warm = result.temperatures
-    depends = {parameter_of(name).body for name in result.friction if parameter_of(name).kind in TEMPERATURE_TERMS}
+    depends = {name.body for name in result.friction if name.kind in TEMPERATURE_TERMS}
     if warm is None or not depends or signals.temperature is not None:
         return []
     listed = ", ".join(f"'{joint}' {warm.of_joint[joint]:.4g}" for joint in sorted(depends))

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Integral
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Generic, Literal, TypeVar
 
 import numpy as np
 
@@ -17,13 +17,11 @@ from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.sentences import named
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict
 from gtau.model.singularities import TYPES
+from gtau.robots.parameter import Parameter
 from gtau.signals.channel import SENSOR, ChannelKind
 from gtau.signals.decimation import Decimator
 from gtau.signals.preparation import PreparedRun
 from gtau.signals.storage import rows_at
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True, repr=False)
@@ -102,12 +100,15 @@ class Estimate:
         return 100 * self.std / abs(self.value) if self.value and self.std is not None else None
 
 
-class Named(dict[str, Estimate]):
+Key = TypeVar("Key", bound=str)
+
+
+class Named(dict[Key, Estimate], Generic[Key]):
     """Estimates by joint or parameter; ``[11]`` finds joint ``'11'``, a missing name raises GtauError with all."""
 
     def __missing__(self, name: object) -> Estimate:
         if isinstance(name, Integral) and str(name) in self:
-            return self[str(name)]
+            return self[str(name)]  # type: ignore[index]
         raise GtauError(f"there is no '{name}' here; choose from {', '.join(self) or 'nothing'}.")
 
     def _repr_html_(self) -> str:
@@ -117,17 +118,12 @@ class Named(dict[str, Estimate]):
 
 @dataclass(frozen=True)
 class FrictionCurve:
-    """Friction of a joint, identified on all samples; see :mod:`gtau.estimation.friction.law`.
+    """What the data say of the friction of a joint on all samples; see :mod:`gtau.estimation.friction.law`.
 
     Attributes
     ----------
     joint : str
         Its name.
-    parameters : dict
-        ``off_J``, ``fv_J``, ``fs_J``, ``fb_J``, ``fl_J``, ``fvt_J``, ``fst_J``, those that it has; name to
-        :class:`Estimate`. One that would be negative is 0, without a standard deviation.
-    width, speed : Estimate, optional
-        Of presliding, and v_s, at which friction bends; None where the logs do not show them.
     evidence : dict
         By how many standard errors blocks left out are better for ``presliding``, ``bent``, ``load``, ``temperature``.
     error, plain_error : float
@@ -135,17 +131,9 @@ class FrictionCurve:
     """
 
     joint: str
-    parameters: Mapping[str, Estimate]
-    width: Estimate | None
-    speed: Estimate | None
     evidence: Mapping[str, float]
     error: float
     plain_error: float
-
-    @property
-    def estimates(self) -> tuple[Estimate, ...]:
-        """All its estimates."""
-        return (*self.parameters.values(), *(each for each in (self.width, self.speed) if each is not None))
 
 
 @dataclass(frozen=True)
@@ -158,7 +146,7 @@ class SensorEstimate:
     """
 
     joint: str
-    parameters: Mapping[str, Estimate]
+    parameters: Mapping[Parameter, Estimate]
     delay: Estimate
     residual: TorqueError
     ratio: Estimate | None = None

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from gtau.estimation.diagnostics.parameter_checks import parameter_verdict
+from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Fit, jackknife
 from gtau.estimation.friction.law import FrictionLaw
 from gtau.estimation.friction.normal_equations import FINER, Group, normal_equations, sites_of
@@ -20,9 +21,9 @@ from gtau.estimation.friction.selection import (
     with_shapes,
 )
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS, UNITS
-from gtau.estimation.results.estimate import Estimate, FrictionCurve, ReferenceTemperatures
-from gtau.robots.parameter import Parameter, parameter_of
-from gtau.robots.robot import Robot
+from gtau.estimation.results.estimate import FrictionCurve, ReferenceTemperatures
+from gtau.robots.parameter import Parameter
+from gtau.robots.robot import PLAIN_FRICTION, Robot
 from gtau.robots.units import position_unit, unit_of
 
 # Standard deviation of the logarithm of a width or speed between those tried, whose columns are interpolated: over 18
@@ -30,47 +31,57 @@ from gtau.robots.units import position_unit, unit_of
 BETWEEN = {"width": 0.09, "speed": 0.07}
 
 
-def friction_curves(
-    fit: Fit, covariance: np.ndarray
-) -> tuple[dict[str, FrictionCurve], dict[str, tuple[float, float]]]:
+@dataclass(frozen=True, eq=False)
+class FrictionStep:
+    """Friction of all samples: the updated estimates, the curve of each joint, and errors over all samples.
+
+    ``names`` are those that it estimates, and ``errors``, by motor, the rms of error and torque, N m or N. Without
+    curves the plain law predicts.
+    """
+
+    estimates: Estimates
+    names: tuple[Parameter, ...] = ()
+    curves: Mapping[str, FrictionCurve] = field(default_factory=dict)
+    errors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+def friction_step(fit: Fit, estimates: Estimates) -> FrictionStep:
     """Identify the friction of every joint on all samples.
 
     Parameters
     ----------
     fit : Fit
         Whose gains and inertial parameters stay as they are.
-    covariance : ndarray
-        Of (theta, gains, delays), whose share in the friction's standard deviations is that of the torque left to it.
-
-    Returns
-    -------
-    curves : dict
-        Of every joint, by name.
-    errors : dict
-        By motor, the rms of error and torque over all samples, N m or N.
+    estimates : Estimates
+        Of the fit, whose friction is replaced; its covariance has a share in that of the new friction through the
+        torque left to it.
 
     Raises
     ------
     GtauError
         Where the closures refuse a sample.
     """
-    model, temperatures = fit.dataset.model, reference_temperatures(fit)
-    law = FrictionLaw(model, {})
+    law, base = FrictionLaw(fit.dataset.model, {}), fit.dataset.base
     sites = sites_of(fit.dataset, law)
-    found: dict[str, FrictionCurve] = {}
+    name_of = dict(zip(base.standard, base.names, strict=True))
+    curves: dict[str, FrictionCurve] = {}
     errors: dict[str, tuple[float, float]] = {}
-
-    def unit(kind: str, joint: str) -> str:
-        return friction_unit(kind, joint, model.robot, temperatures)
-
+    listed: list[Parameter] = []
     of_rows = normal_equations(fit, law, sites)  # behind whose filter errors are stated
+    fixed = _fixed(fit, estimates, {site.joint for site in sites})
     for group, rows in zip(normal_equations(fit, law, sites, FINER), of_rows, strict=True):
         if len(group.G):
             trial, plain, evidence = choose(group)
-            found |= curves_of(group, trial, plain, evidence, _fixed(fit, covariance), unit)
-            motors = (model.actuated[j] for j in group.motors)
+            names, values, slopes, scatter = group_estimates(group, trial)
+            unknowns = [name_of.get(name, name) for name in names]
+            freedom = float(len(group.G) - 1)
+            estimates = estimates.updated(unknowns, values, _widened(slopes @ fixed, estimates), scatter, freedom)
+            listed += unknowns
+            curves |= _curves(group, trial, plain, evidence)
+            motors = (fit.dataset.model.actuated[j] for j in group.motors)
             errors |= dict(zip(motors, _errors(rows, trial), strict=True))
-    return {site.joint: found[site.joint] for site in sites if site.joint in found}, errors
+    curves = {site.joint: curves[site.joint] for site in sites if site.joint in curves}
+    return FrictionStep(estimates, tuple(listed), curves, errors)
 
 
 def reference_temperatures(fit: Fit) -> ReferenceTemperatures | None:
@@ -98,17 +109,25 @@ def _errors(group: Group, trial: Trial) -> list[tuple[float, float]]:
     return list(zip(rms.tolist(), signal.tolist(), strict=True))
 
 
-def _fixed(fit: Fit, covariance: np.ndarray) -> np.ndarray:
-    """Extract the covariance of gains (n,) and base parameters (n_b,) from that of all; 0 where they are known."""
-    problem, names, n = fit.system.problem, fit.dataset.base.names, len(fit.dataset.model.actuated)
-    place = {name: k for k, name in enumerate(problem.parameters)}
-    # friction of the plain law is not subtracted from the torque, so that its errors do not count
-    inertial = [place.get(name, -1) if parameter_of(name).kind not in ("fv", "fs", "off") else -1 for name in names]
-    index = np.array([*range(problem.n_theta, problem.n_theta + n), *inertial])
-    known = index < 0
-    found = covariance[np.ix_(np.maximum(index, 0), np.maximum(index, 0))].copy()
-    found[known], found[:, known] = 0.0, 0.0
+def _fixed(fit: Fit, estimates: Estimates, joints: Collection[str]) -> np.ndarray:
+    """Select gains and base parameters (n + n_b, k) of all estimates; 0 where they are known.
+
+    Friction of the ``joints`` in the equations is not subtracted from the torque, so that its errors do not count.
+    """
+    dataset = fit.dataset
+    gains = (Parameter("gain", joint) for joint in dataset.model.actuated)
+    subtracted = (name.kind not in PLAIN_FRICTION or name.body not in joints for name in dataset.base.names)
+    names = [*gains, *(name if kept else None for name, kept in zip(dataset.base.names, subtracted, strict=True))]
+    found = np.zeros((len(names), len(estimates.unknowns)))
+    for row, name in zip(found, names, strict=True):
+        if name is not None and name in estimates.places:
+            row[estimates.places[name]] = 1.0
     return found
+
+
+def _widened(slopes: np.ndarray, estimates: Estimates) -> np.ndarray:
+    """Append columns of zeros to slopes (m, .) for the estimates that were appended since."""
+    return np.pad(slopes, ((0, 0), (0, len(estimates.unknowns) - slopes.shape[1])))
 
 
 def _between_values(group: Group, whole: Trial, A: np.ndarray) -> np.ndarray:
@@ -128,57 +147,69 @@ def _between_values(group: Group, whole: Trial, A: np.ndarray) -> np.ndarray:
     return found
 
 
-def curves_of(
-    group: Group,
-    trial: Trial,
-    plain: Trial,
-    evidence: Mapping[tuple[int, str], float],
-    fixed: np.ndarray,
-    unit: Callable[[str, str], str],
-) -> dict[str, FrictionCurve]:
-    """Estimate the friction of the joints of a group, whose parameters by kind and joint have a ``unit``."""
+def group_estimates(group: Group, trial: Trial) -> tuple[list[Parameter], np.ndarray, np.ndarray, np.ndarray]:
+    """Estimate the friction of the joints of a group.
+
+    Returns
+    -------
+    names : list of Parameter
+        ``off``, ``fv``, ``fs``, ``fb``, ``fl``, ``fvt``, ``fst``, ``width`` and ``vs`` of each joint, those that it
+        has, (m,).
+    values : ndarray
+        (m,), zero for one that would be negative.
+    slopes : ndarray
+        (m, gains and base parameters) derivatives by these.
+    scatter : ndarray
+        (m, m) covariance at given gains and base parameters.
+    """
     whole = with_shapes(group, trial)
     A = np.einsum("pa,pq,qc->ac", whole.M, group.G.sum(axis=(0, 1))[:-1, :-1], whole.M)
     size = np.sqrt(np.maximum(np.diag(A), 1e-300))[:, None]
     S = np.linalg.pinv(A / size / size.T, rcond=1e-9, hermitian=True) @ (whole.M.T @ group.cross / size) / size
-    covariance = jackknife(whole.left) + S @ fixed @ S.T + _between_values(group, whole, A)
-    places, freedom = {name: k for k, name in enumerate(whole.names)}, float(len(group.G) - 1)
-    signal = max(float(group.G[..., -1, -1].sum()), 1e-300)
-    error, plain_error = (100 * float(np.sqrt(max(each.errors.sum(), 0.0) / signal)) for each in (trial, plain))
+    covariance = jackknife(whole.left) + _between_values(group, whole, A)
+    place = {name: k for k, name in enumerate(whole.names)}
+    names: list[Parameter] = []
+    values: list[float] = []
+    rows: list[np.ndarray] = []
 
-    def estimate(kind: str, joint: str, value: float, std: float | None) -> Estimate:
-        name, verdict = Parameter(kind, joint).name, parameter_verdict(value, std)
-        return Estimate(name, value, std, unit(kind, joint), verdict=verdict, freedom=freedom)
+    def add(name: Parameter, value: float, factors: Mapping[tuple[int, str], float]) -> None:
+        row = np.zeros(len(whole.names))
+        for unknown, factor in factors.items():
+            if unknown in place:
+                row[place[unknown]] = factor
+        names.append(name)
+        values.append(value)
+        rows.append(row)
 
-    made = {}
+    x = dict(zip(trial.names, map(float, trial.x), strict=True))
     for s, (site, structure) in enumerate(zip(group.sites, trial.structures, strict=True)):
-        own = {kind: k for k, (of, kind) in enumerate(trial.names) if of == s}
-        values: dict[str, float] = dict.fromkeys(parameter_columns(structure, site), 0.0)
-        values |= {kind: float(trial.x[k]) for kind, k in own.items()}
-        std: dict[str, float | None] = dict.fromkeys(values)
-        std |= {kind: float(np.sqrt(covariance[k, k])) for kind, k in own.items()}
-        if "fr" in values:  # friction at rest, and what of it is gone in sliding
-            of_excess = np.zeros(len(whole.x))
-            for kind, sign in (("fr", 1.0), ("fs", -1.0)):
-                if kind in own:
-                    of_excess[own[kind]] = sign
-            values["fb"] = values.pop("fr") - values["fs"]
-            std["fb"] = float(np.sqrt(of_excess @ covariance @ of_excess)) or None
-        parameters = [estimate(kind, site.joint, value, std[kind]) for kind, value in values.items()]
-        shape: dict[str, Estimate] = {}
-        for kind, name in (("width", "width"), ("speed", "vs")):
+        for kind in parameter_columns(structure, site):
+            if kind == "fr":  # friction at rest: fb is what of it is gone in sliding
+                excess = x.get((s, "fr"), 0.0) - x.get((s, "fs"), 0.0)
+                add(Parameter("fb", site.joint), excess, {(s, "fr"): 1.0, (s, "fs"): -1.0})
+            else:
+                add(Parameter(kind, site.joint), x.get((s, kind), 0.0), {(s, kind): 1.0})
+        for kind, shape in (("width", "width"), ("speed", "vs")):
             if (number := structure.get(kind)) is not None:
                 tried = shape_values(group, s, kind)
-                value, k = float(tried[0] * (tried[1] / tried[0]) ** number), places.get((s, kind))
-                spread = None if k is None else value * float(np.sqrt(covariance[k, k]))
-                shape[kind] = estimate(name, site.joint, value, spread)
-        made[site.joint] = FrictionCurve(
+                value = float(tried[0] * (tried[1] / tried[0]) ** number)
+                add(Parameter(shape, site.joint), value, {(s, kind): value})  # its logarithm is estimated
+    T = np.array(rows).reshape(len(names), len(whole.names))
+    return names, np.array(values), T @ S, T @ covariance @ T.T
+
+
+def _curves(
+    group: Group, trial: Trial, plain: Trial, evidence: Mapping[tuple[int, str], float]
+) -> dict[str, FrictionCurve]:
+    """Collect what the data say of the friction of each joint of a group, by its name."""
+    signal = max(float(group.G[..., -1, -1].sum()), 1e-300)
+    error, plain_error = (100 * float(np.sqrt(max(each.errors.sum(), 0.0) / signal)) for each in (trial, plain))
+    return {
+        site.joint: FrictionCurve(
             site.joint,
-            {each.name: each for each in parameters},
-            shape.get("width"),
-            shape.get("speed"),
             {WORDS[kind]: float(evidence[s, kind]) for kind in KINDS if (s, kind) in evidence},
             error,
             plain_error,
         )
-    return made
+        for s, site in enumerate(group.sites)
+    }

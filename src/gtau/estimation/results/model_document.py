@@ -11,19 +11,19 @@ from gtau.estimation.diagnostics.verdict import Verdict
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.grades import to_document as note_document
 from gtau.estimation.results.estimate import Estimate, TorqueError
-from gtau.estimation.results.identified_model import IdentifiedModel
 from gtau.estimation.results.payload import PayloadEstimate
+from gtau.estimation.results.result import Result
 from gtau.robots.parameter import parameter_of
 from gtau.robots.readers.native_text import native_text
 from gtau.robots.robot import Robot
 from gtau.robots.units import unit_of
 
-SCHEMA = "gtau-model/3"
-OLDER = ("gtau-model/2",)
-"""Schemas that are read too: without friction on all samples, whose plain law then predicts."""
+SCHEMA = "gtau-model/4"
+OLDER = ("gtau-model/2", "gtau-model/3")
+"""Schemas that are read too: 2 is without friction on all samples, and 3 has it apart from ``parameters``."""
 
 
-def to_document(result: IdentifiedModel) -> dict[str, Any]:
+def to_document(result: Result) -> dict[str, Any]:
     """Describe a result as a JSON document; ``rel_std`` in per cent, null where a value is known."""
     preparation = result.preparation
     return {
@@ -39,12 +39,10 @@ def to_document(result: IdentifiedModel) -> dict[str, Any]:
             for each in result.parameters.values()
         ],
         "friction": [_estimate(each) for each in result.friction.values()],
+        "equation_friction": [_estimate(each) for each in result.equation_friction.values()],
         "curves": [
             {
                 "joint": each.joint,
-                "parameters": [_estimate(estimate) for estimate in each.parameters.values()],
-                "width": each.width and _estimate(each.width),
-                "speed": each.speed and _estimate(each.speed),
                 "evidence": dict(each.evidence),
                 "error": each.error,
                 "plain_error": each.plain_error,

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from math import isfinite
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import (
@@ -33,6 +33,7 @@ from gtau.estimation.diagnostics.sentences import advice, reason
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.estimators.physical_consistency import Consistency, Move
 from gtau.estimation.estimators.registry import PLACES
+from gtau.estimation.friction.law import SHAPES
 from gtau.estimation.results.estimate import (
     AlternativeMoves,
     Estimate,
@@ -43,17 +44,16 @@ from gtau.estimation.results.estimate import (
     SensorEstimate,
     TorqueError,
 )
-from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.estimation.results.groups import Model
 from gtau.estimation.results.model_document import OLDER, SCHEMA, to_document
 from gtau.estimation.results.payload import PayloadEstimate
-from gtau.robots.parameter import Parameter
+from gtau.estimation.results.result import Result, result_of
+from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.readers.native import parse_native
 from gtau.signals.channel import SENSOR, ChannelKind, sensor_kind
 from gtau.signals.decimation import Decimator
 from gtau.signals.notes import Note
 from gtau.signals.preparation import Preparation
-
-Model = TypeVar("Model", bound=IdentifiedModel)
 
 
 class _Group(BaseModel):
@@ -79,6 +79,13 @@ def _by_name(estimates: tuple[Estimate, ...]) -> dict[str, Estimate]:
     return named
 
 
+def _by_parameter(estimates: dict[str, Estimate]) -> dict[Parameter, Estimate]:
+    return {
+        parameter_of(name, regrouped=len(estimate.regrouping.split()) > 1): estimate
+        for name, estimate in estimates.items()
+    }
+
+
 def _method(name: str) -> str:
     if name not in PLACES:
         raise ValueError(unknown(f"method '{name}'", name, PLACES))
@@ -87,6 +94,7 @@ def _method(name: str) -> str:
 
 _Estimate = Annotated[Estimate, BeforeValidator(_gathered)]
 _Estimates = Annotated[tuple[_Estimate, ...], AfterValidator(_by_name)]
+_Parameters = Annotated[tuple[_Estimate, ...], AfterValidator(_by_name), AfterValidator(_by_parameter)]
 NoteEntry = Annotated[
     Note,
     BeforeValidator(lambda note: {k: v for k, v in note.items() if v is not None} if isinstance(note, dict) else note),
@@ -113,7 +121,7 @@ class _Payload(_Group):
 
 class _Sensor(_Group):
     joint: str
-    parameters: _Estimates
+    parameters: _Parameters
     delay: _Estimate
     residual: TorqueError
     ratio: _Estimate | None
@@ -125,19 +133,9 @@ class _Sensor(_Group):
 
 class _Curve(_Group):
     joint: str
-    parameters: _Estimates
-    width: _Estimate | None
-    speed: _Estimate | None
     evidence: dict[str, float]
     error: NonNegativeFloat
     plain_error: NonNegativeFloat
-
-    @model_validator(mode="after")
-    def _can_be(self) -> Self:
-        for each in (self.width, self.speed):
-            if each is not None and not (each.value or 0.0) > 0:
-                raise ValueError(f"'{each.name}' is not positive; correct it")
-        return self
 
     def made(self) -> FrictionCurve:
         return FrictionCurve(**dict(self))
@@ -218,8 +216,9 @@ class _Model(_Group):
     kind: Literal["current", "torque"]
     drive_gains: _Estimates
     delays: _Estimates
-    parameters: _Estimates
-    friction: _Estimates
+    parameters: _Parameters
+    friction: _Parameters
+    equation_friction: _Parameters = Field(default=(), validate_default=True)
     curves: tuple[_Curve, ...] = ()
     sensors: tuple[_Sensor, ...] = ()
     payloads: tuple[_Payload, ...]
@@ -238,37 +237,38 @@ class _Model(_Group):
     requirements: tuple[Requirement, ...] = ()
     audit: InertiaAudit | None = None
 
-    def made(self, path: Path, make: type[Model]) -> Model:
+    def made(self, path: Path) -> Result:
         """Assemble the result."""
         rest = dict(self)
         del rest["robot_file"], rest["standard"], rest["stated_inertias"]
-        return make(
+        robot = replace(parse_native(self.robot_file, path), inertias=tuple(self.stated_inertias.items()))
+        return result_of(
+            Model(robot, tuple(sensor.joint for sensor in self.sensors)),
             **rest
             | {
-                "robot": replace(parse_native(self.robot_file, path), inertias=tuple(self.stated_inertias.items())),
                 "curves": {each.joint: each.made() for each in self.curves},
                 "sensors": tuple(each.made() for each in self.sensors),
                 "payloads": tuple(each.made() for each in self.payloads),
-                "covariance_names": self.covariance.names,
+                "covariance_names": tuple(map(parameter_of, self.covariance.names)),
                 "covariance": np.array(self.covariance.matrix),
                 "preparation": self.preparation.made(),
                 "consistency": None if self.standard is None else self.standard.made(),
-            }
+            },
         )
 
 
-def model_text(result: IdentifiedModel) -> str:
+def model_text(result: Result) -> str:
     """Write the text of a result's file."""
     return json.dumps(to_document(result), indent=1, allow_nan=False) + "\n"
 
 
-def save(result: IdentifiedModel, path: str | Path) -> None:
+def save(result: Result, path: str | Path) -> None:
     """Write ``result`` to ``path``, atomically."""
     write_atomically(path, model_text(result))
 
 
-def load(path: str | Path, make: type[Model]) -> Model:
-    """Read a result, which ``make`` makes.
+def load(path: str | Path) -> Result:
+    """Read a result.
 
     Raises
     ------
@@ -292,10 +292,33 @@ def load(path: str | Path, make: type[Model]) -> Model:
             f"{path} has the schema '{document['schema']}', but this version reads '{SCHEMA}'; identify again "
             "with this version."
         )
-    result = validate(_Model, Document(path, document, {})).made(path, make)
+    if document["schema"] == "gtau-model/3":
+        document = _one_friction(document)
+    result = validate(_Model, Document(path, document, {})).made(path)
     for problem in _problems(result):
         raise GtauError(f"{path} is damaged ({problem}); write it again with 'gtau identify'.")
     return result
+
+
+def _one_friction(document: dict[str, Any]) -> dict[str, Any]:
+    """Rewrite a document of schema 3, whose curves have the friction that predicts, as one of schema 4."""
+    try:
+        curves = document["curves"]
+        predicted = {each["name"]: each for curve in curves for each in curve["parameters"]}
+        shapes = [curve[key] for curve in curves for key in ("width", "speed") if curve[key] is not None]
+        parameters = {each["name"]: each for each in document["parameters"]}
+        of_base = {
+            name: name.removesuffix("R") if len(each["regrouping"].split()) > 1 else name
+            for name, each in parameters.items()
+        }
+        replaced = {name: predicted.pop(own) for name, own in of_base.items() if own in predicted}
+    except (KeyError, TypeError, AttributeError):
+        return document  # which the schema then refuses
+    if not curves:
+        return document
+    equations = [*(parameters[name] for name in replaced), *document["friction"]]
+    kept = [parameters[name] | {k: v for k, v in replaced.get(name, {}).items() if k != "name"} for name in parameters]
+    return document | {"parameters": kept, "friction": [*predicted.values(), *shapes], "equation_friction": equations}
 
 
 def _refuse(constant: str) -> float:
@@ -306,7 +329,7 @@ def _finite(text: str) -> float:
     return float(text) if isfinite(float(text)) else _refuse(text)
 
 
-def _problems(result: IdentifiedModel) -> Iterator[str]:
+def _problems(result: Result) -> Iterator[str]:
     robot = result.robot
     for what, estimates, joints in (
         ("drive gains", result.drive_gains, robot.motors),
@@ -319,9 +342,12 @@ def _problems(result: IdentifiedModel) -> Iterator[str]:
     strange = set(result.curves) - {joint.name for joint in robot.joints}
     if strange:
         yield f"'curves' has the friction of '{sorted(strange)[0]}', which is no joint"
+    for name, each in result.friction.items():
+        if name.kind in SHAPES and not (each.value or 0.0) > 0:
+            yield f"'{name}' is not positive"
     if any(each.value == 0 for each in result.drive_gains.values()):
         yield "a drive gain is zero"
-    if not {Parameter("gain", joint).name for joint in robot.motors} <= set(result.covariance_names):
+    if not {Parameter("gain", joint) for joint in robot.motors} <= set(result.covariance_names):
         yield "the covariance lacks the drive gains"
     verdicts = [each.verdict for each in _estimates(result)] + [each.verdict for each in result.payloads]
     causes = (cause for each in result.alternatives for cause in each.causes)
@@ -332,12 +358,10 @@ def _problems(result: IdentifiedModel) -> Iterator[str]:
             yield f"the values of the finding '{finding.kind}' are not those of its sentence"
 
 
-def _estimates(result: IdentifiedModel) -> Iterator[Estimate]:
-    for group in (result.drive_gains, result.delays, result.parameters, result.friction):
+def _estimates(result: Result) -> Iterator[Estimate]:
+    for group in (result.drive_gains, result.delays, result.parameters, result.friction, result.equation_friction):
         yield from group.values()
     for payload in result.payloads:
         yield from payload.parameters.values()
-    for curve in result.curves.values():
-        yield from curve.estimates
     for sensor in result.sensors:
         yield from (*sensor.parameters.values(), sensor.delay, *((sensor.ratio,) if sensor.ratio else ()))

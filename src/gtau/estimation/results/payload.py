@@ -26,6 +26,7 @@ from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
 from gtau.estimation.results.estimate import Estimate
 from gtau.robots.geometry import longest_placement
+from gtau.robots.parameter import Parameter
 from gtau.robots.readers.urdf import frame_on
 from gtau.robots.rigid_body import RigidBody, inertial_parameters
 from gtau.robots.robot import INERTIAL, Placement, Pose
@@ -261,7 +262,7 @@ def _weighed(
     problem: Problem,
     carried: CarriedPayload,
     covariance: np.ndarray,
-    estimates: Mapping[str, Estimate],
+    estimates: Mapping[Parameter, Estimate],
 ) -> Weighed:
     """Collect the identified sums of parameters, and the stated values of the others."""
     found = [name for name in carried.unknown if name in problem.parameters]
@@ -294,7 +295,7 @@ def _of_mass(kind: str, mass: Estimate, at: float, unit: str) -> Estimate:
 
 def named_estimates(
     problem: Problem, theta: np.ndarray, std: np.ndarray, freedom: np.ndarray | None
-) -> dict[str, Estimate]:
+) -> dict[Parameter, Estimate]:
     """Name the estimates of a problem's parameters; their units are those of what they are estimates of."""
     found = {}
     for k, name in enumerate(problem.parameters):

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gtau import display
 from gtau.errors import GtauError
-from gtau.estimation.friction.law import carried
+from gtau.estimation.friction.law import SHAPES, carried
 from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.regression.dataset import at_rate_of, check_wrenches, motor_to_joint_speed
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.regression.rows import Law, stream_torques
 from gtau.estimation.results.estimate import Requirement, TorqueError
-from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.estimation.results.predicted import Prediction
+from gtau.estimation.results.result import Result
 from gtau.model.loops import Motion
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.parameter import Parameter
 from gtau.robots.units import torque_unit
 from gtau.signals.payload import Payload
 from gtau.signals.preparation import PreparedRun, prepare
@@ -27,100 +27,17 @@ from gtau.signals.settings import Requirements
 from gtau.signals.storage import spans
 
 if TYPE_CHECKING:
-    import polars as pl
+    pass
 
 
-@dataclass(frozen=True)
-class Prediction:
-    """Torques at every sample of a run: ``time`` (N,) in s, ``predicted`` and ``measured`` (N, n) in N m or N.
-
-    ``friction`` (N, n) is the part of what is predicted that friction and offsets take.
-
-    All are behind the low-pass of identification, whose rows are one sample in ``factor``. ``keep`` (N, n) is False
-    near a joint's reversals and rests, which identification of gains and inertia leaves out, and near gaps; ``valid``
-    (N, n) is False near gaps and repaired samples, and at the ends of the log up to where the motion begins.
-    """
-
-    joints: tuple[str, ...]
-    time: np.ndarray
-    predicted: np.ndarray
-    measured: np.ndarray
-    keep: np.ndarray
-    valid: np.ndarray
-    friction: np.ndarray
-    factor: int = 1
-
-    @property
-    def rows(self) -> Prediction:
-        """One sample in ``factor``, whose residuals are as independent as the low-pass lets them be."""
-        return replace(self.part(slice(self.factor // 2, None, self.factor)), factor=1)
-
-    def part(self, samples: slice | np.ndarray) -> Prediction:
-        """Take some of the samples."""
-        names = ("time", "predicted", "measured", "friction", "keep", "valid")
-        return replace(self, **{name: getattr(self, name)[samples] for name in names})
-
-    def of(self, joints: Sequence[str]) -> Prediction:
-        """Take some of the joints."""
-        chosen = [self.joints.index(joint) for joint in joints]
-        names = ("predicted", "measured", "friction", "keep", "valid")
-        return replace(self, joints=tuple(joints), **{name: getattr(self, name)[:, chosen] for name in names})
-
-    def __repr__(self) -> str:
-        return (
-            f"Prediction({len(self.time)} samples of joints {', '.join(self.joints)}, {self.time[0]:.4g} to "
-            f"{self.time[-1]:.4g} s)"
-        )
-
-    def table(self) -> pl.DataFrame:
-        """Return the torques as a Polars table, one row per sample.
-
-        Columns: ``t`` (s); for each joint ``motor_J`` (drive gain times current), ``model_J`` (what the motion takes),
-        ``external_J`` (the torque that the environment exerts on the joint, model minus motor; N m or N), ``usable_J``
-        (``keep``) and ``valid_J``.
-        """
-        import polars as pl
-
-        columns = {"t": self.time}
-        for j, joint in enumerate(self.joints):
-            columns |= {
-                f"motor_{joint}": self.measured[:, j],
-                f"model_{joint}": self.predicted[:, j],
-                f"external_{joint}": self.predicted[:, j] - self.measured[:, j],
-                f"usable_{joint}": self.keep[:, j],
-                f"valid_{joint}": self.valid[:, j],
-            }
-        return pl.DataFrame(columns)
-
-    def to_frame(self) -> pl.DataFrame:
-        """Return the prediction as a Polars table, one row per instant and joint; ``.to_pandas()`` converts it."""
-        import polars as pl
-
-        samples, n = self.measured.shape
-        return pl.DataFrame(
-            {
-                "time": np.repeat(self.time, n),
-                "joint": np.tile(np.array(self.joints), samples),
-                "measured": self.measured.reshape(-1),
-                "predicted": self.predicted.reshape(-1),
-                "kept": self.keep.reshape(-1),
-                "valid": self.valid.reshape(-1),
-            }
-        )
-
-    def _repr_html_(self) -> str:
-        html: str = display.views().html(self)
-        return html
-
-
-def suited(result: IdentifiedModel, run: Run) -> Run:
+def suited(result: Result, run: Run) -> Run:
     """Order the columns of a run as the model's joints; raises GtauError where it is of another kind."""
     if not isinstance(run, Run):
         raise GtauError(
             f"this takes a run, not a {type(run).__name__}; read the log with gtau.read_run(log, signals), which knows "
             "its columns."
         )
-    run = arrange(run, result.model.actuated)
+    run = arrange(run, result.idm.actuated)
     if run.kind != result.kind:
         raise GtauError(
             f"run '{run.name}' holds {run.kind}s, but the model was identified from {result.kind}s; give a run of the "
@@ -129,17 +46,17 @@ def suited(result: IdentifiedModel, run: Run) -> Run:
     return run
 
 
-def prepared_for(result: IdentifiedModel, run: Run) -> tuple[PreparedRun, range]:
+def prepared_for(result: Result, run: Run) -> tuple[PreparedRun, range]:
     """Prepare all samples of a run as for identification, and mark those in which the robot moves."""
     run = suited(result, run)
     check_wrenches(result.robot, run)
-    prepared = prepare(run, at_rate_of([run], result.preparation), motor_to_joint_speed(result.model))
+    prepared = prepare(run, at_rate_of([run], result.preparation), motor_to_joint_speed(result.idm))
     return replace(prepared, kept=range(len(run.time))), prepared.kept
 
 
-def predict(result: IdentifiedModel, run: Run) -> Prediction:
+def predict(result: Result, run: Run) -> Prediction:
     """Predict torques at every sample of a run, beside the measured ones; see :meth:`gtau.Result.predict`."""
-    model, base = result.model, result.base
+    model, base = result.idm, result.base
     prepared, moving = prepared_for(result, run)
     run, decimator = prepared.run, prepared.preparation.decimator
     chi = loaded_parameters(result, run.payload, f"run '{run.name}'")
@@ -167,7 +84,7 @@ def predict(result: IdentifiedModel, run: Run) -> Prediction:
     return Prediction(model.actuated, time, made, found, keep, valid, rest, decimator.factor)
 
 
-def friction_along(result: IdentifiedModel, prepared: PreparedRun, chi: np.ndarray) -> Law:
+def friction_along(result: Result, prepared: PreparedRun, chi: np.ndarray) -> Law:
     """Make the friction of a run, at its temperatures and with its presliding, for base parameters ``chi`` (n_b,)."""
     law, run = result.friction_law, prepared.run
     states = law.followers(prepared.path)
@@ -178,7 +95,7 @@ def friction_along(result: IdentifiedModel, prepared: PreparedRun, chi: np.ndarr
     return friction
 
 
-def check_temperature_unit(result: IdentifiedModel, run: Run) -> None:
+def check_temperature_unit(result: Result, run: Run) -> None:
     """Check that the temperatures of a run are in the model's unit; raises GtauError."""
     if result.temperatures is None or run.temperature is None:
         return
@@ -190,33 +107,33 @@ def check_temperature_unit(result: IdentifiedModel, run: Run) -> None:
 
 
 def friction_values(
-    result: IdentifiedModel, chi: np.ndarray, run: Run | None = None, time: np.ndarray | None = None
+    result: Result, chi: np.ndarray, run: Run | None = None, time: np.ndarray | None = None
 ) -> dict[str, Any]:
     """Collect the parameters of friction by name, numbers or (N,), for base parameters ``chi`` (n_b,).
 
     At the temperatures that a run has at ``time`` (N,), else at those of reference.
     """
     values: dict[str, Any] = dict(zip(result.base.standard, chi, strict=True))
-    terms = {name: each.value or 0.0 for name, each in result.friction_parameters.items()}
-    values |= {name: value for name, value in terms.items() if parameter_of(name).kind not in TEMPERATURE_TERMS}
+    terms = {name: each.value or 0.0 for name, each in result.friction.items() if name.kind not in SHAPES}
+    values |= {name: value for name, value in terms.items() if name.kind not in TEMPERATURE_TERMS}
     if result.temperatures is None or run is None or run.temperature is None or time is None:
         return values
-    warm = {name: value for name, value in terms.items() if parameter_of(name).kind in TEMPERATURE_TERMS}
+    warm = {name: value for name, value in terms.items() if name.kind in TEMPERATURE_TERMS}
     for name, slope in warm.items():
-        term, site, _ = parameter_of(name)
+        term, site = name.kind, name.body
         joint = result.friction_law.motor_of(site)
         if joint is not None and joint in run.temperature.of_joint:
             above = run.temperature.at(joint, time) - result.temperatures.of_joint[joint]
-            kind = Parameter(TEMPERATURE_TERMS[term], site).name
+            kind = Parameter(TEMPERATURE_TERMS[term], site)
             values[kind] = values[kind] + slope * above
     return values
 
 
 def torques_along(
-    result: IdentifiedModel,
+    result: Result,
     motion: Motion,
     chi: np.ndarray,
-    terms: Mapping[str, float] | None = None,
+    terms: Mapping[Parameter, float] | None = None,
     z: np.ndarray | None = None,
 ) -> np.ndarray:
     """Compute torques (n, N) along a motion for base parameters ``chi`` (n_b,), all friction included.
@@ -224,22 +141,20 @@ def torques_along(
     ``terms`` are values of friction other than the identified ones, z (s, N) states of presliding; all joints
     slide without them.
     """
-    model, base = result.model, result.base
+    model, base = result.idm, result.base
     load = model.columns(base.standard).torques_along(model.layout, motion, np.array(carried(np, base.standard, chi)))
     return load + result.friction_law.torques(motion, friction_values(result, chi) | dict(terms or {}), load, z)
 
 
-def torques(
-    result: IdentifiedModel, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, payload: Payload | None
-) -> np.ndarray:
+def torques(result: Result, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, payload: Payload | None) -> np.ndarray:
     """Compute torques (N, n) of the identified model at any states; see :meth:`gtau.Result.torques`."""
-    model = result.model
+    model = result.idm
     chi = loaded_parameters(result, payload, "the robot")
     q, qd, qdd = model.samples(q, qd, qdd)
     return torques_along(result, model.motion(q, qd, qdd), chi).T
 
 
-def loaded_parameters(result: IdentifiedModel, payload: Payload | None, carrier: str) -> np.ndarray:
+def loaded_parameters(result: Result, payload: Payload | None, carrier: str) -> np.ndarray:
     """Add a ``payload`` to base parameters (n_b,): what it leaves out takes the identified values.
 
     Raises
@@ -247,7 +162,7 @@ def loaded_parameters(result: IdentifiedModel, payload: Payload | None, carrier:
     GtauError
         Where the model lacks a parameter, or nothing says how heavy the payload is that the ``carrier`` carries.
     """
-    model, base = result.model, result.base
+    model, base = result.idm, result.base
     missing = [name for name in base.names if name not in result.parameters]
     if missing:
         raise GtauError(f"the model lacks the base parameter '{missing[0]}'; identify it again.")
@@ -262,11 +177,11 @@ def loaded_parameters(result: IdentifiedModel, payload: Payload | None, carrier:
             "'mass'."
         )
     for kind, value in {**identified, **known_values(payload)}.items():
-        chi = chi + value * base.matrix[:, tool[Parameter(kind, result.robot.tool).name]]
+        chi = chi + value * base.matrix[:, tool[Parameter(kind, result.robot.tool)]]
     return chi
 
 
-def torque_errors(result: IdentifiedModel, prediction: Prediction) -> tuple[TorqueError, ...]:
+def torque_errors(result: Result, prediction: Prediction) -> tuple[TorqueError, ...]:
     """Compute rms of error and signal of each joint that moves: over the kept rows, and over all valid ones."""
 
     def rms(values: np.ndarray) -> float:
@@ -282,12 +197,12 @@ def torque_errors(result: IdentifiedModel, prediction: Prediction) -> tuple[Torq
     return tuple(errors)
 
 
-def judge(result: IdentifiedModel, require: Requirements, validation: Sequence[Run]) -> tuple[Requirement, ...]:
+def judge(result: Result, require: Requirements, validation: Sequence[Run]) -> tuple[Requirement, ...]:
     """Compare a result with its requirements, its torque errors also on the runs kept for ``validation``."""
     return tuple(_judged(result, require, validation))
 
 
-def _judged(result: IdentifiedModel, require: Requirements, validation: Sequence[Run]) -> Iterator[Requirement]:
+def _judged(result: Result, require: Requirements, validation: Sequence[Run]) -> Iterator[Requirement]:
     if require.torque_error is not None:
         yield _of_torques(require.torque_error, result.residuals)
         for run in validation:

@@ -14,7 +14,7 @@ import yaml
 from gtau.estimation.diagnostics.sentences import percent_text
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.identified_model import IdentifiedModel
+from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import APART
 
 KNOWN = (Outcome.GOOD, Outcome.WEAK)
@@ -52,7 +52,7 @@ class TorqueScale:
         return low, high
 
 
-def torque_scales(result: IdentifiedModel) -> tuple[TorqueScale, ...]:
+def torque_scales(result: Result) -> tuple[TorqueScale, ...]:
     """List the torque scales of all joints; empty where logs hold currents, or nothing tests the torques.
 
     A scale is wrong where it differs from 1 by more than the required accuracy, and by 3.5 standard deviations: of many
@@ -71,7 +71,7 @@ def torque_scales(result: IdentifiedModel) -> tuple[TorqueScale, ...]:
     return tuple(TorqueScale(gain, state(gain)) for gain in gains)
 
 
-def torque_headline(result: IdentifiedModel) -> str:
+def torque_headline(result: Result) -> str:
     """Summarise the torque scale of each joint, or say that it was not tested and how to test it."""
     if not (scales := torque_scales(result)):
         if any(gain.value != 1 for gain in result.drive_gains.values()):
@@ -125,7 +125,7 @@ def listed(parts: Sequence[str]) -> str:
     return parts[0] if len(parts) == 1 else ", ".join(parts[:-1]) + f" and {parts[-1]}"
 
 
-def torque_scale_text(result: IdentifiedModel) -> str:
+def torque_scale_text(result: Result) -> str:
     """Write the correction of the torques as YAML: a factor for each joint, with its interval and state."""
     joints: dict[str, dict[str, object]] = {}
     for each in torque_scales(result):

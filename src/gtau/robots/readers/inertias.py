@@ -83,7 +83,7 @@ def mjcf_inertias(
 ) -> tuple[tuple[str, float], ...]:
     """Sum the bodies of an MJCF file by their carriers, with armatures of joints as rotor inertias."""
     found = _stated(lumped((carried[number], body) for number, body in bodies.items() if number in carried))
-    rotors = ((Parameter("ia", joint).name, armature) for joint, armature in armatures.items() if armature)
+    rotors = ((Parameter("ia", joint), armature) for joint, armature in armatures.items() if armature)
     return (*found, *rotors) if found else ()
 
 

@@ -69,8 +69,7 @@ def _friction_shape(fit: Fit) -> Candidates:
     model, base = fit.dataset.model, fit.dataset.base
     regressor, acting = model.columns(base.standard), transmitted(base.names)
     absent = {
-        term: np.array([Parameter(term, j).name not in fit.system.friction.terms for j in joints])
-        for term in ("f3", "fl")
+        term: np.array([Parameter(term, j) not in fit.system.friction.terms for j in joints]) for term in ("f3", "fl")
     }
 
     def columns(window: InMemoryRun, values: np.ndarray) -> dict[Cause, np.ndarray]:
@@ -110,7 +109,7 @@ def _friction_drift(fit: Fit) -> Candidates:
     joints, terms = fit.dataset.model.actuated, fit.system.friction.terms
     # friction that depends on the temperature has a slope of its own for this
     fv, fs = friction_levels(fit) * np.array(
-        [Parameter("fvt", j).name not in terms and Parameter("fst", j).name not in terms for j in joints]
+        [Parameter("fvt", j) not in terms and Parameter("fst", j) not in terms for j in joints]
     )
     along = _along_runs(fit)
 

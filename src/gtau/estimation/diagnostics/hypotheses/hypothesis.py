@@ -14,7 +14,6 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.rows import Labels, configurations
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import Motion
-from gtau.robots.parameter import Parameter
 from gtau.signals.preparation import InMemoryRun
 
 
@@ -126,11 +125,12 @@ def joint_by_joint(
 
 def friction_levels(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
     """Return viscous coefficients and Coulomb torques of the actuated joints, (n,) each; 0 where not estimated."""
-    values = dict(zip(fit.system.problem.parameters, fit.solution.theta, strict=True))
+    estimates = zip(fit.system.problem.parameters, fit.solution.theta, strict=True)
+    values = {(name.kind, name.body): abs(value) for name, value in estimates if name.run is None}
 
     def of(kind: str) -> np.ndarray:
         joints = fit.dataset.model.actuated
-        return np.array([abs(values.get(Parameter(kind, j).name, values.get(f"{kind}_{j}R", 0.0))) for j in joints])
+        return np.array([values.get((kind, joint), 0.0) for joint in joints])
 
     return of("fv"), of("fs")
 

@@ -163,20 +163,3 @@ def controllers(
         for name, law in zip(STRATEGIES, laws, strict=False)
     }
     return pids | computed
-
-
-def table_document(comparison: ControlComparison) -> list[dict[str, object]]:
-    """Write the table as JSON, SI units."""
-    return [
-        {
-            "trajectory": each.trajectory,
-            "strategy": each.strategy,
-            "joints": [
-                {"joint": joint, "maximum": float(largest), "rms": float(rms), "unit": unit}
-                for joint, largest, rms, unit in zip(
-                    comparison.joints, each.maximum, each.rms, comparison.units, strict=True
-                )
-            ],
-        }
-        for each in comparison.tracking
-    ]

@@ -1,0 +1,187 @@
+"""Groups of a result: the model, its estimates, how they were fitted, and the evidence for and against them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from gtau.estimation.diagnostics.geometry_findings import GeometryTest
+from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
+from gtau.estimation.estimators.physical_consistency import Consistency
+from gtau.estimation.results.estimate import (
+    AlternativeMoves,
+    Distances,
+    Estimate,
+    FrictionCurve,
+    Named,
+    NearestPose,
+    ReferenceTemperatures,
+    Requirement,
+    SensorEstimate,
+    TorqueError,
+)
+from gtau.estimation.results.payload import PayloadEstimate
+from gtau.model.base_parameters import BaseParameters, base_parameters
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.robot import Robot
+from gtau.signals.notes import Note
+from gtau.signals.preparation import Preparation
+from gtau.signals.run import Run
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A robot with its inverse dynamic model and its base parameters, derived when asked for unless handed on.
+
+    ``sensors`` are the joints with a torque sensor, which separate more base parameters.
+    """
+
+    robot: Robot
+    sensors: tuple[str, ...] = ()
+    derived: tuple[InverseDynamics, BaseParameters] | None = None
+
+    @cached_property
+    def idm(self) -> InverseDynamics:
+        """The inverse dynamic identification model."""
+        return self.derived[0] if self.derived else InverseDynamics(self.robot)
+
+    @cached_property
+    def base(self) -> BaseParameters:
+        """The base parameters, of motors and torque sensors together."""
+        return self.derived[1] if self.derived else base_parameters(self.idm, sensors=self.sensors)
+
+
+@dataclass(frozen=True, eq=False)
+class ModelEstimates:
+    """Estimates with which the model predicts.
+
+    Attributes
+    ----------
+    drive_gains, delays : dict
+        Joint name to :class:`Estimate`.
+    parameters : dict
+        All base parameters, friction on all samples among them; name to Estimate. ``essential`` of each says whether
+        the reduction keeps it. As in the paper, ``as_paper`` estimates the kept ones again without the others, whose
+        value is then None.
+    friction : dict
+        Friction beyond that among the base parameters: ``fb_J``, ``fl_J``, ``fvt_J``, ``fst_J``, and in ``width_J`` and
+        ``vs_J`` the width of presliding and the speed at which it bends; for the paper's way the terms of the
+        equations, ``f3_J`` among them. Name to Estimate.
+    payloads : tuple of PayloadEstimate
+        One entry for each loaded run.
+    covariance_names, covariance : tuple of Parameter, ndarray
+        Of parameters, gains and delays, by the block jackknife.
+    sensors : tuple of SensorEstimate
+        Sensors of joints, behind their drives, with what was estimated of each.
+    temperatures : ReferenceTemperatures, optional
+        At which friction has these values, where temperatures were logged.
+    consistency : Consistency, optional
+        Physically consistent standard parameters, if requested.
+    """
+
+    drive_gains: Named[str]
+    delays: Named[str]
+    parameters: Named[Parameter]
+    friction: Named[Parameter]
+    payloads: tuple[PayloadEstimate, ...]
+    covariance_names: tuple[Parameter, ...]
+    covariance: np.ndarray
+    sensors: tuple[SensorEstimate, ...] = ()
+    temperatures: ReferenceTemperatures | None = None
+    consistency: Consistency | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("drive_gains", "delays"):
+            object.__setattr__(self, name, Named(getattr(self, name)))
+        for name in ("parameters", "friction"):
+            object.__setattr__(self, name, by_parameter(getattr(self, name)))
+
+
+@dataclass(frozen=True, eq=False)
+class FitRecord:
+    """How the estimates were fitted, and to what.
+
+    Attributes
+    ----------
+    method, kind : str
+        A name of :data:`gtau.estimation.estimators.registry.ESTIMATORS`; whether logs hold currents or torques.
+    runs : tuple of str
+        Names of the runs.
+    preparation : Preparation
+        How the logs were filtered and decimated.
+    residuals : tuple of TorqueError
+        Over the rows used.
+    logged_speeds : dict
+        Actuated joint to its largest speed among the rows used, rad/s or m/s; beyond it friction is extrapolated (see
+        :mod:`gtau.estimation.friction.law`).
+    statistics : dict
+        Further figures of the method.
+    singular_values : tuple of float
+        Of ``W_tot`` (eq. 33) in falling order, rows weighted by the residuals and columns of unit length; empty where
+        the gains were given, and not held by ``model.json``.
+    data : tuple of Run
+        The runs themselves, for predictions and figures; ``model.json`` does not hold them.
+    """
+
+    method: str
+    kind: str
+    runs: tuple[str, ...]
+    preparation: Preparation
+    residuals: tuple[TorqueError, ...]
+    logged_speeds: Mapping[str, float]
+    statistics: Mapping[str, float]
+    singular_values: tuple[float, ...] = ()
+    data: tuple[Run, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What speaks for and against the estimates.
+
+    Attributes
+    ----------
+    notes : tuple of Note
+        What was repaired, left out, or is not to be trusted; :mod:`gtau.estimation.grades` grades them.
+    alternatives : tuple of AlternativeMoves
+        What the model may lack, and by how much that would move the gains.
+    curves : dict
+        What the data say of friction on all samples, at these gains and inertia; joint to FrictionCurve. Empty for the
+        paper's way.
+    equation_friction : dict
+        Friction in the equations that give gains and inertia, which leave out samples near reversals; name to Estimate.
+        Empty for the paper's way, whose equations predict.
+    geometry : GeometryTest, optional
+        What logged poses say of the robot's geometry.
+    audit : InertiaAudit, optional
+        How well the inertias of the robot's file predict the torques, and which of them the data contradict; None where
+        the file states none.
+    requirements : tuple of Requirement
+        What the experiment file requires, and what was found of it.
+    singularities : tuple of NearestPose
+        Where each run comes nearest to singularities of either type.
+    distances : tuple of Distances
+        The distances to singularities at each run's decimated samples; ``model.json`` does not hold them.
+    """
+
+    notes: tuple[Note, ...] = ()
+    alternatives: tuple[AlternativeMoves, ...] = ()
+    curves: Mapping[str, FrictionCurve] = field(default_factory=dict)
+    equation_friction: Named[Parameter] = field(default_factory=Named)
+    geometry: GeometryTest | None = None
+    audit: InertiaAudit | None = None
+    requirements: tuple[Requirement, ...] = ()
+    singularities: tuple[NearestPose, ...] = ()
+    distances: tuple[Distances, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "equation_friction", by_parameter(self.equation_friction))
+
+
+def by_parameter(estimates: Mapping[Any, Estimate]) -> Named[Parameter]:
+    """Key estimates by their parameters."""
+    return Named({parameter_of(name): estimate for name, estimate in estimates.items()})

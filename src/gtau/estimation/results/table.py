@@ -1,0 +1,65 @@
+"""Table of all estimates of a result, each once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, NamedTuple
+
+from gtau.estimation.results.estimate import Estimate
+from gtau.estimation.results.result import Result
+from gtau.robots.robot import PLAIN_FRICTION
+
+if TYPE_CHECKING:
+    import polars as pl
+
+
+class Row(NamedTuple):
+    """An estimate in its group."""
+
+    group: str
+    estimate: Estimate
+
+
+def estimates_table(result: Result) -> Iterator[Row]:
+    """List all estimates of a result, each once.
+
+    Groups: ``drive gain``, ``delay``, ``base parameter``, ``friction`` (viscous, Coulomb and offsets, and then the
+    terms that the data ask for), ``logged speed`` (up to which friction is identified), ``torque sensor JOINT`` and
+    ``payload NAME of RUN``.
+    """
+    friction = {name: name.kind in PLAIN_FRICTION for name in result.parameters}
+    robot = result.robot
+    speeds = [
+        Estimate(joint, speed, None, f"{robot.joint(joint).unit}/s") for joint, speed in result.logged_speeds.items()
+    ]
+    groups: list[tuple[str, Iterable[Estimate]]] = [
+        ("drive gain", result.drive_gains.values()),
+        ("delay", result.delays.values()),
+        ("base parameter", [each for name, each in result.parameters.items() if not friction[name]]),
+        ("friction", [each for name, each in result.parameters.items() if friction[name]]),
+        ("friction", result.friction.values()),
+        ("logged speed", speeds),
+        *((f"{each.kind.name} {each.joint}", each.parameters.values()) for each in result.sensors),
+        *((f"payload {each.name} of {each.run}", each.parameters.values()) for each in result.payloads),
+    ]
+    return (Row(group, each) for group, estimates in groups for each in estimates)
+
+
+def estimates_frame(result: Result) -> pl.DataFrame:
+    """Tabulate all estimates of a result, one row each.
+
+    Columns: ``group`` (see :func:`estimates_table`), ``name``, ``value``, ``std``, ``rel_std`` (per cent), ``low`` and
+    ``high`` of the 95 % interval, ``unit``, ``verdict``, ``essential`` (whether the reduction keeps a base parameter;
+    null for other estimates) and ``regrouping``. Null where there is no value.
+    """
+    import polars as pl
+
+    numbers = dict.fromkeys(("value", "std", "rel_std", "low", "high"), pl.Float64)
+    texts = dict.fromkeys(("group", "name"), pl.String)
+    rest = {"unit": pl.String, "verdict": pl.String, "essential": pl.Boolean, "regrouping": pl.String}
+    rows = []
+    for group, each in estimates_table(result):
+        interval, verdict = each.interval() or (None, None), each.verdict.outcome.value
+        numbered = (each.value, each.std, each.rel_std, *interval)
+        rows.append((group, each.name, *numbered, each.unit, verdict, each.essential, each.regrouping))
+    return pl.DataFrame(rows, schema={**texts, **numbers, **rest}, orient="row")
