@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from models_to_export import model_of, preslid
-from robots_for_tests import tree
+from robots_for_tests import home, tree
 
 from gtau.export.exported import suffixes
 from gtau.export.fmu import export
@@ -79,7 +79,7 @@ def test_a_joint_that_moves_at_the_start_slides(tmp_path: Path) -> None:
     model = identified(result)
     names, q = (
         list(suffixes(model.joints).values()),
-        np.array([[joint.home for joint in robot.joints if joint.actuated]]),
+        home(robot)[None],
     )
     start = {f"qd_{name}": 0.5 for name in names}
     found = fmpy.simulate_fmu(str(path), stop_time=1e-3, step_size=1e-3, start_values=start,
