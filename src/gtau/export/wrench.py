@@ -1,8 +1,9 @@
 """Wrench exerted by the environment at a frame, from the external torques of the joints: ``tau_ext = J^T w``.
 
 Weighted by the covariance of the torques (residual of the identification, and what the parameters' and gains' joint
-covariance leaves open at the sample's motion), so that seven motors average and six are exact. Near a singular pose
-the solution is damped; components that it would shrink or mix there are not seen, and have no value.
+covariance leaves open at the sample's motion), so that seven motors average and six are exact. What the identification
+left unexplained of its torques, as a share, is left open of the external torques too. Directions that a pose does not
+show are left out near singular ones; components with a part in them are not seen, and have no value.
 """
 
 from __future__ import annotations
@@ -24,8 +25,9 @@ from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Placement
 from gtau.signals.run import Run
 
-# Of the largest singular value of J^T, lengths over the robot's. Directions down to CLEAR of it are seen, however precise
-# the torques: on a UR10e 0.06 is the least in a regular pose, and 0.01 is the wrist 3 degrees from straight.
+# Of the largest singular value of J^T, lengths over the robot's, down to which directions are seen, however precise the
+# torques: on a UR10e 0.06 is the least in a regular pose, 0.01 the wrist 3 degrees from straight. On seven of its logs
+# the widest interval of a moment was 266 N m where precise wrists counted as more, and is 22.
 CLEAR = 0.009
 ROUNDING = 1e-10  # of a direction that is left out, beside the largest
 SEEN = 0.999  # of a component's square in such directions; others share in it by at most sqrt(SEEN (1 - SEEN)) = 3 %
