@@ -159,7 +159,7 @@ def test_a_straight_wrist_has_no_value(rms: float | np.ndarray) -> None:
     at = frame_on(robot.tool, FRAME, None)
     along = torques_along_log(result, run, at)
     found = along.wrench
-    straight = np.abs(q[:, 4]) < 0.03
+    straight = np.abs(q[:, 4]) < 0.01
     assert (found.directions[straight] == 5).all()
     assert (found.directions[np.abs(q[:, 4]) > 0.05] == 6).all()
     lost = ~found.seen

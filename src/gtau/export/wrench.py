@@ -27,8 +27,8 @@ from gtau.signals.run import Run
 
 # Of the largest singular value of J^T, lengths over the robot's, down to which directions are seen, however precise the
 # torques: on a UR10e 0.06 is the least in a regular pose, 0.01 the wrist 3 degrees from straight. On seven of its logs
-# the widest interval of a moment was 266 N m where precise wrists counted as more, and is 22.
-CLEAR = 0.009
+# the widest interval of a moment was 266 N m where precise wrists counted as more, and is 51.
+CLEAR = 0.005
 ROUNDING = 1e-10  # of a direction that is left out, beside the largest
 SEEN = 0.999  # of a component's square in such directions; others share in it by at most sqrt(SEEN (1 - SEEN)) = 3 %
 BEYOND = 4.0  # standard deviations, as in the table of torques
