@@ -66,7 +66,7 @@ int main(void) {
   TIME("inertia", orthoglide_inertia(&pose, orthoglide_parameters, out))
   TIME("regressor", orthoglide_regressor(&pose, qd, qdd, orthoglide_parameters, out))
   orthoglide_configuration set = {.period = 1e-3, .bandwidth = 100};
-  for (int k = 0; k < N; ++k) set.limit[k] = set.velocity[k] = 1e3;
+  for (int k = 0; k < N; ++k) set.limit[k] = set.velocity[k] = set.following[k] = 1e3;
   orthoglide_controller controller;
   for (int k = 0; k < N; ++k) q[k] = 0;
   if (orthoglide_controller_start(&controller, &set, q)) return 3;
@@ -165,11 +165,13 @@ def run_c(
             ("bandwidth", ctypes.c_double),
             ("limit", ctypes.c_double * n),
             ("velocity", ctypes.c_double * n),
+            ("following", ctypes.c_double * n),
             ("hold", ctypes.c_int),
         )
 
     velocity = 10 * np.abs(reference.qd).max(axis=0)  # a margin for the resolution of the encoders
-    configuration = Configuration(period, law.bandwidth, at(parts.current_limit), at(velocity), 0)
+    limits = at(parts.current_limit), at(velocity), at(3 / law.bandwidth * velocity)
+    configuration = Configuration(period, law.bandwidth, *limits, 0)
     assert library.orthoglide_controller_start(memory, ctypes.byref(configuration), at(reference.q[0])) == 0
     error, current, out = np.empty_like(reference.q), np.empty_like(reference.q), at(np.zeros(n))
     for k in range(len(reference.time)):

@@ -25,7 +25,7 @@ from zoo import ENTRIES
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
-from gtau.export.external_torques import momentum_observer
+from gtau.export.external_torques import momentum_observer, predict_under_load
 from gtau.export.wrench import wrench_along_log
 from gtau.robots.floating import WrenchFrame
 from gtau.robots.robot import Pose
@@ -104,7 +104,7 @@ def pushed(result: Result, run: Run, onsets: np.ndarray, force: float) -> Run:
 
 def forces(result: Result, run: Run, bandwidth: float | None) -> tuple[np.ndarray, np.ndarray]:
     """Estimate forces (N, 3) at the flange, by the zero-phase estimate or the observer, and their deviations."""
-    prediction = result.predict(run)
+    prediction = predict_under_load(result, run)
     if bandwidth is not None:
         observed = momentum_observer(result, run, bandwidth)
         prediction = replace(prediction, measured=prediction.predicted - observed)

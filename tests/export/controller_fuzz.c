@@ -47,6 +47,7 @@ static robot_configuration configured(int hold) {
   for (int k = 0; k < N; ++k) {
     set.limit[k] = LIMIT;
     set.velocity[k] = VELOCITY;
+    set.following[k] = 0.03 * VELOCITY; /* three time constants */
   }
   return set;
 }
@@ -243,17 +244,18 @@ static void garbage(void) {
     if (cycle % 50 == 49) { /* a new start, which may fail */
       robot_configuration set = configured(3);
       double q[N];
-      const int spoilt = below(6);
+      const int spoilt = below(7);
       for (int k = 0; k < N; ++k) q[k] = HOME[k] + 0.1 * AMPLITUDE * uniform();
       if (spoilt == 0) set.period = uniform() < 0.5 ? -1.0 : not_finite();
       if (spoilt == 1) set.bandwidth = uniform() < 0.5 ? 0.0 : not_finite();
       if (spoilt == 2) set.limit[below(N)] = uniform() < 0.5 ? -1.0 : not_finite();
       if (spoilt == 3) set.velocity[below(N)] = uniform() < 0.5 ? 0.0 : not_finite();
-      if (spoilt == 4) q[below(N)] = not_finite();
+      if (spoilt == 4) set.following[below(N)] = uniform() < 0.5 ? 0.0 : not_finite();
+      if (spoilt == 5) q[below(N)] = not_finite();
       const robot_status begun = robot_controller_start(&plant.controller, &set, q);
-      require((begun == ROBOT_OK) == (spoilt > 4), "start", cycle, (int)begun);
+      require((begun == ROBOT_OK) == (spoilt > 5), "start", cycle, (int)begun);
       if (begun != ROBOT_OK) {
-        require(begun == (spoilt < 4 ? ROBOT_NOT_CONFIGURED : ROBOT_NOT_FINITE), "status of a start", cycle, (int)begun);
+        require(begun == (spoilt < 5 ? ROBOT_NOT_CONFIGURED : ROBOT_NOT_FINITE), "status of a start", cycle, (int)begun);
         const robot_status not_begun = robot_controller_cycle(&plant.controller, PERIOD, HOME, HOME, HOME, HOME, p, plant.current);
         require(not_begun == ROBOT_NOT_STARTED, "no start", cycle, (int)not_begun);
         for (int k = 0; k < N; ++k) require(plant.current[k] == 0.0, "zero before a start", cycle, (int)not_begun);

@@ -55,15 +55,17 @@ static void finite(const robot_observer *self, const double external[N], long cy
   for (int k = 0; k < N; ++k) require(external[k] == self->external[k], "the estimate is the last good one", cycle, status);
 }
 
-enum { POSITION, JUMP, CURRENT, CLOCK, LOAD, KINDS };
+enum { POSITION, JUMP, CURRENT, HUGE_CURRENT, CLOCK, TWICE, GAP, LOAD, KINDS };
+
+static double LIMIT[N];
 
 static void episodes(const double velocity[N]) {
   robot_observer one, other;
   long cycle = 0;
   double first[N], none[N];
   sample(0, first, none);
-  require(robot_observer_start(&one, BANDWIDTH, velocity, first) == ROBOT_OK, "start", 0, 0);
-  require(robot_observer_start(&other, BANDWIDTH, velocity, first) == ROBOT_OK, "start", 0, 0);
+  require(robot_observer_start(&one, PERIOD, BANDWIDTH, velocity, LIMIT, first) == ROBOT_OK, "start", 0, 0);
+  require(robot_observer_start(&other, PERIOD, BANDWIDTH, velocity, LIMIT, first) == ROBOT_OK, "start", 0, 0);
   for (int episode = 0; episode < EPISODES; ++episode) {
     const int kind = episode % KINDS, length = 1 + below(LONGEST);
     double truth[N], external[N], last[N];
@@ -78,6 +80,9 @@ static void episodes(const double velocity[N]) {
         if (kind == POSITION) q[joint] = bad_number();
         if (kind == JUMP) q[joint] += (uniform() < 0.5 ? -1.0 : 1.0) * 100.0;
         if (kind == CURRENT) current[joint] = not_finite();
+        if (kind == HUGE_CURRENT) current[joint] = uniform() < 0.5 ? -1e30 : 2.0 * LIMIT[joint];
+        if (kind == TWICE) elapsed = 1e-6;
+        if (kind == GAP) elapsed = 5.0;
         if (kind == CLOCK) elapsed = uniform() < 0.4 ? 0.0 : uniform() < 0.5 ? -1.0 : not_finite();
         if (kind == LOAD) for (int j = 0; j < ROBOT_PARAMETERS; ++j) p[j] = not_finite();
       }
@@ -100,7 +105,7 @@ static void episodes(const double velocity[N]) {
 static void garbage(const double velocity[N]) {
   robot_observer self;
   double external[N];
-  require(robot_observer_start(&self, BANDWIDTH, velocity, HOME) == ROBOT_OK, "start", 0, 0);
+  require(robot_observer_start(&self, PERIOD, BANDWIDTH, velocity, LIMIT, HOME) == ROBOT_OK, "start", 0, 0);
   for (long cycle = 0; cycle < GARBAGE; ++cycle) {
     double q[N], current[N], p[ROBOT_PARAMETERS], elapsed = uniform() < 0.9 ? PERIOD : bad_number();
     int good = isfinite(elapsed) && elapsed > 0.0;
@@ -115,20 +120,23 @@ static void garbage(const double velocity[N]) {
     finite(&self, external, cycle, (int)status);
     require(good || status != ROBOT_OK, "not finite, yet OK", cycle, (int)status);
     if (cycle % 50 == 49) { /* a new start, which may fail */
-      double bound[N], bandwidth = BANDWIDTH;
-      const int spoilt = below(5);
+      double bound[N], limit[N], bandwidth = BANDWIDTH, period = PERIOD;
+      const int spoilt = below(7);
       memcpy(bound, velocity, sizeof bound);
+      memcpy(limit, LIMIT, sizeof limit);
       memcpy(q, HOME, sizeof q);
       if (spoilt == 0) bandwidth = uniform() < 0.5 ? -1.0 : not_finite();
       if (spoilt == 1) bound[below(N)] = uniform() < 0.5 ? 0.0 : not_finite();
-      if (spoilt == 2) q[below(N)] = not_finite();
-      const robot_status begun = robot_observer_start(&self, bandwidth, bound, q);
-      require(begun == (spoilt < 2 ? ROBOT_NOT_CONFIGURED : spoilt == 2 ? ROBOT_NOT_FINITE : ROBOT_OK), "start", cycle, (int)begun);
+      if (spoilt == 2) limit[below(N)] = uniform() < 0.5 ? 0.0 : not_finite();
+      if (spoilt == 3) period = uniform() < 0.5 ? 0.0 : not_finite();
+      if (spoilt == 4) q[below(N)] = not_finite();
+      const robot_status begun = robot_observer_start(&self, period, bandwidth, bound, limit, q);
+      require(begun == (spoilt < 4 ? ROBOT_NOT_CONFIGURED : spoilt == 4 ? ROBOT_NOT_FINITE : ROBOT_OK), "start", cycle, (int)begun);
       if (begun != ROBOT_OK) {
         const robot_status not_begun = robot_observer_cycle(&self, PERIOD, HOME, HOME, p, external);
         require(not_begun == ROBOT_NOT_STARTED, "no start", cycle, (int)not_begun);
         for (int k = 0; k < N; ++k) require(external[k] == 0.0, "zero before a start", cycle, (int)not_begun);
-        require(robot_observer_start(&self, BANDWIDTH, velocity, HOME) == ROBOT_OK, "start", cycle, 0);
+        require(robot_observer_start(&self, PERIOD, BANDWIDTH, velocity, LIMIT, HOME) == ROBOT_OK, "start", cycle, 0);
       }
     }
   }
@@ -136,7 +144,10 @@ static void garbage(const double velocity[N]) {
 
 int main(void) {
   double velocity[N];
-  for (int k = 0; k < N; ++k) velocity[k] = 5.0;
+  for (int k = 0; k < N; ++k) {
+    velocity[k] = 5.0;
+    LIMIT[k] = 10.0;
+  }
   episodes(velocity);
   garbage(velocity);
   printf("OK\n");

@@ -7,12 +7,13 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from c_code import FLAGS, GCC, Compiled, needs_gcc
+from c_code import FLAGS, GCC, Compiled, Controller, needs_gcc
 from models_to_export import model_of, preslid, sprung
 from propelling_models import LOGGED, held, propelling, states
 from robots_for_tests import ROBOTS, home, random_samples, slider_crank, trajectory, tree
@@ -137,9 +138,9 @@ def test_example_and_cmake_file_work(tmp_path: Path) -> None:
         subprocess.run(command, check=True, capture_output=True)
     text = subprocess.check_output([tmp_path / "build" / "five_bar_example"], text=True)
     lines = text.splitlines()
-    assert lines[0] == "t,vleft,vright"
+    assert lines[0] == "t,vleft,vright,uleft,uright"
     table = np.array([[float(entry) for entry in line.split(",")] for line in lines[1:]])
-    assert table.shape == (1000, 3)
+    assert table.shape == (1000, 5)
     model = identified(model_of(robot))
     t = table[:, :1]
     w = 2 * np.pi
@@ -151,7 +152,7 @@ def test_example_and_cmake_file_work(tmp_path: Path) -> None:
     )
     expected = torques(model, *path) / model.gains
     moving = np.abs(np.sin(w * t[:, 0])) > 1e-6  # at rest the sign of a velocity is chance
-    np.testing.assert_allclose(table[moving, 1:], expected[moving], rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(table[moving, 1:], np.tile(expected[moving], 2), rtol=1e-6, atol=1e-6)
 
 
 class Replay:
@@ -184,26 +185,56 @@ def test_the_controller_gives_the_currents_of_the_one_in_python(tmp_path: Path, 
     made = simulate("replayed", Replay(measured), law, hardware(c.model.joints, limits), rng, joints=c.model.joints)
     assert (np.abs(made.run.command) == 20.0).any()  # some at the limit
     assert (np.abs(made.run.command) < 20.0).any()
-    pair = ctypes.c_double * 2
-
-    class Configuration(ctypes.Structure):
-        _fields_ = (
-            ("period", ctypes.c_double),
-            ("bandwidth", ctypes.c_double),
-            ("limit", pair),
-            ("velocity", pair),
-            ("hold", ctypes.c_int),
-        )
-
-    memory, out = ctypes.create_string_buffer(1 << 10), pair()
-    start, cycle = c.library.five_bar_controller_start, c.library.five_bar_controller_cycle
-    configuration = Configuration(1e-3, 80.0, pair(20.0, 20.0), pair(20.0, 20.0), 0)
-    assert start(memory, ctypes.byref(configuration), pair(*reference.q[0])) == 0
-    p = (ctypes.c_double * c.n_p)(*c.model.values)
+    controller = Controller(c, reference.q[0], bandwidth=80.0, limit=20.0, velocity=20.0, following=0.5)
     for k in range(len(time)):
-        arrays = (pair(*values[k]) for values in (reference.q, reference.qd, reference.qdd, measured))
-        assert cycle(memory, ctypes.c_double(1e-3), *arrays, p, out) == 0
-        np.testing.assert_allclose(list(out), made.run.command[k], atol=2e-9)  # logs have nine decimals
+        status, current = controller(reference.q[k], reference.qd[k], reference.qdd[k], measured[k])
+        assert status == 0
+        np.testing.assert_allclose(current, made.run.command[k], atol=2e-9)  # logs have nine decimals
+
+
+def swinging(robot: Robot, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A reference that swings by 0.3 rad or m about home in 3 s, from rest."""
+    w, one = 2 * np.pi / 3, np.ones(len(robot.actuated))
+    way = 0.15 * (1 - np.cos(w * t)), 0.15 * w * np.sin(w * t), 0.15 * w**2 * np.cos(w * t)
+    return home(robot) + way[0] * one, way[1] * one, way[2] * one
+
+
+@needs_gcc
+def test_an_encoder_that_stands_still_or_jumps_is_no_position(tmp_path: Path, rng: np.random.Generator) -> None:
+    robot = tree()
+    c = Compiled(preslid(model_of(robot, terms=False)), tmp_path)
+
+    def statuses(measured: Callable[[float, np.ndarray], np.ndarray], cycles: int = 3000) -> np.ndarray:
+        controller = Controller(c, home(robot), limit=30.0, velocity=3.0, following=0.09)
+        found = []
+        for k in range(cycles):
+            q, qd, qdd = swinging(robot, k * 1e-3)
+            status, current = controller(q, qd, qdd, measured(k * 1e-3, q))
+            assert status == 0 or not current.any()
+            found.append(status)
+        return np.array(found)
+
+    def rounded(t: float, q: np.ndarray) -> np.ndarray:  # constant for 35 ms at reversals, where friction jumps
+        return np.round(q, 4)
+
+    def frozen(t: float, q: np.ndarray) -> np.ndarray:  # one joint, in motion
+        return np.where(np.arange(c.n) == 1, swinging(robot, min(t, 0.7))[0], q + rng.normal(0, 1e-5, c.n))
+
+    def jumped(t: float, q: np.ndarray) -> np.ndarray:
+        return q + 1.0 * (1.0 < t < 2.0)
+
+    assert not statuses(rounded).any()
+    standing = statuses(lambda t, q: home(robot))
+    assert 0 < np.flatnonzero(standing)[0] < 400
+    assert standing[400:].all()
+    assert 9 in standing
+    stuck = statuses(frozen)
+    assert not stuck[:700].any()
+    assert (stuck[900:1500] >= 8).all()
+    bad = statuses(jumped)
+    assert bad[1001:2000].all()
+    assert (bad[1400:1900] == 8).all()
+    assert not bad[2400:].any()
 
 
 @needs_gcc
@@ -272,7 +303,7 @@ def test_c_code_takes_energy_and_swings_down(tmp_path: Path, rng: np.random.Gene
 @needs_gcc
 @pytest.mark.parametrize("robot", [tree(), ROBOTS[[each.name for each in ROBOTS].index("five-bar")]], ids=str)
 def test_friction_before_sliding_follows_the_pose(robot: Robot, tmp_path: Path) -> None:
-    """Through reversals C gives what the law gives along the same path; a start begins with friction at rest."""
+    """Through reversals C gives what the law gives along the same path, from where it is told that the robot rests."""
     result = preslid(model_of(robot, terms=False))
     c, model = Compiled(result, tmp_path), identified(result)
     time = np.linspace(0, 0.4, 41)
@@ -285,6 +316,12 @@ def test_friction_before_sliding_follows_the_pose(robot: Robot, tmp_path: Path) 
     assert (np.abs(z) < 0.9).any(axis=1).all()
     expected = torques_of(model, motion, model.values, z).T
     assert c("start", q[0]) == 0
+    for k, each in enumerate(q):  # without a state: friction that slides, from the first call on
+        assert c("move", each) == 0
+        sliding = torques_of(model, motion[k : k + 1], model.values).T
+        assert relative(c("torques", qd[k], qdd[k], model.values, size=c.n), sliding[0]) < 1e-9
+    assert c("start", q[0]) == 0
+    c("rest")
     for k, each in enumerate(q):
         assert c("move", each) == 0
         assert relative(c("torques", qd[k], qdd[k], model.values, size=c.n), expected[k]) < 1e-9

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from models_to_export import model_of
-from robots_for_tests import tree
+from models_to_export import model_of, preslid
+from robots_for_tests import home, tree
 
 from gtau.export.exported import suffixes
 from gtau.export.fmu import export
@@ -70,3 +70,19 @@ def test_fmpy_runs_the_model(robot: Robot, tmp_path: Path) -> None:
     )
     assert set(found["status"]) == {0, 3}
     assert all(np.isfinite(found[name]).all() for name in outputs)
+
+
+def test_a_joint_that_moves_at_the_start_slides(tmp_path: Path) -> None:
+    robot = load_robot("five-bar")
+    result = preslid(model_of(robot, terms=False))
+    (path,) = export(result, tmp_path).files
+    model = identified(result)
+    names, q = (
+        list(suffixes(model.joints).values()),
+        home(robot)[None],
+    )
+    start = {f"qd_{name}": 0.5 for name in names}
+    found = fmpy.simulate_fmu(str(path), stop_time=1e-3, step_size=1e-3, start_values=start,
+                              output=[f"torque_{name}" for name in names])  # fmt: skip
+    expected = torques(model, q, 0.5 + 0 * q, 0 * q)[0]
+    np.testing.assert_allclose([found[f"torque_{name}"][0] for name in names], expected, rtol=1e-9)

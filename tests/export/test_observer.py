@@ -121,8 +121,9 @@ class Observer:
 
     def along(self, time: np.ndarray, q: np.ndarray, current: np.ndarray, bandwidth: float) -> np.ndarray:
         array, out, found = self.array, self.array(), []
-        w = ctypes.c_double(2 * np.pi * bandwidth)
-        assert self.start(self.memory, w, array(*[1e3] * q.shape[1]), array(*q[0])) == 0
+        period, w = ctypes.c_double(np.median(np.diff(time))), ctypes.c_double(2 * np.pi * bandwidth)
+        bounds = array(*[1e3] * q.shape[1])
+        assert self.start(self.memory, period, w, bounds, bounds, array(*q[0])) == 0
         for h, each, v in zip(np.diff(time, prepend=2 * time[0] - time[1]), q, current, strict=True):
             assert self.cycle(self.memory, ctypes.c_double(h), array(*each), array(*v), self.parameters, out) == 0
             found.append(list(out))

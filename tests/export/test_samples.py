@@ -85,7 +85,7 @@ def test_draws_of_a_weak_result_are_arms(noisy: Result) -> None:
 
 def test_what_the_data_leave_open_has_the_files_value_to_30_per_cent(samples: Samples) -> None:
     """No torque depends on the mass of the first link, which turns about the vertical."""
-    mass = samples.standard[:, samples.result.model.parameter_names.index("m_j1")]
+    mass = samples.standard[:, samples.result.idm.parameter_names.index("m_j1")]
     assert mass.mean() == pytest.approx(6.0, rel=0.1)
     assert mass.std() == pytest.approx(0.3 * 6.0, rel=0.2)
 
@@ -95,7 +95,7 @@ def test_an_estimate_that_no_bodies_have_is_said(result: Result, off: float, dra
     name = next(name for name in result.parameters if name.startswith("yy_j3"))
     true = result.parameters[name]
     false = replace(true, value=true.value - off * true.std)
-    changed = replace(result, parameters={**result.parameters, name: false})
+    changed = result.replaced(parameters={**result.parameters, name: false})
     if not drawn:
         with pytest.raises(GtauError, match="no rigid bodies near those of the robot file"):
             draw(changed, 5)

@@ -54,3 +54,42 @@ class Compiled:
         entry = getattr(self.library, f"{self.model.name}_{function}")
         status = entry(*(array.ctypes.data_as(ctypes.c_void_p) for array in inputs))
         return out if size else status
+
+
+class Controller:
+    """The exported controller of compiled code, at 1 kHz."""
+
+    def __init__(
+        self,
+        c: Compiled,
+        q: np.ndarray,
+        bandwidth: float = 100.0,
+        limit: float = 20.0,
+        velocity: float = 5.0,
+        following: float = 0.1,
+    ) -> None:
+        number, self._array = ctypes.c_double, ctypes.c_double * c.n
+
+        class Configuration(ctypes.Structure):
+            _fields_ = (
+                ("period", number),
+                ("bandwidth", number),
+                ("limit", self._array),
+                ("velocity", self._array),
+                ("following", self._array),
+                ("hold", ctypes.c_int),
+            )
+
+        every = (self._array(*[value] * c.n) for value in (limit, velocity, following))
+        configuration = Configuration(1e-3, bandwidth, *every, 0)
+        self._memory, self._out = ctypes.create_string_buffer(1 << 13), self._array()
+        self._cycle = getattr(c.library, f"{c.model.name}_controller_cycle")
+        self._parameters = (number * c.n_p)(*c.model.values)
+        start = getattr(c.library, f"{c.model.name}_controller_start")
+        assert start(self._memory, ctypes.byref(configuration), self._array(*q)) == 0
+
+    def __call__(self, q_r: np.ndarray, qd_r: np.ndarray, qdd_r: np.ndarray, q: np.ndarray) -> tuple[int, np.ndarray]:
+        """Run a cycle: status and currents."""
+        inputs = (self._array(*values) for values in (q_r, qd_r, qdd_r, q))
+        status = self._cycle(self._memory, ctypes.c_double(1e-3), *inputs, self._parameters, self._out)
+        return status, np.array(self._out)

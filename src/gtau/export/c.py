@@ -10,6 +10,7 @@ from pathlib import Path
 from string import Template
 
 import casadi as ca
+import numpy as np
 
 from gtau.estimation.results.result import Result
 from gtau.export.exported import Exported, suffixes, written
@@ -21,6 +22,7 @@ TEMPLATES = Path(__file__).with_name("templates")
 NEWTON_STEPS = 4  # from 0.01 rad away corrections are about 1e-2, 1e-4, 1e-8, 1e-16: the fourth is rounding
 CLOSED = 1e-8  # of the last correction; the remaining error is its square
 STARTING_STEPS = 200  # from home: a few milliradians or millimetres each
+BANDWIDTH = 100.0  # of the controller of the example, rad/s
 FINITE_MATH = """\
 #if defined(_M_FP_FAST) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
 #error "isfinite() means nothing with -ffinite-math-only, -ffast-math or /fp:fast: compile without"
@@ -66,6 +68,9 @@ def _fields(model: Identified, made: Functions) -> dict[str, str]:
     loops = result.idm.loops
     home = made.home[made.actuated]
     turns = [result.robot.joint(joint).turns for joint in model.joints]
+    limits = [result.robot.joint(joint).limits for joint in model.joints]
+    velocities = [each.velocity or 10.0 for each in limits]
+    efforts = [each.effort or 0.0 for each in limits]
     length = 1.0 if loops is None else loops.equations.length
     fields = {
         "title": f"Inverse dynamics of the robot '{in_c(result.robot.name)}'",
@@ -95,10 +100,13 @@ def _fields(model: Identified, made: Functions) -> dict[str, str]:
         "gains": _numbers(model.gains),
         "home_q": _numbers(home),
         "amplitude": ", ".join("0.02" if turn else f"{0.02 * length:.4g}" for turn in turns),
-        "limits": ", ".join(["1e3"] * n),
-        "velocities": _numbers(result.robot.joint(joint).limits.velocity or 10.0 for joint in model.joints),
+        "limits": _numbers(np.array(efforts) / np.abs(model.gains)),
+        "limited": "the robot file's efforts over the drive gains" + (", 0 where it has none" * (0.0 in efforts)),
+        "velocities": _numbers(velocities),
+        "following": _numbers(3.0 / BANDWIDTH * np.array(velocities)),
+        "bandwidth": repr(BANDWIDTH),
         "finite_math": FINITE_MATH,
-        "csv_head": ",".join(["t", *(f"v{in_c(joint)}" for joint in model.joints)]),
+        "csv_head": ",".join(["t", *(f"{kind}{in_c(joint)}" for kind in "vu" for joint in model.joints)]),
         "payload_declarations": "".join(
             f"extern const double {model.name}_parameters_with_{end}[{model.name.upper()}_PARAMETERS];"
             f" /* {in_c(load)} */\n"
@@ -115,7 +123,8 @@ def _presliding(made: Functions) -> str:
     first, lines = len(made.home) - len(made.presliding), []
     for k, (width, ratios) in enumerate(made.presliding, start=first):
         way = " + ".join(f"{ratio!r} * (after[{place}] - before[{place}])" for place, ratio in ratios.items())
-        lines.append(f"  after[{k}] = fmin(fmax(before[{k}] + ({way}) / {width!r}, -1.0), 1.0);")
+        moved = f"fmin(fmax(before[{k}] + ({way}) / {width!r}, -1.0), 1.0)"
+        lines.append(f"  after[{k}] = before[{k}] > 1.0 ? before[{k}] : {moved};")
     return "\n".join(lines or ["  (void)before;", "  (void)after;"])
 
 

@@ -4,8 +4,9 @@ The functions are expressions of :mod:`gtau.model`: nothing is derived twice. Wi
 Newton's method bring the configuration ``c`` to the actuated positions, and everything else is computed from the closed
 ``c``. A serial robot has ``c = q`` and the second stage alone.
 
-Behind the configuration stand the states z of presliding friction. They follow the positions, so that an update of the
-configuration updates them too: ``z <- clip(z + ratios . dq / width, -1, 1)``.
+Behind the configuration stand the states z of presliding friction. Where they begin at rest they follow the positions,
+so that an update of the configuration updates them too: ``z <- clip(z + ratios . dq / width, -1, 1)``. At home they are
+``SLIDING``, and stay so: friction is then that of the velocity given, whatever came before.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import INERTIAL, PLAIN_FRICTION
 from gtau.robots.units import torque_unit
 
+SLIDING = 2.0  # beyond every state: the joint slides, its friction has the sign of the velocity
 OUTPUTS = {
     "torques": "inverse dynamics: torques of the actuated joints",
     "gravity": "torques that hold the robot against gravity and springs",
@@ -189,7 +191,7 @@ class Functions:
         Configuration after a step of Newton's method and the size of its correction, rad or lengths over
         ``length``; the last one also gives the condition number of the loops. None for a serial robot.
     home : ndarray
-        Closed configuration to start from, with states at rest, (n_c + s,).
+        Closed configuration to start from, with sliding joints, (n_c + s,).
     actuated : ndarray
         Indices of the actuated joints in c, (n,).
     presliding : tuple
@@ -246,7 +248,7 @@ def functions(model: Identified) -> Functions:
         (float(width), {int(layout.actuated[j]): float(law.ratios[row, j]) for j in np.flatnonzero(law.ratios[row])})
         for row, width in zip(law.states, law.widths, strict=True)
     )
-    home = np.concatenate([home, np.zeros(len(presliding))])
+    home = np.concatenate([home, np.full(len(presliding), SLIDING)])
     return Functions(outputs, step, last_step, home, layout.actuated, presliding)
 
 
@@ -291,7 +293,9 @@ class _Friction:
         forces, speeds = (ca.densify(ca.vertcat(*each)) for each in law.forces(ca, self._values, self.yd, load))
         scales = law.scales(ca, forces, speeds)
         if law.states:
-            z = law.directions(ca, self.yd, self.z)
+            slides = self.z > 1.0
+            moving = ca.vertcat(*(ca.sign(self.yd[row]) for row in law.states))
+            z = law.directions(ca, self.yd, slides * moving + (1.0 - slides) * self.z)
             forces = ca.densify(ca.vertcat(*law.forces(ca, self._values, self.yd, load, z)[0]))
         return forces, scales
 

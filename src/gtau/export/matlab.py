@@ -57,7 +57,6 @@ function [c, status] = {name}_start(q)
     [c, status] = {name}_move(c, home(actuated) + (q(:) - home(actuated)) * step / {steps});
     if status ~= 0, return; end
   end
-  c({n_c} + 1:end) = 0;
 end
 """
 SERIAL_MOVE = """\
@@ -74,12 +73,19 @@ SERIAL_START = """\
 function [c, status] = {name}_start(q)
 % {NAME}_START  Configuration of the actuated positions q, home where one of them is no finite number.
   [c, status] = {name}_move([{home}].', q);
+end
+"""
+REST = """\
+function c = {name}_rest(c)
+% {NAME}_REST  The robot rests at c: from here on {name}_move carries the state of friction before sliding.
+%   Without it, Coulomb friction has the sign of the velocity given, whatever came before (for feed-forward).
   c({n_c} + 1:end) = 0;
 end
 """
 PRESLIDE = """\
 function c = preslide(before, moved)
-% Friction before sliding: the way since the last pose moves its states, which stand behind the configuration.
+% Friction before sliding: the way since the last pose moves its states, which stand behind the configuration. A state
+% beyond 1 stays: that joint slides.
   c = [moved; before(numel(moved) + 1:end)];
 {lines}end
 """
@@ -117,6 +123,7 @@ def matlab_files(model: Identified) -> dict[str, str]:
             MOVE.format(**fields, **numbers, steps=NEWTON_STEPS) + "\n" + _preslide(made) + kernels
         )
         files[f"{name}_start.m"] = START.format(**fields, steps=STARTING_STEPS)
+    files[f"{name}_rest.m"] = REST.format(**fields)
     files[f"{name}_parameters.m"] = _parameters(model, made)
     return files
 
@@ -125,7 +132,7 @@ def _preslide(made: Functions) -> str:
     first, lines = len(made.home) - len(made.presliding) + 1, ""
     for k, (width, ratios) in enumerate(made.presliding, start=first):
         way = " + ".join(f"{r!r} * (moved({place + 1}) - before({place + 1}))" for place, r in ratios.items())
-        lines += f"  c({k}) = min(max(before({k}) + ({way}) / {width!r}, -1), 1);\n"
+        lines += f"  if before({k}) <= 1, c({k}) = min(max(before({k}) + ({way}) / {width!r}, -1), 1); end\n"
     return PRESLIDE.format(lines=lines) + "\n"
 
 

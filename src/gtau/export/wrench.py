@@ -1,8 +1,9 @@
 """Wrench exerted by the environment at a frame, from the external torques of the joints: ``tau_ext = J^T w``.
 
 Weighted by the covariance of the torques (residual of the identification, and what the parameters' and gains' joint
-covariance leaves open at the sample's motion), so that seven motors average and six are exact. Near a singular pose
-the solution is damped; components that it would shrink or mix there are not seen, and have no value.
+covariance leaves open at the sample's motion), so that seven motors average and six are exact. What the identification
+left unexplained of its torques, as a share, is left open of the external torques too. Directions that a pose does not
+show are left out near singular ones; components with a part in them are not seen, and have no value.
 """
 
 from __future__ import annotations
@@ -25,11 +26,12 @@ from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Placement
 from gtau.signals.run import Run
 
-# Of the largest singular value of J^T, lengths over the robot's. Directions down to 0.01 of it are seen: on a UR10e
-# 0.06 is the least in a regular pose, and 0.01 is the wrist 3 degrees from straight where all torques are alike. Those
-# lost on its measured logs (8 % of all) would be known to +-140 N at best.
-DAMPING = 3e-4
-SEEN = 0.999  # of a component's own share in its estimate; the others' is then below sqrt(SEEN (1 - SEEN)) = 3 %
+# Of the largest singular value of J^T, lengths over the robot's, down to which directions are seen, however precise the
+# torques: on a UR10e 0.06 is the least in a regular pose, 0.01 the wrist 3 degrees from straight. On seven of its logs
+# the widest interval of a moment was 266 N m where precise wrists counted as more, and is 51.
+CLEAR = 0.005
+ROUNDING = 1e-10  # of a direction that is left out, beside the largest
+SEEN = 0.999  # of a component's square in such directions; others share in it by at most sqrt(SEEN (1 - SEEN)) = 3 %
 BEYOND = 4.0  # standard deviations, as in the table of torques
 
 
@@ -125,23 +127,26 @@ def wrench_along_log(
         Where the base floats, or the model lacks a joint's residual.
     """
     refuse_floating(result.robot, "the external wrench is")
-    rms = {each.joint: each.rms for each in result.residuals}
-    if lacking := [joint for joint in prediction.joints if joint not in rms]:
+    errors = {each.joint: each for each in result.residuals}
+    if lacking := [joint for joint in prediction.joints if joint not in errors]:
         raise GtauError(
             f"the model has no residual of joint '{lacking[0]}', which did not move in its logs, so that the wrench "
             "has no interval; identify it from logs in which all joints move."
         )
     called, placement = frame
-    residual = np.array([rms[joint] for joint in prediction.joints])
+    residual = np.array([errors[joint].rms for joint in prediction.joints])
+    relative = np.array([errors[joint].relative for joint in prediction.joints]) / 100
     external = prediction.predicted - prediction.measured
+    spread = residual**2 + (relative * external) ** 2  # the load's part: the model errs by its share of the torque
     length = characteristic_length(result.robot)
     scale = np.repeat([0.0 if force_only else 1.0 / length, 1.0], 3)  # of unknowns: forces, and moments over a length
     at_frame = _to_body(placement) * scale
     turning = [result.robot.joint(joint).turns for joint in prediction.joints]
     rows = np.where(turning, length, 1.0)  # torques over a length are forces too
     parts, first = [], 0
-    for J_t, covariance in _along(result, run, residual):
+    for J_t, covariance in _along(result, run):
         part = slice(first, first + len(J_t))
+        covariance += spread[part, :, None] * np.eye(len(residual))
         parts.append(_solve(J_t @ at_frame / rows[:, None], covariance / np.outer(rows, rows), external[part] / rows))
         first = part.stop
     value, std, own, directions = (np.concatenate(each) for each in zip(*parts, strict=True))
@@ -163,8 +168,8 @@ def _to_body(placement: Placement) -> np.ndarray:
     return np.block([[R, arm @ R], [np.zeros((3, 3)), R]])
 
 
-def _along(result: Result, run: Run, residual: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield blocks of ``J^T`` (N, n, 6) at the body's frame, and of the external torques' covariance (N, n, n)."""
+def _along(result: Result, run: Run) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield blocks of ``J^T`` (N, n, 6) at the body's frame, and of the covariance of model and gains (N, n, n)."""
     model, base, joints = result.idm, result.base, result.robot.actuated
     known = {name: k for k, name in enumerate(result.covariance_names)}
     # with the columns of friction: offsets and gravity, for instance, are known together far better than each
@@ -178,7 +183,7 @@ def _along(result: Result, run: Run, residual: np.ndarray) -> Iterator[tuple[np.
         W = _dense(model, columns, motion)
         currents = -of.command[:, : len(joints), None] * np.eye(len(joints))
         slopes = np.concatenate([W, currents], axis=2)
-        covariance = np.einsum("ikp,pq,ilq->ikl", slopes, spread, slopes, optimize=True) + np.diag(residual**2)
+        covariance = np.einsum("ikp,pq,ilq->ikl", slopes, spread, slopes, optimize=True)
         yield _dense(model, wrenches, motion), covariance
 
 
@@ -189,26 +194,24 @@ def _dense(model: InverseDynamics, columns: Regressor, motion: Motion) -> np.nda
 
 
 def _solve(A: np.ndarray, covariance: np.ndarray, torque: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Solve ``A w = torque`` (N, n) by damped weighted least squares, all in N.
-
-    Damping is that of all torques being as uncertain as the worst, so that it depends on the pose: a direction is
-    damped at most as its singular value of A asks for.
+    """Solve ``A w = torque`` (N, n) by weighted least squares in the directions that the pose shows, all in N.
 
     Returns
     -------
     tuple of ndarray
-        Unknowns w, their standard deviations, and the share of each in its own estimate, (N, 6) each; and the number
-        of directions that are hardly damped, (N,).
+        Unknowns w, their standard deviations, and the share of each in the directions that the pose shows, (N, 6)
+        each; and the number of these directions, (N,).
     """
+    _, size, directions = np.linalg.svd(A, full_matrices=False)
+    shown = size > CLEAR * size[:, :1]
+    onto = np.einsum("ij,ijw,ijv->iwv", shown, directions, directions, optimize=True)
     root = np.linalg.cholesky(covariance)
-    U, s, V_t = np.linalg.svd(np.linalg.solve(root, A), full_matrices=False)
-    largest = np.linalg.norm(A, 2, axis=(1, 2))
-    worst = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).max(axis=1))
-    damped = s**2 + (DAMPING * largest / worst)[:, None] ** 2
-    inverse = np.divide(s, damped, out=np.zeros_like(s), where=damped > 0)
+    U, s, V_t = np.linalg.svd(np.linalg.solve(root, A @ onto), full_matrices=False)
+    inverse = np.divide(1.0, s, out=np.zeros_like(s), where=s > ROUNDING * s[:, :1])
     whitened = np.linalg.solve(root, torque[:, :, None])[:, :, 0]
     along = np.einsum("ikj,ik->ij", U, whitened)
     value = np.einsum("ij,ijw->iw", inverse * along, V_t)
-    std = np.sqrt(np.einsum("ij,ijw->iw", inverse**2, V_t**2))
-    own = np.einsum("ij,ijw->iw", s * inverse, V_t**2)
-    return value, std, own, np.sum(s * inverse >= SEEN, axis=1)
+    own = np.einsum("ij,ijw->iw", shown, directions**2)
+    unseen = (1.0 - own) * np.sum(value**2, axis=1, keepdims=True)  # if as much acts along directions that are left out
+    std = np.sqrt(np.einsum("ij,ijw->iw", inverse**2, V_t**2) + np.maximum(unseen, 0.0))
+    return value, std, own, np.sum(shown, axis=1)

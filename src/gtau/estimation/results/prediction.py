@@ -54,15 +54,18 @@ def prepared_for(result: Result, run: Run) -> tuple[PreparedRun, range]:
     return replace(prepared, kept=range(len(run.time))), prepared.kept
 
 
-def predict(result: Result, run: Run) -> Prediction:
-    """Predict torques at every sample of a run, beside the measured ones; see :meth:`gtau.Result.predict`."""
+def predict(result: Result, run: Run, external: np.ndarray | None = None) -> Prediction:
+    """Predict torques at every sample of a run, beside the measured ones; see :meth:`gtau.Result.predict`.
+
+    ``external`` (N, n) are torques of the environment on the joints: load for their friction, N m or N.
+    """
     model, base = result.idm, result.base
     prepared, moving = prepared_for(result, run)
     run, decimator = prepared.run, prepared.preparation.decimator
     chi = loaded_parameters(result, run.payload, f"run '{run.name}'")
     regressor, gains = model.columns(base.standard), result.gains
     delays = np.array([[result.delays[joint].value] for joint in model.actuated])
-    load, friction = np.array(carried(np, base.standard, chi)), friction_along(result, prepared, chi)
+    load, friction = np.array(carried(np, base.standard, chi)), friction_along(result, prepared, chi, external)
     check_temperature_unit(result, run)
     predicted, measured, rubbing = [], [], []
     for part in stream_torques(model, regressor, prepared, decimator, load, friction):
@@ -84,12 +87,14 @@ def predict(result: Result, run: Run) -> Prediction:
     return Prediction(model.actuated, time, made, found, keep, valid, rest, decimator.factor)
 
 
-def friction_along(result: Result, prepared: PreparedRun, chi: np.ndarray) -> Law:
+def friction_along(result: Result, prepared: PreparedRun, chi: np.ndarray, external: np.ndarray | None = None) -> Law:
     """Make the friction of a run, at its temperatures and with its presliding, for base parameters ``chi`` (n_b,)."""
     law, run = result.friction_law, prepared.run
     states = law.followers(prepared.path)
 
     def friction(at: np.ndarray, motion: Motion, effort: np.ndarray) -> np.ndarray:
+        if external is not None:
+            effort = effort - external[np.searchsorted(prepared.time, at)].T
         return law.torques(motion, friction_values(result, chi, run, at), effort, states(at))
 
     return friction
