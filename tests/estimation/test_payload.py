@@ -110,8 +110,8 @@ def test_gains_that_are_taken_for_exact_are_named(
 ) -> None:
     found = weighed(model, folder, (HEAD + UNKNOWN).replace("{left: 2.5, right: 4.0}", gains), "prior")
     experiment = read_experiment(folder / "weighing.yaml")
-    assert exact_gains(experiment, "prior") == exact
-    assert exact_gains(experiment, "identified") == ()
+    assert exact_gains(model, experiment, "prior") == exact
+    assert exact_gains(model, experiment, "identified") == ()
     said = " ".join(plain(weighing_page(model, [found], "prior", exact)).split())
     assert ("exclude the uncertainty of" in said) == ("assumed exact" in said) == bool(exact)
     assert ("of the gains of left:" in said) == (exact == ("left",))

@@ -192,7 +192,7 @@ def test_verdicts_of_masses() -> None:
     assert (wrong.finding.values["declared"], wrong.finding.values["found"]) == (2.0, 2.05)
 
 
-GAIN_KINDS = list(OUTCOMES)[: list(OUTCOMES).index(F.NEGATIVE_GAIN) + 1]
+GAIN_KINDS = list(OUTCOMES)[: list(OUTCOMES).index(F.COUPLED) + 1]
 
 
 @given(
@@ -318,7 +318,7 @@ def test_autocorrelated_residuals_are_a_lack_of_fit(result: Result, runs: list[R
 
 
 def test_what_is_said_of_several_gains_is_said_once(result: Result) -> None:
-    turned = verdict_of(Finding(F.NEGATIVE_GAIN))
+    turned = verdict_of(Finding(F.ALL_NEGATIVE))
     both = replace(result, drive_gains={j: replace(gain, verdict=turned) for j, gain in result.drive_gains.items()})
     (row,) = reasons(both)
     assert (set(row.joints), row.why, row.action) == (set(JOINTS), turned.why, turned.advice)

@@ -9,8 +9,7 @@ import numpy as np
 
 from gtau.estimation.diagnostics.diagnose import diagnose
 from gtau.estimation.diagnostics.examine import examine, uncertainty_of
-from gtau.estimation.diagnostics.inertia_audit import audit_inertias, prior_findings, without_file_inertias
-from gtau.estimation.diagnostics.sentences import note
+from gtau.estimation.diagnostics.inertia_audit import audit_inertias, without_file_inertias
 from gtau.estimation.diagnostics.stated_constants import weigh_known
 from gtau.estimation.estimators.essential import essential_fit, select_friction
 from gtau.estimation.estimators.estimator import Estimator, Given
@@ -86,8 +85,7 @@ def estimate(
         covariance = reduced.covariance
         nothing = np.zeros_like(covariance)
         uncertainty = replace(uncertainty, scatter=covariance, scale=nothing, model=nothing)
-    diagnosis = diagnose(fit, examined, uncertainty, payloads, prior_gains or {}, accuracy)
-    diagnosis = replace(diagnosis, notes=(*diagnosis.notes, *map(note, prior_findings(audit))))
+    diagnosis = diagnose(fit, examined, uncertainty, payloads, prior_gains or {}, accuracy, audit)
     curves, errors = ({}, {}) if as_paper else friction_curves(fit, uncertainty.covariance)
     return build_result(
         fit, estimator, examined, uncertainty, essential, loss, diagnosis, curves, errors, bodies, audit

@@ -11,6 +11,7 @@ import numpy as np
 
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
+from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.friction.law import FrictionLaw, Shape
 from gtau.estimation.results.estimate import (
@@ -191,6 +192,15 @@ class IdentifiedModel:
         if not self.curves:
             return self.friction
         return {name: each for curve in self.curves.values() for name, each in curve.parameters.items()}
+
+    @property
+    def believable(self) -> bool:
+        """Whether some drive gain is good, weak or given, and nothing contradictory: no estimate, payload or sensor."""
+        estimates = (*self.delays.values(), *self.parameters.values(), *self.friction.values())
+        verdicts = [each.verdict for of in (estimates, self.payloads, self.sensors) for each in of]
+        gains = {gain.verdict.outcome for gain in self.drive_gains.values()}
+        outcomes = gains | {verdict.outcome for verdict in verdicts}
+        return Outcome.CONTRADICTORY not in outcomes and gains != {Outcome.NOT_IDENTIFIABLE}
 
     def payload(self, name: str) -> dict[str, float]:
         """Return a payload's identified parameters by kind, the mean over its runs; empty for an unknown name."""

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau import display
-from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.identified_model import IdentifiedModel, estimates_frame
 from gtau.estimation.results.model_file import load, save
@@ -84,15 +83,6 @@ class Result(IdentifiedModel):
     def validate(self, run: Run) -> tuple[TorqueError, ...]:
         """Compute torque errors of each joint on a run: away from reversals, and over all samples."""
         return torque_errors(self, self.predict(run))
-
-    @property
-    def believable(self) -> bool:
-        """Whether some drive gain is good, weak or given, and nothing contradictory: no estimate, payload or sensor."""
-        estimates = (*self.delays.values(), *self.parameters.values(), *self.friction.values())
-        verdicts = [each.verdict for of in (estimates, self.payloads, self.sensors) for each in of]
-        gains = {gain.verdict.outcome for gain in self.drive_gains.values()}
-        outcomes = gains | {verdict.outcome for verdict in verdicts}
-        return Outcome.CONTRADICTORY not in outcomes and gains != {Outcome.NOT_IDENTIFIABLE}
 
     @property
     def accepted(self) -> bool:

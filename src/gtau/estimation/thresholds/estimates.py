@@ -134,6 +134,13 @@ GAINS_APART = Threshold(
     faulty="15 and more (one of several within a factor of 4 in counts, 60; in %, 100; in mA, 1000)",
     evidence="shared logs, data sheets; the factors between units",
 )
+FILE_FACTOR = Threshold(
+    10.0,
+    "median of the identified inertial parameters over those of the robot's file, or the inverse",
+    healthy="TODO",
+    faulty="1000 (g for kg)",
+    evidence="shared logs with their URDF files",
+)
 EFFORT_FACTOR = Threshold(
     2.0, "rms torque over the joint's limit of effort", healthy="below 1", faulty="1000 (g for kg)", evidence="faults"
 )
