@@ -290,7 +290,7 @@ SENTENCES = [  # finding, reason, advice
      "proportional to it",
      "if it is in g, write 'mass: 2.805' (kg); otherwise state 'prior_gains'"),
     (Finding(F.UNLIKE_FILE, values={"factor": 998.0, "count": 14}),
-     "the inertial parameters are 998 times those of the robot's file (median of 14)",
+     "the first moments of the links are 998 times those of the robot's file (rms of 14)",
      "check the payload's mass (kg), the unit of the torques, and the masses in the file; if the file is wrong, state "
      "'prior_gains'"),
     (Finding(F.NEGATIVE_PAYLOAD, (), "neg", {"mass": -5.0, "std": 0.03}),

@@ -275,7 +275,7 @@ SENTENCES: Mapping[str, Words] = {
         "if it is in mA, write units: {{current: mA}}; otherwise state 'prior_gains'",
     ),
     F.UNLIKE_FILE: (
-        "the inertial parameters are {factor:.3g} times those of the robot's file (median of {count})",
+        "the first moments of the links are {factor:.3g} times those of the robot's file (rms of {count})",
         "check the payload's mass (kg), the unit of the torques, and the masses in the file; if the file is wrong, "
         "state 'prior_gains'",
     ),

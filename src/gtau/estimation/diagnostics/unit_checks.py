@@ -28,13 +28,14 @@ from gtau.estimation.thresholds.estimates import (
     PRIOR_FACTOR,
 )
 from gtau.estimation.thresholds.logs import CURRENTS_APART, LARGEST_CURRENT, PAYLOAD_DENSITY
+from gtau.robots.parameter import parameter_of
 from gtau.robots.robot import GROUND, Robot
 from gtau.robots.units import gain_unit, torque_unit
-from gtau.signals.payload import Payload
+from gtau.signals.payload import FIRST_MOMENTS, Payload
 from gtau.signals.run import Run
 from gtau.signals.storage import block, spans
 
-FEWEST = 3  # parameters or joints of which the likeness says something
+FEWEST = 3  # joints of which equal limits say something
 
 
 def units_and_signs(
@@ -169,18 +170,20 @@ def _reach(robot: Robot) -> float | None:
 
 
 def unlike_file(audit: InertiaAudit | None) -> list[Finding]:
-    """Find the factor by which the median of the identified inertias differs from the file's, where it is large."""
-    if audit is None:
-        return []
-    ratios = [
-        abs(each.value / each.stated)
-        for each in audit.parameters  # "not identifiable" is one whose interval is wide for a body of the file
-        if each.standing != "not stated" and each.value and each.std and each.stated
+    """Find first moments that are all together out of scale with those of the robot's file."""
+    moments = [
+        (each.value, each.stated)
+        for each in (() if audit is None else audit.parameters)
+        if parameter_of(each.name).kind in FIRST_MOMENTS and each.value and each.std and each.stated
         if abs(each.value) > NEGATIVE_STD * each.std
     ]
-    if len(ratios) < FEWEST or 1 / FILE_FACTOR <= (factor := float(np.median(ratios))) <= FILE_FACTOR:
+    if len(moments) < 2:
         return []
-    return [Finding(F.UNLIKE_FILE, values={"factor": factor, "count": len(ratios)})]
+    identified, stated = np.linalg.norm(moments, axis=0)
+    factor = float(identified / stated)
+    if 1 / FILE_FACTOR <= factor <= FILE_FACTOR:
+        return []
+    return [Finding(F.UNLIKE_FILE, values={"factor": factor, "count": len(moments)})]
 
 
 def _efforts_exceeded(fit: Fit, settled: Collection[str]) -> Iterator[Finding]:

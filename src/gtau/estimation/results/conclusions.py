@@ -51,10 +51,11 @@ def _against(result: IdentifiedModel) -> Iterator[str]:
         yield f"{subject} {verb} the description: {each.why}."
     if rest := [joint for each in groups[NAMED:] for joint in each.joints]:
         yield f"{_subject(rest)} contradict{'s' * (len(rest) == 1)} it too."
-    for each in (*{each.name: each for each in result.payloads}.values(), *result.sensors):
-        if each.verdict.outcome == Outcome.CONTRADICTORY:
-            name = f"payload '{each.name}'" if isinstance(each, PayloadEstimate) else f"the {each.source}"
-            yield f"{name[0].upper()}{name[1:]} contradicts the data: {each.verdict.why}."
+    stated = {f"Payload '{payload.name}'": payload.verdict for payload in result.payloads}
+    stated |= {f"The {sensor.source}": sensor.verdict for sensor in result.sensors}
+    for name, verdict in stated.items():
+        if verdict.outcome == Outcome.CONTRADICTORY:
+            yield f"{name} contradicts the data: {verdict.why}."
     if failed := missed(result):
         yield f"Requirement missed: {'; '.join(failed)}."
 
