@@ -8,9 +8,9 @@ from dataclasses import replace
 import pytest
 from five_bar_logs import Plant
 
+from gtau.estimation.diagnostics.sentences import note as as_note
+from gtau.estimation.diagnostics.unit_checks import doubtful_currents, doubtful_payloads
 from gtau.estimation.grades import Grade, grade_of
-from gtau.estimation.regression.dataset import reduce_runs
-from gtau.estimation.regression.plausibility import doubtful_currents, doubtful_payloads
 from gtau.model.home import load_robot
 from gtau.robots.floating import float_base
 from gtau.signals.notes import Kind
@@ -24,7 +24,7 @@ def run() -> Run:
 
 
 def test_currents_of_drives_are_not_doubted(run: Run) -> None:
-    assert doubtful_currents([run, run]) == []
+    assert list(doubtful_currents([run, run])) == []
 
 
 @pytest.mark.parametrize(
@@ -42,18 +42,19 @@ def test_currents_of_drives_are_not_doubted(run: Run) -> None:
     ],
 )
 def test_doubtful_sizes_are_worth_mending(run: Run, factors: list[float], sentence: str) -> None:
-    dataset = reduce_runs(load_robot("five-bar"), [replace(run, command=run.command * factors)])
-    (note,) = [each for each in dataset.notes if each.kind == Kind.UNIT]
+    (note,) = map(as_note, doubtful_currents([replace(run, command=run.command * factors)]))
+    assert note.kind == Kind.UNIT
     assert grade_of(note) == Grade.WARNING
     assert re.search(sentence, str(note))
 
 
 def test_a_payload_in_grams_is_asked_about() -> None:
     arm = load_robot("ur10e")
-    (note,) = doubtful_payloads(arm, [None, Payload(name="disc", mass=2800.0), Payload(name="disc", mass=2800.0)])
+    disc = Payload(name="disc", mass=2800.0)
+    (note,) = map(as_note, doubtful_payloads(arm, [None, disc, disc]))
     assert grade_of(note) == Grade.WARNING
     assert "payload 'disc' weighs 2800 kg, more than arms that reach" in note.what
-    assert note.action == "if it is in g, write 'mass: 2.8' (kg)"
+    assert note.action == "if it is in g, write 'mass: 2.8' (kg); otherwise state 'prior_gains'"
     assert list(doubtful_payloads(arm, [Payload(name="rated", mass=12.5), Payload(name="weighed")])) == []
     # a closed loop bears what no arm does, and a trunk has no reach
     assert list(doubtful_payloads(load_robot("five-bar"), [Payload(name="slab", mass=500.0)])) == []

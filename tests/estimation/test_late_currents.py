@@ -58,7 +58,9 @@ def test_currents_of_one_joint_in_another_unit_are_asked_about() -> None:
     """Sixty times as large: the currents are apart by less than units are, the gains are not."""
     runs = [replace(run, command=run.command * [1.0, 60.0]) for run in logs(0.0, 0.0)]
     result = identify(ROBOT, runs)
-    (note,) = [each for each in result.notes if each.finding == F.GAINS_APART]
-    assert "the gains of 'right' and 'left' differ by a factor of" in str(note)
+    assert [gain.verdict.finding.kind for gain in result.drive_gains.values()] == [F.GAINS_APART] * 2
+    assert not result.accepted
     assert result.drive_gains["right"].value == pytest.approx(GAINS[1] / 60, rel=0.01)
-    assert all(each.finding != F.GAINS_APART for each in identify(ROBOT, logs(0.0, 0.0)).notes)
+    stated = identify(ROBOT, runs, prior_gains={"left": GAINS[0], "right": GAINS[1] / 60})
+    assert stated.accepted
+    assert identify(ROBOT, logs(0.0, 0.0)).accepted

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from five_bar_logs import EXPERIMENT, STEEL, Plant, write_log
+from five_bar_logs import EXPERIMENT, STEEL, Plant, five_bar, write_experiment, write_log
 from plausible_parameters import body_parameters, random_parameters
 
 from gtau.errors import GtauError
@@ -110,11 +110,36 @@ def test_gains_that_are_taken_for_exact_are_named(
 ) -> None:
     found = weighed(model, folder, (HEAD + UNKNOWN).replace("{left: 2.5, right: 4.0}", gains), "prior")
     experiment = read_experiment(folder / "weighing.yaml")
-    assert exact_gains(experiment, "prior") == exact
-    assert exact_gains(experiment, "identified") == ()
+    assert exact_gains(model, experiment, "prior") == exact
+    assert exact_gains(model, experiment, "identified") == ()
     said = " ".join(plain(weighing_page(model, [found], "prior", exact)).split())
     assert ("exclude the uncertainty of" in said) == ("assumed exact" in said) == bool(exact)
     assert ("of the gains of left:" in said) == (exact == ("left",))
+
+
+def test_no_mass_is_negative_without_a_contradiction(model: Result, folder: Path) -> None:
+    """The run without payload and that with it exchanged."""
+    exchanged = (HEAD + UNKNOWN).replace("free.csv", "other.csv").replace("unknown.csv", "free.csv")
+    found = weighed(model, folder, exchanged.replace("other.csv", "unknown.csv"), "identified")
+    assert found.parameters["m"].value == pytest.approx(-LEAD["m"], rel=0.05)
+    assert found.verdict.finding is not None
+    assert found.verdict.finding.kind == F.NEGATIVE_PAYLOAD
+    said = " ".join(plain(weighing_page(model, [found], "identified")).split())
+    assert "weighs" not in said
+    assert "The mass of 'lead' contradicts the data" in said
+
+
+def test_a_mass_by_torques_of_which_nothing_tests_the_scale_says_so_in_its_sentence(tmp_path: Path) -> None:
+    plant = Plant(gains=(1.25, 1.25), noise=0.02)
+    runs = [plant.run("free", seed=1, kind="torque"), plant.run("lead", payload=LEAD, seed=2, kind="torque")]
+    robot = five_bar().robot
+    untested = identify(robot, runs[:1])
+    (found,) = weigh(untested, robot, [runs[0], replace(runs[1], payload=Payload(name="lead"))])
+    exact = exact_gains(untested, read_experiment(write_experiment(tmp_path, plant)), "identified")
+    assert exact == ("left", "right")
+    said = " ".join(plain(weighing_page(untested, [found], "identified", exact)).split())
+    assert "kg (with the logged torques taken as true, whose scale was not tested, 95 % interval" in said
+    assert "identified drive gains" not in said
 
 
 def test_without_an_empty_run_the_known_payload_is_the_reference(model: Result, folder: Path) -> None:

@@ -103,7 +103,14 @@ SENTENCES = [  # finding, reason, advice
     (Finding(F.PRIOR_GAIN, ("left",), values={"ratio": 3.0, "prior": 2.0, "unit": "N m/A"}),
      "it is 3 times its prior of 2 N m/A",
      "check the payload's mass (kg), the unit of the currents, and 'prior_gains'"),
-    (Finding(F.EFFORT, ("left",), values={"torque": 250.0, "limit": 100.0, "ratio": 2.5, "unit": "N m"}),
+    (Finding(F.EFFORT, ("left",), "left",
+     {"torque": 250.0, "limit": 100.0, "ratio": 2.5, "unit": "N m", "all": True, "given": False, "kind": "current"}),
+     "the torque of 'left' is 250 N m (rms), 2.5 times its limit of 100 N m, so the payload's mass, which sets "
+     "the scale, may be wrong",
+     "check the payload's mass (kg) and the unit of the currents; if the limit is a placeholder, state the real one "
+     "under 'robot' in the experiment file ({file: ..., limits: {left: ...}})"),
+    (Finding(F.DOUBTFUL_LIMIT, ("left",), "left",
+     {"torque": 250.0, "limit": 100.0, "ratio": 2.5, "unit": "N m", "all": False, "given": False, "kind": "current"}),
      "the torque of 'left' is 250 N m (rms), 2.5 times its limit of 100 N m",
      "check the payload's mass (kg) and the unit of the currents; if the limit is a placeholder, state the real one "
      "under 'robot' in the experiment file ({file: ..., limits: {left: ...}})"),
@@ -137,9 +144,13 @@ SENTENCES = [  # finding, reason, advice
     (Finding(F.COUPLED, ("left",), "right"),
      "joint 'right' contradicts the model, whose parameters all joints share",
      "resolve that joint first"),
-    (Finding(F.NEGATIVE_GAIN, ("left",)),
+    (Finding(F.NEGATIVE_GAIN, ("left",), values={"kind": "current", "negative": True, "prior": False}),
      "negative gain: positive current drives the joint backwards",
-     "reverse the sign of current or position if that is not intended"),
+     "reverse the sign of its current or position column; or if the drive does turn against its joint, state a "
+     "negative prior gain"),
+    (Finding(F.NEGATIVE_GAIN, ("left",), values={"kind": "torque", "negative": False, "prior": True}),
+     "positive gain: positive torque drives the joint forwards",
+     "reverse the sign of its torque or position column; or if that is intended, reverse the prior gain"),
     (Finding(F.DELAY_NOISE),
      "the current's rate of change may be nothing but noise",
      "treat it as unknown, or move this joint faster; the drive gain does not depend on it"),
@@ -262,10 +273,29 @@ SENTENCES = [  # finding, reason, advice
      "one factor, 1.25 (standard deviation 0.012), explains the torque scale of all joints; a mass of 0.96 kg for "
      "payload 'steel' (stated: 1.2 kg) would explain it equally",
      "reweigh the payload before you correct the torques"),
-    (Finding(F.GAINS_APART, ("a", "b"), values={"ratio": 61.2, "smaller": 0.2, "larger": 12.24, "unit": "N m/A"}),
-     "the gains of 'a' and 'b' differ by a factor of 61 (0.2 and 12.2 N m/A), which is implausible for motors and "
+    (Finding(F.GAINS_APART, ("a",), "b",
+     {"ratio": 61.2, "gain": 0.2, "of_peer": 12.24, "unit": "N m/A", "kind": "current"}),
+     "its gain of 0.2 N m/A and that of 'b', 12.2 N m/A, differ by a factor of 61, which is implausible for motors and "
      "gears of one robot",
-     "check that their current columns are in the same unit (A, mA, % or counts), and convert those that are not"),
+     "check that the current columns of these joints are in the same unit, and convert those that are not; if the "
+     "motors do differ, state 'prior_gains'"),
+    (Finding(F.CURRENTS_APART, ("a",), "b", {"larger": 478.0, "smaller": 8.1}),
+     "the current of joint 'a' is 59 times that of 'b' (478 and 8.1 A rms)",
+     "check that the columns are in the same unit (A, mA, % or counts), and convert those that are not"),
+    (Finding(F.LARGE_CURRENT, ("a",), "a", {"rms": 8099.0}),
+     "the current of joint 'a' is 8099 A rms, more than drives of robots take",
+     "if it is in mA, write units: {current: mA}; otherwise state 'prior_gains'"),
+    (Finding(F.HEAVY_PAYLOAD, (), "disc", {"mass": 2805.0, "reach": 1.7, "most": 481.6}),
+     "payload 'disc' weighs 2805 kg, more than arms that reach 1.7 m carry (about 482 kg at most); all drive gains are "
+     "proportional to it",
+     "if it is in g, write 'mass: 2.805' (kg); otherwise state 'prior_gains'"),
+    (Finding(F.UNLIKE_FILE, values={"factor": 998.0, "count": 14}),
+     "the first moments of the links are 998 times those of the robot's file (rms of 14)",
+     "check the payload's mass (kg), the unit of the torques, and the masses in the file; if the file is wrong, state "
+     "'prior_gains'"),
+    (Finding(F.NEGATIVE_PAYLOAD, (), "neg", {"mass": -5.0, "std": 0.03}),
+     "its mass of -5 kg (standard deviation 0.03) is negative, which no body has",
+     "check which runs carry it, as the others may be the loaded ones, the signs of the commands, and gravity"),
     (Finding(F.WEAK_INSTRUMENTS, values={"strength": 1.43, "needed": 6.8}),
      "two-stage least squares could not serve as a comparison: its instruments are weak for these motions "
      "(first-stage F of 1.4; 6.8 is needed), so the difference would show its own bias",
@@ -280,8 +310,9 @@ SENTENCES = [  # finding, reason, advice
      "residuals are autocorrelated: standard errors are 2.3 times those of white noise, so the model lacks an effect, "
      "such as another kind of friction, motor ripple, cables or elasticity",
      ""),
-    (Finding(F.IMPOSSIBLE_PARAMETERS, values={"parameters": [["fv_1", -1.0, "N m s"]] * 4}),
-     "physically impossible parameters: fv_1 = -1 N m s, fv_1 = -1 N m s, fv_1 = -1 N m s and 1 more",
+    (Finding(F.IMPOSSIBLE_PARAMETERS, values={"parameters": [["fv_1", -1.0, 0.2, "N m s"]] * 4}),
+     "physically impossible parameters: fv_1 = -1 N m s (standard deviation 0.2), fv_1 = -1 N m s (standard deviation "
+     "0.2), fv_1 = -1 N m s (standard deviation 0.2) and 1 more",
      "check the signs of positions and currents, the sampling rate, the units and 'preparation'"),
     (Finding(F.NOT_SEPARATED, values={"parameters": ["mx_1", "my_1"]}),
      "these motions cannot separate mx_1, my_1 from the other base parameters: no value is given",

@@ -29,6 +29,7 @@ from gtau.estimation.diagnostics.parameter_checks import (
 )
 from gtau.estimation.diagnostics.sentences import percent_text
 from gtau.estimation.diagnostics.verdict import GOOD, OUTCOMES, Outcome, Verdict, decide, verdict_of, worst
+from gtau.estimation.grades import Grade, by_grade
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.equations import STRETCHES
 from gtau.estimation.results.conclusions import Reason, headline, reasons
@@ -36,6 +37,7 @@ from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import BASE_MISFIT, INFLATED
 from gtau.model.home import load_robot
+from gtau.signals.notes import Kind, Note
 from gtau.signals.payload import Payload
 from gtau.signals.run import Run
 
@@ -192,7 +194,7 @@ def test_verdicts_of_masses() -> None:
     assert (wrong.finding.values["declared"], wrong.finding.values["found"]) == (2.0, 2.05)
 
 
-GAIN_KINDS = list(OUTCOMES)[: list(OUTCOMES).index(F.NEGATIVE_GAIN) + 1]
+GAIN_KINDS = list(OUTCOMES)[: list(OUTCOMES).index(F.COUPLED) + 1]
 
 
 @given(
@@ -318,11 +320,17 @@ def test_autocorrelated_residuals_are_a_lack_of_fit(result: Result, runs: list[R
 
 
 def test_what_is_said_of_several_gains_is_said_once(result: Result) -> None:
-    turned = verdict_of(Finding(F.NEGATIVE_GAIN))
+    turned = verdict_of(Finding(F.ALL_NEGATIVE))
     both = result.replaced(drive_gains={j: replace(gain, verdict=turned) for j, gain in result.drive_gains.items()})
     (row,) = reasons(both)
     assert (set(row.joints), row.why, row.action) == (set(JOINTS), turned.why, turned.advice)
     assert " ".join(both.summary(False).split()).count(turned.advice) == 1
+
+
+def test_notes_that_may_move_an_estimate_most_stand_first() -> None:
+    notes = [Note(Kind.MODEL, "slight", moves=0.2), Note(Kind.ROWS, "refusal"), Note(Kind.MODEL, "large", moves=3.0)]
+    listed = {grade: [each.what for each in members] for grade, members in by_grade(notes).items()}
+    assert listed == {Grade.ERROR: ["refusal"], Grade.WARNING: ["large", "slight"]}
 
 
 def test_reasons_that_differ_in_numbers_are_one_row_with_the_worst(result: Result) -> None:

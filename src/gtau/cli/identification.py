@@ -116,7 +116,7 @@ def identify(
         result.save(written[0])
         write_atomically(written[1], result.summary(True) + "\n")
         write_distances(result.distances, written[2])
-        if torque_scales(result):
+        if torque_scales(result) and result.believable:
             written.append(folder_of(out) / "torque_scale.yaml")
             write_atomically(written[-1], torque_scale_text(result))
         with progress_bar() as progress:

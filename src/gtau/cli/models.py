@@ -119,6 +119,8 @@ def payload(
     """Weigh unknown payloads from loaded runs and a run without payload.
 
     Reports mass, centre of mass and inertia about it, of a physically possible body, with 95 % intervals.
+
+    The exit code is 3 if a mass is negative, or the model's gains contradict its own logs.
     """
     with refusals(json_):
         refuse_as_folder(out)
@@ -126,6 +128,7 @@ def payload(
             raise GtauError(f"--to {to} writes files; name their folder by --out DIR.")
         start = perf_counter()
         with progress_bar() as progress:
+            from gtau.estimation.diagnostics.verdict import Outcome
             from gtau.estimation.results.model_document import payload_documents
             from gtau.estimation.results.result import Result
             from gtau.estimation.weigh import exact_gains, weigh
@@ -151,7 +154,7 @@ def payload(
             bodies = [each.in_frame(frame, file) for each in found]
         else:
             notes.append(str(missing_extra("what is said of the centre of mass", "clarabel", "consistency")))
-        exact = exact_gains(described, gains.value)
+        exact = exact_gains(result, described, gains.value)
         if out is not None:
             page = weighing_report(result, found, gains.value, described.expected_gains, exact, bodies)
             inputs = (("model", model), *inputs_of(experiment, described))
@@ -174,6 +177,9 @@ def payload(
         else:
             show(weighing_page(result, found, gains.value, exact, bodies), written)
             _show_notes(notes)
+        doubted = gains == Gains.identified and not exact and not result.believable
+        if doubted or Outcome.CONTRADICTORY in {each.verdict.outcome for each in found}:
+            raise typer.Exit(3)  # so that a script does not go on with such a mass
 
 
 def _exported(bodies: Sequence[PayloadBody], to: str, out: Path) -> list[Exported]:

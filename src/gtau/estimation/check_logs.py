@@ -15,6 +15,7 @@ from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.log_checks import command_lag, doubtful_commands, require_felt_payload
 from gtau.estimation.diagnostics.sentences import note
+from gtau.estimation.diagnostics.unit_checks import doubtful_currents, doubtful_payloads
 from gtau.estimation.estimators.estimator import Estimator
 from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.experiment_runs import describe, geometry_of, read_runs
@@ -22,7 +23,6 @@ from gtau.estimation.gate import choose_estimator, require_identifiable, require
 from gtau.estimation.grades import Grade, by_grade, grade_of
 from gtau.estimation.regression.dataset import Dataset, model_of, prepare_runs, reduce_runs, robot_notes
 from gtau.estimation.regression.friction import Friction
-from gtau.estimation.regression.plausibility import doubtful_currents, doubtful_payloads
 from gtau.estimation.regression.rows import Labels
 from gtau.estimation.regression.system import FEWEST_ROWS
 from gtau.estimation.results.conclusions import near_singularities, not_separated
@@ -165,8 +165,8 @@ def check_logs(
         notes.append(refusal(error))
     notes += [
         *map(note, doubtful_commands(used, robot)),
-        *doubtful_currents(used, robot.base),
-        *doubtful_payloads(robot, (run.payload for run in used)),
+        *map(note, doubtful_currents(used, robot.base)),
+        *map(note, doubtful_payloads(robot, (run.payload for run in used))),
     ]
     preparation = choose_preparation(used)
     checked, prepared_runs = [], []

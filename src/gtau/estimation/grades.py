@@ -56,9 +56,12 @@ def grade_of(note: Note) -> Grade:
 
 
 def by_grade(notes: Iterable[Note]) -> dict[Grade, list[Note]]:
-    """Group notes by grade, the worst first, each sentence once and in order; no grade without notes."""
+    """Group notes by grade, the worst first, each sentence once; no grade without notes.
+
+    Within a grade what may move an estimate most stands first, others in their order.
+    """
     listed: dict[str, Note] = {}
-    for note in notes:
+    for note in sorted(notes, key=lambda note: -note.moves):
         listed.setdefault(str(note), note)
     found = {grade: [note for note in listed.values() if grade_of(note) == grade] for grade in Grade}
     return {grade: members for grade, members in found.items() if members}

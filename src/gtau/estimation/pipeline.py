@@ -9,8 +9,7 @@ import numpy as np
 
 from gtau.estimation.diagnostics.diagnose import diagnose
 from gtau.estimation.diagnostics.examine import estimates_of, examine
-from gtau.estimation.diagnostics.inertia_audit import audit_inertias, prior_findings, without_file_inertias
-from gtau.estimation.diagnostics.sentences import note
+from gtau.estimation.diagnostics.inertia_audit import audit_inertias, without_file_inertias
 from gtau.estimation.diagnostics.stated_constants import weigh_known
 from gtau.estimation.estimators.essential import essential_fit, select_friction
 from gtau.estimation.estimators.estimates import Estimates
@@ -86,7 +85,6 @@ def estimate(
         fit = replace(fit, system=replace(fit.system, problem=essential), solution=reduced)
         nothing = np.zeros_like(reduced.covariance)
         estimates = Estimates(essential.unknowns, reduced.stacked, reduced.covariance, nothing, nothing, None)
-    diagnosis = diagnose(fit, examined, estimates, payloads, prior_gains or {}, accuracy)
-    diagnosis = replace(diagnosis, notes=(*diagnosis.notes, *map(note, prior_findings(audit))))
+    diagnosis = diagnose(fit, examined, estimates, payloads, prior_gains or {}, accuracy, audit)
     friction = FrictionStep(estimates) if as_paper else friction_step(fit, estimates)
     return build_result(fit, estimator, examined, estimates, essential, loss, diagnosis, friction, bodies, audit)

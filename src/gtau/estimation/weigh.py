@@ -63,8 +63,9 @@ def weigh(
     Returns
     -------
     tuple of PayloadEstimate
-        One for each run with an unknown payload. The standard deviations include the uncertainty of the gains,
-        for prior gains only where their standard deviations are given (see :func:`gtau.estimation.weigh.exact_gains`).
+        One for each run with an unknown payload. The standard deviations include the uncertainty of the gains, as far
+        as it is known (see :func:`gtau.estimation.weigh.exact_gains`). A mass whose interval lies below zero has a
+        contradictory verdict.
 
     Raises
     ------
@@ -114,10 +115,13 @@ def weigh(
     return tuple(each for each in estimates if "m" not in each.known)
 
 
-def exact_gains(experiment: Experiment, gains: str) -> tuple[str, ...]:
-    """List the joints whose gain is treated as exact, because its standard deviation is unknown."""
+def exact_gains(model: Result, experiment: Experiment, gains: str) -> tuple[str, ...]:
+    """List the joints whose gain is treated as exact, because its standard deviation is unknown.
+
+    Of the model's gains they are those that were given: of logged torques, whose scale was not tested.
+    """
     if gains != "prior":
-        return ()
+        return tuple(joint for joint, gain in model.drive_gains.items() if gain.std is None)
     return tuple(joint for joint in experiment.signals.joints if joint not in experiment.gain_stds)
 
 

@@ -10,8 +10,7 @@ import numpy as np
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.estimators.registry import ESTIMATORS
-from gtau.estimation.results.conclusions import VISIBLE, findings, headline, remarks
-from gtau.estimation.results.estimate import Requirement
+from gtau.estimation.results.conclusions import VISIBLE, findings, headline, missed, remarks, required
 from gtau.estimation.results.result import Result
 from gtau.report.evidence import RunEvidence, preparation_words, worst_joint
 from gtau.report.findings import findings_section, same_in_several
@@ -114,9 +113,9 @@ def verdict_section(result: Result, runs: Sequence[RunEvidence] = ()) -> Section
     """Show the verdict in words, with the key figures."""
     outcomes = Counter(gain.verdict.outcome for gain in result.drive_gains.values())
     style = "good" if set(outcomes) <= set(GOOD_OUTCOMES) else "weak"
-    if outcomes[Outcome.CONTRADICTORY] or outcomes[Outcome.NOT_IDENTIFIABLE] or missed(result):
+    if outcomes[Outcome.NOT_IDENTIFIABLE] or not result.believable or missed(result):
         style = "bad"
-    said = (*missed(result), *map(str, remarks(result)))
+    said = tuple(map(str, remarks(result)))
     words = (headline(result), said) if style == "good" else (counts(result), (headline(result), *said))
     facts = {
         "robot": result.robot.name,
@@ -218,7 +217,7 @@ def requirements_section(result: Result) -> Section | None:
     if not result.requirements:
         return None
     rows = [
-        (*_what(each), "passed" if each.met else "failed", each.limit, each.found, each.joint or None)
+        (*required(each), "passed" if each.met else "failed", each.limit, each.found, each.joint or None)
         for each in result.requirements
     ]
     columns = (
@@ -230,22 +229,6 @@ def requirements_section(result: Result) -> Section | None:
         Column("worst joint"),
     )
     return section("Requirements", table(columns, rows), id="requirements")
-
-
-def missed(result: Result) -> list[str]:
-    """Describe each requirement that is not met."""
-    said = []
-    for each in result.requirements:
-        if not each.met:
-            found = "not known" if each.found is None else f"{each.found:.2f} % (joint '{each.joint}')"
-            said.append(f"{' of '.join(_what(each))}: {found}, and {each.limit:g} % is required")
-    return said
-
-
-def _what(each: Requirement) -> tuple[str, str]:
-    if each.name == "gain_interval":
-        return "half the 95 % interval", "gains"
-    return ("torque error", f"run '{each.run}'") if each.run else ("torque residual", "rows used")
 
 
 def _consistency_section(found: Consistency | None) -> Section | None:

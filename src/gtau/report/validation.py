@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from gtau.documents.files import write_table
+from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.results.conclusions import headline as headline_of_model
 from gtau.estimation.results.model_document import torque_error
 from gtau.estimation.results.payload import PayloadBody, PayloadEstimate
 from gtau.estimation.results.result import Result
@@ -125,16 +127,23 @@ def weighing_page(
     bodies: Sequence[PayloadBody] = (),
 ) -> Page:
     """Show the payloads weighed with the ``gains`` (identified or prior), those of joints ``exact`` assumed exact."""
+    torques = result.kind == "torque" and gains != "prior"
     said = [f"Weighed with the {gains} drive gains."]
-    if exact:
-        of = "the prior gains" if len(exact) == len(result.gains) else f"the gains of {', '.join(exact)}"
+    if gains != "prior" and not exact and not result.believable:
+        said.append(headline_of_model(result))
+    if exact and torques:
+        said = ["Weighed with the logged torques: an error of 1 % in all of them is 1 % of a mass."]
+    elif exact:
+        of = f"the {gains} gains" if len(exact) == len(result.gains) else f"the gains of {', '.join(exact)}"
         said.append(
             f"the intervals exclude the uncertainty of {of}: an error of 1 % in all gains is 1 % of a mass; write it as"
             " 'prior_gains: {joint: {value: 2.4, std: 0.1}}'"
         )
+    given = "the logged torques taken as true, whose scale was not tested" if torques else "these gains assumed exact"
+    words = masses_words(payloads, f"with {given}, " if exact else "")
     return page(
         f"Payloads of {result.robot.name}",
-        section("Verdict", Text(masses_words(payloads, bool(exact)), tuple(said), "neutral"), id="verdict"),
+        section("Verdict", Text(words, tuple(said), "neutral"), id="verdict"),
         masses_section(payloads),
         bodies_section(bodies),
         payloads_section(payloads, "Inertial parameters"),
@@ -187,9 +196,9 @@ def bodies_document(bodies: Sequence[PayloadBody]) -> list[dict[str, Any]]:
     ]
 
 
-def masses_words(payloads: Sequence[PayloadEstimate], exact: bool) -> str:
-    """Summarise the masses in one sentence, with the intervals that gains leave, some of them taken for ``exact``."""
-    parts, given = [], "with these gains assumed exact, " if exact else ""
+def masses_words(payloads: Sequence[PayloadEstimate], given: str) -> str:
+    """Summarise the masses in one sentence, with their intervals and the condition ``given`` under which they hold."""
+    parts = []
     for each in payloads:
         mass = each.parameters.get("m")
         if mass is None or mass.value is None:
@@ -197,6 +206,11 @@ def masses_words(payloads: Sequence[PayloadEstimate], exact: bool) -> str:
             continue
         ends = mass.interval()
         between = "" if ends is None else f" ({given}95 % interval {ends[0]:.4g} to {ends[1]:.4g} kg)"
-        parts.append(f"'{each.name}' weighs {mass.value:.4g} kg{between}")
+        if each.verdict.outcome == Outcome.CONTRADICTORY:
+            parts.append(f"the mass of '{each.name}' contradicts the data{between}: {each.verdict.sentence}")
+        elif ends is not None and ends[0] < 0:
+            parts.append(f"the mass of '{each.name}' cannot be distinguished from zero{between}")
+        else:
+            parts.append(f"'{each.name}' weighs {mass.value:.4g} kg{between}")
     words = "; ".join(parts)
     return f"{words[:1].upper()}{words[1:]}."

@@ -53,6 +53,8 @@ class Note:
         Share of the samples that it concerns.
     finding : str
         Kind of the finding of a diagnosis that it states; empty for notes on logs and robots.
+    moves : float
+        By how many half widths of its 95 % interval it may move an estimate, where that is known.
     """
 
     kind: Kind
@@ -63,6 +65,7 @@ class Note:
     time: float | None = None
     share: float | None = None
     finding: str = ""
+    moves: float = 0.0
 
     def __str__(self) -> str:
         """Compose the sentence."""

@@ -12,16 +12,17 @@ from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.gain_checks import (
     common_scale,
-    efforts_exceeded,
     estimated_gains,
-    gains_apart,
     given_gains,
+    half_widths,
+    impossible_parameters,
     in_context,
     logged_torques,
     motors,
-    prior_gains_off,
     wrench_contradictions,
 )
+from gtau.estimation.diagnostics.inertia_audit import InertiaAudit, prior_findings
+from gtau.estimation.diagnostics.log_checks import swapped_channels
 from gtau.estimation.diagnostics.other_estimators import position_noise
 from gtau.estimation.diagnostics.parameter_checks import delay_verdicts, unlike_legs
 from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings, ripple_findings
@@ -32,11 +33,14 @@ from gtau.estimation.diagnostics.stated_constants import (
     sensor_contradictions,
     sensor_scales,
 )
-from gtau.estimation.diagnostics.verdict import GIVEN, GOOD, Outcome, Verdict, decide
+from gtau.estimation.diagnostics.unit_checks import units_and_signs
+from gtau.estimation.diagnostics.verdict import GIVEN, GOOD, OUTCOMES, Outcome, Verdict, decide
 from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Fit
 from gtau.model.base_parameters import whole_mass
 from gtau.signals.notes import Note
+
+WIDTH = 1.96  # standard deviations in half a 95 % interval
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +67,7 @@ def diagnose(
     payloads: Mapping[str, Verdict],
     prior_gains: Mapping[str, float],
     accuracy: float,
+    audit: InertiaAudit | None = None,
 ) -> Diagnosis:
     """Judge which estimates of a fit can be trusted.
 
@@ -76,19 +81,26 @@ def diagnose(
         Gains expected, N m/A or N/A, by joint; may be empty.
     accuracy : float
         Half the relative width of the 95 % interval up to which a gain is good.
+    audit : InertiaAudit, optional
+        What the data say of the inertias of the robot's file.
     """
     dataset, problem, joints = fit.dataset, fit.system.problem, motors(fit)
     sensors = sensor_scales(fit) if fit.free_gains else ()
     priors = prior_contradictions(fit, estimates.covariance, accuracy)
     mass = whole_mass(dataset.base, dataset.model.parameter_names) if dataset.robot.floating else ""
+    impossible = tuple(impossible_parameters(fit, estimates))
+    if impossible and not examined.swapped:
+        examined = replace(examined, swapped=swapped_channels(dataset))
+    sizes = tuple(units_and_signs(fit, estimates, prior_gains, audit))
     against = [
         *wrench_contradictions(fit),
+        *impossible,
+        *(each for each in sizes if each.kind in OUTCOMES),
         *(replace(each, kind=F.WHOLE_MASS, joints=joints) for each in priors if each.subject == mass),
     ]
     if fit.free_gains:
         against += [
             *estimated_gains(fit, examined, estimates, accuracy, prior_gains),
-            *prior_gains_off(fit, prior_gains),
             *sensor_contradictions(sensors, problem.joints, accuracy),
             *(
                 Finding(F.PAYLOAD, joints, name, severity=each.finding.severity)
@@ -104,16 +116,18 @@ def diagnose(
     beside = [
         *unlike_legs(dataset, fit.system, fit.solution.theta, estimates.covariance),
         *priors,
-        *efforts_exceeded(fit),
+        *prior_findings(audit),
+        *(each for each in sizes if each.kind not in OUTCOMES),
         *position_noise(fit, examined.alternatives),
         *ripple_findings(examined.ripple, fit),
         *repeated_motion_findings(fit, examined.alternatives),
         *(_small_refutations(examined, accuracy) if fit.free_gains else []),
-        *(gains_apart(fit, estimates) if fit.free_gains else []),
         *(common_scale(fit, estimates, accuracy) if fit.free_gains else []),
         *logged_torques(fit, estimates),
         *examined.untested,
     ]
+    halves = half_widths(fit, estimates) if fit.free_gains else np.zeros(0)
+    beside = [replace(each, moves=_moves(each, halves)) for each in beside]
     against, beside = ([in_context(fit, each) for each in found] for found in (against, beside))
     gains = dict(zip(joints, decide(joints, against, GOOD if fit.free_gains else GIVEN), strict=True))
     return Diagnosis(gains, tuple(delays), payloads, tuple(map(note, beside)), accuracy, sensors)
@@ -127,3 +141,21 @@ def _small_refutations(examined: Examination, accuracy: float) -> list[Finding]:
         for each, move in moves
         if move <= accuracy
     ]
+
+
+def _moves(finding: Finding, halves: np.ndarray) -> float:
+    """Compute by how many half widths of its interval what is noted may move an estimate; 0 where that is not known."""
+    values = finding.values
+    if finding.kind == F.PRIOR:
+        return float(abs(values["found"] - values["prior"]) / (WIDTH * np.hypot(values["std"], values["prior_std"])))
+    if finding.kind == F.PRIOR_INERTIA:
+        apart = [
+            abs(value - stated) / (WIDTH * np.hypot(std, values["std"] * stated))
+            for _, value, std, stated, _ in values["parameters"]
+        ]
+        return float(max(apart))
+    if finding.kind == F.COMMON_SCALE:
+        return float(abs(values["scale"] - 1) / (WIDTH * values["std"]))
+    if finding.kind == F.POSITION_NOISE:
+        return float(values["deviations"] / WIDTH)
+    return float(abs(values.get("move") or 0.0) / halves.min()) if halves.size else 0.0

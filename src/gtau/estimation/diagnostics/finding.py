@@ -35,19 +35,21 @@ class Outcome(StrEnum):
 class FindingKind(StrEnum):
     """Kind of a finding of a check; :mod:`gtau.estimation.diagnostics.sentences` has the words for each.
 
-    With the ``outcome`` of an estimate that it is about, or the kind of its ``note``. Those with an outcome stand in
-    the order in which they count where several are on one estimate.
+    With the ``outcome`` of an estimate that it is about, or the kind of its ``note``. What may move an estimate by more
+    than its interval has an outcome, and thereby decides verdict, headline and exit code; notes are on what the
+    intervals include or on nothing that moves them. Kinds with an outcome stand in the order in which they count where
+    several are on one estimate.
     """
 
     outcome: Outcome | None
     note: Kind
 
-    def __new__(cls, name: str, of: Outcome | Kind = Kind.MODEL) -> FindingKind:
-        """Make the name, with an outcome or the kind of a note."""
+    def __new__(cls, name: str, *of: Outcome | Kind) -> FindingKind:
+        """Make the name, with an outcome, the kind of a note, or both."""
         made = str.__new__(cls, name)
         made._value_ = name
-        made.outcome = of if isinstance(of, Outcome) else None
-        made.note = of if isinstance(of, Kind) else Kind.MODEL
+        made.outcome = next((each for each in of if isinstance(each, Outcome)), None)
+        made.note = next((each for each in of if isinstance(each, Kind)), Kind.MODEL)
         return made
 
     # what the whole estimation rests on
@@ -57,8 +59,8 @@ class FindingKind(StrEnum):
     TLS_CONFUSED = "payload lost in noise", Outcome.NOT_IDENTIFIABLE
     # the data against the description of robot and logs
     LATE = "currents logged late", Outcome.CONTRADICTORY
-    ALL_NEGATIVE = "all gains negative", Outcome.CONTRADICTORY
     SWAPPED = "swapped channels", Outcome.CONTRADICTORY
+    ALL_NEGATIVE = "all gains negative", Outcome.CONTRADICTORY
     REFUTED = "description refuted", Outcome.CONTRADICTORY
     UNEXPLAINED = "unexplained current", Outcome.CONTRADICTORY
     # stated constants against each other
@@ -70,13 +72,20 @@ class FindingKind(StrEnum):
     LOST = "lost in noise", Outcome.NOT_IDENTIFIABLE
     SIGN_OPEN = "sign open", Outcome.NOT_IDENTIFIABLE
     OTHER_ESTIMATOR = "other estimator", Outcome.CONTRADICTORY
+    IMPOSSIBLE_PARAMETERS = "impossible parameters", Outcome.CONTRADICTORY
+    # units and signs, which fit the data whatever they are: sizes that no such robot has
     PRIOR_GAIN = "prior gain", Outcome.CONTRADICTORY
+    NEGATIVE_GAIN = "negative gain", Outcome.CONTRADICTORY
+    GAINS_APART = "gains far apart", Outcome.CONTRADICTORY
+    HEAVY_PAYLOAD = "payload too heavy", Outcome.CONTRADICTORY, Kind.UNIT
+    LARGE_CURRENT = "current too large", Outcome.CONTRADICTORY, Kind.UNIT
+    UNLIKE_FILE = "inertias out of scale", Outcome.CONTRADICTORY
+    EFFORT = "effort limit", Outcome.CONTRADICTORY
     WIDE_SCALE = "uncertain scale", Outcome.WEAK
     WIDE_RIPPLE = "wide by ripple", Outcome.WEAK
     WIDE_CAUSE = "wide by an alternative", Outcome.WEAK
     WIDE_RANDOM = "wide interval", Outcome.WEAK
     COUPLED = "coupled joint", Outcome.WEAK
-    NEGATIVE_GAIN = "negative gain", Outcome.GOOD
     # of delays, parameters, payloads and torque sensors
     DELAY_NOISE = "delay lost in noise", Outcome.NOT_IDENTIFIABLE
     DELAY_UNCERTAIN = "uncertain delay", Outcome.WEAK
@@ -84,15 +93,16 @@ class FindingKind(StrEnum):
     INSEPARABLE = "not separable", Outcome.NOT_IDENTIFIABLE
     NEAR_ZERO = "near zero", Outcome.NOT_IDENTIFIABLE
     UNCERTAIN = "uncertain parameter", Outcome.WEAK
+    NEGATIVE_PAYLOAD = "payload of negative mass", Outcome.CONTRADICTORY
     PAYLOAD_MASS = "payload mass", Outcome.CONTRADICTORY
     PAYLOAD_PARAMETER = "payload parameter", Outcome.CONTRADICTORY
     SENSOR_SCALE = "sensor scale", Outcome.CONTRADICTORY
     # beside the verdicts, each a note
-    EFFORT = "effort limit", Kind.LIMITS
+    DOUBTFUL_LIMIT = "doubtful effort limit", Kind.LIMITS
+    CURRENTS_APART = "currents far apart", Kind.UNIT
     UNLIKE_LEGS = "unlike legs"
     PRIOR = "contradictory prior"
     PRIOR_INERTIA = "contradictory inertias of the robot's file"
-    GAINS_APART = "gains far apart", Kind.UNIT
     POSITION_NOISE = "position noise", Kind.NOISE
     RIPPLE = "position ripple"
     COMMON_RESIDUALS = "residuals that repeat", Kind.READING
@@ -101,7 +111,6 @@ class FindingKind(StrEnum):
     UNTESTED = "other estimators not tried", Kind.READING
     WEAK_INSTRUMENTS = "weak instruments", Kind.READING
     AUTOCORRELATED = "autocorrelated residuals"
-    IMPOSSIBLE_PARAMETERS = "impossible parameters"
     NOT_SEPARATED = "parameters not separated", Kind.SEPARATION
     MASS_UNSEEN = "payload mass not identifiable"
     FEW_ROWS = "too few rows for tests"
@@ -141,6 +150,8 @@ class Finding:
         What explains it; the first counts most, and all have the same effect.
     severity : float
         Of two findings of one kind on a joint, the larger counts.
+    moves : float
+        Of a note, by how many half widths of its 95 % interval it may move an estimate; the larger stands first.
     """
 
     kind: str
@@ -149,6 +160,7 @@ class Finding:
     values: Mapping[str, Any] = field(default_factory=dict, hash=False)
     causes: tuple[Finding, ...] = ()
     severity: float = 0.0
+    moves: float = 0.0
 
 
 def finding_document(finding: Finding) -> dict[str, Any]:

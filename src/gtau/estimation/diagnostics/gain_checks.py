@@ -5,19 +5,17 @@ possible error of a gain: its interval, with a random part and one from model de
 interval lies within the required accuracy, and contradictory only where the data refute the description of robot and
 logs and the gain would move by more than that.
 
-An error of a unit scales all gains, or a payload, and fits the data as well as the truth; only other knowledge reveals
-it: gains from data sheets, and the limits of the joints' effort. Every scale of logged torques is proportional to the
-stated mass of the payload too; but torques of different motors rarely share one scale error, while a mistyped mass, or
-a gripper that was not weighed with its load, has that effect. Gains and parameters also absorb part of a wrench of
-wrong sign, body or axes, and lengths or single currents look wrong instead: so wherever wrenches are measured, the
-advice names them first.
+Every scale of logged torques is proportional to the stated mass of the payload; but torques of different motors rarely
+share one scale error, while a mistyped mass, or a gripper that was not weighed with its load, has that effect. Gains
+and parameters also absorb part of a wrench of wrong sign, body or axes, and lengths or single currents look wrong
+instead: so wherever wrenches are measured, the advice names them first. Units and signs are checked in
+:mod:`gtau.estimation.diagnostics.unit_checks`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -26,27 +24,24 @@ from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.hypotheses.hypothesis import friction_levels, rms_speeds, rms_torques
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
-from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
-from gtau.estimation.diagnostics.verdict import Verdict
+from gtau.estimation.diagnostics.parameter_checks import judge_parameter, unexplained_shares
+from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.thresholds.estimates import (
     APART,
     APART_REFUTED,
     BASE_MISFIT,
-    EFFORT_FACTOR,
-    GAINS_APART,
     LOST_GAIN,
     MISFIT,
     MISFIT_GIVEN,
     NAMED_SHARE,
     NEGATIVE_STD,
-    PRIOR_FACTOR,
 )
 from gtau.estimation.thresholds.logs import ALIKE, FRICTIONLESS, GEARED, MODEL_RESIDUAL
 from gtau.model.base_parameters import whole_mass
-from gtau.robots.parameter import Parameter
-from gtau.robots.units import gain_unit, torque_unit
+from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.units import unit_of
 
 
 def estimated_gains(
@@ -100,24 +95,6 @@ def estimated_gains(
             values = {"half": half, "accuracy": accuracy, "random": bool(random_halves[j] > accuracy)}
             kind, causes = _widest(examined, estimates, problem.n_theta + j)
             yield Finding(kind, mine, values=values, causes=causes)
-        if gains[j] < 0:
-            yield Finding(F.NEGATIVE_GAIN, mine)
-
-
-def gains_apart(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
-    """Find joints whose gains differ by more than motors and gears of one robot explain; ignore lost gains."""
-    known, robot, kind = half_widths(fit, estimates) < 1, fit.dataset.robot, fit.dataset.runs[0].kind
-    joints = zip(fit.system.problem.joints, np.abs(fit.gains), known & ~np.isin(fit.system.problem.joints, robot.base),
-                 strict=True)  # fmt: skip
-    of_unit: dict[str, list[tuple[float, str]]] = {}
-    for joint, gain, judged in joints:
-        if judged:
-            of_unit.setdefault(gain_unit(robot, joint, kind), []).append((float(gain), joint))
-    for unit, gains in of_unit.items():
-        for (smaller, below), (larger, above) in pairwise(sorted(gains)):
-            if larger > GAINS_APART * smaller:
-                values = {"ratio": larger / smaller, "smaller": smaller, "larger": larger, "unit": unit}
-                yield Finding(F.GAINS_APART, (below, above), values=values)
 
 
 def half_widths(fit: Fit, estimates: Estimates) -> np.ndarray:
@@ -168,28 +145,6 @@ def given_gains(fit: Fit, examined: Examination, payloads: Mapping[str, Verdict]
             yield of_payload.get(joint, Finding(F.UNEXPLAINED, (joint,), values=values))
 
 
-def prior_gains_off(fit: Fit, priors: Mapping[str, float]) -> Iterator[Finding]:
-    """Find gains that differ by more than a factor of two from their prior (by joint, N m/A or N/A)."""
-    robot = fit.dataset.robot
-    for joint, gain in zip(fit.system.problem.joints, fit.gains, strict=True):
-        ratio = abs(gain / priors[joint]) if joint in priors else 1.0
-        if not 1 / PRIOR_FACTOR <= ratio <= PRIOR_FACTOR:
-            unit = gain_unit(robot, joint, fit.dataset.runs[0].kind)
-            values = {"ratio": float(ratio), "prior": priors[joint], "unit": unit}
-            yield Finding(F.PRIOR_GAIN, (joint,), values=values)
-
-
-def efforts_exceeded(fit: Fit) -> Iterator[Finding]:
-    """Find joints whose torque, rms in N m or N, is more than twice their effort limit."""
-    robot, problem = fit.dataset.robot, fit.system.problem
-    torques = np.abs(fit.solution.gains) * problem.signal
-    for joint, torque in zip(problem.joints, torques[: len(problem.joints)], strict=True):
-        limit = robot.joint(joint).limits.effort
-        if limit is not None and torque > EFFORT_FACTOR * limit:
-            values = {"torque": float(torque), "limit": float(limit), "ratio": float(torque / limit)}
-            yield Finding(F.EFFORT, (joint,), values={**values, "unit": torque_unit(robot, joint)})
-
-
 def motors(fit: Fit) -> tuple[str, ...]:
     """List the joints whose gains are judged: all but those of a floating base."""
     return tuple(each.joint for each in fit.system.problem.channels if each.kind.free)
@@ -199,6 +154,26 @@ def in_context(fit: Fit, finding: Finding) -> Finding:
     """Note in a finding whether there is a payload, or a wrench on a body or a floating base, for its advice."""
     wrenches = bool(fit.system.problem.wrenches or fit.system.problem.base)
     return replace(finding, values={"payload": bool(fit.system.payloads), "wrenches": wrenches, **finding.values})
+
+
+def impossible_parameters(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
+    """Find base parameters that no body or joint has, against the gain of their joint, or all where it has no motor.
+
+    Gains and parameters are estimated together: friction that drives a joint is what a wrong description looks like.
+    """
+    dataset, problem = fit.dataset, fit.system.problem
+    stds = np.sqrt(np.diag(estimates.covariance))
+    listed: dict[str, list[list[object]]] = {}
+    for name, standard in zip(dataset.base.names, dataset.base.standard, strict=True):
+        if name not in problem.parameters:
+            continue
+        k, (kind, body, _) = problem.parameters.index(name), parameter_of(standard)
+        value, std = float(fit.solution.theta[k]), float(stds[k])
+        if judge_parameter(value, std, dataset.base.regroupings[name]).outcome == Outcome.CONTRADICTORY:
+            listed.setdefault(body, []).append([name, value, std, unit_of(kind, dataset.robot, body)])
+    for body, parameters in listed.items():
+        joints = (body,) if body in motors(fit) else motors(fit)
+        yield Finding(F.IMPOSSIBLE_PARAMETERS, joints, values={"parameters": parameters}, severity=len(parameters))
 
 
 def wrench_contradictions(fit: Fit) -> Iterator[Finding]:

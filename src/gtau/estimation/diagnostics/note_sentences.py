@@ -152,10 +152,10 @@ NOTED: Mapping[str, Words] = {
         + f" and {len(values['parameters']) - LISTED} more" * (len(values["parameters"]) > LISTED),
         "give 'prior_inertias' a larger value, or correct the file",
     ),
-    F.GAINS_APART: (
-        "the gains of '{joint}' and '{other}' differ by a factor of {ratio:.2g} ({smaller:.3g} and {larger:.3g} "
-        "{unit}), which is implausible for motors and gears of one robot",
-        "check that their current columns are in the same unit (A, mA, % or counts), and convert those that are not",
+    F.CURRENTS_APART: lambda values: (
+        f"the current of joint '{{joint}}' is {values['larger'] / values['smaller']:.3g} times that of '{{subject}}' "
+        "({larger:.3g} and {smaller:.3g} A rms)",
+        "check that the columns are in the same unit (A, mA, % or counts), and convert those that are not",
     ),
     F.POSITION_NOISE: (
         "position noise biases {count} of {all} estimates by more than one standard deviation: {estimate} by "
@@ -187,12 +187,6 @@ NOTED: Mapping[str, Words] = {
         "residuals are autocorrelated: standard errors are {factor:.1f} times those of white noise, so the model "
         "lacks an effect, such as another kind of friction, motor ripple, cables or elasticity",
         "",
-    ),
-    F.IMPOSSIBLE_PARAMETERS: lambda values: (
-        "physically impossible parameters: "
-        + ", ".join(f"{name} = {value:.3g} {unit}" for name, value, unit in values["parameters"][:LISTED])
-        + f" and {len(values['parameters']) - LISTED} more" * (len(values["parameters"]) > LISTED),
-        IMPOSSIBLE,
     ),
     F.NOT_SEPARATED: lambda values: (
         f"these motions cannot separate {', '.join(values['parameters'])} from the other base parameters: no value is "

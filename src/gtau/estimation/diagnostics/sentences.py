@@ -10,7 +10,7 @@ from typing import Any
 from gtau.estimation.diagnostics.finding import RELATIVE, Finding, Sentence, Values, Words, which_payload
 from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.hypotheses import HYPOTHESES, wrenches
-from gtau.estimation.diagnostics.note_sentences import IMPOSSIBLE, NOTED, PRIOR, SCALE, TESTED
+from gtau.estimation.diagnostics.note_sentences import IMPOSSIBLE, LISTED, NOTED, PRIOR, SCALE, TESTED
 from gtau.estimation.regression.plausibility import clock_advice, write_limits
 from gtau.estimation.thresholds.estimates import LOST_GAIN
 from gtau.signals.notes import Note
@@ -50,7 +50,8 @@ def named(causes: Sequence[Finding]) -> str:
 def note(finding: Finding) -> Note:
     """Write a finding as a note."""
     joint = finding.joints[0] if len(finding.joints) == 1 else ""
-    return Note(F(finding.kind).note, reason(finding), advice(finding), joint=joint, finding=finding.kind)
+    of_note = F(finding.kind).note
+    return Note(of_note, reason(finding), advice(finding), joint=joint, finding=finding.kind, moves=finding.moves)
 
 
 def percent_text(share: float, accuracy: float | None = None) -> str:
@@ -76,9 +77,7 @@ class _Number(float):
 
 def _sentence(finding: Finding) -> Sentence:
     found = SENTENCES[finding.kind]
-    what, to_do = (
-        found if isinstance(found, tuple) else found(_literal({**finding.values, "joint": "".join(finding.joints[:1])}))
-    )
+    what, to_do = found if isinstance(found, tuple) else found(_literal({**finding.values, "subject": finding.subject}))
     values = {key: _Number(each) if isinstance(each, float) else each for key, each in finding.values.items()}
     values["subject"], values["estimate"] = finding.subject, finding.subject or "estimates"
     if finding.joints:
@@ -130,6 +129,28 @@ def _prior_gain(values: Values) -> Sentence:
     if 0.001 / THOUSAND < values["ratio"] < 0.001 * THOUSAND:
         to_do = "check the unit of the currents (mA declared as A?) and the payload's mass in kg"
     return "it is {ratio:.4g} times its prior of {prior:.4g} {unit}", to_do
+
+
+def _turned(values: Values) -> Sentence:
+    what = f"positive {values['kind']} drives the joint {'backwards' if values['negative'] else 'forwards'}"
+    state = (
+        "the prior gain" if values["prior"] else "the drive does turn against its joint, state a negative prior gain"
+    )
+    return (
+        f"{'negative' if values['negative'] else 'positive'} gain: {what}",
+        f"reverse the sign of its {values['kind']} or position column; or if "
+        + (f"that is intended, reverse {state}" if values["prior"] else state),
+    )
+
+
+def _effort(values: Values) -> Sentence:
+    cause = f"the unit of the {values['kind']}s" if values["given"] else "the payload's mass, which sets the scale,"
+    return (
+        "the torque of '{subject}' is {torque:.3g} {unit} (rms), {ratio:.3g} times its limit of {limit:.4g} {unit}"
+        + f", so {cause} may be wrong" * values["all"],
+        f"check the payload's mass (kg) and the unit of the {values['kind']}s; if the limit is a placeholder, "
+        + _literal(write_limits(values["subject"])),
+    )
 
 
 def _lost(why: str) -> Callable[[Values], Sentence]:
@@ -237,10 +258,37 @@ SENTENCES: Mapping[str, Words] = {
     F.SIGN_OPEN: _lost("the 95 % interval includes zero"),
     F.OTHER_ESTIMATOR: _other_estimator,
     F.PRIOR_GAIN: _prior_gain,
-    F.EFFORT: lambda values: (
-        "the torque of '{joint}' is {torque:.3g} {unit} (rms), {ratio:.3g} times its limit of {limit:.4g} {unit}",
-        "check the payload's mass (kg) and the unit of the currents; if the limit is a placeholder, "
-        + _literal(write_limits(values["joint"])),
+    F.NEGATIVE_GAIN: _turned,
+    F.GAINS_APART: (
+        "its gain of {gain:.3g} {unit} and that of '{subject}', {of_peer:.3g} {unit}, differ by a factor of "
+        "{ratio:.2g}, which is implausible for motors and gears of one robot",
+        "check that the {kind} columns of these joints are in the same unit, and convert those that are not; if the "
+        "motors do differ, state 'prior_gains'",
+    ),
+    F.HEAVY_PAYLOAD: lambda values: (
+        "payload '{subject}' weighs {mass:.4g} kg, more than arms that reach {reach:.2g} m carry (about {most:.3g} kg "
+        "at most); all drive gains are proportional to it",
+        f"if it is in g, write 'mass: {values['mass'] / 1000:.4g}' (kg); otherwise state 'prior_gains'",
+    ),
+    F.LARGE_CURRENT: (
+        "the current of joint '{subject}' is {rms:.4g} A rms, more than drives of robots take",
+        "if it is in mA, write units: {{current: mA}}; otherwise state 'prior_gains'",
+    ),
+    F.UNLIKE_FILE: (
+        "the first moments of the links are {factor:.3g} times those of the robot's file (rms of {count})",
+        "check the payload's mass (kg), the unit of the torques, and the masses in the file; if the file is wrong, "
+        "state 'prior_gains'",
+    ),
+    F.EFFORT: _effort,
+    F.DOUBTFUL_LIMIT: _effort,
+    F.IMPOSSIBLE_PARAMETERS: lambda values: (
+        "physically impossible parameters: "
+        + ", ".join(
+            f"{name} = {value:.3g} {unit} (standard deviation {std:.2g})"
+            for name, value, std, unit in values["parameters"][:LISTED]
+        )
+        + f" and {len(values['parameters']) - LISTED} more" * (len(values["parameters"]) > LISTED),
+        IMPOSSIBLE,
     ),
     F.WIDE_SCALE: _wide(
         ", limited by the uncertainty of its scale reference",
@@ -256,10 +304,6 @@ SENTENCES: Mapping[str, Words] = {
     F.COUPLED: (
         "joint '{subject}' contradicts the model, whose parameters all joints share",
         "resolve that joint first",
-    ),
-    F.NEGATIVE_GAIN: (
-        "negative gain: positive current drives the joint backwards",
-        "reverse the sign of current or position if that is not intended",
     ),
     F.DELAY_NOISE: (
         "the current's rate of change may be nothing but noise",
@@ -282,6 +326,10 @@ SENTENCES: Mapping[str, Words] = {
         "it is negative by {t:.0f} standard deviations: "
         + ("friction that drives the joint" if values["friction"] else "a negative inertia"),
         IMPOSSIBLE,
+    ),
+    F.NEGATIVE_PAYLOAD: (
+        "its mass of {mass:.4g} kg (standard deviation {std:.2g}) is negative, which no body has",
+        "check which runs carry it, as the others may be the loaded ones, the signs of the commands, and gravity",
     ),
     F.PAYLOAD_MASS: lambda values: (
         "all other data give it a mass of {found:.4g} kg (standard deviation {std:.2g}), not {declared:.4g} kg",

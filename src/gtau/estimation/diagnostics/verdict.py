@@ -37,6 +37,8 @@ class Verdict:
 GIVEN, GOOD = Verdict(Outcome.GIVEN), Verdict(Outcome.GOOD)
 
 OUTCOMES: Mapping[str, Outcome] = {kind: kind.outcome for kind in F if kind.outcome}
+ALONE = frozenset({F.NEGATIVE_GAIN, F.GAINS_APART, F.LARGE_CURRENT})
+"""Factors of one joint's channel, which its gain takes up whole: those of the other joints stay as they are."""
 RANKS: Mapping[str, int] = {kind: rank for rank, kind in enumerate(OUTCOMES)}
 
 
@@ -49,7 +51,7 @@ def decide(joints: Sequence[str], findings: Iterable[Finding], otherwise: Verdic
     """Judge the gain of each joint by the highest-ranked finding on it, in whatever order the checks found them.
 
     Of findings of one kind the most severe counts. No gain is good beside a contradictory one, since all joints share
-    the parameters of one model.
+    the parameters of one model, but for what concerns the channel of one joint alone.
 
     Parameters
     ----------
@@ -65,11 +67,17 @@ def decide(joints: Sequence[str], findings: Iterable[Finding], otherwise: Verdic
         for joint in each.joints:
             of_joint.setdefault(joint, each)
     found = {joint: verdict_of(of_joint[joint]) if joint in of_joint else otherwise for joint in joints}
-    wrong = next((joint for joint in joints if found[joint].outcome == Outcome.CONTRADICTORY), None)
+    wrong = next((joint for joint in joints if couples(found[joint])), None)
     if wrong is not None:
         coupled = {joint: verdict_of(Finding(F.COUPLED, (joint,), wrong)) for joint in joints}
         found = {joint: coupled[joint] if each.outcome == Outcome.GOOD else each for joint, each in found.items()}
     return tuple(found.values())
+
+
+def couples(verdict: Verdict) -> bool:
+    """Decide whether a verdict on a joint's gain puts those of the others in doubt."""
+    kind = None if verdict.finding is None else verdict.finding.kind
+    return verdict.outcome == Outcome.CONTRADICTORY and kind not in ALONE
 
 
 def _precedence(finding: Finding) -> tuple[int, float, str]:

@@ -13,7 +13,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.regression.factors import Factors, reduce_run
 from gtau.estimation.regression.friction import PAPER, Friction, Temperatures, temperatures_of
-from gtau.estimation.regression.plausibility import doubtful_currents, doubtful_payloads, within_limits
+from gtau.estimation.regression.plausibility import within_limits
 from gtau.estimation.regression.priors import inertia_priors
 from gtau.estimation.regression.stretches import Place, edges_in_step, find_places
 from gtau.estimation.regression.system import System, assemble_system
@@ -84,8 +84,7 @@ class Dataset:
         """Notes on implausible parts of the robot, and on repairs and omissions in each run."""
         runs = (note.of(each.run.name) for each in self.prepared for note in (*each.run.notes, *each.notes))
         of_robot = robot_notes(self.robot, loaded=any(run.payload for run in self.runs))
-        heavy = doubtful_payloads(self.robot, (run.payload for run in self.runs))
-        return (*of_robot, *doubtful_currents(self.runs, self.robot.base), *heavy, *runs)
+        return (*of_robot, *runs)
 
     def system(
         self, friction: Friction = PAPER, delays: bool = True, payloads: Sequence[Payload | None] | None = None

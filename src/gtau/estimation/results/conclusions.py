@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from gtau.estimation.diagnostics.finding import Finding
@@ -10,7 +10,7 @@ from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.sentences import note, percent_text
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
-from gtau.estimation.results.estimate import Estimate, NearestPose
+from gtau.estimation.results.estimate import Estimate, NearestPose, Requirement
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.torque_scale import listed, torque_headline
@@ -22,6 +22,7 @@ from gtau.signals.payload import FIRST_MOMENTS
 
 RANKED = (Outcome.CONTRADICTORY, Outcome.NOT_IDENTIFIABLE, Outcome.WEAK, Outcome.GOOD, Outcome.GIVEN)
 NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
+NAMED = 2  # groups of contradictory joints whose reason the headline gives
 VISIBLE = 0.01  # per cent: a smaller torque error is rounding
 
 
@@ -36,22 +37,64 @@ class Reason:
 
 
 def headline(result: Result) -> str:
-    """Summarise the gains: how many are known to which accuracy, and which contradict the description."""
+    """Summarise a result: first what makes it unacceptable, then how many gains are known to which accuracy."""
+    return " ".join([*_against(result), _known(result)]).strip()
+
+
+def _against(result: Result) -> Iterator[str]:
+    """Say what contradicts the result, and which requirements it misses; empty where it is accepted."""
+    groups = [each for each in reasons(result) if each.outcome == Outcome.CONTRADICTORY]
+    for each in groups[:NAMED]:
+        verb = "contradict" + "s" * (len(each.joints) == 1)
+        subject = "All joints" if 1 < len(each.joints) == len(result.drive_gains) else _subject(each.joints)
+        yield f"{subject} {verb} the description: {each.why}."
+    if rest := [joint for each in groups[NAMED:] for joint in each.joints]:
+        yield f"{_subject(rest)} contradict{'s' * (len(rest) == 1)} it too."
+    stated = {f"Payload '{payload.name}'": payload.verdict for payload in result.payloads}
+    stated |= {f"The {sensor.source}": sensor.verdict for sensor in result.sensors}
+    for name, verdict in stated.items():
+        if verdict.outcome == Outcome.CONTRADICTORY:
+            yield f"{name} contradicts the data: {verdict.why}."
+    if failed := missed(result):
+        yield f"Requirement missed: {'; '.join(failed)}."
+
+
+def missed(result: Result) -> list[str]:
+    """Describe each requirement that is not met."""
+    said = []
+    for each in result.requirements:
+        if not each.met:
+            found = "not known" if each.found is None else f"{each.found:.2f} % (joint '{each.joint}')"
+            said.append(f"{' of '.join(required(each))}: {found}, and {each.limit:g} % is required")
+    return said
+
+
+def required(each: Requirement) -> tuple[str, str]:
+    """Name what a requirement limits, and of what."""
+    if each.name == "gain_interval":
+        return "half the 95 % interval", "gains"
+    return ("torque error", f"run '{each.run}'") if each.run else ("torque residual", "rows used")
+
+
+def _known(result: Result) -> str:
+    """State which gains are known to which accuracy."""
     gains = list(result.drive_gains.values())
     if result.kind == "torque":
         return torque_headline(result)
-    if all(gain.verdict.outcome == Outcome.GIVEN for gain in gains):
+    if all(gain.std is None for gain in gains):
         return "The drive gains were given, not identified."
     accuracy = result.statistics.get("accuracy", 0.0)
-    estimated = any(gain.std is not None for gain in gains)
-    sentences = [_good(gains, accuracy)] if estimated else []
-    for outcome in (Outcome.CONTRADICTORY, Outcome.NOT_IDENTIFIABLE):
-        sentences += _sentence(outcome, [gain for gain in gains if gain.verdict.outcome == outcome])
+    sentences = [_good(gains, accuracy)]
+    if lost := [gain.name for gain in gains if gain.verdict.outcome == Outcome.NOT_IDENTIFIABLE]:
+        sentences.append(
+            f"{_subject(lost)} {'has no identifiable gain' if len(lost) == 1 else 'have no identifiable gains'}."
+        )
     weak = [gain for gain in gains if gain.verdict.outcome == Outcome.WEAK]
     doubted = [gain for gain in weak if (gain.half_width or 0.0) <= 100 * accuracy]  # for what is wrong elsewhere
     sentences += _weak([gain for gain in weak if gain not in doubted], 100 * accuracy)
     if doubted:
-        sentences.append(f"{_subject(doubted)} {'is' if len(doubted) == 1 else 'are'} in doubt.")
+        names = _subject([gain.name for gain in doubted])
+        sentences.append(f"{names} {'is' if len(doubted) == 1 else 'are'} in doubt.")
     return " ".join(sentences)
 
 
@@ -101,19 +144,9 @@ def _weak(gains: Sequence[Estimate], accuracy: float) -> list[str]:
     return [listed(known) + "."]
 
 
-def _sentence(outcome: Outcome, gains: Sequence[Estimate]) -> list[str]:
-    if not gains:
-        return []
-    said = {
-        Outcome.CONTRADICTORY: "contradicts the description" if len(gains) == 1 else "contradict the description",
-        Outcome.NOT_IDENTIFIABLE: "has no identifiable gain" if len(gains) == 1 else "have no identifiable gains",
-    }[outcome]
-    return [f"{_subject(gains)} {said}."]
-
-
-def _subject(gains: Sequence[Estimate]) -> str:
-    names = listed([f"'{gain.name}'" for gain in gains])
-    return f"Joint {names}" if len(gains) == 1 else f"Joints {names}"
+def _subject(joints: Sequence[str]) -> str:
+    names = listed([f"'{joint}'" for joint in joints])
+    return f"Joint {names}" if len(joints) == 1 else f"Joints {names}"
 
 
 def _number(count: int) -> str:
@@ -141,10 +174,6 @@ def remarks(result: Result) -> list[Note]:
     lack = result.statistics["lack_of_fit"]
     if lack > INFLATED and any(each.relative > VISIBLE for each in result.residuals):
         notes.append(note(Finding(F.AUTOCORRELATED, values={"factor": lack})))
-    absurd = [each for each in result.parameters.values() if each.verdict.outcome == Outcome.CONTRADICTORY]
-    if absurd:
-        listed = [(each.name, each.value, each.unit) for each in absurd]
-        notes.append(note(Finding(F.IMPOSSIBLE_PARAMETERS, values={"parameters": listed})))
     return notes + not_separated([name for name, each in result.parameters.items() if each.value is None])
 
 

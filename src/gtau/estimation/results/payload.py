@@ -17,8 +17,10 @@ import numpy as np
 from gtau import display
 from gtau.documents.validation import PATH, takes
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.finding import Finding
+from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.parameter_checks import parameter_verdict
-from gtau.estimation.diagnostics.verdict import GOOD, Verdict
+from gtau.estimation.diagnostics.verdict import GOOD, Verdict, verdict_of
 from gtau.estimation.estimators.standard_parameters import Body, constrained_least_squares
 from gtau.estimation.regression.column_blocks import CarriedPayload, known_values
 from gtau.estimation.regression.dataset import Dataset
@@ -253,8 +255,17 @@ def payload_estimates(
             estimates |= {kind: _of_mass(kind, estimates["m"], at, unit) for kind, at in moments}
         name, run = each.payload.name, dataset.runs[each.run].name
         weighed = None if "m" in known else _weighed(dataset, system.problem, each, covariance, found)
-        payloads.append(PayloadEstimate(name, run, estimates, frozenset(known), masses.get(name, GOOD), weighed))
+        verdict = masses.get(name) or _possible(estimates.get("m"))
+        payloads.append(PayloadEstimate(name, run, estimates, frozenset(known), verdict, weighed))
     return tuple(payloads)
+
+
+def _possible(mass: Estimate | None) -> Verdict:
+    """Judge a mass that was estimated: contradictory where its 95 % interval lies below zero."""
+    ends = None if mass is None else mass.interval()
+    if mass is None or mass.value is None or ends is None or ends[1] >= 0:
+        return GOOD
+    return verdict_of(Finding(F.NEGATIVE_PAYLOAD, values={"mass": mass.value, "std": mass.std}))
 
 
 def _weighed(

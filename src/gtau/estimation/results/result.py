@@ -13,7 +13,6 @@ import numpy as np
 from gtau.display import late, views
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
-from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.friction.law import SHAPES, FrictionLaw, Shape
 from gtau.estimation.results.estimate import (
@@ -342,8 +341,8 @@ class Result:
     @property
     def believable(self) -> bool:
         """Whether some drive gain is good, weak or given, and nothing contradictory: no estimate, payload or sensor."""
-        estimates = (*self.delays.values(), *self.parameters.values(), *self.friction.values())
-        verdicts = [each.verdict for of in (estimates, self.payloads, self.sensors) for each in of]
+        groups = (self.delays.values(), self.parameters.values(), self.friction.values(), self.payloads, self.sensors)
+        verdicts = [judged.verdict for group in groups for judged in group]
         gains = {gain.verdict.outcome for gain in self.drive_gains.values()}
         outcomes = gains | {verdict.outcome for verdict in verdicts}
         return Outcome.CONTRADICTORY not in outcomes and gains != {Outcome.NOT_IDENTIFIABLE}

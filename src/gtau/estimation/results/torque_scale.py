@@ -29,7 +29,7 @@ HEAD = """\
 class TorqueScale:
     """The torque scale of a joint, and whether it is wrong: known, and not 1.
 
-    ``state`` is ``wrong`` or ``consistent with 1``, else the outcome of the verdict.
+    ``state`` is ``wrong`` or ``consistent with 1``, ``in doubt`` beside a contradiction, else the verdict's outcome.
     """
 
     gain: Estimate
@@ -66,6 +66,8 @@ def torque_scales(result: Result) -> tuple[TorqueScale, ...]:
     def state(gain: Estimate) -> str:
         if gain.verdict.outcome not in KNOWN or gain.value is None:
             return gain.verdict.outcome.value
+        if not result.believable:
+            return "in doubt"
         return "wrong" if abs(gain.value - 1) > max(APART * (gain.std or 0.0), accuracy) else "consistent with 1"
 
     return tuple(TorqueScale(gain, state(gain)) for gain in gains)
@@ -94,16 +96,9 @@ def _sentences(scales: Sequence[TorqueScale]) -> Iterator[str]:
         known = f"consistent with 1, known to within {widest} %{'' if wrong else ' (95 % intervals)'}"
         names = "all joints" if len(right) == len(scales) > 1 else _names(right)
         yield _scale_of(right, names, f"is {known}", f"are {known}")
-    for outcome, one, several in (
-        (
-            Outcome.CONTRADICTORY,
-            "contradicts the description of robot and logs",
-            "contradict the description of robot and logs",
-        ),
-        (Outcome.NOT_IDENTIFIABLE, "is not identifiable", "are not identifiable"),
-    ):
-        if members := [each for each in scales if each.state == outcome.value]:
-            yield _scale_of(members, _names(members), one, several)
+    for state in ("in doubt", Outcome.NOT_IDENTIFIABLE.value):
+        if members := [each for each in scales if each.state == state]:
+            yield _scale_of(members, _names(members), f"is {state}", f"are {state}")
 
 
 def _scale_of(members: Sequence[TorqueScale], names: str, one: str, several: str) -> str:

@@ -134,6 +134,13 @@ GAINS_APART = Threshold(
     faulty="15 and more (one of several within a factor of 4 in counts, 60; in %, 100; in mA, 1000)",
     evidence="shared logs, data sheets; the factors between units",
 )
+FILE_FACTOR = Threshold(
+    10.0,
+    "rms of the identified first moments over that of the robot's file, or the inverse",
+    healthy="1.00 (UR10e), 1.19 (Aliengo), 1.20 (KUKA), 1.34 (xMate 7 Pro), 1.66 (AIRBOT Play)",
+    faulty="1000 (g for kg, N mm for N m)",
+    evidence="shared logs with their URDF and MJCF files, tests/estimation/test_unit_checks.py",
+)
 EFFORT_FACTOR = Threshold(
     2.0, "rms torque over the joint's limit of effort", healthy="below 1", faulty="1000 (g for kg)", evidence="faults"
 )

@@ -1,0 +1,167 @@
+"""Wrong units and signs, which fit the data as well as right ones: said first, and not accepted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import stated_arm
+from five_bar_logs import GAINS, STEEL, Plant, five_bar
+from gravity_logs import logged, scara
+
+from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.identify import identify
+from gtau.estimation.results.conclusions import headline
+from gtau.estimation.results.result import Result
+from gtau.estimation.results.torque_scale import torque_scales
+from gtau.signals.payload import Payload
+from gtau.signals.run import Run
+
+DOWN = (0.0, 0.0, -9.81)
+FIVE_BAR, SCARA = five_bar().robot, scara()
+
+
+@pytest.fixture(scope="module")
+def parallel() -> list[Run]:
+    plant = Plant(noise=0.02)
+    loaded = plant.run("loaded", 8.0, STEEL, seed=2)
+    return [plant.run("free", 8.0, seed=1), replace(loaded, payload=Payload(name="steel", mass=STEEL["m"]))]
+
+
+@pytest.fixture(scope="module")
+def serial() -> list[Run]:
+    return logged(SCARA, DOWN, currents=True)
+
+
+def scaled(runs: list[Run], factors: list[float]) -> list[Run]:
+    return [replace(run, command=run.command * factors) for run in runs]
+
+
+def in_grams(runs: list[Run]) -> list[Run]:
+    return [
+        replace(run, payload=Payload(name=run.payload.name, mass=1000 * run.payload.mass))
+        if run.payload and run.payload.mass
+        else run
+        for run in runs
+    ]
+
+
+def kinds(result: Result) -> dict[str, str | None]:
+    """Kind of the finding on each joint that contradicts."""
+    of_gains = {joint: gain.verdict for joint, gain in result.drive_gains.items()}
+    return {
+        joint: verdict.finding.kind
+        for joint, verdict in of_gains.items()
+        if verdict.finding and verdict.outcome == Outcome.CONTRADICTORY
+    }
+
+
+def first_line(result: Result) -> str:
+    assert not result.accepted
+    return headline(result).split(". ")[0]
+
+
+def test_right_units_are_accepted(parallel: list[Run], serial: list[Run]) -> None:
+    for robot, runs in ((FIVE_BAR, parallel), (SCARA, serial)):
+        result = identify(robot, runs)
+        assert result.accepted
+        assert kinds(result) == {}
+
+
+@pytest.mark.parametrize(
+    ("spoil", "kind", "cause"),
+    [
+        (in_grams, F.HEAVY_PAYLOAD, "payload 'disc' weighs 2000 kg"),
+        (lambda runs: scaled(runs, [1e3] * 3), F.LARGE_CURRENT, "A rms, more than drives of robots take"),
+    ],
+)
+def test_a_unit_of_all_joints_is_the_first_that_is_said(
+    spoil: Callable[[list[Run]], list[Run]], kind: F, cause: str, serial: list[Run]
+) -> None:
+    result = identify(SCARA, spoil(serial))
+    assert kinds(result) == dict.fromkeys("123", kind)
+    assert first_line(result).startswith("All joints contradict the description")
+    assert cause in first_line(result)
+    priors = {joint: gain.value for joint, gain in result.drive_gains.items()}
+    assert identify(SCARA, spoil(serial), prior_gains=priors).accepted  # large drives do exist: priors settle it
+
+
+def test_a_payload_in_grams_exceeds_the_limits_of_a_robot_that_has_no_reach(parallel: list[Run]) -> None:
+    result = identify(FIVE_BAR, in_grams(parallel))
+    assert set(kinds(result).values()) == {F.EFFORT}
+    assert "times its limit of 30 N m, so the payload's mass" in first_line(result)
+
+
+def test_limits_that_are_the_same_for_all_joints_of_an_arm_are_rather_placeholders(
+    serial: list[Run], tmp_path: Path
+) -> None:
+    limits = {"1": 0.5, "2": 0.5, "3": 0.5}
+    for efforts, accepted in ((limits, True), (limits | {"3": 0.4}, False)):
+        joints = [replace(each, limits=replace(each.limits, effort=efforts[each.name])) for each in SCARA.joints]
+        result = identify(replace(SCARA, joints=tuple(joints)), serial)
+        assert result.accepted == accepted
+        assert (F.DOUBTFUL_LIMIT in {each.finding for each in result.notes}) == accepted
+
+
+def test_the_current_of_one_joint_in_another_unit_contradicts_alone(tmp_path: Path) -> None:
+    arm = stated_arm.robot(tmp_path)
+    result = identify(arm, scaled(logged(arm, DOWN, currents=True), [1.0, 1.0, 1e3, 1.0]))
+    assert kinds(result) == {"j3": F.GAINS_APART}
+    assert first_line(result).startswith("Joint 'j3' contradicts the description")
+    # the gains of the others do not move
+    assert {result.drive_gains[joint].verdict.outcome for joint in ("j1", "j2", "j4")} == {Outcome.GOOD}
+
+
+def test_a_reversed_current_contradicts_unless_its_prior_gain_is_negative(parallel: list[Run]) -> None:
+    turned = scaled(parallel, [1.0, -1.0])
+    result = identify(FIVE_BAR, turned)
+    assert kinds(result) == {"right": F.NEGATIVE_GAIN}
+    assert "negative gain" in first_line(result)
+    assert result.drive_gains["left"].verdict.outcome == Outcome.GOOD
+    intended = {"left": GAINS[0], "right": -GAINS[1]}
+    assert identify(FIVE_BAR, turned, prior_gains=intended).accepted
+
+
+def test_a_reversed_torque_column_contradicts_and_no_scale_is_asserted() -> None:
+    plant = Plant(gains=(1 / 0.78, -1.0), noise=0.02)
+    runs = [
+        plant.run("free", seed=1, kind="torque"),
+        replace(plant.run("loaded", payload=STEEL, seed=2, kind="torque"), payload=Payload(name="steel", mass=1.2)),
+    ]
+    result = identify(FIVE_BAR, runs)
+    assert kinds(result) == {"right": F.NEGATIVE_GAIN}
+    assert [each.state for each in torque_scales(result)] == ["in doubt", "contradictory"]
+    assert "The arm reports" not in headline(result)
+    assert "The torque scale of 'left' is in doubt." in headline(result)
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e-3])
+def test_torques_in_another_unit_give_inertias_out_of_scale_with_the_file(factor: float, tmp_path: Path) -> None:
+    arm = stated_arm.robot(tmp_path)
+    run = stated_arm.torque_run(stated_arm.plant(arm), 1)
+    result = identify(arm, scaled([run], [factor] * 4))
+    assert kinds(result) == dict.fromkeys(arm.actuated, F.UNLIKE_FILE)
+    assert "times those of the robot's file" in first_line(result)
+    finding = result.drive_gains["j1"].verdict.finding
+    assert finding is not None
+    assert finding.values["factor"] == pytest.approx(factor, rel=0.05)
+
+
+def test_swapped_currents_are_named_before_the_signs_that_they_reverse(parallel: list[Run]) -> None:
+    swapped = [replace(run, command=run.command[:, ::-1]) for run in parallel]
+    result = identify(FIVE_BAR, swapped)
+    assert set(kinds(result).values()) == {F.SWAPPED}
+    assert "look swapped" in first_line(result)
+
+
+def test_friction_that_drives_a_joint_contradicts_its_gain(tmp_path: Path) -> None:
+    """Torques that are given: one reversed column, whose joint then has a negative rotor inertia."""
+    arm = stated_arm.robot(tmp_path)
+    run = stated_arm.torque_run(stated_arm.plant(arm), 1)
+    result = identify(arm, scaled([run], [1.0, 1.0, -1.0, 1.0]))
+    assert kinds(result) == {"j3": F.IMPOSSIBLE_PARAMETERS}
+    assert "physically impossible parameters: ia_j3" in first_line(result)
+    assert result.parameters["ia_j3"].verdict.outcome == Outcome.CONTRADICTORY
