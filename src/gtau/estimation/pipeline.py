@@ -12,6 +12,7 @@ from gtau.estimation.diagnostics.examine import examine, uncertainty_of
 from gtau.estimation.diagnostics.inertia_audit import audit_inertias, prior_findings, without_file_inertias
 from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.diagnostics.stated_constants import weigh_known
+from gtau.estimation.diagnostics.tool_bodies import TOOL_BODIES
 from gtau.estimation.estimators.essential import essential_fit, select_friction
 from gtau.estimation.estimators.estimator import Estimator, Given
 from gtau.estimation.estimators.physical_consistency import consistent as find_consistent
@@ -77,7 +78,8 @@ def estimate(
     uncertainty = uncertainty_of(fit, examined, correlated=not as_paper)
     essential, reduced, loss = essential_fit(fit, ratio, correlated=not as_paper, joint=as_paper)
     bare = without_file_inertias(fit, uncertainty.covariance, uncertainty.effective_freedom)
-    audit = bare and audit_inertias(*bare, fit.dataset.prior_inertias)
+    loaded = any(each.hypothesis == TOOL_BODIES for each in examined.alternatives)  # else the file would be blamed
+    audit = audit_inertias(*bare, fit.dataset.prior_inertias) if bare and not loaded else None
     payloads = weigh_known(bare[0], estimator.name, accuracy) if bare else {}
     bodies = find_consistent(dataset, fit.system, fit.solution, given.priors, fit.free_gains) if consistent else None
     progress("estimation", 1, 1)

@@ -33,13 +33,16 @@ from gtau.estimation.diagnostics.other_gravity import (
     missing_gravity,
     other_gravity,
 )
+from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
 from gtau.estimation.diagnostics.repeating_residuals import PositionRipple, position_ripple
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
+from gtau.estimation.diagnostics.tool_bodies import other_loads
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.thresholds.estimates import (
     DOMINANT,
     FEWEST_FOR_TESTS,
+    GRAVITY_MISFIT,
     LACKING,
     OF_BEST,
     OF_REPEATING,
@@ -127,7 +130,11 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
         changes = gain_changes(fit)
         scaled = any(each.share > DOMINANT for each in changes)
         alternatives += [each for each in changes if each.share > OF_BEST * _most_of_wrenches(alternatives)]
-    asked = lack > LACKING and gravity_asked_for(fit, alternatives)
+    misfit = float(unexplained_shares(fit.system.problem, fit.solution).max())
+    loads = other_loads(fit) if lack > LACKING or misfit > GRAVITY_MISFIT else None
+    if loads:  # what another current in these runs, say, would explain is its effect
+        alternatives = [*(each for each in alternatives if not each.description), loads]
+    asked = lack > LACKING and not loads and gravity_asked_for(fit, alternatives)
     late = late_currents(fit.dataset, fit.system.problem.slowest)
     missing = None if late else missing_gravity(fit, asked)
     if isinstance(missing, Finding):
@@ -135,11 +142,11 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
     turned = likelier_gravity(fit, missing, other_gravity(fit, progress) if asked else None)
     if turned:  # what a few degrees, other lengths or ripple would explain is its effect
         alternatives = [*(each for each in alternatives if each.hypothesis != GRAVITY.name), turned]
-    elif lack > LACKING:
+    elif lack > LACKING and not loads:
         length = other_length(fit, progress)
         if length is not None and length.share > OF_BEST * _most_of_wrenches(alternatives):
             alternatives.append(length)
-    ripple = PositionRipple.none(fit) if scaled or turned or lack < LACKING else position_ripple(fit)
+    ripple = PositionRipple.none(fit) if scaled or turned or loads or lack < LACKING else position_ripple(fit)
     weighed = (*compete(alternatives), *alternatives_of(fit, differences))
     swapped = swapped_channels(fit.dataset) if lack > LACKING else ()
     return Examination(lack, weighed, ripple, swapped + late, untested)

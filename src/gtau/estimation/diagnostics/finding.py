@@ -117,6 +117,7 @@ class FindingKind(StrEnum):
     WITHOUT_GRAVITY = "torques without gravity"
     LENGTH = "length"
     GAIN_CHANGE = "gain change"
+    TOOL_BODY = "body at the tool"
     BANDWIDTH = "bandwidth"
     SLOW_ROWS = "rows at low speed"
     TWO_STAGE = "two-stage least squares"
