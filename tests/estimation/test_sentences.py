@@ -59,6 +59,10 @@ SENTENCES = [  # finding, reason, advice
     (Finding(description.SCALE.kind, ("left",)),
      "another scale of the positions of 'left'",
      "check the gear ratio, encoder resolution and unit of its positions"),
+    (Finding(F.FROZEN, ("elbow", "wrist"), values={"run": "b", "kind": "current", "share": 0.26, "usual": 0.018}),
+     "the position of 'elbow' never changes in run 'b', but 26 % of the current of 'wrist' is then unexplained, 1.8 % "
+     "in other runs, so it moved",
+     "check the encoder and the position column of 'elbow' in that run, and log it again"),
     (Finding(F.TOOL_BODY, values={"bodies": [
          {"run": "b", "more": 2.7912, "half": 0.031, "declared": ""},
          {"run": "c", "more": -1.2, "half": 0.0042, "declared": "steel"},

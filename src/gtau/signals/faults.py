@@ -33,12 +33,12 @@ SLIP = 20.0  # times what 99.9 % of the samples show: a change of speed between 
 SLIP_SPEED = 0.5  # and in shares of the joint's speed
 SLIP_QUANTA = 3.0  # and in smallest changes of its position: a joint at rest, shaken by others, moves by one
 SLIP_RANGE = 1e-3  # and of its range; a jump of 2e-4 rad in a log of an xMate7 does no harm
-# A position freezes where it is constant for longer than FROZEN samples and FROZEN_TIME (s) after or before a step of
-# FROZEN_QUANTA of its smallest changes and FROZEN_SPEED of its fastest steps, larger than 99.9 % of the changes of its
-# steps, while the current varies by FROZEN_CURRENT of its standard deviation. In the shared logs of ten robots the steps
-# beside a rest are at most 3 quanta, or 0.07 of the fastest in a log without rounding (a KUKA, whose current then varies
-# by 0.01). With a joint of a UR10e frozen in motion (three joints, 15 logs) they are 31 quanta and 0.3 or more, and the
-# current varies by 0.12 to 1.2.
+# A position freezes where it is constant for longer than FROZEN samples and FROZEN_TIME (s) after or before a step
+# of FROZEN_QUANTA of its smallest changes and FROZEN_SPEED of its fastest steps, larger than 99.9 % of the changes of
+# its steps, while the current varies by FROZEN_CURRENT of its standard deviation. In the shared logs of ten robots the
+# steps beside a rest are at most 3 quanta, or 0.07 of the fastest in a log without rounding (a KUKA, whose current then
+# varies by 0.01). With a joint of a UR10e frozen in motion (three joints, 15 logs) they are 31 quanta and 0.3 or more,
+# and the current varies by 0.12 to 1.2.
 FROZEN_TIME, FROZEN_QUANTA, FROZEN_SPEED, FROZEN_CURRENT = 0.1, 10.0, 0.15, 0.1
 
 

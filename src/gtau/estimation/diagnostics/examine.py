@@ -36,6 +36,7 @@ from gtau.estimation.diagnostics.other_gravity import (
 from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
 from gtau.estimation.diagnostics.repeating_residuals import PositionRipple, position_ripple
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
+from gtau.estimation.diagnostics.still_joints import frozen_encoders
 from gtau.estimation.diagnostics.tool_bodies import other_loads
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import degrees_of_freedom
@@ -65,7 +66,7 @@ class Examination:
     ripple : PositionRipple
         What of the residuals repeats at the same positions.
     swapped : tuple of Finding
-        Pairs of joints whose channels look swapped, and joints whose currents are late.
+        Pairs of joints whose channels look swapped, joints whose currents are late, and those with a frozen encoder.
     untested : tuple of Finding
         Tests that refused these data or have no power on them, and why.
     """
@@ -131,7 +132,8 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
         scaled = any(each.share > DOMINANT for each in changes)
         alternatives += [each for each in changes if each.share > OF_BEST * _most_of_wrenches(alternatives)]
     misfit = float(unexplained_shares(fit.system.problem, fit.solution).max())
-    loads = other_loads(fit) if lack > LACKING or misfit > GRAVITY_MISFIT else None
+    frozen = frozen_encoders(fit)
+    loads = other_loads(fit) if not frozen and (lack > LACKING or misfit > GRAVITY_MISFIT) else None
     if loads:  # what another current in these runs, say, would explain is its effect
         alternatives = [*(each for each in alternatives if not each.description), loads]
     asked = lack > LACKING and not loads and gravity_asked_for(fit, alternatives)
@@ -149,7 +151,7 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
     ripple = PositionRipple.none(fit) if scaled or turned or loads or lack < LACKING else position_ripple(fit)
     weighed = (*compete(alternatives), *alternatives_of(fit, differences))
     swapped = swapped_channels(fit.dataset) if lack > LACKING else ()
-    return Examination(lack, weighed, ripple, swapped + late, untested)
+    return Examination(lack, weighed, ripple, swapped + late + frozen, untested)
 
 
 def _most_of_wrenches(alternatives: Sequence[Alternative]) -> float:

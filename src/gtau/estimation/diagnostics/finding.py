@@ -57,6 +57,7 @@ class FindingKind(StrEnum):
     TLS_CONFUSED = "payload lost in noise", Outcome.NOT_IDENTIFIABLE
     # the data against the description of robot and logs
     LATE = "currents logged late", Outcome.CONTRADICTORY
+    FROZEN = "frozen encoder", Outcome.CONTRADICTORY
     ALL_NEGATIVE = "all gains negative", Outcome.CONTRADICTORY
     SWAPPED = "swapped channels", Outcome.CONTRADICTORY
     REFUTED = "description refuted", Outcome.CONTRADICTORY
