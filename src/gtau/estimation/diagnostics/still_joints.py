@@ -35,9 +35,9 @@ def _frozen(fit: Fit, moving: np.ndarray, acting: np.ndarray) -> Iterator[Findin
         least = np.where(usual > 0, np.maximum(UNSEEN_RATIO * usual, UNSEEN_MISFIT), MISFIT)
         worst = int(np.argmax(shares[run] / least))
         if shares[run, worst] > least[worst]:
-            values = {"run": runs[run].name, "kind": runs[run].kind, "share": float(shares[run, worst])}
-            values |= {"usual": float(usual[worst])}
-            yield Finding(F.FROZEN, (joints[joint], joints[worst]), values=values, severity=values["share"])
+            share, named = float(shares[run, worst]), (joints[joint], joints[worst])
+            values = {"run": runs[run].name, "kind": runs[run].kind, "share": share, "usual": float(usual[worst])}
+            yield Finding(F.FROZEN, named, values=values, severity=share)
 
 
 def unexplained_by_run(fit: Fit) -> np.ndarray:
