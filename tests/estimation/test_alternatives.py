@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from five_bar_logs import GAINS, JOINTS, STEEL, Plant
+from stated_arm import plant, robot
 
 from gtau.estimation.diagnostics.alternatives import (
     Alternative,
@@ -85,6 +87,20 @@ def test_an_encoder_zero_has_its_size(runs: list[Run]) -> None:
     each = found(shifted, description.ZERO.kind, "left")
     # the position is too large by a degree, so taking a degree off it gives the right torques
     assert each.size == pytest.approx(-1.0, abs=max(0.3, 3 * each.std))
+
+
+@pytest.mark.parametrize(("joint", "scale"), [("j3", 0.5), ("j2", 1.03)])
+def test_a_wrong_gear_ratio_is_named(tmp_path: Path, joint: str, scale: float) -> None:
+    body = {"m": 1.5, "mx": 0.05, "mz": 0.1}
+    made = replace(plant(robot(tmp_path), noise=0.02), tool="j4", gains=(8.0, 9.0, 7.0, 5.0))
+    runs = [made.run(1), made.run(2, body, Payload(name="disc", mass=body["m"]))]
+    factor = np.where(np.array(made.model.actuated) == joint, scale, 1.0)
+    result = identify(robot(tmp_path), [replace(run, position=run.position * factor) for run in runs])
+    scales = [each for each in result.alternatives if each.hypothesis == "position scales"]
+    best = max(scales, key=lambda each: each.share)
+    assert best.causes[0].joints == (joint,)
+    assert best.size == pytest.approx(100 * (1 / scale - 1), rel=0.3)
+    assert Outcome.CONTRADICTORY in {each.verdict.outcome for each in result.drive_gains.values()}
 
 
 def test_clean_logs_support_no_alternative(runs: list[Run]) -> None:

@@ -56,6 +56,22 @@ SENTENCES = [  # finding, reason, advice
      "an error in the zero of encoder 'left' (1.2 deg) would explain 31 % of the residual variance and move this "
      "gain by more than 1000 %",
      "compare the encoder zeros with the robot's zero position"),
+    (Finding(description.SCALE.kind, ("left",)),
+     "another scale of the positions of 'left'",
+     "check the gear ratio, encoder resolution and unit of its positions"),
+    (Finding(F.FROZEN, ("elbow", "wrist"), values={"run": "b", "kind": "current", "share": 0.26, "usual": 0.018}),
+     "the position of 'elbow' never changes in run 'b', but 26 % of the current of 'wrist' is then unexplained, 1.8 % "
+     "in other runs, so it moved",
+     "check the encoder and the position column of 'elbow' in that run, and log it again"),
+    (Finding(F.TOOL_BODY, values={"bodies": [
+         {"run": "b", "more": 2.7912, "half": 0.031, "declared": ""},
+         {"run": "c", "more": -1.2, "half": 0.0042, "declared": "steel"},
+         {"run": "d", "more": -1.2, "half": 0.2, "declared": ""}]}),
+     "an undeclared body of 2.791 kg (95 % interval 2.760 to 2.822 kg) at the tool in run 'b' and 1.2000 kg (95 % "
+     "interval 1.1958 to 1.2042 kg) less at the tool in run 'c' than payload 'steel' and 1.20 kg (95 % interval 1.00 "
+     "to 1.40 kg) less at the tool in run 'd' than in the others",
+     "check which runs carry the payload and its mass, and declare the load of every run ('payload: {name: ..., mass: "
+     "...}' beside its 'log')"),
     (Finding(F.UNEXPLAINED, ("left",), values={"share": 0.31, "kind": "current", "given": False}),
      "the model leaves 31 % of the joint's current unexplained",
      "check that the position and current columns are of the same joint in all runs, and check their signs and units"),

@@ -11,6 +11,7 @@ from gtau.estimation.diagnostics.diagnose import diagnose
 from gtau.estimation.diagnostics.examine import estimates_of, examine
 from gtau.estimation.diagnostics.inertia_audit import audit_inertias, without_file_inertias
 from gtau.estimation.diagnostics.stated_constants import weigh_known
+from gtau.estimation.diagnostics.tool_bodies import TOOL_BODIES
 from gtau.estimation.estimators.essential import essential_fit, select_friction
 from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Estimator, Given
@@ -77,7 +78,8 @@ def estimate(
     estimates = estimates_of(fit, examined, correlated=not as_paper)
     essential, reduced, loss = essential_fit(fit, ratio, correlated=not as_paper, joint=as_paper)
     bare = without_file_inertias(fit, estimates.covariance, estimates.effective_freedom)
-    audit = bare and audit_inertias(*bare, fit.dataset.prior_inertias)
+    loaded = any(each.hypothesis == TOOL_BODIES for each in examined.alternatives)  # else the file would be blamed
+    audit = audit_inertias(*bare, fit.dataset.prior_inertias) if bare and not loaded else None
     payloads = weigh_known(bare[0], estimator.name, accuracy) if bare else {}
     bodies = find_consistent(dataset, fit.system, fit.solution, given.priors, fit.free_gains) if consistent else None
     progress("estimation", 1, 1)

@@ -14,7 +14,15 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.signals.clock import Clock, clock_of
-from gtau.signals.faults import clipped, find_glitches, glitch_note, refuse_magnitudes, refuse_slips, without_glitches
+from gtau.signals.faults import (
+    clipped,
+    find_glitches,
+    glitch_note,
+    refuse_frozen,
+    refuse_magnitudes,
+    refuse_slips,
+    without_glitches,
+)
 from gtau.signals.notes import Kind, Note
 from gtau.signals.resampling import Resampling, UniformSamples, holds_of, uniform
 from gtau.signals.samples import WHOLE, Part, Samples, Source, ahead, complete, counted, extremes, refuse_short
@@ -59,7 +67,7 @@ def check(
     GtauError
         The log has fewer than 100 samples, more than 5 % of them bad or missing, a gap of more than
         0.1 s (or three steps), reversed time, a command that never changes or is clipped in more than a
-        tenth of the samples, a position that jumps, no moving joint, or values that cannot be right.
+        tenth of the samples, a position that jumps or freezes, no moving joint, or values that cannot be right.
     """
     notes: list[Note] = []
     samples = complete(source, blocks, notes, part)
@@ -77,6 +85,7 @@ def check(
         samples = without_glitches(samples, glitches)
         clock = clock_of(samples.time, samples.position, settings.clock)
         instants, holds = clock.instants(samples.time), holds_of(samples)
+    refuse_frozen(samples, instants, holds[0])
     refuse_slips(samples, instants, holds[0])
     refuse_magnitudes(samples)
     clips = tuple(clipped(samples, notes))

@@ -33,14 +33,18 @@ from gtau.estimation.diagnostics.other_gravity import (
     missing_gravity,
     other_gravity,
 )
+from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
 from gtau.estimation.diagnostics.repeating_residuals import PositionRipple, position_ripple
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
+from gtau.estimation.diagnostics.still_joints import frozen_encoders
+from gtau.estimation.diagnostics.tool_bodies import other_loads
 from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.thresholds.estimates import (
     DOMINANT,
     FEWEST_FOR_TESTS,
+    GRAVITY_MISFIT,
     LACKING,
     OF_BEST,
     OF_REPEATING,
@@ -63,7 +67,7 @@ class Examination:
     ripple : PositionRipple
         What of the residuals repeats at the same positions.
     swapped : tuple of Finding
-        Pairs of joints whose channels look swapped, and joints whose currents are late.
+        Pairs of joints whose channels look swapped, joints whose currents are late, and those with a frozen encoder.
     untested : tuple of Finding
         Tests that refused these data or have no power on them, and why.
     """
@@ -128,7 +132,12 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
         changes = gain_changes(fit)
         scaled = any(each.share > DOMINANT for each in changes)
         alternatives += [each for each in changes if each.share > OF_BEST * _most_of_wrenches(alternatives)]
-    asked = lack > LACKING and gravity_asked_for(fit, alternatives)
+    misfit = float(unexplained_shares(fit.system.problem, fit.solution).max())
+    frozen = frozen_encoders(fit)
+    loads = other_loads(fit) if not frozen and (lack > LACKING or misfit > GRAVITY_MISFIT) else None
+    if loads:  # what another current in these runs, say, would explain is its effect
+        alternatives = [*(each for each in alternatives if not each.description), loads]
+    asked = lack > LACKING and not loads and gravity_asked_for(fit, alternatives)
     late = late_currents(fit.dataset, fit.system.problem.slowest)
     missing = None if late else missing_gravity(fit, asked)
     if isinstance(missing, Finding):
@@ -136,14 +145,14 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
     turned = likelier_gravity(fit, missing, other_gravity(fit, progress) if asked else None)
     if turned:  # what a few degrees, other lengths or ripple would explain is its effect
         alternatives = [*(each for each in alternatives if each.hypothesis != GRAVITY.name), turned]
-    elif lack > LACKING:
+    elif lack > LACKING and not loads:
         length = other_length(fit, progress)
         if length is not None and length.share > OF_BEST * _most_of_wrenches(alternatives):
             alternatives.append(length)
-    ripple = PositionRipple.none(fit) if scaled or turned or lack < LACKING else position_ripple(fit)
+    ripple = PositionRipple.none(fit) if scaled or turned or loads or lack < LACKING else position_ripple(fit)
     weighed = (*compete(alternatives), *alternatives_of(fit, differences))
     swapped = swapped_channels(fit.dataset) if lack > LACKING else ()
-    return Examination(lack, weighed, ripple, swapped + late, untested)
+    return Examination(lack, weighed, ripple, swapped + late + frozen, untested)
 
 
 def _most_of_wrenches(alternatives: Sequence[Alternative]) -> float:

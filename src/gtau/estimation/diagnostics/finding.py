@@ -59,6 +59,7 @@ class FindingKind(StrEnum):
     TLS_CONFUSED = "payload lost in noise", Outcome.NOT_IDENTIFIABLE
     # the data against the description of robot and logs
     LATE = "currents logged late", Outcome.CONTRADICTORY
+    FROZEN = "frozen encoder", Outcome.CONTRADICTORY
     SWAPPED = "swapped channels", Outcome.CONTRADICTORY
     ALL_NEGATIVE = "all gains negative", Outcome.CONTRADICTORY
     REFUTED = "description refuted", Outcome.CONTRADICTORY
@@ -126,6 +127,7 @@ class FindingKind(StrEnum):
     WITHOUT_GRAVITY = "torques without gravity"
     LENGTH = "length"
     GAIN_CHANGE = "gain change"
+    TOOL_BODY = "body at the tool"
     BANDWIDTH = "bandwidth"
     SLOW_ROWS = "rows at low speed"
     TWO_STAGE = "two-stage least squares"

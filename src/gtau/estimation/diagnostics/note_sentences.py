@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import sqrt, tau
+from math import floor, log10, sqrt, tau
 
 from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.finding import Sentence, Values, Words
@@ -99,6 +99,25 @@ def _gain_change(values: Values) -> Sentence:
         if values.get("payload", True)
         else "check the clock; otherwise let the robot warm up: a motor's torque constant falls as it warms up",
     )
+
+
+def _tool_body(values: Values) -> Sentence:
+    return (
+        " and ".join(map(_body, values["bodies"])),
+        "check which runs carry the payload and its mass, and declare the load of every run ('payload: {{name: ..., "
+        "mass: ...}}' beside its 'log')",
+    )
+
+
+def _body(body: Values) -> str:
+    mass, half, run, payload = abs(body["more"]), body["half"], body["run"], body["declared"]
+    decimals = min(max(1 - floor(log10(half)), 0), 4)
+    size = f"{mass:.{decimals}f} kg (95 % interval {mass - half:.{decimals}f} to {mass + half:.{decimals}f} kg)"
+    if payload:
+        return f"{size} {'more' if body['more'] > 0 else 'less'} at the tool in run '{run}' than payload '{payload}'"
+    if body["more"] < 0:
+        return f"{size} less at the tool in run '{run}' than in the others"
+    return f"an undeclared body of {size} at the tool in run '{run}'"
 
 
 def _two_stage(values: Values) -> Sentence:
@@ -207,6 +226,7 @@ TESTED: Mapping[str, Words] = {
     F.WITHOUT_GRAVITY: _without_gravity,
     F.LENGTH: _length,
     F.GAIN_CHANGE: _gain_change,
+    F.TOOL_BODY: _tool_body,
     F.BANDWIDTH: ("{estimate} with a bandwidth {factor:g} times as large", FILTER),
     F.SLOW_ROWS: (
         "{estimate} without rows below {fraction:.2g%} of a joint's rms speed",

@@ -236,6 +236,11 @@ SENTENCES: Mapping[str, Words] = {
         "check that the position and {kind} columns are of the same joint in all runs",
     ),
     F.LATE: _late,
+    F.FROZEN: lambda values: (
+        "the position of '{joint}' never changes in run '{run}', but {share:.2g%} of the {kind} of '{other}' is then "
+        "unexplained" + (", {usual:.2g%} in other runs" if values["usual"] else "") + ", so it moved",
+        "check the encoder and the position column of '{joint}' in that run, and log it again",
+    ),
     F.REFUTED: _refuted,
     F.UNEXPLAINED: _unexplained,
     F.PAYLOAD: lambda values: (

@@ -13,6 +13,7 @@ import numpy as np
 from gtau.display import late, views
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
+from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.friction.law import SHAPES, FrictionLaw, Shape
 from gtau.estimation.results.estimate import (

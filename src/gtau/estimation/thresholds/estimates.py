@@ -372,6 +372,20 @@ CORRELATED = Threshold(
     evidence="those logs, tests/estimation/test_repeated_motions.py",
 )
 CORRELATED_STD = Threshold(4.0, "the same in standard deviations", evidence="a level: one in 15,000 by chance")
+LOAD_LEFT = Threshold(
+    0.5,
+    "part of the residual variance, geometric mean of all joints, that is left with the load of one more run unknown",
+    healthy="0.99 and more (UR10e, two pairs)",
+    faulty="0.025 to 0.11 (UR10e: 2.8 kg not declared, or declared and absent)",
+    evidence="shared logs",
+)
+LOAD_ALIKE = Threshold(
+    1.01,
+    "the same over the least of all runs, from which on another run explains less",
+    healthy="1.0 (either run of a pair)",
+    faulty="1.2 and more (of two pairs)",
+    evidence="UR10e pairs",
+)
 UNFELT_PAYLOAD = Threshold(
     1.1,
     "residual of the currents without the payload over that with it",

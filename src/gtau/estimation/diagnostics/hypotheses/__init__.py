@@ -12,6 +12,7 @@ HYPOTHESES: tuple[Hypothesis, ...] = (
     drives.GAIN_DRIFT,
     drives.CURRENT_LAG,
     description.ENCODER_ZEROS,
+    description.POSITION_SCALES,
     description.GRAVITY,
     wrenches.WRENCH_OFFSETS,
     wrenches.WRENCH_POINTS,

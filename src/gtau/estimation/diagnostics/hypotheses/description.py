@@ -1,7 +1,7 @@
-"""Errors of the description of robot and logs: encoder zeros and gravity.
+"""Errors of the description of robot and logs: encoder zeros, scales of positions, and gravity.
 
-An encoder's zero adds a constant to its joint's position. Torques are linear in gravity, so a tilted base and another
-strength of gravity are candidate columns.
+An encoder's zero adds a constant to its joint's position; a wrong gear ratio scales it, with velocity and
+acceleration. Torques are linear in gravity, so a tilted base and another strength of gravity are candidate columns.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from gtau.estimation.diagnostics.hypotheses.hypothesis import (
     Candidates,
     Cause,
     Hypothesis,
-    shifted_motion,
+    moved,
+    moved_motion,
     window_motion,
 )
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, at_full_rate
@@ -28,7 +29,7 @@ from gtau.estimation.regression.plausibility import stated_rate
 from gtau.estimation.thresholds import Threshold
 from gtau.signals.preparation import InMemoryRun
 
-DEGREE, MILLIMETRE = np.pi / 180, 1e-3
+DEGREE, MILLIMETRE, PER_CENT = np.pi / 180, 1e-3, 1e-2
 STEP = 0.1  # of the unit: the torques' change is linear over this
 
 ZERO = Cause(
@@ -36,38 +37,71 @@ ZERO = Cause(
     ("an error in the zero of encoder '{joint}'", "compare the encoder zeros with the robot's zero position"),
     Threshold(0.5, "error of an encoder's zero, degrees or mm", evidence="experience"),
 )
+SCALE = Cause(
+    "position scale",
+    (
+        "another scale of the positions of '{joint}'",
+        "check the gear ratio, encoder resolution and unit of its positions",
+    ),
+    Threshold(
+        1.0,
+        "error of the scale of a joint's positions, per cent",
+        faulty="5 to 110 (UR10e: positions halved, doubled, or 5 % too large); with 0.5, the 110 +- 6.5 of halved "
+        "positions of the first joint are not found",
+        evidence="UR10e pair; larger ones widen intervals where positions are noisy (AIRBOT Play: by 60 % with 5)",
+    ),
+)
 
 
 def _encoder_zeros(fit: Fit) -> Candidates:
     """Add a constant error of a joint's position."""
+    units = ["deg" if turns else "mm" for turns in _turns(fit)]
+    one = np.ones(len(units))
+    steps = np.diag([DEGREE if turns else MILLIMETRE for turns in _turns(fit)])
+    return _of_positions(fit, ZERO, units, [(one, STEP * each) for each in steps])
+
+
+def _position_scales(fit: Fit) -> Candidates:
+    """Scale a joint's positions, velocities and accelerations, as a wrong gear ratio does."""
+    joints = np.eye(len(fit.dataset.model.actuated))
+    return _of_positions(fit, SCALE, ["%"] * len(joints), [(1 + STEP * PER_CENT * each, 0 * each) for each in joints])
+
+
+def _turns(fit: Fit) -> list[bool]:
+    return [fit.dataset.robot.joint(joint).turns for joint in fit.dataset.model.actuated]
+
+
+def _of_positions(
+    fit: Fit, cause: Cause, units: Sequence[str], steps: Sequence[tuple[np.ndarray, np.ndarray]]
+) -> Candidates:
+    """Move the positions of each joint in turn by a factor and a shift, both (n,), a ``STEP`` of its unit."""
     dataset = fit.dataset
     model, n = dataset.model, len(dataset.model.actuated)
-    turns = [dataset.robot.joint(joint).turns for joint in model.actuated]
-    unit = np.array([DEGREE if turn else MILLIMETRE for turn in turns])
     regressor = model.columns(dataset.base.standard)
 
     def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
         motion = window_motion(model, window)
         before = regressor.torques_along(model.layout, motion, values)
         columns = np.zeros((n, *before.shape))
-        for k, shift in enumerate(np.diag(STEP * unit)):
+        for k, step in enumerate(steps):
             try:
-                moved = shifted_motion(model, window, shift, motion.c[:, 0])
+                other = moved_motion(model, moved(window, *step), motion.c[:, 0])
             except GtauError:
-                continue  # the loops do not close there: nothing is said of this zero
-            columns[k] = (regressor.torques_along(model.layout, moved, values) - before) / STEP
+                continue  # the loops do not close there: nothing is said of this joint
+            columns[k] = (regressor.torques_along(model.layout, other, values) - before) / STEP
         return at_full_rate(window, dataset, columns)
 
     return Candidates(
         [
-            Candidate(Finding(ZERO.kind, (joint,)), "deg" if turn else "mm", ZERO.plausible)
-            for joint, turn in zip(model.actuated, turns, strict=True)
+            Candidate(Finding(cause.kind, (joint,)), unit, cause.plausible)
+            for joint, unit in zip(model.actuated, units, strict=True)
         ],
         offer,
     )
 
 
 ENCODER_ZEROS = Hypothesis("encoder zeros", True, _encoder_zeros, (ZERO,), description=True)
+POSITION_SCALES = Hypothesis("position scales", True, _position_scales, (SCALE,), description=True)
 
 
 def _of_gravity(what: str) -> Callable[[Values], Sentence]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -157,11 +157,19 @@ def window_motion(model: InverseDynamics, window: InMemoryRun) -> Motion:
     return _motion(model, window, configurations(model, window))
 
 
-def shifted_motion(model: InverseDynamics, window: InMemoryRun, shift: np.ndarray, start: np.ndarray) -> Motion:
-    """Shift a motion by ``shift`` (n,), from a configuration ``start`` (n_c,) near the first one."""
+def moved(window: InMemoryRun, factor: np.ndarray, shift: np.ndarray) -> InMemoryRun:
+    """Scale the positions of a window by a ``factor`` (n,), and shift them by ``shift`` (n,)."""
     of = window.samples()
-    q = np.ascontiguousarray((of.q + shift).T)
-    return _motion(model, window, model.path(q, Labels(window.run.name, of.time), start))
+    return InMemoryRun(window.run, replace(of, q=of.q * factor + shift, qd=of.qd * factor, qdd=of.qdd * factor))
+
+
+def moved_motion(model: InverseDynamics, window: InMemoryRun, start: np.ndarray) -> Motion:
+    """Compute the motion along a window whose positions were :func:`moved`, from a configuration ``start`` (n_c,).
+
+    That is near the first one, so that loops are closed as before.
+    """
+    of = window.samples()
+    return _motion(model, window, model.path(np.ascontiguousarray(of.q.T), Labels(window.run.name, of.time), start))
 
 
 def _motion(model: InverseDynamics, window: InMemoryRun, c: np.ndarray) -> Motion:

@@ -1,0 +1,95 @@
+"""Runs that carry another body at the tool than declared are named, with its mass."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from five_bar_logs import STEEL, Plant
+from stated_arm import plant, robot
+
+from gtau.estimation.diagnostics.alternatives import Alternative
+from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.tool_bodies import other_loads
+from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.estimators.estimator import Given
+from gtau.estimation.estimators.maximum_likelihood import ML
+from gtau.estimation.identify import identify
+from gtau.estimation.regression.dataset import reduce_runs
+from gtau.estimation.regression.friction import Friction
+from gtau.estimation.results.result import Result
+from gtau.model.home import load_robot
+from gtau.signals.payload import Payload
+from gtau.signals.run import Run
+
+FIVE_BAR = load_robot("five-bar")
+KNOWN = Payload(name="steel", mass=STEEL["m"])
+BODY = {"m": 1.5, "mx": 0.05, "mz": 0.1}
+
+
+def arm_runs(folder: Path, loaded: tuple[bool, ...]) -> list[Run]:
+    made = replace(plant(robot(folder)), tool="j4")
+    return [
+        replace(made.run(seed, BODY if carries else None), kind="torque", name=f"run {seed}")
+        for seed, carries in enumerate(loaded)
+    ]
+
+
+def cause_of(result: Result) -> dict:
+    (found,) = (each for each in result.alternatives if each.hypothesis == "tool bodies")
+    (cause,) = found.causes
+    assert cause.kind == F.TOOL_BODY
+    return dict(cause.values)
+
+
+@pytest.mark.parametrize(
+    ("loaded", "more"),
+    [
+        ((False, True), {"run 1": BODY["m"]}),
+        ((False, True, False), {"run 1": BODY["m"]}),
+        ((True, True, False), {"run 2": -BODY["m"]}),
+    ],
+)
+def test_an_undeclared_body_is_named_and_the_file_is_not_blamed(
+    tmp_path: Path, loaded: tuple[bool, ...], more: dict[str, float]
+) -> None:
+    result = identify(robot(tmp_path), arm_runs(tmp_path, loaded))
+    bodies = cause_of(result)["bodies"]
+    assert {each["run"]: each["more"] for each in bodies} == pytest.approx(more, rel=0.03)
+    assert all(abs(each["more"] - more[each["run"]]) < each["half"] < 0.1 for each in bodies)
+    assert Outcome.CONTRADICTORY in {each.verdict.outcome for each in result.drive_gains.values()}
+    assert result.audit is None
+
+
+def test_runs_with_the_same_load_are_not_suspected(tmp_path: Path) -> None:
+    result = identify(robot(tmp_path), arm_runs(tmp_path, (False, False, False)))
+    assert "tool bodies" not in {each.hypothesis for each in result.alternatives}
+    assert result.audit is not None
+
+
+def of_five_bar(carried: tuple[bool, ...], declared: tuple[bool, ...]) -> Alternative | None:
+    made = Plant(noise=0.01)
+    runs = [
+        replace(made.run(f"run {k}", 8.0, STEEL if carries else None, seed=k), payload=KNOWN if says else None)
+        for k, (carries, says) in enumerate(zip(carried, declared, strict=True))
+    ]
+    dataset = reduce_runs(FIVE_BAR, runs)
+    return other_loads(ML.fit(dataset, dataset.system(Friction((), per_run=True)), Given()))
+
+
+@pytest.mark.parametrize(
+    ("carried", "declared", "more"),
+    [
+        ((False, True, True), (False, True, False), {"run 2": STEEL["m"]}),
+        ((False, True, False), (False, True, True), {"run 2": -STEEL["m"]}),
+        ((False, True, False, True), (False, True, False, True), {}),
+    ],
+    ids=["not declared", "absent", "as declared"],
+)
+def test_loads_beside_gains(carried: tuple[bool, ...], declared: tuple[bool, ...], more: dict[str, float]) -> None:
+    found = of_five_bar(carried, declared)
+    bodies = [] if found is None else found.causes[0].values["bodies"]
+    assert {each["run"]: each["more"] for each in bodies} == pytest.approx(more, rel=0.02)
+    if found is not None:  # the gains without it are the true ones
+        assert abs(found.moves).max() > 0.1
