@@ -14,7 +14,15 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.signals.clock import Clock, clock_of
-from gtau.signals.faults import clipped, find_glitches, glitch_note, refuse_magnitudes, refuse_slips, without_glitches
+from gtau.signals.faults import (
+    clipped,
+    find_glitches,
+    glitch_note,
+    refuse_magnitudes,
+    refuse_slips,
+    whole_numbers,
+    without_glitches,
+)
 from gtau.signals.notes import Kind, Note
 from gtau.signals.resampling import Resampling, UniformSamples, holds_of, uniform
 from gtau.signals.samples import WHOLE, Part, Samples, Source, ahead, complete, counted, extremes, refuse_short
@@ -81,7 +89,8 @@ def check(
     refuse_magnitudes(samples)
     clips = tuple(clipped(samples, notes))
     grid = Resampling(clock, clips, holds, settings.delay)
-    return uniform(samples, instants, grid, settings.clock is not None, notes)
+    whole = whole_numbers(samples.command, len(source.joints))  # resampled ones are between
+    return replace(uniform(samples, instants, grid, settings.clock is not None, notes), whole=whole)
 
 
 def _refuse_stuck(samples: Samples, notes: list[Note]) -> None:

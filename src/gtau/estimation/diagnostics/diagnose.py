@@ -110,7 +110,7 @@ def diagnose(
         *(_small_refutations(examined, accuracy) if fit.free_gains else []),
         *(gains_apart(fit, uncertainty) if fit.free_gains else []),
         *(common_scale(fit, uncertainty, accuracy) if fit.free_gains else []),
-        *logged_torques(fit, uncertainty),
+        *logged_torques(fit, examined, uncertainty),
         *examined.untested,
     ]
     against, beside = ([in_context(fit, each) for each in found] for found in (against, beside))

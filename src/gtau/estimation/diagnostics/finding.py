@@ -59,6 +59,8 @@ class FindingKind(StrEnum):
     LATE = "currents logged late", Outcome.CONTRADICTORY
     ALL_NEGATIVE = "all gains negative", Outcome.CONTRADICTORY
     SWAPPED = "swapped channels", Outcome.CONTRADICTORY
+    MAGNITUDES = "magnitudes", Outcome.CONTRADICTORY
+    REVERSED = "reversed channels", Outcome.CONTRADICTORY
     REFUTED = "description refuted", Outcome.CONTRADICTORY
     UNEXPLAINED = "unexplained current", Outcome.CONTRADICTORY
     # stated constants against each other
