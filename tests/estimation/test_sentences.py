@@ -45,8 +45,8 @@ SENTENCES = [  # finding, reason, advice
      "logged",
      "log signed values (some drives store the sign in a separate bit or column)"),
     (Finding(F.REVERSED, ("a",), values={"kind": "torque", "also": " (nearly as likely: as stated)"}),
-     "the torques of 'a' look reversed: friction, or gravity and inertia that joints share, contradict their sign "
-     "(nearly as likely: as stated)",
+     "the torques of 'a' look reversed: the parameters that joints share, or the inertias of the robot file, "
+     "contradict their sign (nearly as likely: as stated)",
      "check the signs of the torque and position columns"),
     (Finding(F.LATE, ("a",), values={"kind": "current", "lag": 0.0998, "shifted": 0.0021, "as_logged": 0.17}),
      "the currents were logged 100 ms too late: 0.21 % is unexplained after shifting them, 17 % as logged",

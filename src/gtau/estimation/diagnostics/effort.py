@@ -26,13 +26,14 @@ from gtau.estimation.diagnostics.linearisation import least_squares_step
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.priors import stated_inertias
 from gtau.estimation.thresholds.estimates import GRAVITY_MISFIT, MISFIT, SWAPPED
-from gtau.estimation.thresholds.logs import AS_WELL, LATE, MEANING_CLOSE, NO_GRAVITY, REVERSED, WITH_GRAVITY
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.estimation.thresholds.logs import AS_WELL, LATE, MEANING_CLOSE, NO_GRAVITY, WITH_GRAVITY
+from gtau.robots.parameter import parameter_of
 
 AS_STATED, NONE = "as stated", "none of these"
 SHARES = (0.0, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0)  # of gravity that are tried
 INTERVAL = 1.92  # log likelihood below the largest that bounds an interval of 95 %
 APART = 2.0  # times what a joint's own parameters leave: more is tried again with other columns, at a cost
+BEYOND = 2.0  # standard deviations of a coefficient that has a sign
 TINY = 1e-9  # a share of rounding
 UNSIGNED = 0.05  # of the largest: a magnitude behind a filter is hardly negative
 REWEIGHTED = 3  # steps that find the variances of joints with common parameters
@@ -60,8 +61,8 @@ class Ranking:
     """Meanings, the most likely first; none where there are too few rows.
 
     ``gravity`` is the interval of its coefficient, and ``scale`` the torque over that of the file's inertias with its
-    standard deviation, None without them. ``gravity_open`` tells that the rows
-    fit without gravity as well as with it, and that no inertias of the file tell more.
+    standard deviation, None without them. ``gravity_open`` is whether the
+    rows fit without gravity as well as with it, and the file states no inertias.
     """
 
     meanings: tuple[Meaning, ...] = ()
@@ -125,15 +126,15 @@ def rank_meanings(dataset: Dataset, slowest: float) -> Ranking:
         likelihood = -float(counts @ np.log(np.maximum(shares, TINY))) - chosen / 2 * float(np.log(counts.sum()))
         return Meaning(kind, shares, likelihood, tuple(altered), values)
 
-    stated, factors = made(AS_STATED, left), triangles(joints)
-    found = [stated, made(NONE, np.full(len(left), float(MISFIT)))]
+    stated, none = made(AS_STATED, left), made(NONE, np.full(len(left), float(MISFIT)))
+    factors, found = triangles(joints), [stated, none]
     found += _late(joints, left, made)
     found += _permuted(joints, left, counts, made)
     found += _magnitudes(joints, left, made)
     alone = not dataset.robot.floating and not any(run.wrenches for run in dataset.runs)
     torques = alone and dataset.runs[0].kind == "torque"
-    if torques:
-        found += _among_joints(joints, factors, stated, counts, dataset)
+    if torques and stated.likelihood > none.likelihood:
+        found += _among_joints(joints, factors, stated, counts)
     profile = _gravity_profile(joints, factors, made)
     likely = np.array([each.likelihood for each in profile])
     held = np.array(SHARES)[likely > likely.max() - INTERVAL]
@@ -145,8 +146,12 @@ def rank_meanings(dataset: Dataset, slowest: float) -> Ranking:
         gain = profile[0].likelihood - stated.likelihood
     else:
         (coefficient, std), gain = of_file.gravity, of_file.gain
-        near = max(abs(coefficient) - 2 * std, 0.0)  # a reversed column has gravity too
-        without = as_well and near < NO_GRAVITY and abs(coefficient) + 2 * std < WITH_GRAVITY
+        near = max(abs(coefficient) - BEYOND * std, 0.0)  # a reversed column has gravity too
+        without = as_well and near < NO_GRAVITY and abs(coefficient) + BEYOND * std < WITH_GRAVITY
+    if of_file is not None and (turned := of_file.scale[0] / of_file.scale[1]) < -BEYOND:
+        likelihood = stated.likelihood + 2 * turned**2  # of the coefficient, at its size with either sign
+        values = {"after": float(left.max()), "before": 1.0}
+        found.append(Meaning(F.REVERSED, left, likelihood, tuple(range(len(left))), values))
     if alone and without and gain > MEANING_CLOSE:
         found.append(replace(profile[0], likelihood=stated.likelihood + gain))
     ranked = tuple(sorted(found, key=lambda each: -each.likelihood))
@@ -211,7 +216,7 @@ def _signed(joint: JointRows, effort: np.ndarray) -> np.ndarray:
 
 
 def _among_joints(
-    joints: Sequence[JointRows], factors: Sequence[np.ndarray], stated: Meaning, counts: np.ndarray, dataset: Dataset
+    joints: Sequence[JointRows], factors: Sequence[np.ndarray], stated: Meaning, counts: np.ndarray
 ) -> Iterator[Meaning]:
     """Exchange two columns, or reverse some, so that the parameters which the joints share explain them together."""
     n = len(joints)
@@ -240,15 +245,9 @@ def _among_joints(
         after = _together(joints, factors, order, turned)
         if after[j] < SWAPPED * shares[j]:
             signs, shares = turned, after
-    along = np.array([_friction(each, dataset) for each in joints])  # in standard deviations
-    if signs @ along < 0:
+    if np.sum(signs < 0) > n / 2:
         signs = -signs
-    altered = np.flatnonzero(signs < 0).tolist()
-    if len(altered) < n:
-        yield from meaning(F.REVERSED, shares, altered, len(altered))
-    elif (against := float(np.sum(np.sign(along) * along**2))) < -(REVERSED**2):
-        values = {"after": float(stated.left.max()), "before": 1.0, "all": True}
-        yield Meaning(F.REVERSED, stated.left, stated.likelihood - against / 2, tuple(altered), values)
+    yield from meaning(F.REVERSED, shares, np.flatnonzero(signs < 0).tolist(), n)
 
 
 def _together(
@@ -271,22 +270,6 @@ def _together(
         theta = least_squares_step(J, -e)
         left = np.array([np.linalg.norm(v - A @ theta) for v, A in zip(efforts, rows, strict=True)]) / norms
     return left
-
-
-def _friction(joint: JointRows, dataset: Dataset) -> float:
-    """Divide the power that friction takes from a joint by its standard deviation; 0 where none is modelled."""
-    name, standard = dataset.model.actuated[joint.index], dataset.base.standard
-    viscous, kinds = Parameter("fv", name).name, {Parameter(kind, name).name for kind in ("fv", "fs")}
-    column = [standard[k % len(standard)] for k in joint.names]
-    rubbing = np.array([each in kinds for each in column])
-    speed = joint.own[:, [each == viscous for each in column]].sum(axis=1)
-    if not speed.any():
-        return 0.0
-    power = np.where(rubbing, speed @ joint.own, 0.0)
-    theta = least_squares_step(joint.own, -joint.mine)
-    along = least_squares_step(joint.own.T @ joint.own, -power)
-    sigma = np.linalg.norm(joint.mine - joint.own @ theta) / np.sqrt(joint.independent)
-    return float(power @ theta / max(sigma * np.sqrt(max(power @ along, 0.0)), 1e-300))
 
 
 def _gravity_profile(joints: Sequence[JointRows], factors: Sequence[np.ndarray], made: Maker) -> list[Meaning]:

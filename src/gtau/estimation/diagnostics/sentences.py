@@ -226,8 +226,8 @@ SENTENCES: Mapping[str, Words] = {
         "log signed values (some drives store the sign in a separate bit or column)",
     ),
     F.REVERSED: (
-        "the {kind}s of {listed} look reversed: friction, or gravity and inertia that joints share, contradict their "
-        "sign{also}",
+        "the {kind}s of {listed} look reversed: the parameters that joints share, or the inertias of the robot file, "
+        "contradict their sign{also}",
         "check the signs of the {kind} and position columns",
     ),
     F.LATE: _late,

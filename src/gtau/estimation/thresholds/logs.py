@@ -319,13 +319,6 @@ BEYOND_GEARS = Threshold(
     "largest torque scale of motor-side torques: beyond it a unit is wrong, or the torque vanishes",
     evidence="a choice: gears of arms have 30 to 300",
 )
-REVERSED = Threshold(
-    6.0,
-    "power that friction gives to all joints, in standard deviations, from which all columns are reversed",
-    healthy="4.5 and more the other way (shared logs with torques)",
-    faulty="63 (KUKA LBR Med 7, whose log has reversed torques)",
-    evidence="benchmarks/effort.py",
-)
 LENGTH_MOST = Threshold(
     0.3,
     "relative change beyond which a length explains nothing: it is extrapolated from one per cent",
