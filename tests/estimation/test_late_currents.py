@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 from five_bar_logs import GAINS, STEEL, Plant
 
+from gtau.estimation.diagnostics.effort import AS_STATED, rank_meanings
 from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.log_checks import late_currents
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.results.result import Result
@@ -51,7 +51,9 @@ def test_the_delay_of_one_joint_is_its_own() -> None:
 @pytest.mark.parametrize("lead", [0.0, 0.02, -0.02])
 def test_delays_that_the_model_describes_are_none(lead: float) -> None:
     dataset = reduce_runs(ROBOT, logs(lead, lead))
-    assert late_currents(dataset, dataset.system().problem.slowest) == ()
+    ranking = rank_meanings(dataset, dataset.system().problem.slowest)
+    assert ranking.best == AS_STATED
+    assert ranking.findings(dataset) == ()
 
 
 def test_currents_of_one_joint_in_another_unit_are_asked_about() -> None:

@@ -40,6 +40,14 @@ SENTENCES = [  # finding, reason, advice
     (Finding(F.SWAPPED, ("a", "b"), values={"kind": "current", "exchanged": 0.021, "as_logged": 0.84}),
      "the currents of 'a' and 'b' look swapped: 2.1 % is unexplained after exchanging them, 84 % as logged",
      "check that the position and current columns are of the same joint in all runs"),
+    (Finding(F.MAGNITUDES, ("a", "b"), values={"kind": "torque", "exchanged": 0.02, "as_logged": 0.4}),
+     "the torques of 'a' and 'b' look like magnitudes: 2 % is unexplained with signs that fit the motion, 40 % as "
+     "logged",
+     "log signed values (some drives store the sign in a separate bit or column)"),
+    (Finding(F.REVERSED, ("a",), values={"kind": "torque", "also": " (nearly as likely: as stated)"}),
+     "the torques of 'a' look reversed: the parameters that joints share, or the inertias of the robot file, "
+     "contradict their sign (nearly as likely: as stated)",
+     "check the signs of the torque and position columns"),
     (Finding(F.LATE, ("a",), values={"kind": "current", "lag": 0.0998, "shifted": 0.0021, "as_logged": 0.17}),
      "the currents were logged 100 ms too late: 0.21 % is unexplained after shifting them, 17 % as logged",
      "log them with the time stamps of the positions, or if those of all joints are equally late, write 'preparation: "
@@ -259,7 +267,7 @@ SENTENCES = [  # finding, reason, advice
      "check the direction of gravity, that the base is level, the sampling rate, which runs carry the payload, and "
      "on which body"),
     (Finding(F.NO_GRAVITY_SHOWN, values={"felt": 0.0031}),
-     "the torques contain no gravity (0.3 % of a joint's torque at most): a driver compensates it, or the robot is "
+     "the torques show no gravity (0.3 % of a joint's torque at most): a driver compensates it, or the robot is "
      "balanced",
      NO_GRAVITY),
     (Finding(F.WITHOUT_GRAVITY, ("left",), values={"left": {"left": [0.2, 0.01]}}),

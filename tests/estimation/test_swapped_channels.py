@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gtau.estimation.diagnostics.effort_rows import joint_rows
 from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.log_checks import unexplained
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
@@ -62,7 +62,7 @@ def test_right_columns_are_good(runs: list[Run]) -> None:
     for gain, truth in zip(result.drive_gains.values(), GAINS, strict=True):
         assert gain.verdict.outcome == Outcome.GOOD
         assert gain.value == pytest.approx(truth, rel=2e-3)
-    left = unexplained(reduce_runs(SCARA, runs))
+    left = np.array([each.left(each.effort) for each in joint_rows(reduce_runs(SCARA, runs), 0.0)])
     assert np.all(np.diag(left) < 0.01)
     assert np.all(left[~np.eye(4, dtype=bool)] > 0.03)
 

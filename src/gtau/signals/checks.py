@@ -21,6 +21,7 @@ from gtau.signals.faults import (
     refuse_frozen,
     refuse_magnitudes,
     refuse_slips,
+    whole_numbers,
     without_glitches,
 )
 from gtau.signals.notes import Kind, Note
@@ -90,7 +91,8 @@ def check(
     refuse_magnitudes(samples)
     clips = tuple(clipped(samples, notes))
     grid = Resampling(clock, clips, holds, settings.delay)
-    return uniform(samples, instants, grid, settings.clock is not None, notes)
+    whole = whole_numbers(samples.command, len(source.joints))  # resampled ones are between
+    return replace(uniform(samples, instants, grid, settings.clock is not None, notes), whole=whole)
 
 
 def _refuse_stuck(samples: Samples, notes: list[Note]) -> None:

@@ -346,6 +346,12 @@ def refuse_magnitudes(samples: Samples) -> None:
         raise GtauError(f"{source.name}: its commands are {UNSIGNED}.")
 
 
+def whole_numbers(command: np.ndarray, joints: int) -> float:
+    """Compute the share of the commands (N, c) of the first ``joints`` that are whole numbers."""
+    parts = [block(command, *span)[:, :joints] for span in ahead(len(command))]
+    return sum(int(np.sum(part == np.round(part))) for part in parts) / sum(part.size for part in parts)
+
+
 CLIPPED_RUN = 3  # samples in a row at the extreme value
 PILE_UP = 5.0  # times as many samples at the extreme value as at the one next to it
 MAX_CLIPPED = 0.1

@@ -146,13 +146,17 @@ SURROUNDINGS = 64  # samples to either side that a spline is made from: what lie
 
 @dataclass(frozen=True)
 class UniformSamples:
-    """Samples on a uniform grid; ``valid`` (N, c) is False where a command was interpolated or clipped."""
+    """Samples on a uniform grid; ``valid`` (N, c) is False where a command was interpolated or clipped.
+
+    ``whole`` is the share of whole numbers among the commands of joints as logged, None where it is unknown.
+    """
 
     time: np.ndarray
     position: np.ndarray
     command: np.ndarray
     valid: np.ndarray
     notes: tuple[Note, ...]
+    whole: float | None = None
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,8 @@ class Run:
     ``sensors`` (names of joints), and then moments and forces of the ``wrenches`` on bodies, six of each about the
     origin of its axes; ``channels`` list them. Where ``valid``
     (N, c) is false the sample was interpolated or clipped. ``notes`` report repairs, ``settings`` are those of
-    the preparation made by hand, ``temperature`` is that of the joints, ``calibration`` the accuracy of sensors,
+    the preparation made by hand, ``whole`` is the share of whole numbers among the joints' commands before they were
+    resampled (None: they were not), ``temperature`` is that of the joints, ``calibration`` the accuracy of sensors,
     ``log`` the origin.
 
     The arrays of a long log are memory-mapped from a file.
@@ -66,6 +67,7 @@ class Run:
     wrenches: tuple[WrenchFrame, ...] = ()
     calibration: Calibration = EXACT
     log: Log | None = field(default=None, repr=False)
+    whole: float | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
         load = "" if self.payload is None else f", payload {self.payload.name!r}"
@@ -173,6 +175,7 @@ def read_run(
         wrenches=tuple(each.frame for each in signals.all_wrenches),
         calibration=signals.calibration,
         log=Log(paths, signals, units),
+        whole=uniform.whole,
     )
 
 

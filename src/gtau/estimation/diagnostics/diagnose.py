@@ -22,7 +22,6 @@ from gtau.estimation.diagnostics.gain_checks import (
     wrench_contradictions,
 )
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit, prior_findings
-from gtau.estimation.diagnostics.log_checks import swapped_channels
 from gtau.estimation.diagnostics.other_estimators import position_noise
 from gtau.estimation.diagnostics.parameter_checks import delay_verdicts, unlike_legs
 from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings, ripple_findings
@@ -89,8 +88,6 @@ def diagnose(
     priors = prior_contradictions(fit, estimates.covariance, accuracy)
     mass = whole_mass(dataset.base, dataset.model.parameter_names) if dataset.robot.floating else ""
     impossible = tuple(impossible_parameters(fit, estimates))
-    if impossible and not examined.swapped:
-        examined = replace(examined, swapped=swapped_channels(dataset))
     sizes = tuple(units_and_signs(fit, estimates, prior_gains, audit))
     against = [
         *wrench_contradictions(fit),
@@ -123,7 +120,7 @@ def diagnose(
         *repeated_motion_findings(fit, examined.alternatives),
         *(_small_refutations(examined, accuracy) if fit.free_gains else []),
         *(common_scale(fit, estimates, accuracy) if fit.free_gains else []),
-        *logged_torques(fit, estimates),
+        *logged_torques(fit, examined, estimates),
         *examined.untested,
     ]
     halves = half_widths(fit, estimates) if fit.free_gains else np.zeros(0)

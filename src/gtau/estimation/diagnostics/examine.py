@@ -14,6 +14,7 @@ from gtau.estimation.diagnostics.alternatives import (
     find_alternatives,
     model_covariance,
 )
+from gtau.estimation.diagnostics.effort import UNRANKED, Ranking, rank_meanings
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.gain_change import gain_changes
@@ -21,7 +22,7 @@ from gtau.estimation.diagnostics.hypotheses.description import GRAVITY
 from gtau.estimation.diagnostics.hypotheses.wrenches import WRENCH_OFFSETS, WRENCH_POINTS
 from gtau.estimation.diagnostics.lengths import other_length
 from gtau.estimation.diagnostics.linearisation import central_windows, usable_rows
-from gtau.estimation.diagnostics.log_checks import lack_of_fit, late_currents, swapped_channels
+from gtau.estimation.diagnostics.log_checks import lack_of_fit
 from gtau.estimation.diagnostics.other_estimators import (
     alternatives_of,
     other_estimators,
@@ -29,6 +30,7 @@ from gtau.estimation.diagnostics.other_estimators import (
 )
 from gtau.estimation.diagnostics.other_gravity import (
     gravity_asked_for,
+    gravity_not_shown,
     likelier_gravity,
     missing_gravity,
     other_gravity,
@@ -66,17 +68,20 @@ class Examination:
         All that were tried.
     ripple : PositionRipple
         What of the residuals repeats at the same positions.
-    swapped : tuple of Finding
-        Pairs of joints whose channels look swapped, joints whose currents are late, and those with a frozen encoder.
+    against : tuple of Finding
+        What the columns of some joints hold instead of their currents or torques, and frozen encoders.
     untested : tuple of Finding
         Tests that refused these data or have no power on them, and why.
+    effort : Ranking
+        What the columns of all joints may hold.
     """
 
     lack_of_fit: float
     alternatives: tuple[Alternative, ...]
     ripple: PositionRipple
-    swapped: tuple[Finding, ...]
+    against: tuple[Finding, ...]
     untested: tuple[Finding, ...] = ()
+    effort: Ranking = UNRANKED
 
     @property
     def covariance(self) -> np.ndarray:
@@ -132,27 +137,27 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
         changes = gain_changes(fit)
         scaled = any(each.share > DOMINANT for each in changes)
         alternatives += [each for each in changes if each.share > OF_BEST * _most_of_wrenches(alternatives)]
+    effort = rank_meanings(fit.dataset, fit.system.problem.slowest)
+    against = effort.findings(fit.dataset)  # what the columns hold instead explains the residuals
     misfit = float(unexplained_shares(fit.system.problem, fit.solution).max())
     frozen = frozen_encoders(fit)
     loads = other_loads(fit) if not frozen and (lack > LACKING or misfit > GRAVITY_MISFIT) else None
     if loads:  # what another current in these runs, say, would explain is its effect
-        alternatives = [*(each for each in alternatives if not each.description), loads]
+        alternatives, against = [*(each for each in alternatives if not each.description), loads], ()
     asked = lack > LACKING and not loads and gravity_asked_for(fit, alternatives)
-    late = late_currents(fit.dataset, fit.system.problem.slowest)
-    missing = None if late else missing_gravity(fit, asked)
-    if isinstance(missing, Finding):
-        untested, missing = (*untested, missing), None
-    turned = likelier_gravity(fit, missing, other_gravity(fit, progress) if asked else None)
+    missing = missing_gravity(fit) if effort.best == F.WITHOUT_GRAVITY and not loads else None
+    turned = likelier_gravity(fit, missing, other_gravity(fit, progress) if asked and not against else None)
+    if effort.gravity_open and not turned and not loads:
+        untested = (*untested, *gravity_not_shown(fit))
     if turned:  # what a few degrees, other lengths or ripple would explain is its effect
         alternatives = [*(each for each in alternatives if each.hypothesis != GRAVITY.name), turned]
-    elif lack > LACKING and not loads:
+    elif lack > LACKING and not against and not loads:
         length = other_length(fit, progress)
         if length is not None and length.share > OF_BEST * _most_of_wrenches(alternatives):
             alternatives.append(length)
     ripple = PositionRipple.none(fit) if scaled or turned or loads or lack < LACKING else position_ripple(fit)
     weighed = (*compete(alternatives), *alternatives_of(fit, differences))
-    swapped = swapped_channels(fit.dataset) if lack > LACKING else ()
-    return Examination(lack, weighed, ripple, swapped + late + frozen, untested)
+    return Examination(lack, weighed, ripple, (*against, *frozen), untested, effort)
 
 
 def _most_of_wrenches(alternatives: Sequence[Alternative]) -> float:

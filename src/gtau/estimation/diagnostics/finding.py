@@ -61,6 +61,8 @@ class FindingKind(StrEnum):
     LATE = "currents logged late", Outcome.CONTRADICTORY
     FROZEN = "frozen encoder", Outcome.CONTRADICTORY
     SWAPPED = "swapped channels", Outcome.CONTRADICTORY
+    MAGNITUDES = "magnitudes", Outcome.CONTRADICTORY
+    REVERSED = "reversed channels", Outcome.CONTRADICTORY
     ALL_NEGATIVE = "all gains negative", Outcome.CONTRADICTORY
     REFUTED = "description refuted", Outcome.CONTRADICTORY
     UNEXPLAINED = "unexplained current", Outcome.CONTRADICTORY

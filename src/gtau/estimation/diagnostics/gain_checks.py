@@ -38,7 +38,7 @@ from gtau.estimation.thresholds.estimates import (
     NAMED_SHARE,
     NEGATIVE_STD,
 )
-from gtau.estimation.thresholds.logs import ALIKE, FRICTIONLESS, GEARED, MODEL_RESIDUAL
+from gtau.estimation.thresholds.logs import ALIKE, BEYOND_GEARS, FRICTIONLESS, GEARED, MODEL_RESIDUAL
 from gtau.model.base_parameters import whole_mass
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.units import unit_of
@@ -63,7 +63,7 @@ def estimated_gains(
     halves = half_widths(fit, estimates)
     random_halves = halves * stds / (np.sqrt(np.diag(estimates.covariance)[problem.gain_rows]) / np.abs(gains))
     misfits = unexplained_shares(problem, solution)
-    yield from examined.swapped
+    yield from examined.against
     free = problem.free[: len(gains)]
     turned = any(np.all(each.moves[: len(gains)][free] < -1) for each in examined.refuted)  # by another gravity
     if min(prior_gains.values(), default=1.0) > 0 and np.all(gains[free] < 0) and not turned:
@@ -132,7 +132,7 @@ def given_gains(fit: Fit, examined: Examination, payloads: Mapping[str, Verdict]
         if each.finding is not None
         for joint in each.finding.joints
     }
-    yield from examined.swapped
+    yield from examined.against
     best = min((each.finding.values["remains"] for each in payloads.values() if each.finding), default=1.0)
     for turned in (each for each in examined.refuted if "remains" in each.causes[0].values):
         values = {"size": turned.size, "unit": turned.unit, "share": turned.share}
@@ -212,14 +212,20 @@ def base_misfit(fit: Fit) -> dict[str, float]:
     }
 
 
-def logged_torques(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
-    """Find motor-side torques, by their scale, and torques or currents computed by a model."""
-    kind = fit.dataset.runs[0].kind
-    yield from doubtful_commands(fit.dataset.runs, fit.dataset.robot)
-    if fit.free_gains and kind == "torque":
+def logged_torques(fit: Fit, examined: Examination, estimates: Estimates) -> Iterator[Finding]:
+    """Find shares of rated values, motor-side torques, or torques and currents of a model: the first that holds."""
+    kind, scales = fit.dataset.runs[0].kind, np.zeros(0)
+    if doubtful := list(doubtful_commands(fit.dataset.runs, fit.dataset.robot)):
+        yield doubtful[0]
+        return
+    if kind == "torque" and fit.free_gains:
         scales = np.abs(fit.gains)[half_widths(fit, estimates) < 1]
-        if len(scales) and scales.min() > GEARED:
-            yield Finding(F.MOTOR_SIDE, values={"least": float(scales.min()), "most": float(scales.max())})
+    elif kind == "torque" and examined.effort.scale is not None:
+        share, std = examined.effort.scale
+        scales = 1 / np.maximum([abs(share) + 2 * std, abs(share) - 2 * std], 1e-300)
+    if len(scales) and scales.min() > GEARED and scales.max() < BEYOND_GEARS:
+        yield Finding(F.MOTOR_SIDE, values={"least": float(scales.min()), "most": float(scales.max())})
+        return
     joints, known = fit.dataset.robot.motors, set(fit.system.problem.parameters)
     if any({name := Parameter("fs", joint), name + "R"}.isdisjoint(known) for joint in joints):
         return

@@ -28,7 +28,7 @@ from gtau.estimation.diagnostics.linearisation import (
     stack,
 )
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.thresholds.logs import LENGTH_ALIKE, LENGTH_CHANGE, LENGTH_SHARE, LENGTH_TRIED
+from gtau.estimation.thresholds.logs import LENGTH_ALIKE, LENGTH_CHANGE, LENGTH_MOST, LENGTH_SHARE, LENGTH_TRIED
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.lengths import SAME, models_alike
 from gtau.progress import Progress, silent
@@ -69,7 +69,7 @@ def _explaining(fit: Fit, progress: Progress) -> Iterator[Alternative]:
             continue
         change = -STEP * slope / (2 * curvature)
         share = slope**2 / (4 * curvature * before)
-        if share <= LENGTH_SHARE or abs(change) <= LENGTH_CHANGE:
+        if share <= LENGTH_SHARE or not LENGTH_CHANGE < abs(change) < LENGTH_MOST:
             continue
         moves = (gains_above - gains_below) / (2 * STEP) * change / fit.gains
         yield established(fit, "lengths", cause, moves, share, change, unit=RELATIVE)

@@ -1,4 +1,4 @@
-"""Tests of the logs: commands that lag, are late, swapped, no torques or currents, or never felt the payload.
+"""Tests of the logs: commands that lag, are no torques or currents, or never felt the payload.
 
 Torque causes acceleration, so the command of a drive comes before the motion by its delay. One that comes after the
 motion was filtered or stamped late. For a first-order low-pass with time constant T, ``v + T v'`` is the command that
@@ -6,46 +6,39 @@ the motion requires; for any other filter and a late stamp, to first order. T fo
 whether its gain is estimated, given, or 1.
 
 Units of positions are checked against the robot's size before (:mod:`gtau.estimation.regression.plausibility`), and
-magnitudes without sign are refused where logs are read. Torques without gravity are found by
-:mod:`gtau.estimation.diagnostics.other_gravity`.
+magnitudes without sign are refused where logs are read. :mod:`gtau.estimation.diagnostics.effort` ranks what the
+columns may hold.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.linearisation import central_windows, least_squares_step
 from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.equations import SIGNAL, SIGNALS
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.rows import stream_rows
 from gtau.estimation.regression.system import System
-from gtau.estimation.thresholds.estimates import SWAPPED, UNFELT_PAYLOAD
+from gtau.estimation.thresholds.estimates import UNFELT_PAYLOAD
 from gtau.estimation.thresholds.logs import (
     DELAY_MOTION,
     LAG_LEAST,
     LAG_LOSS,
     LAG_SAMPLES,
     LAG_STD,
-    LATE,
     LIMIT_SHARE,
     STEPS,
     WHOLE,
 )
 from gtau.robots.robot import Robot
+from gtau.signals.faults import whole_numbers
 from gtau.signals.run import Run
 from gtau.signals.storage import block, spans
-
-REACH = 0.3  # s: lags beyond are other runs, or clocks that were never set
-COARSE, FINE = 2, 16  # lags tried in the longest delay that the model describes, everywhere and about the best
 
 
 def command_lags(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
@@ -89,121 +82,15 @@ def command_lag(dataset: Dataset, system: System) -> list[Finding]:
     return [Finding(F.COMMAND_LAG if loss > LAG_LOSS else F.SLIGHT_COMMAND_LAG, values=values)]
 
 
-def unexplained(dataset: Dataset) -> np.ndarray:
-    """Compute the share of each joint's current (columns) that each joint's regressor (rows) leaves unexplained.
-
-    Each joint is fitted by itself, with other parameters for each payload.
-    """
-    n, windows = len(dataset.model.actuated), list(_windows(dataset))
-    left = np.zeros((n, n))
-    for j in range(n):
-        W = np.concatenate([each.own[j] for each in windows])
-        V = np.concatenate([each.currents[0, :n, each.kept[j]] for each in windows])
-        rest = V + W @ least_squares_step(W, V)
-        left[j] = np.linalg.norm(rest, axis=0) / np.maximum(np.linalg.norm(V, axis=0), 1e-300)
-    return left
-
-
-def swapped_channels(dataset: Dataset) -> tuple[Finding, ...]:
-    """Find the pairs of joints whose currents (or torques) look swapped."""
-    left, joints, found = unexplained(dataset), dataset.model.actuated, []
-    for j, k in combinations(range(len(joints)), 2):
-        if left[j, k] < SWAPPED * left[j, j] and left[k, j] < SWAPPED * left[k, k]:
-            exchanged, as_logged = float(max(left[j, k], left[k, j])), float(min(left[j, j], left[k, k]))
-            values = {"kind": dataset.runs[0].kind, "exchanged": exchanged, "as_logged": as_logged}
-            found.append(Finding(F.SWAPPED, (joints[j], joints[k]), values=values, severity=1 - exchanged / as_logged))
-    return tuple(found)
-
-
-@dataclass(frozen=True, eq=False)
-class _Window:
-    """Rows of a window, with margins for shifts: ``currents`` (3, c, K) with derivatives, every ``step`` (s).
-
-    Of each joint the rows ``kept`` and its own columns there, (., k), other ones for each payload.
-    """
-
-    currents: np.ndarray
-    step: float
-    kept: list[np.ndarray]
-    own: list[np.ndarray]
-
-    def shifted(self, joint: int, lags: np.ndarray) -> np.ndarray:
-        """Compute the currents of a joint's rows ``lags`` later (rows, lags)."""
-        whole = np.round(lags / self.step).astype(int)
-        rest = (lags - whole * self.step)[:, None]
-        v, v_d, v_dd = self.currents[:, joint][:, self.kept[joint] + whole[:, None]]
-        return np.asarray((v + rest * v_d + rest**2 / 2 * v_dd).T)
-
-
-def late_currents(dataset: Dataset, slowest: float) -> tuple[Finding, ...]:
-    """Find joints whose current (or torque) fits the motion only when it is shifted by more than ``slowest`` (s).
-
-    Each joint is fitted by itself, with other parameters for each payload, at lags of either sign.
-    """
-    from scipy.linalg import orth
-
-    if not slowest:
-        return ()
-    reach = max(REACH, 2 * slowest)
-    windows = list(_windows(dataset, reach + slowest))
-    coarse = slowest / COARSE * np.arange(-round(COARSE * reach / slowest), round(COARSE * reach / slowest) + 1)
-    found = []
-    for j, joint in enumerate(dataset.model.actuated if windows else ()):
-        W = np.concatenate([each.own[j] for each in windows])
-        norms = np.linalg.norm(W, axis=0)
-        U = orth(W / np.where(norms > 0, norms, 1.0))
-        if len(W) < 2 * U.shape[1]:
-            continue  # as many parameters fit any shift
-
-        def left(lags: np.ndarray, j: int = j, U: np.ndarray = U) -> np.ndarray:
-            V = np.concatenate([each.shifted(j, lags) for each in windows])
-            return np.asarray(np.linalg.norm(V - U @ (U.T @ V), axis=0) / np.maximum(np.linalg.norm(V, axis=0), 1e-300))
-
-        shares = left(coarse)
-        k, as_logged = int(np.argmin(shares)), float(shares[np.abs(coarse) <= slowest].min())
-        if not 0 < k < len(coarse) - 1 or shares[k] == as_logged:
-            continue
-        fine = coarse[k] + slowest / FINE * np.arange(-FINE // COARSE, FINE // COARSE + 1)
-        shares = left(fine)
-        k = int(np.argmin(shares))
-        if abs(fine[k]) > slowest and shares[k] < LATE * as_logged:
-            a, b, c = np.take(shares, [k - 1, k, k + 1], mode="clip") ** 2
-            within = (a - c) / (2 * (a - 2 * b + c)) if min(a, c) > b else 0.0
-            lag = float(fine[k] + slowest / FINE * within)
-            values = {"kind": dataset.runs[0].kind, "lag": lag, "shifted": float(shares[k])}
-            found.append(Finding(F.LATE, (joint,), values=values | {"as_logged": as_logged}, severity=as_logged))
-    return tuple(found)
-
-
-def _windows(dataset: Dataset, reach: float = 0.0) -> Iterator[_Window]:
-    """Iterate over the middle of the runs, with currents available up to ``reach`` (s) before and after."""
-    joints, regressor = range(len(dataset.model.actuated)), dataset.model.columns(dataset.base.standard)
-    loads = [None if run.payload is None else run.payload.name for run in dataset.runs]
-    kinds = list(dict.fromkeys(loads))
-    for run, piece in central_windows(dataset):
-        mine = np.array([loads[run] == kind for kind in kinds], dtype=float)
-        decimator = dataset.preparation.at(piece.run.rate).decimator
-        parts = list(stream_rows(dataset.model, regressor, piece, decimator))
-        currents = np.concatenate([part.currents for part in parts], axis=2)
-        entries = np.concatenate([part.entries for part in parts], axis=1)
-        step = decimator.factor / piece.run.rate
-        margin = int(np.ceil(reach / step))
-        inner = slice(margin, max(currents.shape[2] - margin, 0))
-        kept = [np.arange(currents.shape[2])[inner][np.concatenate([p.keep[j] for p in parts])[inner]] for j in joints]
-        own = [np.kron(mine, entries[regressor.rows == j][:, kept[j]].T) for j in joints]
-        yield _Window(currents, step, kept, own)
-
-
 def doubtful_commands(runs: Sequence[Run], robot: Robot) -> Iterator[Finding]:
     """Find integer-valued commands, and torques far below all effort limits, in all ``runs``."""
     n, kind = len(runs[0].joints), runs[0].kind
-    whole, values, peaks = 0, 0, np.zeros(n)
+    peaks = np.zeros(n)
     for run in runs:
         for span in spans(len(run.time)):
-            command = block(run.command, *span)[:, :n]
-            whole, values = whole + int(np.sum(command == np.round(command))), values + command.size
-            peaks = np.maximum(peaks, np.abs(command).max(axis=0))
-    if whole > WHOLE * values and peaks.max() >= STEPS:  # stale samples were interpolated
+            peaks = np.maximum(peaks, np.abs(block(run.command, *span)[:, :n]).max(axis=0))
+    whole = min(whole_numbers(run.command, n) if run.whole is None else run.whole for run in runs)
+    if whole > WHOLE and peaks.max() >= STEPS:
         yield Finding(F.WHOLE_NUMBERS, values={"kind": kind, "largest": float(peaks.max())})
         return
     limits = {

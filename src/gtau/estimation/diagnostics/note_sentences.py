@@ -146,7 +146,7 @@ NOTED: Mapping[str, Words] = {
         "reweigh the payload before you correct the torques",
     ),
     F.NO_GRAVITY_SHOWN: (
-        "the torques contain no gravity ({felt:.1g%} of a joint's torque at most): a driver compensates it, or the "
+        "the torques show no gravity ({felt:.1g%} of a joint's torque at most): a driver compensates it, or the "
         "robot is balanced",
         NO_GRAVITY,
     ),

@@ -4,9 +4,7 @@ An arm on a wall or a ceiling, or a tracker whose vertical is y, has gravity whe
 few degrees of a base that is not level, parameters adapt, and a linear test of tilts points anywhere. So the robot is
 fitted again with gravity along each axis of the base, and from the best of them freely (Gauss-Newton over directions).
 
-Torques may also exclude gravity, as with a driver that compensates it. Fitted with gravity, they require links with
-centres of mass on the axes, whose inertia does not explain them. So a robot whose fit has hardly any gravity torque is
-fitted once more without gravity.
+Whether torques exclude gravity, as with a driver that compensates it, :mod:`gtau.estimation.diagnostics.effort` finds.
 """
 
 from __future__ import annotations
@@ -43,7 +41,7 @@ from gtau.estimation.thresholds.estimates import (
     GRAVITY_SHARE,
     REFUTED_SHARE,
 )
-from gtau.estimation.thresholds.logs import AS_WELL, GRAVITY_FELT, NO_GRAVITY, UNFELT
+from gtau.estimation.thresholds.logs import GRAVITY_FELT, UNFELT
 from gtau.model.base_parameters import base_parameters
 from gtau.progress import Progress, silent
 from gtau.signals.preparation import InMemoryRun
@@ -155,31 +153,29 @@ def _degrees(one: np.ndarray, other: np.ndarray) -> float:
     return float(np.arccos(np.clip(cosine, -1.0, 1.0)) / DEGREE)
 
 
-def missing_gravity(fit: Fit, asked: bool = False) -> Alternative | Finding | None:
-    """Find that a fit without gravity explains more, or, as a finding, that it explains as much; None where less.
-
-    It is tried where the fit hardly feels gravity, or ``asked`` for it.
-    """
-    felt = float(gravity_shares(fit).max(initial=0.0))
-    if felt < UNFELT or not (asked or felt < GRAVITY_FELT):
-        return None
+def missing_gravity(fit: Fit) -> Alternative | None:
+    """Fit without gravity, for what that explains of each joint and how it moves the gains; None where it cannot be."""
     windows = [window for _, window in central_windows(fit.dataset)]
     middle = replace(fit.dataset, prepared=tuple(windows))  # type: ignore[arg-type]  # used as prepared runs
-    own = fitted(fit, middle, np.array(fit.dataset.robot.gravity)) if windows else None
-    other = None if own is None else fitted(fit, middle, np.zeros(3))
-    if own is None or other is None or (left := left_of(other, own)) > AS_WELL:
+    own, other = (fitted(fit, middle, gravity) for gravity in (np.array(fit.dataset.robot.gravity), np.zeros(3)))
+    if own is None or other is None:
         return None
-    if left > NO_GRAVITY:
-        return Finding(F.NO_GRAVITY_SHOWN, values={"felt": felt})
     n, before, after = len(fit.gains), own.solution.sigma, other.solution.sigma
     shares, ratio = before / own.system.problem.balance(own.solution.theta), after / before
-    joints = fit.system.problem.joints
+    joints, left = fit.system.problem.joints, left_of(other, own)
     helped = [j for j in range(n) if ratio[j] <= max(np.sqrt(left), ratio[:n].min())]
     explained = {joints[j]: [float(shares[j]), float(shares[j] * ratio[j])] for j in helped}
     moves = other.gains / own.gains - 1 if fit.free_gains else np.zeros(n)
     rows = own.system.problem.total_rows
     cause = Finding(F.WITHOUT_GRAVITY, tuple(explained), values={"left": explained, "remains": left})
     return established(fit, GRAVITY.name, cause, moves, 1 - float(rows @ ratio**2 / rows.sum()))
+
+
+def gravity_not_shown(fit: Fit) -> Iterator[Finding]:
+    """Find that hardly any torque of a robot that gravity could move is due to it."""
+    felt = float(gravity_shares(fit).max(initial=0.0))
+    if UNFELT <= felt < GRAVITY_FELT:
+        yield Finding(F.NO_GRAVITY_SHOWN, values={"felt": felt})
 
 
 def likelier_gravity(fit: Fit, missing: Alternative | None, other: Alternative | None) -> Alternative | None:

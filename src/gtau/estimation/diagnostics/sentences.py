@@ -25,7 +25,7 @@ LOADED = (
     "use a heavier payload, longer runs, or motions in which the joint lifts or accelerates it more; if other joints "
     "are weak too, check which runs carry the payload, on which body, and gravity"
 )
-MAY_BE_WRENCHES = {F.SWAPPED, F.ALL_NEGATIVE, F.REFUTED, F.UNEXPLAINED, F.OTHER_ESTIMATOR}
+MAY_BE_WRENCHES = {F.SWAPPED, F.REVERSED, F.ALL_NEGATIVE, F.REFUTED, F.UNEXPLAINED, F.OTHER_ESTIMATOR}
 SENSOR = "check the sensor's calibration, unit and joint; a payload's mass or a known parameter may be wrong too"
 
 
@@ -77,8 +77,15 @@ class _Number(float):
 
 def _sentence(finding: Finding) -> Sentence:
     found = SENTENCES[finding.kind]
-    what, to_do = found if isinstance(found, tuple) else found(_literal({**finding.values, "subject": finding.subject}))
-    values = {key: _Number(each) if isinstance(each, float) else each for key, each in finding.values.items()}
+    named_joints = {
+        "also": "",
+        "joint": "".join(finding.joints[:1]),
+        "listed": " and ".join(f"'{joint}'" for joint in finding.joints),
+        "count": len(finding.joints),
+    }
+    of_finding = named_joints | dict(finding.values)
+    what, to_do = found if isinstance(found, tuple) else found(_literal({**of_finding, "subject": finding.subject}))
+    values = {key: _Number(each) if isinstance(each, float) else each for key, each in of_finding.items()}
     values["subject"], values["estimate"] = finding.subject, finding.subject or "estimates"
     if finding.joints:
         values["joint"], values["other"] = finding.joints[0], finding.joints[-1]
@@ -185,7 +192,7 @@ def _late(values: Values) -> Sentence:
     way = "late" if values["lag"] > 0 else "early"
     return (
         f"the {{kind}}s were logged {1e3 * abs(values['lag']):.0f} ms too {way}: {{shifted:.2g%}} is unexplained "
-        "after shifting them, {as_logged:.2g%} as logged",
+        "after shifting them, {as_logged:.2g%} as logged{also}",
         "log them with the time stamps of the positions, or if those of all joints are equally late, write "
         "'preparation: "
         f"{{{{delay: {values['lag']:.3g}}}}}'",
@@ -230,10 +237,21 @@ SENTENCES: Mapping[str, Words] = {
         "all drive gains are negative",
         "check the sign of the currents and positions, gravity" + which_payload(values),
     ),
-    F.SWAPPED: (
-        "the {kind}s of '{joint}' and '{other}' look swapped: {exchanged:.2g%} is unexplained after exchanging them, "
-        "{as_logged:.2g%} as logged",
+    F.SWAPPED: lambda values: (
+        f"the {{kind}}s of {values['listed']} look "
+        + ("swapped" if values["count"] == 2 else "permuted")
+        + ": {exchanged:.2g%} is unexplained after exchanging them, {as_logged:.2g%} as logged{also}",
         "check that the position and {kind} columns are of the same joint in all runs",
+    ),
+    F.MAGNITUDES: (
+        "the {kind}s of {listed} look like magnitudes: {exchanged:.2g%} is unexplained with signs that fit the motion, "
+        "{as_logged:.2g%} as logged{also}",
+        "log signed values (some drives store the sign in a separate bit or column)",
+    ),
+    F.REVERSED: (
+        "the {kind}s of {listed} look reversed: the parameters that joints share, or the inertias of the robot file, "
+        "contradict their sign{also}",
+        "check the signs of the {kind} and position columns",
     ),
     F.LATE: _late,
     F.FROZEN: lambda values: (

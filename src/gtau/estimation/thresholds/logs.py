@@ -269,11 +269,22 @@ UNFELT = Threshold(
     evidence="rounding",
 )
 NO_GRAVITY = Threshold(
-    0.8,
-    "residual variance without gravity over that with it, geometric mean of the joints, from which torques have none",
-    healthy="2.2 and more (zoo), 400 and more (arm, UR10e, five-bar, delta, simulated)",
-    faulty="0.01 to 0.6 (arm, UR10e, delta); 1.0 (five-bar, whose parameters adapt)",
-    evidence="zoo, benchmarks/effort.py",
+    0.1,
+    "coefficient of gravity, that of inertia being 1, down to which its interval reaches if torques may have none",
+    healthy="0.35 and more, or 0 excluded by 118 of log likelihood (dVRK, slow) in 13 sets of shared logs",
+    faulty="0 to 0.1 (the same without gravity)",
+    evidence="benchmarks/effort.py",
+)
+WITH_GRAVITY = Threshold(
+    0.75,
+    "coefficient of gravity that the interval excludes if torques have none",
+    healthy="1",
+    evidence="a choice: nearer to 1 it is a scale",
+)
+MEANING_CLOSE = Threshold(
+    3.0,
+    "log likelihood by which a meaning of effort is likelier, up to which the other is said too",
+    evidence="a level: 20 times as likely",
 )
 AS_WELL = Threshold(
     1.1,
@@ -302,6 +313,18 @@ GEARED = Threshold(
     healthy="up to 4 (constants of firmware: Piper)",
     faulty="83 (Rokae xMate 3 Pro), 6 (the smallest gears of such arms)",
     evidence="zoo; threads of users",
+)
+BEYOND_GEARS = Threshold(
+    1000.0,
+    "largest torque scale of motor-side torques: beyond it a unit is wrong, or the torque vanishes",
+    evidence="a choice: gears of arms have 30 to 300",
+)
+LENGTH_MOST = Threshold(
+    0.3,
+    "relative change beyond which a length explains nothing: it is extrapolated from one per cent",
+    healthy="0.02 (the lengths of tests)",
+    faulty="18 (currents without gravity)",
+    evidence="tests/acceptance/test_faults.py, tests/estimation/test_effort_meaning.py",
 )
 LIMIT_SHARE = Threshold(
     0.02,

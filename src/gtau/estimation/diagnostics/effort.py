@@ -1,0 +1,332 @@
+"""Rank what the column of effort may hold by the likelihood of the same rows.
+
+A meaning alters the column (another instant, another joint's, another sign) or the equations (without gravity), never
+the rows nor the freedom of the parameters. What it leaves of each joint's column gives its likelihood, Gaussian with a
+variance of each joint, less half the logarithm of the rows for each number that it chooses (BIC); rows count by the
+autocorrelation of their residuals. Signs, and columns of joints that move alike, show only where the joints share their
+parameters, which torques do and currents of unknown gains do not. "None of these" leaves a quarter of every column.
+
+Gravity is missing only where its coefficient, with that of inertia as one, is 0 and not 1; where the robot's file
+states inertias, so is that of the file's gravity. Otherwise another scale, or another direction, explains the log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from gtau.estimation.diagnostics.effort_rows import JointRows, basis_of, joint_rows, triangles, unexplained
+from gtau.estimation.diagnostics.finding import Finding
+from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.linearisation import least_squares_step
+from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.priors import stated_inertias
+from gtau.estimation.thresholds.estimates import GRAVITY_MISFIT, MISFIT, SWAPPED
+from gtau.estimation.thresholds.logs import AS_WELL, LATE, MEANING_CLOSE, NO_GRAVITY, WITH_GRAVITY
+from gtau.robots.parameter import parameter_of
+
+AS_STATED, NONE = "as stated", "none of these"
+SHARES = (0.0, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0)  # of gravity that are tried
+INTERVAL = 1.92  # log likelihood below the largest that bounds an interval of 95 %
+APART = 2.0  # times what a joint's own parameters leave: more is tried again with other columns, at a cost
+BEYOND = 2.0  # standard deviations of a coefficient that has a sign
+TINY = 1e-9  # a share of rounding
+UNSIGNED = 0.05  # of the largest: a magnitude behind a filter is hardly negative
+REWEIGHTED = 3  # steps that find the variances of joints with common parameters
+
+
+@dataclass(frozen=True, eq=False)
+class Meaning:
+    """A meaning of effort, by ``kind``: ``left`` (n,) are the shares of the columns that it leaves, rms.
+
+    ``altered`` are the joints whose columns it changes, and ``likelihood`` the logarithm.
+    """
+
+    kind: str
+    left: np.ndarray
+    likelihood: float
+    altered: tuple[int, ...] = ()
+    values: dict[str, Any] = field(default_factory=dict)
+
+
+Maker = Callable[..., Meaning]
+
+
+@dataclass(frozen=True, eq=False)
+class Ranking:
+    """Meanings, the most likely first; none where there are too few rows.
+
+    ``gravity`` is the interval of its coefficient, and ``scale`` the torque over that of the file's inertias with its
+    standard deviation, None without them. ``gravity_open`` is whether the
+    rows fit without gravity as well as with it, and the file states no inertias.
+    """
+
+    meanings: tuple[Meaning, ...] = ()
+    gravity: tuple[float, float] = (1.0, 1.0)
+    scale: tuple[float, float] | None = None
+    gravity_open: bool = False
+
+    @property
+    def best(self) -> str:
+        """The kind of the most likely meaning."""
+        return self.meanings[0].kind if self.meanings else AS_STATED
+
+    def findings(self, dataset: Dataset) -> tuple[Finding, ...]:
+        """Say what the altered columns hold, if that is the most likely meaning, and which one is nearly as likely."""
+        best, *others = self.meanings or (Meaning(AS_STATED, np.zeros(0), 0.0),)
+        names, kind = dataset.model.actuated, dataset.runs[0].kind
+        stated = next((each.left for each in others if each.kind == AS_STATED), best.left)
+        close = [each.kind for each in others[:1] if best.likelihood - each.likelihood < MEANING_CLOSE]
+        values = {"kind": kind, "also": f" (nearly as likely: {close[0]})" if close else ""}
+        joints = tuple(names[j] for j in best.altered)
+        if best.kind == F.LATE:
+            return tuple(
+                Finding(
+                    F.LATE,
+                    (names[j],),
+                    values={**values, "lag": lag, "shifted": float(best.left[j]), "as_logged": float(stated[j])},
+                    severity=float(stated[j]),
+                )
+                for j, lag in zip(best.altered, best.values["lags"], strict=True)
+            )
+        if best.kind not in (F.SWAPPED, F.MAGNITUDES, F.REVERSED):
+            return ()
+        shares = {"exchanged": best.values["after"], "as_logged": best.values["before"]}
+        return (
+            Finding(
+                F(best.kind), joints, values=values | shares, severity=1 - shares["exchanged"] / shares["as_logged"]
+            ),
+        )
+
+
+UNRANKED = Ranking()
+
+
+def rank_meanings(dataset: Dataset, slowest: float) -> Ranking:
+    """Rank the meanings of effort.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        The runs.
+    slowest : float
+        The longest delay that the model describes, s; where it is 0 no other is tried.
+    """
+    joints = joint_rows(dataset, slowest)
+    if not joints:
+        return Ranking()
+    left = np.array([float(each.left(each.mine)) for each in joints])
+    counts = np.array([each.independent for each in joints])
+
+    def made(kind: str, shares: np.ndarray, altered: Sequence[int] = (), chosen: int = 0, **values: Any) -> Meaning:
+        likelihood = -float(counts @ np.log(np.maximum(shares, TINY))) - chosen / 2 * float(np.log(counts.sum()))
+        return Meaning(kind, shares, likelihood, tuple(altered), values)
+
+    stated, none = made(AS_STATED, left), made(NONE, np.full(len(left), float(MISFIT)))
+    factors, found = triangles(joints), [stated, none]
+    found += _late(joints, left, made)
+    found += _permuted(joints, left, counts, made)
+    found += _magnitudes(joints, left, made)
+    alone = not dataset.robot.floating and not any(run.wrenches for run in dataset.runs)
+    torques = alone and dataset.runs[0].kind == "torque"
+    if torques and stated.likelihood > none.likelihood:
+        found += _among_joints(joints, factors, stated, counts)
+    profile = _gravity_profile(joints, factors, made)
+    likely = np.array([each.likelihood for each in profile])
+    held = np.array(SHARES)[likely > likely.max() - INTERVAL]
+    low, high = float(held.min()), float(held.max())
+    as_well = profile[0].likelihood > stated.likelihood - counts.sum() / 2 * np.log(AS_WELL)
+    of_file = _by_file(joints, counts, dataset) if torques else None
+    if of_file is None:
+        without = low <= NO_GRAVITY and high < WITH_GRAVITY
+        gain = profile[0].likelihood - stated.likelihood
+    else:
+        (coefficient, std), gain = of_file.gravity, of_file.gain
+        near = max(abs(coefficient) - BEYOND * std, 0.0)  # a reversed column has gravity too
+        without = as_well and near < NO_GRAVITY and abs(coefficient) + BEYOND * std < WITH_GRAVITY
+    if of_file is not None and (turned := of_file.scale[0] / of_file.scale[1]) < -BEYOND:
+        likelihood = stated.likelihood + 2 * turned**2  # of the coefficient, at its size with either sign
+        values = {"after": float(left.max()), "before": 1.0}
+        found.append(Meaning(F.REVERSED, left, likelihood, tuple(range(len(left))), values))
+    if alone and without and gain > MEANING_CLOSE:
+        found.append(replace(profile[0], likelihood=stated.likelihood + gain))
+    ranked = tuple(sorted(found, key=lambda each: -each.likelihood))
+    return Ranking(
+        ranked,
+        (low, high),
+        None if of_file is None else of_file.scale,
+        as_well and low <= NO_GRAVITY and of_file is None,
+    )
+
+
+def _late(joints: Sequence[JointRows], left: np.ndarray, made: Maker) -> Iterator[Meaning]:
+    """Shift the columns that fit much better at a lag, of either sign, than at any delay that the model describes."""
+    shifted = np.array([float(each.left(each.shifted)) for each in joints])
+    late = [
+        each.index for each in joints if each.lags[0] != each.lags[1] and shifted[each.index] < LATE * left[each.index]
+    ]
+    if late:
+        shares = np.where(np.isin(range(len(left)), late), shifted, left)
+        yield made(F.LATE, shares, late, len(late), lags=[joints[j].lags[1] for j in late])
+
+
+def _permuted(joints: Sequence[JointRows], left: np.ndarray, counts: np.ndarray, made: Maker) -> Iterator[Meaning]:
+    """Assign each joint the column that fits its equations best, every column once."""
+    from scipy.optimize import linear_sum_assignment
+
+    shares = np.array([each.left(each.effort) for each in joints])
+    _, order = linear_sum_assignment(counts[:, None] * np.log(np.maximum(shares, TINY)))
+    altered = np.flatnonzero(order != np.arange(len(joints)))
+    found = shares[range(len(joints)), order]
+    if len(altered) and np.all(found[altered] < SWAPPED * left[altered]):
+        after, before = float(found[altered].max()), float(left[altered].min())
+        yield made(F.SWAPPED, found, altered.tolist(), after=after, before=before)
+
+
+def _magnitudes(joints: Sequence[JointRows], left: np.ndarray, made: Maker) -> Iterator[Meaning]:
+    """Give columns without negative values the signs with which the equations explain most of them."""
+    found = left.copy()
+    for joint in joints:
+        effort = joint.mine
+        if effort.min() > -UNSIGNED * effort.max():
+            found[joint.index] = float(joint.left(_signed(joint, effort)))
+    altered = np.flatnonzero(found < SWAPPED * left).tolist()
+    if altered:
+        after, before = float(found[altered].max()), float(left[altered].min())
+        yield made(F.MAGNITUDES, found, altered, len(altered), after=after, before=before)
+
+
+def _signed(joint: JointRows, effort: np.ndarray) -> np.ndarray:
+    """Choose the signs of the stretches between minima, first by an eigenvector, then one by one."""
+    lowest = np.flatnonzero((effort[1:-1] <= effort[:-2]) & (effort[1:-1] < effort[2:])) + 1
+    stretch = np.searchsorted(lowest, np.arange(len(effort)), side="right")
+    parts = np.zeros((len(lowest) + 1, joint.basis.shape[1]))
+    np.add.at(parts, stretch, effort[:, None] * joint.basis)
+    signs = np.where(np.linalg.svd(parts, full_matrices=False)[0][:, 0] < 0, -1.0, 1.0)
+    for _ in range(len(signs)):
+        gains = np.sum(parts**2, axis=1) - signs * (parts @ (signs @ parts))
+        if (k := int(np.argmax(gains))) >= 0 and gains[k] <= TINY * np.sum(parts**2):
+            break
+        signs[k] *= -1
+    return np.asarray(signs[stretch] * effort)
+
+
+def _among_joints(
+    joints: Sequence[JointRows], factors: Sequence[np.ndarray], stated: Meaning, counts: np.ndarray
+) -> Iterator[Meaning]:
+    """Exchange two columns, or reverse some, so that the parameters which the joints share explain them together."""
+    n = len(joints)
+    order, signs = np.arange(n), np.ones(n)
+    before = _together(joints, factors, order, signs)
+
+    def likelihood(shares: np.ndarray) -> float:
+        return -float(counts @ np.log(np.maximum(shares, TINY)))
+
+    def meaning(kind: str, shares: np.ndarray, altered: list[int], chosen: int) -> Iterator[Meaning]:
+        if altered and np.all(shares[altered] < SWAPPED * before[altered]):
+            gain = likelihood(shares) - likelihood(before) - chosen / 2 * float(np.log(counts.sum()))
+            values = {"after": float(shares[altered].max()), "before": float(before[altered].min())}
+            yield Meaning(kind, stated.left, stated.likelihood + gain, tuple(altered), values)
+
+    wrong = np.flatnonzero((before > APART * stated.left) & (before > GRAVITY_MISFIT)).tolist()
+    for pair in combinations(range(n), 2):
+        if set(pair) & set(wrong):
+            other = order.copy()
+            other[list(pair)] = order[list(pair[::-1])]
+            yield from meaning(F.SWAPPED, _together(joints, factors, other, signs), list(pair), 0)
+    shares = before
+    for j in wrong:
+        turned = signs.copy()
+        turned[j] *= -1
+        after = _together(joints, factors, order, turned)
+        if after[j] < SWAPPED * shares[j]:
+            signs, shares = turned, after
+    if np.sum(signs < 0) > n / 2:
+        signs = -signs
+    yield from meaning(F.REVERSED, shares, np.flatnonzero(signs < 0).tolist(), n)
+
+
+def _together(
+    joints: Sequence[JointRows], factors: Sequence[np.ndarray], order: np.ndarray, signs: np.ndarray
+) -> np.ndarray:
+    """Fit the columns, in some ``order`` and with ``signs``, by common parameters: the shares that they leave (n,)."""
+    size = 1 + max(int(each.names.max()) for each in joints)
+    rows, efforts = [], []
+    for joint, R, column, sign in zip(joints, factors, order, signs, strict=True):
+        p = len(joint.names)
+        rows.append(np.zeros((len(R), size)))
+        rows[-1][:, joint.names] = R[:, :p]
+        efforts.append(sign * R[:, 2 * p + column])
+    norms = np.array([max(float(np.linalg.norm(each)), 1e-300) for each in efforts])
+    left = np.ones(len(joints))
+    for _ in range(REWEIGHTED):
+        weights = 1 / (norms * np.maximum(left, TINY))
+        J = np.concatenate([weight * each for weight, each in zip(weights, rows, strict=True)])
+        e = np.concatenate([weight * each for weight, each in zip(weights, efforts, strict=True)])
+        theta = least_squares_step(J, -e)
+        left = np.array([np.linalg.norm(v - A @ theta) for v, A in zip(efforts, rows, strict=True)]) / norms
+    return left
+
+
+def _gravity_profile(joints: Sequence[JointRows], factors: Sequence[np.ndarray], made: Maker) -> list[Meaning]:
+    """Fit the columns with each of the ``SHARES`` of gravity, that of inertia being one."""
+    found = []
+    for share in SHARES:
+        left = []
+        for joint, R in zip(joints, factors, strict=True):
+            p = len(joint.names)
+            basis = basis_of(R[:, :p] - (1 - share) * R[:, p : 2 * p])
+            left.append(float(unexplained(basis, R[:, 2 * p + joint.index])))
+        found.append(made(F.WITHOUT_GRAVITY, np.array(left)))
+    return found
+
+
+@dataclass(frozen=True)
+class _ByFile:
+    """Coefficients of the file's ``gravity``, and of its whole torque (``scale``), each with standard deviation.
+
+    ``gain`` is how much more likely the rows are without the file's gravity than with it, a logarithm.
+    """
+
+    gravity: tuple[float, float]
+    scale: tuple[float, float]
+    gain: float
+
+
+def _by_file(joints: Sequence[JointRows], counts: np.ndarray, dataset: Dataset) -> _ByFile | None:
+    """Regress the torques of the runs without payload on those that the file's inertias give, and friction."""
+    stated, base = stated_inertias(dataset.robot), dataset.base
+    if not any(stated.values()) or not all(each.free.any() for each in joints):
+        return None
+    values = base.matrix @ np.array([stated.get(name, 0.0) for name in dataset.model.parameter_names])
+    kinds = [parameter_of(name) for name in base.standard]
+    found, gain = np.zeros((2, len(joints), 3)), 0.0  # coefficient, variance and weight, (N m)^2
+    for joint, count in zip(joints, counts, strict=True):
+        name = dataset.model.actuated[joint.index]
+        of_drive = [k for k, (kind, body, _) in enumerate(kinds) if body == name and kind in ("fv", "fs", "off", "ia")]
+        first = joint.names < base.count
+        first &= np.any(joint.own[joint.free], axis=0)
+        W, G = joint.own[joint.free][:, first], joint.weight[joint.free][:, first]
+        own = [k for k, number in enumerate(joint.names[first] % base.count) if number in of_drive]
+        chi = values[joint.names[first] % base.count]
+        gravity, total, effort = G @ chi, W @ chi, joint.mine[joint.free]
+        for row, columns in enumerate(([gravity, total - gravity], [total])):
+            others = basis_of(np.column_stack([*columns[1:], W[:, own]])) if len(own) or len(columns) > 1 else W[:, :0]
+            x, y = (each - others @ (others.T @ each) for each in (columns[0], effort))
+            size = float(x @ x)
+            if size > TINY * max(float(columns[0] @ columns[0]), 1e-300):
+                coefficient = float(x @ y) / size
+                rest = y - coefficient * x
+                found[row, joint.index] = coefficient, float(rest @ rest) / count / size, size
+            if row == 0 and size:
+                gain += count / 2 * float(np.log(max((y - x) @ (y - x), 1e-300) / max(y @ y, 1e-300)))
+    pooled = []
+    for coefficient, variance, weight in (each.T for each in found):
+        mean = float(weight @ coefficient) / max(float(weight.sum()), 1e-300)
+        spread = np.sqrt(weight**2 @ ((coefficient - mean) ** 2 + variance)) / max(float(weight.sum()), 1e-300)
+        pooled.append((mean, float(spread)))
+    return _ByFile(pooled[0], pooled[1], gain) if np.any(found[0, :, 2]) else None

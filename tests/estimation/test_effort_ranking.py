@@ -1,0 +1,90 @@
+"""What a column of effort holds is one ranked answer; benchmarks/effort.py makes the table of measured logs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+import pytest
+from five_bar_logs import five_bar
+from gravity_logs import logged
+
+from gtau.estimation.diagnostics.effort import AS_STATED, NONE, Ranking, rank_meanings
+from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.log_checks import doubtful_commands
+from gtau.estimation.identify import identify
+from gtau.estimation.regression.dataset import Dataset, reduce_runs
+from gtau.model.home import load_robot
+from gtau.robots.robot import Robot
+from gtau.signals.run import Run, read_run
+
+ROBOT = load_robot("ur10e")
+DOWN, FREE = (0.0, 0.0, -9.81), (0.0, 0.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def torques() -> Run:
+    (run,) = logged(ROBOT, DOWN, currents=False)
+    return run
+
+
+def ranked(robot: Robot, run: Run) -> tuple[Ranking, Dataset]:
+    dataset = reduce_runs(robot, [run])
+    return rank_meanings(dataset, dataset.system().problem.slowest), dataset
+
+
+def reverse(command: np.ndarray) -> np.ndarray:
+    return command * [1, -1, 1, 1, 1, 1]
+
+
+SPOILT: dict[str, tuple[Callable[[np.ndarray], np.ndarray], str, tuple[int, ...]]] = {
+    "as they are": (lambda command: command, AS_STATED, ()),
+    "scaled": (lambda command: 1.33 * command, AS_STATED, ()),
+    "exchanged": (lambda command: command[:, [0, 2, 1, 3, 4, 5]], F.SWAPPED, (1, 2)),
+    "permuted": (lambda command: command[:, [0, 2, 3, 1, 4, 5]], F.SWAPPED, (1, 2, 3)),
+    "reversed": (reverse, F.REVERSED, (1,)),
+    "magnitudes": (np.abs, F.MAGNITUDES, (0, 1, 3)),
+    "of another motion": (lambda command: command[::-1], NONE, ()),
+}
+
+
+@pytest.mark.parametrize("spoil", SPOILT)
+def test_the_most_likely_meaning_is_the_true_one(spoil: str, torques: Run) -> None:
+    alter, kind, joints = SPOILT[spoil]
+    ranking, dataset = ranked(ROBOT, replace(torques, command=np.ascontiguousarray(alter(torques.command))))
+    assert ranking.best == kind
+    assert set(joints) <= set(ranking.meanings[0].altered)
+    assert {finding.kind for finding in ranking.findings(dataset)} == ({kind} if joints else set())
+
+
+def test_gravity_is_missing_only_where_its_coefficient_is_zero(torques: Run) -> None:
+    ranking, _ = ranked(ROBOT, torques)
+    assert ranking.gravity[0] > 0.5
+    (compensated,) = logged(ROBOT, FREE, currents=False)
+    ranking, _ = ranked(ROBOT, compensated)
+    assert (ranking.best, ranking.gravity[0]) == (F.WITHOUT_GRAVITY, 0.0)
+
+
+def test_currents_without_gravity_are_not_taken_for_a_wrong_length() -> None:
+    result = identify(ROBOT, logged(ROBOT, FREE, currents=True))
+    verdicts = [gain.verdict.finding for gain in result.drive_gains.values() if gain.verdict.finding]
+    causes = {cause.kind for finding in verdicts for cause in finding.causes}
+    assert F.WITHOUT_GRAVITY in causes
+    assert F.LENGTH not in causes
+
+
+def test_whole_numbers_are_seen_before_irregular_stamps_are_resampled(torques: Run) -> None:
+    rng, robot = np.random.default_rng(3), five_bar().robot
+    time = np.arange(800) * 0.01
+    stamps = time + rng.uniform(-0.004, 0.004, len(time))
+    joints = robot.actuated
+    table = {"t": stamps}
+    for k, joint in enumerate(joints):
+        table[f"q_{joint}"] = 0.3 * np.sin((2 + k) * stamps)
+        table[f"u_{joint}"] = np.round(400 * np.cos((3 + k) * stamps))
+    columns = {kind: {j: f"{letter}_{j}" for j in joints} for kind, letter in {"position": "q", "torque": "u"}.items()}
+    run = read_run(pl.DataFrame(table), {"time": "t", **columns}, settings={"clock": "stamps"})
+    assert np.mean(run.command == np.round(run.command)) < 0.5  # resampled
+    assert [finding.kind for finding in doubtful_commands([run], robot)] == [F.WHOLE_NUMBERS]
