@@ -139,7 +139,7 @@ def test_runs_may_have_motions_of_their_own(tmp_path: Path) -> None:
     used = {each["limit"]: each["used"] for each in document["limits"]}
     assert max(used.values()) <= 1.0
     assert {f"z of the tool's frame in run {run}" for run in (1, 2)} <= set(used)
-    assert "current of joint 'left' with payload 'disc' in run 1" not in used
+    assert "torque of joint 'left' with payload 'disc' in run 1" not in used
     task, _ = read_design(path)
     one = replace(task, one_motion=True)
     shared = np.array(document["x"][: one.size])

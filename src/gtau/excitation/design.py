@@ -198,7 +198,7 @@ def _from_one(
         if exceeded:
             worst = max(exceeded, key=lambda usage: usage.shortfall)
             tightness = tightness | {
-                usage.what: 0.998 * tightness[usage.what] / min(usage.excess, TIGHTER) for usage in exceeded
+                usage.what: 0.98 * tightness[usage.what] / min(usage.excess, TIGHTER) for usage in exceeded
             }
         else:
             before = np.inf if kept is None else kept.value
