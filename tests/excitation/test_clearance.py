@@ -36,7 +36,10 @@ limits:
   %s
 """
 SHAPES = """clearance: 0.05
+  share: 1
+  floor: none
   shapes:
+    turret: []
     ground: [{capsule: [[0.45, 0, -0.6], [0.45, 0, -0.35]], radius: 0.05}]
     arm: [{capsule: [[0.05, 0, 0], [0.4, 0, 0]], radius: 0.05}]
     forearm: [{capsule: [[0.1, 0, 0], [0.5, 0, 0]], radius: 0.04}]
@@ -109,11 +112,11 @@ def test_neighbours_may_touch(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_design_keeps_its_distance(tmp_path: Path) -> None:
     """Without shapes the forearm swings into the post; with them every sample of a run, approach included, is clear."""
-    free, _ = read_design(written(tmp_path, "velocity: {turret: 2}"))
+    free, _ = read_design(written(tmp_path, "share: 1\n  shapes: none"))
     task, _ = read_design(written(tmp_path, SHAPES))
     touching = design(free, starts=1, seed=1)
     pair = ("ground", "forearm")
-    named = f"distance between '{pair[0]}' and '{pair[1]}'"
+    named = f"distance of '{pair[1]}' from '{pair[0]}'"
     (usage,) = (each for each in check(task, touching.x) if each.what == named)
     assert usage.reached < 0.05
     clear = design(task, starts=1, seed=1)
@@ -130,7 +133,7 @@ def test_a_design_keeps_its_distance(tmp_path: Path) -> None:
         ("shapes: {arm: [{radius: 0.1}]}", "a shape is either 'capsule: "),
         ("shapes: {arm: [{mesh: no.stl}]}", "there is no mesh '.*no.stl'; correct the path"),
         ("shapes: {ground: [{capsule: [[0, 0, 0], [1, 0, 0]], radius: 0.1}], forearm: [{capsule: [[0, 0, 0], "
-         "[0, 0, 0]], radius: 0.1}]}", "'ground' and 'forearm' are -0.2 m apart at home, less than limits.clearance"),
+         "[0, 0, 0]], radius: 0.1}]}", "'ground' and 'forearm' are -0.2 m apart at rest, less than limits.clearance"),
     ],
 )  # fmt: skip
 def test_shapes_that_cannot_be(limits: str, message: str, tmp_path: Path) -> None:

@@ -68,7 +68,7 @@ def test_all_limits_hold_on_a_grid_ten_times_finer(found: Design) -> None:
     assert {load.what: load.excess for load in every if load.excess > 1} == {}
     assert max(load.excess for load in every) > 0.95  # and some are used
     kinds = {load.what.split()[0] for load in every}
-    assert {"position", "velocity", "acceleration", "jerk", "current", "x", "z", "condition", "time"} <= kinds
+    assert {"position", "velocity", "acceleration", "jerk", "torque", "x", "z", "condition", "time"} <= kinds
     # counted once more, without the design's own code, at the rate of the controller
     ((time, joints),) = sampled_motions(found.task, found.x)
     limits = found.task.limits
@@ -139,7 +139,7 @@ def test_runs_may_have_motions_of_their_own(tmp_path: Path) -> None:
     used = {each["limit"]: each["used"] for each in document["limits"]}
     assert max(used.values()) <= 1.0
     assert {f"z of the tool's frame in run {run}" for run in (1, 2)} <= set(used)
-    assert "current of joint 'left' with payload 'disc' in run 1" not in used
+    assert "torque of joint 'left' with payload 'disc' in run 1" not in used
     task, _ = read_design(path)
     one = replace(task, one_motion=True)
     shared = np.array(document["x"][: one.size])
@@ -307,6 +307,9 @@ def test_what_a_design_prints_fits_a_terminal() -> None:
     parameter = {"value": 1e-4, "std": 1.23456e-3, "rel_std": 1234.5, "assumed": False}
     document = {
         "robot": "an arm with a long name",
+        "guards": ["self-collision: guessed with capsules from links' lengths; state limits.shapes"],
+        "tool": {"frame": joints[-1], "speed": 1.25, "z": [0.1, 1.2]},
+        "priors": [],
         "runs": ["none", "a payload with a long name"],
         "duration": 20.0,
         "criterion": "gains",

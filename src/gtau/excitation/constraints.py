@@ -8,14 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from gtau.excitation.clearance import Clearance, Nearest
-from gtau.excitation.evaluation import Point
+from gtau.errors import GtauError
+from gtau.excitation.clearance import FLOOR, Clearance, Nearest
+from gtau.excitation.evaluation import Grid, Point
 from gtau.excitation.gradients import Slopes
-from gtau.excitation.task import DesignProblem
+from gtau.excitation.task import DesignProblem, close
 from gtau.excitation.trajectory import approach_duration, quintic
+from gtau.robots.units import torque_unit
 from gtau.signals.payload import Payload
 
 ORDERS = ("position", "velocity", "acceleration", "jerk")
+APPROACH = 12  # poses between rest and the motion's beginning in which distances are kept while searching
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +91,7 @@ def usages_of_motion(point: Point, share: np.ndarray | None = None) -> Iterator[
     """
     task = point.task
     yield from _kinematic(point)
-    if np.isfinite(task.limits.current).any():
-        yield from _currents(point)
+    yield from _drives(point)
     if task.limits.workspace:
         yield from _workspace(point)
     if task.limits.clearance is not None:
@@ -130,8 +132,9 @@ def _kinematic(point: Point) -> Iterator[ConstraintUsage]:
             )
 
 
-def _currents(point: Point) -> Iterator[ConstraintUsage]:
-    task = point.task
+def _drives(point: Point) -> Iterator[ConstraintUsage]:
+    """Compute the usage of limits of torque, or of current where the file states one, at the worst end of the gain."""
+    task, robot = point.task, point.task.model.robot
     carried_before: list[Payload | None] = []
     for run in point.runs:
         payload = task.payloads[run]
@@ -140,17 +143,24 @@ def _currents(point: Point) -> Iterator[ConstraintUsage]:
         carried_before.append(payload)
         carried = "" if payload is None else f" with payload '{payload.name}'"
         for j, joint in enumerate(task.model.actuated):
-            limit = float(task.limits.current[j])
-            if not np.isfinite(limit):
-                continue
-            load = task.unknowns.load[run] / (abs(task.gains[j]) * limit)
+            torque, current = (
+                np.broadcast_to(of, task.gains.shape)[j] for of in (task.limits.torque, task.limits.current)
+            )
+            least, excess = (task.known[j].least, task.known[j].excess) if task.known else (abs(task.gains[j]), 1.0)
+            kinds = (("torque", torque, 1 / excess, torque_unit(robot, joint)), ("current", current, least, "A"))
+            for kind, limit, factor, unit in kinds:
+                if not np.isfinite(limit):
+                    continue
+                load = task.unknowns.load[run] / (factor * limit)
 
-            def rows(j: int = j, load: np.ndarray = load) -> np.ndarray:
-                weights = np.zeros_like(point.W)
-                weights[j] = load
-                return point.to_rows(point.to_joints(task.regressor.slopes(point.motion, weights)))
+                def rows(j: int = j, load: np.ndarray = load) -> np.ndarray:
+                    weights = np.zeros_like(point.W)
+                    weights[j] = load
+                    return point.to_rows(point.to_joints(task.regressor.slopes(point.motion, weights)))
 
-            yield ConstraintUsage(f"current of joint '{joint}'{carried}", limit, "A", point.W[j] @ load, rows)
+                yield ConstraintUsage(
+                    f"{kind} of joint '{joint}'{carried}", float(limit), unit, point.W[j] @ load, rows
+                )
 
 
 def _workspace(point: Point) -> Iterator[ConstraintUsage]:
@@ -172,17 +182,52 @@ def _workspace(point: Point) -> Iterator[ConstraintUsage]:
 
 
 def _clearances(point: Point, clearance: Clearance) -> Iterator[ConstraintUsage]:
-    motion, least = point.motion, clearance.least
+    """Compute the distances between bodies, on the way from rest to the motion's first pose too."""
+    parts = [point] if (way := _approach(point)) is None else [point, way]
+    for body in dict.fromkeys(second for _, second in clearance.pairs):
+        pairs = [pair for pair in clearance.pairs if pair[1] == body]
+        nearest = [[clearance.nearest(part.motion.c, pair) for pair in pairs] for part in parts]
+
+        def rows(pairs: list[tuple[str, str]] = pairs, nearest: list[list[Nearest]] = nearest) -> np.ndarray:
+            return np.vstack(
+                [_nearing(part, clearance, pairs, near) for part, near in zip(parts, nearest, strict=True)]
+            )
+
+        others = [first if first == FLOOR else f"'{first}'" for first, _ in pairs]
+        distance = np.concatenate([np.min([near.distance for near in each], axis=0) for each in nearest])
+        what = f"distance of '{body}' from {', '.join(others)}"
+        yield ConstraintUsage(what, clearance.least, "m", distance / clearance.least, rows, True)
+
+
+def _nearing(
+    point: Point, clearance: Clearance, pairs: Sequence[tuple[str, str]], nearest: Sequence[Nearest]
+) -> np.ndarray:
+    """Compute the gradients (N, series.size) of the least distance of several pairs."""
+    motion = point.motion
+    which = np.argmin([near.distance for near in nearest], axis=0)
+    by_c = np.zeros_like(motion.c)
+    for k, (pair, near) in enumerate(zip(pairs, nearest, strict=True)):
+        if (chosen := which == k).any():
+            by_c[:, chosen] = clearance.slopes(motion.c, pair, near)[:, chosen] / clearance.least
     zero, no_J = np.zeros_like(motion.yd), np.zeros_like(motion.J[point.task.model.layout.passive])
-    for pair in clearance.pairs:
-        nearest = clearance.nearest(motion.c, pair)
+    return point.to_rows(point.to_joints(Slopes(by_c, zero, zero, no_J)))
 
-        def rows(pair: tuple[str, str] = pair, nearest: Nearest = nearest) -> np.ndarray:
-            slopes = Slopes(clearance.slopes(motion.c, pair, nearest) / least, zero, zero, no_J)
-            return point.to_rows(point.to_joints(slopes))
 
-        what = f"distance between '{pair[0]}' and '{pair[1]}'"
-        yield ConstraintUsage(what, least, "m", nearest.distance / least, rows, True)
+def _approach(point: Point) -> Point | None:
+    """Return poses on the way from rest to where a motion on a design grid begins; None where it has no way."""
+    task, basis = point.task, point.grid.basis
+    if task.rest is None or point.platform is not None or not basis.size:
+        return None
+    part = quintic(np.zeros(1), np.ones(1), 1.0, np.linspace(0.0, 1.0, APPROACH + 2)[1:-1])[0][0]
+    way = np.zeros((4, APPROACH, basis.shape[2]))
+    way[0] = np.outer(part, basis[0, 0])
+    joints = np.zeros((4, len(task.rest), APPROACH))
+    joints[0] = task.rest[:, None] + np.outer(point.joints[0, :, 0] - task.rest, part)
+    try:
+        motion = close(task.model, joints[0], joints[1], joints[2], None)
+    except GtauError:  # which the whole run is checked for
+        return None
+    return Point(task, Grid(part, point.grid.step, way), point.runs, joints, motion, None, point.W[:, :APPROACH])
 
 
 def _away_from_reversals(point: Point, counted: np.ndarray | None) -> Iterator[ConstraintUsage]:

@@ -20,10 +20,12 @@ from gtau.progress import Progress, silent
 START = 0.6  # part of the limits that a start uses, so that it is feasible
 FINER = 10
 STAGE = "searching"
-MARGIN = 0.99  # part of every limit that a first design may use
+MARGIN = 0.97  # part of every limit that a first design may use: between instants speeds exceed it by up to 2 %
 TIGHTER = 3.0  # by which a limit is tightened at most between two rounds
 ROUNDS = 6  # of designing, checking and tightening
 WORTH = 0.97  # another round from where the last one ended has paid if it comes below this part of the criterion
+STALLED = 25  # iterations that together must improve the logarithm of the criterion by
+WORTHLESS = 3e-3
 SMALLER = (1.0, 0.97, 0.93, 0.88, 0.8)  # parts of an interrupted motion, of which the first within all limits is kept
 
 
@@ -170,11 +172,14 @@ def _from_one(
         keep(guess)  # the motion that an early interruption leaves
     for number in range(ROUNDS):
         programme = Programme(task, criterion, tightness)
-        iterations = itertools.count(number * ITERATIONS)
+        iterations, values = itertools.count(number * ITERATIONS), [np.inf] * STALLED
 
-        def stop_here(iterations: Iterator[int] = iterations) -> bool:
+        def stop_here(
+            iterations: Iterator[int] = iterations, values: list[float] = values, programme: Programme = programme
+        ) -> bool:
             progress(next(iterations))
-            return stop()
+            values.append(programme.best_value)
+            return stop() or values[-1] > values[-1 - STALLED] - WORTHLESS
 
         ended = solve(programme, x, stop_here)
         best = programme.best
@@ -193,7 +198,7 @@ def _from_one(
         if exceeded:
             worst = max(exceeded, key=lambda usage: usage.shortfall)
             tightness = tightness | {
-                usage.what: 0.998 * tightness[usage.what] / min(usage.excess, TIGHTER) for usage in exceeded
+                usage.what: 0.98 * tightness[usage.what] / min(usage.excess, TIGHTER) for usage in exceeded
             }
         else:
             before = np.inf if kept is None else kept.value

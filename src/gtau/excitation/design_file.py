@@ -11,13 +11,22 @@ import numpy as np
 from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
 from gtau.documents.files import DESIGN, refuse_other_kind
-from gtau.documents.validation import PATH, Keys, Positive, takes, validate
+from gtau.documents.validation import PATH, Keys, Positive, some_of, takes, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
-from gtau.excitation.clearance import Clearance, Shape, capsule, clearance, hull
+from gtau.excitation.clearance import Shape, capsule, hull
 from gtau.excitation.gradients import in_platform_space
-from gtau.excitation.prior import given_parameters, noise_of, parameters_of, rough_noise, rough_parameters
+from gtau.excitation.guards import guard
+from gtau.excitation.prior import (
+    KnownGain,
+    given_parameters,
+    identified_gains,
+    noise_of,
+    parameters_of,
+    rough_noise,
+    rough_parameters,
+)
 from gtau.excitation.task import DesignProblem, MotionLimits
 from gtau.excitation.trajectory import FourierSeries
 from gtau.model.base_parameters import base_parameters
@@ -32,6 +41,7 @@ from gtau.signals.payload import Payload
 Interval = tuple[FiniteFloat, FiniteFloat]
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 CONDITION = 100.0  # default of the largest condition number of the closures
+SHARE = 0.8  # default part of the limits of the robot's file that a motion may use
 
 
 class PlannedRun(Keys):
@@ -98,7 +108,9 @@ class LimitsEntry(Keys):
     condition: Annotated[FiniteFloat, Field(gt=1)] = CONDITION
     away_from_reversals: Annotated[FiniteFloat, Field(ge=0, lt=1)] = 0.3
     clearance: Positive = 0.02
-    shapes: dict[str, tuple[ShapeEntry, ...]] = Field(default_factory=dict)
+    shapes: dict[str, tuple[ShapeEntry, ...]] | Literal["none"] = Field(default_factory=dict)
+    floor: FiniteFloat | Literal["none"] | None = None
+    share: Annotated[FiniteFloat, Field(gt=0, le=1)] = SHARE
 
     @field_validator("position", "workspace")
     @classmethod
@@ -170,17 +182,22 @@ def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
     _known_joints("rest", file.rest, robot)
     for key in ("gains", "noise"):
         _known_joints(f"prior.{key}", getattr(file.prior, key), robot)
-    robot = _with_limits(robot, file.limits)
+    rest = np.array([file.rest.get(name, robot.joint(name).home) for name in robot.actuated])
+    robot, said = _with_limits(robot, file.limits, dict(zip(robot.actuated, rest, strict=True)))
     model = InverseDynamics(robot)
     base = base_parameters(model)
     payloads = tuple(None if run.payload == "none" else run.payload for run in file.runs)
     assumed: dict[str, str] = {}
-    chi, gains, sigma = _prior(file.prior, model, payloads, assumed)
-    limits = _limits(file.limits, robot, gains, assumed)
-    limits = replace(limits, clearance=_clearance(file.limits, model))
-    rest = np.array([file.rest.get(name, robot.joint(name).home) for name in robot.actuated]) if file.approach else None
-    for name, pose, (low, high) in zip(robot.actuated, rest if rest is not None else (), limits.position, strict=False):
-        if not low <= pose <= high:
+    chi, known, sigma = _prior(file.prior, model, payloads, assumed)
+    if "gains" in assumed and file.limits.current:
+        raise GtauError("limits.current needs the drive gains; add prior.gains or prior.model, or limit torques.")
+    limits = _limits(file.limits, robot, assumed)
+    stated = None if file.limits.shapes == "none" else _shapes(file.limits.shapes)
+    poses = model.motion(*(each[:, None] for each in (rest, 0 * rest, 0 * rest))).c
+    guarded = guard(model, poses, file.limits.clearance, stated, file.limits.floor, Path(file.robot))
+    limits = replace(limits, clearance=guarded.clearance)
+    for name, pose, (low, high) in zip(robot.actuated, rest, limits.position, strict=True):
+        if file.approach and not low <= pose <= high:
             raise GtauError(
                 f"a run would begin and end with joint '{name}' at {pose:.4g}, outside its limits {low:.4g} to "
                 f"{high:.4g}; give its position under 'rest', or write 'approach: false'."
@@ -195,8 +212,9 @@ def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
         series = FourierSeries(np.where(free, home, center), np.where(free, TURN, half), 1 / period, file.harmonics)
     return (
         DesignProblem(
-            model, base, series, file.space == "platform", file.rate, file.repetitions, rest, payloads,
-            file.motions == "one", limits, chi, gains, sigma,
+            model, base, series, file.space == "platform", file.rate, file.repetitions,
+            rest if file.approach else None, payloads, file.motions == "one", limits, chi,
+            np.array([gain.value for gain in known]), sigma, known, (*guarded.said, *said),
         ),
         assumed,
     )  # fmt: skip
@@ -211,20 +229,37 @@ def _known_joints(key: str, values: Mapping[str, object], robot: Robot) -> None:
             )
 
 
-def _with_limits(robot: Robot, entry: LimitsEntry) -> Robot:
-    """Replace the robot's limits of position, velocity and acceleration by the file's."""
-    joints = []
+def _with_limits(robot: Robot, entry: LimitsEntry, rest: Mapping[str, float]) -> tuple[Robot, tuple[str, ...]]:
+    """Take the design file's limits, or else a share of the robot's; say which, and which are missing."""
+    joints, free, weak = [], [], []
     for joint in robot.joints:
-        given = {
-            key: getattr(entry, key)[joint.name]
-            for key in ("position", "velocity", "acceleration")
-            if joint.name in getattr(entry, key)
-        }
-        joints.append(replace(joint, limits=replace(joint.limits, **given)))
-    return replace(robot, joints=tuple(joints))
+        if not joint.actuated:
+            joints.append(joint)
+            continue
+        limits, position = joint.limits, joint.limits.position
+        if position is not None and entry.share < 1:
+            middle, half = (position[0] + position[1]) / 2, entry.share * (position[1] - position[0]) / 2
+            start = rest[joint.name] if position[0] <= rest[joint.name] <= position[1] else middle
+            position = min(middle - half, start), max(middle + half, start)  # runs begin within them
+        limits = replace(
+            limits,
+            position=entry.position.get(joint.name, position),
+            velocity=entry.velocity.get(joint.name, entry.share * (limits.velocity or 0.0) or None),
+            acceleration=entry.acceleration.get(joint.name, entry.share * (limits.acceleration or 0.0) or None),
+            effort=entry.share * (limits.effort or 0.0) or None,
+        )
+        free += [f"'{joint.name}'"] * (limits.position is None)
+        weak += [f"'{joint.name}'"] * (limits.effort is None and joint.name not in entry.current)
+        joints.append(replace(joint, limits=limits))
+    said = [f"limits: {100 * entry.share:.3g} % of the robot file's, in full where stated; state limits.share"]
+    if free:
+        said.append(f"position: no limit in the file for {some_of(free, 4)}; state limits.position")
+    if weak:
+        said.append(f"torque: no limit in the file for {some_of(weak, 4)}; state limits.current (A)")
+    return replace(robot, joints=tuple(joints)), tuple(said)
 
 
-def _limits(entry: LimitsEntry, robot: Robot, gains: np.ndarray, assumed: dict[str, str]) -> MotionLimits:
+def _limits(entry: LimitsEntry, robot: Robot, assumed: dict[str, str]) -> MotionLimits:
     joints = [robot.joint(name) for name in robot.actuated]
     none = (-np.inf, np.inf)
     velocity = np.array([joint.limits.velocity or np.inf for joint in joints])
@@ -235,34 +270,23 @@ def _limits(entry: LimitsEntry, robot: Robot, gains: np.ndarray, assumed: dict[s
     if np.isinf(acceleration).any():
         assumed["acceleration"] = "acceleration limits: where none is given, the speed limit is reached in 0.3 s"
         acceleration = np.where(np.isinf(acceleration), velocity / 0.3, acceleration)
-    effort = np.array([joint.limits.effort or np.inf for joint in joints]) / np.abs(gains)
-    current = np.array([entry.current.get(name, limit) for name, limit in zip(robot.actuated, effort, strict=True)])
+    current = np.array([entry.current.get(name, np.inf) for name in robot.actuated])
+    effort = np.array([joint.limits.effort or np.inf for joint in joints])
     return MotionLimits(
         position=np.array([joint.limits.position or none for joint in joints], dtype=float),
         velocity=velocity,
         acceleration=acceleration,
         jerk=np.array([entry.jerk.get(name, np.inf) for name in robot.actuated]),
         current=current,
+        torque=np.where(np.isfinite(current), np.inf, effort),
         workspace={str(axis): interval for axis, interval in entry.workspace.items()},
         condition=entry.condition,
         away=entry.away_from_reversals,
     )
 
 
-def _clearance(entry: LimitsEntry, model: InverseDynamics) -> Clearance | None:
-    """Build the clearance of bodies with shapes; refuse those too close at home."""
-    if not entry.shapes:
-        return None
-    shapes = {body: [_shape(shape) for shape in each] for body, each in entry.shapes.items()}
-    found = clearance(model.layout, entry.clearance, shapes)
-    home = (model.layout.home if model.loops is None else model.loops.home)[:, None]
-    for pair in found.pairs:
-        if (distance := found.nearest(home, pair).distance[0]) < entry.clearance:
-            raise GtauError(
-                f"'{pair[0]}' and '{pair[1]}' are {distance:.3g} m apart at home, less than limits.clearance of "
-                f"{entry.clearance:g} m; give them smaller shapes, or leave out that of one."
-            )
-    return found
+def _shapes(entry: Mapping[str, tuple[ShapeEntry, ...]]) -> dict[str, list[Shape]]:
+    return {body: [_shape(shape) for shape in shapes] for body, shapes in entry.items()}
 
 
 def _shape(entry: ShapeEntry) -> Shape:
@@ -289,15 +313,15 @@ def _platform_series(robot: Robot, entry: LimitsEntry, period: float, harmonics:
 
 def _prior(
     prior: DesignPrior, model: InverseDynamics, payloads: tuple[Payload | None, ...], assumed: dict[str, str]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, tuple[KnownGain, ...], np.ndarray]:
     """Determine base parameters, gains and noise."""
     base = base_parameters(model)
     result = None if prior.model is None else Result.load(prior.model)
-    if result is not None:
+    if result is not None and prior.model is not None:
         if result.robot.actuated != model.actuated:
             raise GtauError(f"{prior.model} is the model of another robot; give one of '{model.robot.name}'.")
+        known = identified_gains(result, prior.model)
         chi, sigma = parameters_of(result, base), noise_of(result)
-        gains = np.array([result.drive_gains[joint].value for joint in model.actuated], dtype=float)
     else:
         if prior.parameters:
             chi = given_parameters(model, base, prior.parameters)
@@ -318,10 +342,11 @@ def _prior(
         if missing and prior.gains:
             raise GtauError(f"prior.gains has no gain for joint '{missing[0]}'; give one for every joint or for none.")
         gains = np.array([prior.gains.get(joint, 1.0) for joint in model.actuated])
+        known = tuple(KnownGain(gain, (gain, gain), "assumed" if missing else "given") for gain in gains)
         if missing:
             assumed["gains"] = "gains: 1 N m/A or N/A in every joint; currents are then torques"
         sigma = rough_noise(model, base, chi) / np.abs(gains)
         if len(prior.noise) < len(gains):
             assumed["noise"] = "noise of the currents: white, 0.5 % of the largest current, a sample"
     sigma = np.array([prior.noise.get(joint, each) for joint, each in zip(model.actuated, sigma, strict=True)])
-    return chi, gains, sigma
+    return chi, known, sigma

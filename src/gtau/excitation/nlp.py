@@ -9,10 +9,11 @@ import casadi as ca
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.excitation.constraints import ConstraintUsage, constraint_usages, usages_of_motion
+from gtau.excitation.constraints import APPROACH, ConstraintUsage, constraint_usages, usages_of_motion
 from gtau.excitation.evaluation import Grid, Point, design_grid, evaluate, evaluate_one, objective
 from gtau.excitation.information import criterion
-from gtau.excitation.task import DesignProblem
+from gtau.excitation.task import DesignProblem, close
+from gtau.excitation.trajectory import quintic
 from gtau.model.interpreter.threads import single_threaded_blas
 
 ITERATIONS = 100
@@ -40,6 +41,7 @@ class Programme:
         self._last: tuple[Point, ...] = ()
         self._closed: tuple[Point, ...] = ()  # the last motions whose loops could be closed
         self._loads: tuple[ConstraintUsage, ...] | None = None
+        self._value: tuple[float, np.ndarray] | None = None
 
     def points(self, x: np.ndarray) -> tuple[Point, ...]:
         """Evaluate the motions for x; None where they leave the reachable workspace."""
@@ -49,7 +51,7 @@ class Programme:
                 self._last = self._closed = evaluate(self.task, x, self.grid, self._closed)
             except GtauError:
                 self._last = ()
-            self._loads = None
+            self._loads = self._value = None
         return self._last
 
     def constraint_usages(self, x: np.ndarray) -> tuple[ConstraintUsage, ...]:
@@ -70,7 +72,9 @@ class Programme:
         points = self.points(x)
         if not points:
             return float("nan"), np.full(len(x), np.nan)
-        value, slope = objective(points, self.criterion, self.of_regressor)
+        if self._value is not None:
+            return self._value
+        self._value = value, slope = objective(points, self.criterion, self.of_regressor)
         if self.tightness and value < self.best_value and self.excess(x) <= 1.0 + 1e-6:
             self.best, self.best_value = x.copy(), value
         return value, slope
@@ -122,6 +126,7 @@ def solve(programme: Programme, x: np.ndarray, stop: Callable[[], bool]) -> np.n
                 "sb": "yes",
                 "hessian_approximation": "limited-memory",
                 "limited_memory_max_history": 20,
+                "limited_memory_aug_solver": "extended",  # in place of a solution for each vector of the history
                 "max_iter": ITERATIONS,
                 "tol": TOLERANCE,
                 "constr_viol_tol": 1e-4,
@@ -191,6 +196,9 @@ class _Function(ca.Callback):
 
 
 TRIES = 40  # of a scale
+CENTERS = 200  # random poses, of which the one with the most room is the center of a random motion
+WAY = quintic(np.zeros(1), np.ones(1), 1.0, np.linspace(0.0, 1.0, APPROACH + 2))[0][0]
+SPREAD = 0.7  # part of the ranges in which they are drawn
 DRAWS = 20  # random motions, of which the best is a start: each costs a hundredth of the search that follows
 
 
@@ -218,15 +226,48 @@ def promising_start(
 def random_start(task: DesignProblem, rng: np.random.Generator, part: float) -> np.ndarray | None:
     """Draw a random x (task.size,), each of its motions scaled until it uses a ``part`` of the limits.
 
-    What a limit allows counts from what rest at the center uses of it already; limits that rest breaks, and those that
-    ask for a least value, are left to the search. None where the motion is not reachable.
+    What a limit allows counts from what rest at the center uses of it already; limits that rest breaks, and time away
+    from reversals, are left to the search. The center is free of collisions. None where the motion is not reachable.
     """
     grid = design_grid(task)
-    parts = [_scaled(task, grid, runs, task.series.random(rng), part) for runs in task.motions]
+    parts = []
+    for runs in task.motions:
+        x = task.series.random(rng)
+        resting = _clear_center(task, rng, x)
+        parts.append(_scaled(task, grid, runs, x, resting, part))
     return None if any(each is None for each in parts) else np.concatenate([each for each in parts if each is not None])
 
 
-def _scaled(task: DesignProblem, grid: Grid, runs: tuple[int, ...], x: np.ndarray, part: float) -> np.ndarray | None:
+def _clear_center(task: DesignProblem, rng: np.random.Generator, x: np.ndarray) -> np.ndarray:
+    """Draw the x at rest (series.size,) in the pose with the most room, of those reached without collision.
+
+    It is zero, the middle of all ranges, where no bodies are kept apart; ``x`` then moves about its own center.
+    """
+    series, clearance = task.series, task.limits.clearance
+    resting = np.zeros_like(x)
+    if clearance is None or task.in_platform_space:
+        return resting
+    centers = rng.uniform(-SPREAD, SPREAD, (len(series.center), CENTERS))
+    poses = series.center[:, None] + series.half[:, None] * centers
+    start = poses if task.rest is None else np.broadcast_to(task.rest[:, None], poses.shape)
+    q = start[:, :, None] + (poses - start)[:, :, None] * WAY
+    q = q.reshape(len(q), -1)
+    try:
+        c = close(task.model, q, np.zeros_like(q), np.zeros_like(q), None).c
+    except GtauError:  # not every pose is reachable
+        return resting
+    room = np.min([clearance.nearest(c, pair).distance for pair in clearance.pairs], axis=0).reshape(CENTERS, -1)
+    on_way = room.min(axis=1)
+    clear = on_way >= clearance.least
+    chosen = np.argmax(np.where(clear, room[:, -1], -np.inf) if clear.any() else on_way)
+    resting.reshape(-1, series.free)[:, 0] = centers[:, chosen]
+    x.reshape(-1, series.free)[:, 0] = 0.0
+    return resting
+
+
+def _scaled(
+    task: DesignProblem, grid: Grid, runs: tuple[int, ...], x: np.ndarray, resting_x: np.ndarray, part: float
+) -> np.ndarray | None:
     near: Point | None = None
 
     def used(x: np.ndarray) -> tuple[ConstraintUsage, ...] | None:
@@ -237,19 +278,21 @@ def _scaled(task: DesignProblem, grid: Grid, runs: tuple[int, ...], x: np.ndarra
             return None
         return tuple(usages_of_motion(near))
 
-    resting = used(np.zeros_like(x))
+    resting = used(resting_x)
     if resting is None:
         return None
-    at_rest = {load.what: load.excess for load in resting if not load.least and load.excess < 1}
+    at_rest = {load.what: load for load in resting if load.shortfall < 0}
+
+    def usage(load: ConstraintUsage) -> float:
+        """Part used of what rest leaves."""
+        return 1 - load.shortfall / at_rest[load.what].shortfall
+
     scale, low, high = 1.0, 0.0, np.inf
     for _ in range(TRIES):
-        moving = used(scale * x)
-        most = np.inf if moving is None else max(
-            ((load.excess - at_rest[load.what]) / (1 - at_rest[load.what]) for load in moving if load.what in at_rest),
-            default=1.0,
-        )  # fmt: skip
+        moving = used(resting_x + scale * x)
+        most = np.inf if moving is None else max((usage(load) for load in moving if load.what in at_rest), default=1.0)
         if 0.95 * part <= most <= part:
-            return scale * x
+            return resting_x + scale * x
         low, high = (scale, high) if most < part else (low, scale)
         scale = 2 * scale if np.isinf(high) else (low + high) / 2
-    return low * x
+    return resting_x + low * x

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.finding import Outcome
 from gtau.estimation.results.result import Result
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -18,6 +21,53 @@ FRICTION = 0.1  # rough Coulomb friction, and viscous friction at the speed limi
 MODERATE = 0.15  # rough rms torque, of the effort limit
 NOISE = 0.005  # rough noise of a current's sample, of the effort limit
 STATES = 200
+
+
+@dataclass(frozen=True)
+class KnownGain:
+    """A gain known beforehand, N m/A or N/A, its 95 % ``interval``, and its ``source``: of a result the verdict."""
+
+    value: float
+    interval: tuple[float, float]
+    source: str
+
+    @property
+    def least(self) -> float:
+        """Smallest size within the interval: it gives the largest current."""
+        return min(map(abs, self.interval))
+
+    @property
+    def excess(self) -> float:
+        """Largest size within the interval over that of the value: an identified torque may be so much larger."""
+        return max(map(abs, self.interval)) / abs(self.value)
+
+
+def identified_gains(result: Result, file: Path) -> tuple[KnownGain, ...]:
+    """Take the gains of an earlier result, with their intervals and verdicts.
+
+    Raises
+    ------
+    GtauError
+        A gain is contradictory, not identifiable, or not distinguishable from zero.
+    """
+    found = []
+    for joint in result.robot.actuated:
+        gain = result.drive_gains.get(joint)
+        outcome = Outcome.NOT_IDENTIFIABLE if gain is None else gain.verdict.outcome
+        interval = None if gain is None or gain.value is None else gain.interval() or (gain.value, gain.value)
+        if outcome in (Outcome.CONTRADICTORY, Outcome.NOT_IDENTIFIABLE) or gain is None or interval is None:
+            raise GtauError(
+                f"the gain of joint '{joint}' in {file} is {outcome.value}, so it cannot be a prior; identify it "
+                "again, or give prior.gains from the data sheets in place of prior.model."
+            )
+        if interval[0] * interval[1] <= 0:
+            raise GtauError(
+                f"the gain of joint '{joint}' in {file} is {gain}, which may be zero, so it cannot be a prior; "
+                "identify it again, or give prior.gains from the data sheets in place of prior.model."
+            )
+        assert gain.value is not None
+        found.append(KnownGain(gain.value, interval, outcome.value))
+    return tuple(found)
 
 
 def given_parameters(model: InverseDynamics, base: BaseParameters, parameters: Mapping[str, float]) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import casadi as ca
@@ -13,6 +13,7 @@ from gtau.errors import GtauError
 from gtau.excitation.clearance import Clearance
 from gtau.excitation.gradients import Pullback, SmoothRegressor, in_platform_space, pullback, smooth_regressor
 from gtau.excitation.information import DesignUnknowns, Information, Window, unknowns
+from gtau.excitation.prior import KnownGain
 from gtau.excitation.trajectory import FourierSeries, approach_duration
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.interpreter.program import Program, compile_program
@@ -32,9 +33,10 @@ SMOOTH = 0.02  # width of passive joints' Coulomb friction in a design, of their
 class MotionLimits:
     """Limits of the actuated joints, (n,) each with inf where there is none, and of the motion as a whole.
 
-    ``position`` (n, 2), ``velocity``, ``acceleration``, ``jerk`` in rad or m and s; ``current`` in A; ``workspace``
-    maps x, y, z of the tool's frame to an interval in m; ``condition`` is the largest condition number of the closures;
-    ``away`` the least share of each joint's samples away from its reversals; ``clearance`` keeps bodies apart.
+    ``position`` (n, 2), ``velocity``, ``acceleration``, ``jerk`` in rad or m and s; ``current`` in A, ``torque`` in N m
+    or N, one of them for a joint; ``workspace`` maps x, y, z of the tool's frame to an interval in m; ``condition`` is
+    the largest condition number of the closures; ``away`` the least share of each joint's samples away from its
+    reversals; ``clearance`` keeps bodies apart.
     """
 
     position: np.ndarray
@@ -46,6 +48,7 @@ class MotionLimits:
     condition: float
     away: float
     clearance: Clearance | None = None
+    torque: np.ndarray = field(default_factory=lambda: np.full(1, np.inf))
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +77,10 @@ class DesignProblem:
         Of the motion.
     chi, gains, sigma : ndarray
         Prior base parameters (n_b,), gains (n,), and standard deviations of a sample of each current (n,), A.
+    known : tuple of KnownGain
+        The gains with their intervals, by which limits of torque and current are converted; exact if left out.
+    guards : tuple of str
+        What keeps the robot from harm, what was guessed, and what is not checked, a sentence each.
     """
 
     model: InverseDynamics
@@ -89,6 +96,8 @@ class DesignProblem:
     chi: np.ndarray
     gains: np.ndarray
     sigma: np.ndarray
+    known: tuple[KnownGain, ...] = ()
+    guards: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return f"DesignProblem({self.model.robot.name!r}, runs: {len(self.payloads)}, rate: {self.rate:g} Hz)"

@@ -13,7 +13,8 @@ import numpy as np
 from gtau.documents.files import write_atomically, write_table
 from gtau.excitation.design import Design, check
 from gtau.excitation.forecast import Expected, Forecast, Weak, forecast, sampled_motions, weak_unknowns
-from gtau.excitation.task import DesignProblem
+from gtau.excitation.prior import KnownGain
+from gtau.excitation.task import DesignProblem, close
 from gtau.report.motion import joint_panels
 from gtau.report.page import (
     Chart,
@@ -78,6 +79,9 @@ def design_document(design: Design, assumed: Mapping[str, str], masses: Sequence
         "motions": "one" if task.one_motion else "each run",
         "runs": ["none" if payload is None else payload.name for payload in task.payloads],
         "gains_rms": _rms(expected),
+        "guards": list(task.guards),
+        "tool": _tool(design),
+        "priors": [_prior_gain(*each) for each in zip(robot.actuated, task.known, strict=False)],
         "gains": [_entry(each, f"{torque_unit(robot, each.name)}/A", "gains" in assumed) for each in expected.gains],
         "parameters": [
             _entry(each, _unit(parameter_of(each.name), task), "parameters" in assumed) for each in expected.parameters
@@ -96,6 +100,22 @@ def design_document(design: Design, assumed: Mapping[str, str], masses: Sequence
         "assumed": list(assumed.values()),
         "x": design.x.tolist(),
     }
+
+
+def _prior_gain(joint: str, known: KnownGain) -> dict[str, Any]:
+    return {"name": joint, "value": known.value, "interval": list(known.interval), "source": known.source}
+
+
+def _tool(design: Design) -> dict[str, Any]:
+    """Compute the greatest speed, m/s, and the least and greatest coordinates, m, of the tool's frame in the base."""
+    task, speeds, places = design.task, [], []
+    for time, joints in sampled_motions(task, design.x):
+        place = task.tool[0](close(task.model, joints[0], joints[1], joints[2], None).c)
+        speeds.append(float(np.linalg.norm(np.gradient(place, time, axis=1), axis=0).max()))
+        places.append(place)
+    every = np.concatenate(places, axis=1)
+    limits = zip("xyz", every.min(axis=1).tolist(), every.max(axis=1).tolist(), strict=True)
+    return {"frame": task.model.robot.tool, "speed": max(speeds)} | {axis: [low, high] for axis, low, high in limits}
 
 
 def _entry(each: Expected, unit: str, assumed: bool) -> dict[str, Any]:
@@ -151,7 +171,7 @@ def design_page(document: dict[str, Any]) -> Page:
     return page(
         f"Exciting motion for {document['robot']}",
         section("Verdict", _verdict(document), _facts(document), id="verdict"),
-        section("Drive gains to expect", _expected(document["gains"]), id="gains"),
+        section("Drive gains to expect", _expected(document["gains"], known=document["priors"]), id="gains"),
         section("Parameters to expect", _expected(document["parameters"], "parameter-table"), unknown, id="parameters"),
         section("Limits", _limits(document["limits"]), id="limits"),
         _masses(document),
@@ -160,7 +180,11 @@ def design_page(document: dict[str, Any]) -> Page:
             Text("", tuple(document["assumed"])) if document["assumed"] else Text("Nothing was assumed."),
             id="assumed",
         ),
-        lead=[f"Criterion: {document['criterion']}. Runs: {', '.join(map(_load, document['runs']))}."],
+        lead=[
+            f"The tool moves at up to {document['tool']['speed']:.2g} m/s (frame of '{document['tool']['frame']}').",
+            *(f"{said[0].upper()}{said[1:]}." for said in document["guards"]),
+            f"Criterion: {document['criterion']}. Runs: {', '.join(map(_load, document['runs']))}.",
+        ],
     )
 
 
@@ -203,12 +227,13 @@ def _facts(document: dict[str, Any]) -> Facts:
             "period": f"{document['period']:.4g} s",
             "repetitions": document["repetitions"],
             "duration of a run": f"{document['duration']:.4g} s",
+            "tool along z of the base": "{:.3g} to {:.3g} m".format(*document["tool"]["z"]),
             "motions": "one for all runs" if document["motions"] == "one" else "one for each run",
         }
     )
 
 
-def _expected(entries: Sequence[Mapping[str, Any]], name: str = "") -> Table:
+def _expected(entries: Sequence[Mapping[str, Any]], name: str = "", known: Sequence[Mapping[str, Any]] = ()) -> Table:
     """Tabulate standard deviations to expect; of a gain that is only assumed, just the relative one means something."""
     columns = (
         Column("name", Kind.NAME),
@@ -218,13 +243,19 @@ def _expected(entries: Sequence[Mapping[str, Any]], name: str = "") -> Table:
         Column("unit"),
         Column("prior value is"),
     )
+    sources = {prior["name"]: prior["source"] for prior in known if prior["source"] not in ("given", "assumed")}
+    ranges = {prior["name"]: "{:.4g} to {:.4g}".format(*prior["interval"]) for prior in known}
     rows = [
         (
             each["name"],
             *((None, None) if each["assumed"] and "/A" in each["unit"] else (each["value"], each["std"])),
             None if _meaningless(each) else each["rel_std"],
             each["unit"],
-            "assumed" if each["assumed"] else "given",
+            f"{sources[each['name']]}, {ranges[each['name']]}"
+            if each["name"] in sources
+            else "assumed"
+            if each["assumed"]
+            else "given",
         )
         for each in entries
     ]

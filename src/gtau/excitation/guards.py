@@ -1,0 +1,178 @@
+"""Guards against crashes where the design file states none: shapes of bodies, and a floor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.excitation.clearance import (
+    FIXED,
+    FLOOR,
+    Capsule,
+    Clearance,
+    Floor,
+    Shape,
+    bounding_capsule,
+    capsule,
+    clearance,
+)
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.random_states import random_motion
+from gtau.robots.readers.shapes import urdf_shapes
+from gtau.robots.robot import GROUND, Robot
+
+SLENDER = 0.04  # radius of a link of unknown shape, of the arm's length: UR10e 0.07 m, Panda 0.06, as their tubes
+STUBBY = 0.4  # and at most this part of the link's own length
+ROOM = 1.1  # of the clearance that the resting arm keeps from a floor below the base plane
+STATES = 64  # random poses that tell whether a distance can change
+SAME = 1e-9  # m
+STATE = "limits.shapes"
+
+
+@dataclass(frozen=True, eq=False)
+class Guarded:
+    """Bodies kept apart, None where nothing is, and what to say of it: sentences with the keys that state it."""
+
+    clearance: Clearance | None
+    said: tuple[str, ...]
+
+
+def guard(
+    model: InverseDynamics,
+    rest: np.ndarray,
+    least: float,
+    stated: Mapping[str, Sequence[Shape]] | None,
+    floor: float | str | None,
+    file: Path,
+) -> Guarded:
+    """Guard bodies against each other and a floor, by ``stated`` shapes, those of the robot's file, or guessed ones.
+
+    ``rest`` (n_c, 1) is where runs begin, ``least`` the clearance in m, ``file`` the robot's. No body is checked where
+    ``stated`` is None, and no floor where ``floor`` is "none"; its height, m, is guessed where it is None.
+
+    Raises
+    ------
+    GtauError
+        Stated shapes are too close at rest, or name a body that does not exist.
+    """
+    if stated is None:
+        return Guarded(None, (f"collisions: not checked, as '{STATE}: none' says",))
+    guesses, how = _guesses(model.robot, stated, file)
+    shapes: dict[str, Sequence[Shape]] = {**guesses, **stated}
+    height, words = _floor(model, shapes, rest, least, floor)
+    found = clearance(model.layout, least, shapes if height is None else {**shapes, FLOOR: [Floor(height)]})
+    certain = {*stated, *([FLOOR] if isinstance(floor, float) else [])}
+    pairs, overlapping = [], []
+    moving = random_motion(model, STATES, np.random.default_rng(0)).c if guesses else rest
+    for pair in found.pairs:
+        distance = float(found.nearest(rest, pair).distance[0])
+        if distance < least and certain.issuperset(pair):
+            raise GtauError(
+                f"{_of(pair)} are {distance:.3g} m apart at rest, less than limits.clearance of {least:g} m; give them "
+                f"smaller shapes ({STATE}), or another 'rest'."
+            )
+        if distance < least:
+            overlapping.append(_of(pair))
+        elif certain.issuperset(pair) or np.ptp(found.nearest(moving, pair).distance) > SAME:
+            pairs.append(pair)
+    said = [words, how]
+    if overlapping:
+        said.append(f"not checked, as guessed shapes overlap at rest: {'; '.join(overlapping)}; state {STATE}")
+    if model.robot.tool not in stated and pairs:
+        said.append(f"tool, payload and cables have no shape; add them to '{model.robot.tool}' under {STATE}")
+    return Guarded(replace(found, pairs=tuple(pairs)) if pairs else None, tuple(said))
+
+
+def _of(pair: tuple[str, str]) -> str:
+    return " and ".join(body if body == FLOOR else f"'{body}'" for body in pair)
+
+
+def _guesses(robot: Robot, stated: Mapping[str, Sequence[Shape]], file: Path) -> tuple[dict[str, list[Capsule]], str]:
+    """Guess shapes of the bodies without a stated one, and say how."""
+    in_file, ends, missing = urdf_shapes(file) if file.suffix.lower() == ".urdf" and file.is_file() else ({}, {}, {})
+    bodies = [body for body in (GROUND, *robot.bodies) if body not in stated]
+    drawn = {
+        body: [_grown(bounding_capsule(points), radius) for points, radius in in_file[body]]
+        for body in bodies
+        if body in in_file
+    }
+    links = {} if robot.closures else _links(robot, ends)
+    lines = {body: links[body] for body in bodies if body in links and (body not in drawn or body in missing)}
+    counts = {"stated": len(stated), "the robot file's shapes": len(drawn), "links' lengths": len(lines)}
+    sources = [f"{words} ({count} of {len(robot.bodies) + 1} bodies)" for words, count in counts.items() if count]
+    lost = sum(missing.values())
+    meshes = f"; {lost} meshes of the file were not found or are neither STL nor OBJ" if lost else ""
+    if robot.closures and not drawn:
+        how = f"links of closed loops cross, and their thickness is unknown{meshes}; state {STATE}"
+        kept = f"only bodies under {STATE} are checked" if stated else "self-collision: not checked"
+        return {}, f"{kept}: {how}"
+    if not sources:
+        return {}, f"self-collision: not checked, as the robot file has no shapes and no lengths; state {STATE}"
+    shapes = {body: [*drawn.get(body, ()), *lines.get(body, ())] for body in bodies if body in {**drawn, **lines}}
+    guessed = "guessed" if lines else "checked"
+    return shapes, f"self-collision: {guessed} with capsules from {', '.join(sources)}{meshes}; state {STATE}"
+
+
+def _grown(found: Capsule, radius: float) -> Capsule:
+    return Capsule(found.start, found.end, found.radius + radius)
+
+
+def _links(robot: Robot, ends: Mapping[str, Sequence[np.ndarray]]) -> dict[str, list[Capsule]]:
+    """Guess capsules from each body's origin to its followers, about as thick as robot arms of that length."""
+    far = {GROUND: 0.0}
+    for joint in robot.joints:
+        far[joint.name] = far[joint.antecedent] + float(np.linalg.norm(joint.placement.position))
+    thick, radii, found = SLENDER * max(far.values()), {GROUND: 0.0}, {}
+    for body in (GROUND, *(joint.name for joint in robot.joints)):
+        paths = [_path(joint.axis, joint.placement.rotation, joint.placement.position) for joint in robot.joints
+                 if joint.antecedent == body]  # fmt: skip
+        if not paths and body != GROUND:
+            paths = [[np.zeros(3), end] for end in ends.get(body, ())] or [[np.zeros(3)] * 2]
+        length = max((float(np.linalg.norm(path[-1])) for path in paths), default=0.0)
+        before = next((radii[joint.antecedent] for joint in robot.joints if joint.name == body), 0.0)
+        radii[body] = min(thick, STUBBY * length) if length > 1e-6 else before or thick
+        if radii[body] > 0.0:
+            found[body] = [capsule(start, end, radii[body]) for path in paths for start, end in pairwise(path)]
+    return found
+
+
+def _path(axis: tuple[float, float, float], rotation: np.ndarray, end: np.ndarray) -> list[np.ndarray]:
+    """Lead from a body's origin to the next joint: across its axis, then along it, as arms with offsets are built."""
+    direction = rotation @ np.array(axis)
+    corner = end - (end @ direction) * direction
+    inner = [corner] if min(np.linalg.norm(corner), np.linalg.norm(end - corner)) > 1e-6 else []
+    return [np.zeros(3), *inner, end]
+
+
+def _floor(
+    model: InverseDynamics,
+    shapes: Mapping[str, Sequence[Shape]],
+    rest: np.ndarray,
+    least: float,
+    floor: float | str | None,
+) -> tuple[float | None, str]:
+    """Choose the height of the floor, None without one, and say what was chosen."""
+    state = "state 'limits: {floor: HEIGHT}' (m, along z of the base)"
+    if isinstance(floor, str):
+        return None, "floor: not checked, as 'limits: {floor: none}' says"
+    if floor is not None:
+        return floor, f"floor: {floor:g} m along z of the base, as stated"
+    probe = clearance(model.layout, least, {**shapes, FLOOR: [Floor(0.0)]})
+    moving = random_motion(model, STATES, np.random.default_rng(0)).c
+    pairs = [pair for pair in probe.pairs if FLOOR in pair and np.ptp(probe.nearest(moving, pair).distance) > SAME]
+    if not pairs:
+        return None, f"floor: none guessed, as no body that moves up or down has a shape; {state}"
+    lowest = min(float(probe.nearest(rest, pair).distance[0]) for pair in pairs)
+    origins = min(float(pose[1][2, 0]) for pose in (probe.poses(body, rest) for body in shapes if body not in FIXED))
+    if origins < -1e-6:
+        return None, f"floor: none guessed, as the resting arm reaches below z = 0 of the base; {state}"
+    height = min(0.0, lowest - ROOM * least)
+    down = model.robot.gravity[2] < -0.99 * float(np.linalg.norm(model.robot.gravity)) < 0
+    plane = "" if down else ", the plane of its mounting: where the real floor is is unknown"
+    lower = " (z = 0 lies within the clearance of the resting arm)" if height < 0 else ""
+    return height, f"floor: guessed at z = {height:.3g} m of the base{plane}{lower}; {state}"

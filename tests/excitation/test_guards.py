@@ -1,0 +1,246 @@
+"""A design without limits keeps off the floor and itself, and says what it guessed; checked by MuJoCo and Pinocchio."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from gtau.errors import GtauError
+from gtau.estimation.diagnostics.finding import Outcome
+from gtau.estimation.diagnostics.verdict import Verdict
+from gtau.estimation.results.estimate import Estimate
+from gtau.excitation.clearance import FLOOR, Capsule, bounding_capsule
+from gtau.excitation.constraints import usages_of_motion
+from gtau.excitation.design import Design, check, design
+from gtau.excitation.design_file import read_design
+from gtau.excitation.evaluation import design_grid, evaluate
+from gtau.excitation.forecast import sampled_motions
+from gtau.excitation.nlp import random_start
+from gtau.excitation.prior import KnownGain, identified_gains
+from gtau.report.design import design_document, design_page
+from gtau.report.render.terminal import plain
+
+ARM = """robot: arm
+%s
+joints:
+  turret: {antecedent: ground, r: 0.35, theta: q, limits: {position: [-1, 1], velocity: 2, effort: 200}}
+  arm: {antecedent: turret, alpha: pi/2, theta: q, limits: {position: [-2, 2], velocity: 2, effort: 200}}
+  forearm: {antecedent: arm, d: 0.5, theta: q, home: 0.5, limits: {position: [-2.9, 2.9], velocity: 3, effort: 90}}
+  wrist: {antecedent: forearm, d: 0.4, theta: q, limits: {position: [-2.9, 2.9], velocity: 3, effort: 30}}
+"""
+DESIGN = """robot: arm.yaml
+rate: 200
+period: 4
+harmonics: 3
+runs: [{payload: none}, {payload: {name: disc, mass: 2}}]
+%s
+"""
+URDF = """<robot name="shaped">
+<link name="base"><collision><geometry><box size="0.2 0.2 0.1"/></geometry></collision></link>
+<link name="one"><collision><origin xyz="0 0 0.2" rpy="0.3 0 0.2"/><geometry><cylinder radius="0.05" length="0.4"/>
+</geometry></collision></link>
+<link name="two"><collision><origin xyz="0 0.1 0.2" rpy="0 0.5 0"/><geometry><mesh filename="package://shaped/two.obj"
+ scale="0.1 0.1 0.3"/></geometry></collision></link>
+<link name="tip"><collision><geometry><sphere radius="0.06"/></geometry></collision></link>
+<joint name="a" type="revolute"><parent link="base"/><child link="one"/><origin xyz="0 0 0.1"/><axis xyz="1 0 0"/>
+<limit lower="-2" upper="2" velocity="2" effort="50"/></joint>
+<joint name="b" type="revolute"><parent link="one"/><child link="two"/><origin xyz="0 0 0.4"/><axis xyz="0 1 0"/>
+<limit lower="-2" upper="2" velocity="2" effort="50"/></joint>
+<joint name="c" type="fixed"><parent link="two"/><child link="tip"/><origin xyz="0 0 0.45"/></joint></robot>"""
+CUBE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nv 1 1 0\nv 1 0 1\nv 0 1 1\nv 1 1 1\nf 1 2 5\nf 4 6 8\nf 1 5 3\nf 4 8 7\n"
+
+
+def written(folder: Path, more: str = "", robot: str = "") -> Path:
+    (folder / "arm.yaml").write_text(ARM % robot)
+    (folder / "design.yaml").write_text(DESIGN % more)
+    return folder / "design.yaml"
+
+
+def least_distance(found: Design, names: list[str]) -> float:
+    """Least distance by MuJoCo between all capsules of bodies that no joint joins, and from the plane of the floor."""
+    clearance = found.task.limits.clearance
+    assert clearance is not None
+    spec = mujoco.MjSpec()
+    body, place = (
+        spec.worldbody,
+        {"turret": (0, 0, 0.35), "arm": (0, 0, 0), "forearm": (0.5, 0, 0), "wrist": (0.4, 0, 0)},
+    )
+    for name in ("ground", *names):
+        if name != "ground":
+            turn = (np.sqrt(0.5), np.sqrt(0.5), 0, 0) if name == "arm" else (1, 0, 0, 0)
+            body = body.add_body(name=name, pos=place[name], quat=turn, mass=1, inertia=(1, 1, 1))
+            body.add_joint(axis=(0, 0, 1))
+        for k, shape in enumerate(clearance.shapes[name]):
+            assert isinstance(shape, Capsule)
+            ends = (*shape.start, *shape.end)
+            if np.allclose(shape.start, shape.end):
+                body.add_geom(
+                    name=f"{name} {k}", type=mujoco.mjtGeom.mjGEOM_SPHERE, pos=shape.start, size=[shape.radius, 0, 0]
+                )
+            else:
+                body.add_geom(
+                    name=f"{name} {k}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=ends, size=[shape.radius, 0, 0]
+                )
+    model = spec.compile()
+    data, least, height = mujoco.MjData(model), np.inf, clearance.shapes[FLOOR][0].height
+    owners = [model.geom(k).name.split()[0] for k in range(model.ngeom)]
+    chain = ["ground", *names]
+    # 'ground' and 'arm' are joined by the turret, and their distance does not change
+    pairs = [
+        (i, j) for i, one in enumerate(owners) for j, other in enumerate(owners)
+        if chain.index(other) > chain.index(one) + 1 and (one, other) != ("ground", "arm")
+    ]  # fmt: skip
+    moving = [k for k, owner in enumerate(owners) if owner not in ("ground", "turret")]
+    halves = np.where(model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE, model.geom_size[:, 1], 0)
+    ((_, joints),) = sampled_motions(found.task, found.x)
+    for q in joints[0].T[::4]:
+        data.qpos[:] = q
+        mujoco.mj_kinematics(model, data)
+        bottoms = data.geom_xpos[:, 2] - np.abs(data.geom_xmat[:, 8]) * halves - model.geom_size[:, 0]
+        least = min(least, *(mujoco.mj_geomDistance(model, data, i, j, 9.0, None) for i, j in pairs))
+        least = min(least, float(bottoms[moving].min()) - height)
+    return float(least)
+
+
+def test_a_bare_arm_keeps_off_the_floor_and_itself(tmp_path: Path) -> None:
+    task, _ = read_design(written(tmp_path))
+    assert task.limits.velocity == pytest.approx([1.6, 1.6, 2.4, 2.4])  # 80 %
+    assert task.limits.torque == pytest.approx([160, 160, 72, 24])
+    assert any(FLOOR in pair for pair in task.limits.clearance.pairs)
+    found = design(task, starts=1)
+    assert least_distance(found, list(task.model.actuated)) >= task.limits.clearance.least - 1e-4
+    lines = plain(design_page(design_document(found, {}, []))).splitlines()[:14]
+    first = " ".join(lines)
+    for words in ("The tool moves at up to", "m/s",
+                  "Floor: guessed at z = 0 m of the base; state 'limits: {floor: HEIGHT}'",
+                  "Self-collision: guessed with capsules from links' lengths", "state limits.shapes",
+                  "Limits: 80 % of the robot file's", "state limits.share"):  # fmt: skip
+        assert words in first
+
+
+def test_without_guards_the_same_arm_crashes(tmp_path: Path) -> None:
+    guarded, _ = read_design(written(tmp_path))
+    bare, _ = read_design(written(tmp_path, "limits: {shapes: none, share: 1}"))
+    assert bare.limits.clearance is None
+    assert bare.guards[0] == "collisions: not checked, as 'limits.shapes: none' says"
+    x = random_start(bare, np.random.default_rng(0), 0.99)
+    assert x is not None
+    over = [usage.what for usage in check(replace(bare, limits=guarded.limits), x) if usage.excess > 1]
+    assert any(FLOOR in what for what in over)
+
+
+@pytest.mark.parametrize("robot", ["orthoglide", "five-bar"])
+def test_closed_loops_are_neither_guessed_nor_forbidden(robot: str, tmp_path: Path) -> None:
+    path = tmp_path / "design.yaml"
+    path.write_text((DESIGN % "").replace("arm.yaml", robot))
+    task, _ = read_design(path)
+    assert task.limits.clearance is None
+    assert task.guards[0].startswith("floor: none guessed")
+    assert task.guards[1].startswith("self-collision: not checked")
+    assert all("state " in said for said in task.guards[:2])
+
+
+def test_floors_that_make_no_sense_are_not_guessed(tmp_path: Path) -> None:
+    hanging, _ = read_design(written(tmp_path, "rest: {arm: -1.5}"))
+    assert "reaches below z = 0 of the base; state" in hanging.guards[0]
+    assert not any(FLOOR in pair for pair in hanging.limits.clearance.pairs)
+    ceiling, _ = read_design(written(tmp_path, robot="gravity: [0, 0, 9.81]"))
+    assert "the plane of its mounting: where the real floor is is unknown" in ceiling.guards[0]
+    stated, _ = read_design(written(tmp_path, "limits: {floor: -0.5}"))
+    assert stated.guards[0] == "floor: -0.5 m along z of the base, as stated"
+    assert stated.limits.clearance.shapes[FLOOR][0].height == -0.5
+    none, _ = read_design(written(tmp_path, "limits: {floor: none}"))
+    assert none.guards[0] == "floor: not checked, as 'limits: {floor: none}' says"
+
+
+def test_a_robot_that_moves_in_the_base_plane_has_no_floor(tmp_path: Path) -> None:
+    (tmp_path / "arm.yaml").write_text(
+        """robot: planar
+joints:
+  one: {antecedent: ground, theta: q, limits: {position: [-2, 2], velocity: 2, effort: 20}}
+  two: {antecedent: one, d: 0.4, theta: q, limits: {position: [-2, 2], velocity: 2, effort: 20}}
+  slide: {antecedent: two, d: 0.3, alpha: pi/2, r: q, limits: {position: [-0.2, 0.2], velocity: 2, effort: 20}}
+"""
+    )
+    (tmp_path / "design.yaml").write_text(DESIGN % "")
+    task, _ = read_design(tmp_path / "design.yaml")
+    assert task.guards[0].startswith("floor: none guessed, as no body that moves up or down has a shape")
+
+
+def test_capsules_enclose_the_shapes_of_a_file(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Distances of capsules are never more than those that Pinocchio finds between the shapes themselves."""
+    (tmp_path / "two.obj").write_text(CUBE)
+    (tmp_path / "arm.urdf").write_text(URDF)
+    (tmp_path / "design.yaml").write_text((DESIGN % "").replace("arm.yaml", "arm.urdf"))
+    task, _ = read_design(tmp_path / "design.yaml")
+    assert "from the robot file's shapes (3 of 3 bodies); state" in task.guards[1]
+    (pair,) = (pair for pair in task.limits.clearance.pairs if pair == ("ground", "b"))
+    model = pin.buildModelFromUrdf(str(tmp_path / "arm.urdf"))
+    (tmp_path / "pin.urdf").write_text(URDF.replace("package://shaped/", f"{tmp_path}/"))
+    geometry = pin.buildGeomFromUrdf(model, str(tmp_path / "pin.urdf"), pin.GeometryType.COLLISION)
+    index = {each.name: k for k, each in enumerate(geometry.geometryObjects)}
+    for name in ("two_0", "tip_0"):
+        geometry.addCollisionPair(pin.CollisionPair(index["base_0"], index[name]))
+    data, of_shapes = model.createData(), pin.GeometryData(geometry)
+    c = rng.uniform(-2, 2, (2, 50))
+    ours = task.limits.clearance.nearest(c, pair).distance
+    for k in range(50):
+        pin.computeDistances(model, data, geometry, of_shapes, c[:, k])
+        true = min(each.min_distance for each in of_shapes.distanceResults)
+        assert ours[k] <= true + 1e-6
+        assert ours[k] > true - 0.25
+
+
+def test_a_capsule_bounds_points(rng: np.random.Generator) -> None:
+    for spread in ((1, 1, 1), (3, 1, 0.2), (0, 0, 0), (1, 0, 0)):
+        points = rng.normal(size=(30, 3)) * spread + [1, 2, 3]
+        found = bounding_capsule(points)
+        line = found.end - found.start
+        part = np.clip((points - found.start) @ line / max(line @ line, 1e-300), 0, 1)
+        assert np.linalg.norm(points - found.start - part[:, None] * line, axis=1).max() <= found.radius + 1e-9
+
+
+def result_with(value: float, std: float, outcome: Outcome) -> SimpleNamespace:
+    gain = Estimate("gain_arm", value, std, "N m/A", verdict=Verdict(outcome))
+    return SimpleNamespace(robot=SimpleNamespace(actuated=("arm",)), drive_gains={"arm": gain})
+
+
+def test_contradictory_gains_are_no_priors() -> None:
+    with pytest.raises(
+        GtauError, match=r"gain of joint 'arm' in m.json is contradictory, so it cannot be a prior; identify"
+    ):
+        identified_gains(result_with(0.00039, 1e-5, Outcome.CONTRADICTORY), Path("m.json"))
+    with pytest.raises(GtauError, match="which may be zero, so it cannot be a prior"):
+        identified_gains(result_with(1.0, 0.8, Outcome.WEAK), Path("m.json"))
+    (weak,) = identified_gains(result_with(10.0, 1.0, Outcome.WEAK), Path("m.json"))
+    assert weak.source == "weak"
+    assert weak.interval == pytest.approx((8.04, 11.96), abs=0.01)
+
+
+def test_limits_hold_at_the_worst_end_of_a_gain(tmp_path: Path) -> None:
+    """A limit of torque is not turned into amperes; one of current counts for the least gain."""
+    task, _ = read_design(
+        written(tmp_path, "limits: {current: {arm: 20}}\nprior: {gains: {turret: 10, arm: 10, forearm: 10, wrist: 10}}")
+    )
+    assert task.limits.current.tolist() == [np.inf, 20, np.inf, np.inf]
+    x = random_start(task, np.random.default_rng(0), 0.5)
+    assert x is not None
+    gains = tuple(KnownGain(10.0, (8.0, 12.0), "weak") for _ in range(4))
+    exact, ranged = (
+        {usage.what: usage for usage in usages_of_motion(evaluate(each, x, design_grid(each))[0])}
+        for each in (task, replace(task, known=gains))
+    )
+    assert {usage.unit for what, usage in exact.items() if what.startswith("torque")} == {"N m"}
+    assert ranged["torque of joint 'forearm'"].excess == pytest.approx(1.2 * exact["torque of joint 'forearm'"].excess)
+    assert ranged["current of joint 'arm'"].excess == pytest.approx(exact["current of joint 'arm'"].excess / 0.8)
+
+
+def test_a_limit_in_amperes_needs_gains(tmp_path: Path) -> None:
+    with pytest.raises(GtauError, match=r"limits\.current needs the drive gains; add prior\.gains"):
+        read_design(written(tmp_path, "limits: {current: {arm: 20}}"))
