@@ -26,8 +26,10 @@ import numpy as np
 from gtau.documents import files
 from gtau.documents.validation import NUMBER, takes
 from gtau.errors import GtauError
+from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.prediction import Prediction, loaded_parameters, suited
 from gtau.estimation.results.result import Result
+from gtau.estimation.results.torque_errors import torque_errors
 from gtau.export.identified import OBSERVED, functions, identified
 from gtau.export.wrench import WrenchAlongLog, wrench_along_log
 from gtau.robots.floating import refuse_floating
@@ -65,11 +67,13 @@ class TorquesAlongLog:
     """Table with one row per sample, and a summary per joint.
 
     The table is that of :meth:`gtau.estimation.results.estimate.Prediction.table`; with ``observed_J``, the causal
-    estimate of the external torques, and the columns of the ``wrench`` at a frame, where these were asked for.
+    estimate of the external torques, and the columns of the ``wrench`` at a frame, where these were asked for. All are
+    behind the low-pass of identification; ``errors`` are also those against the raw torque, by frequency.
     """
 
     table: pl.DataFrame
     joints: tuple[External, ...]
+    errors: tuple[TorqueError, ...]
     wrench: WrenchAlongLog | None = None
 
 
@@ -97,7 +101,8 @@ def torques_along_log(
     GtauError
         Where the run does not suit the robot, or the model refuses a sample.
     """
-    prediction = result.predict(run)
+    raw = result.predict(run)
+    prediction = raw.in_band
     residual = {each.joint: each.rms for each in result.residuals}
     joints = [
         _summary(prediction.of([joint]), torque_unit(result.robot, joint), residual.get(joint))
@@ -111,7 +116,7 @@ def torques_along_log(
     if frame is not None:
         wrench = wrench_along_log(result, run, prediction, frame, force_only)
         table = table.with_columns(**wrench.columns).fill_nan(None)
-    return TorquesAlongLog(table, tuple(joints), wrench)
+    return TorquesAlongLog(table, tuple(joints), torque_errors(result, raw), wrench)
 
 
 @takes(result=("a result", (Result,)), run=("a run (gtau.read_run)", (Run,)), bandwidth=NUMBER)
@@ -217,7 +222,8 @@ def summary_text(found: TorquesAlongLog) -> str:
     return "\n".join(
         [
             *lines,
-            "rms: away from reversals, as largest and beyond 4; all: over all samples.",
+            "Behind the low-pass of identification. rms: away from reversals, as largest and",
+            "beyond 4; all: over all samples.",
             "residual: rms torque residual of the identification; beyond 4: share of samples",
             "whose external torque exceeds four of them, by chance 0.006 %. A contact, a",
             "collision or an unknown payload shows there.",

@@ -14,7 +14,8 @@ from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.identified_model import IdentifiedModel, estimates_frame
 from gtau.estimation.results.model_file import load, save
-from gtau.estimation.results.prediction import Prediction, predict, torque_errors, torques
+from gtau.estimation.results.prediction import Prediction, predict, torques
+from gtau.estimation.results.torque_errors import torque_errors
 from gtau.signals.payload import Payload, as_payload
 from gtau.signals.run import Run
 
@@ -72,7 +73,7 @@ class Result(IdentifiedModel):
         return self.torques(q, qd, qdd, payload) / self.gains
 
     def predict(self, run: Run) -> Prediction:
-        """Predict torques along ``run``, beside the measured ``v g_tau``.
+        """Predict torques along ``run``, beside the raw measured ``v g_tau``.
 
         Raises
         ------
@@ -82,7 +83,7 @@ class Result(IdentifiedModel):
         return predict(self, run)
 
     def validate(self, run: Run) -> tuple[TorqueError, ...]:
-        """Compute torque errors of each joint on a run: away from reversals, and over all samples."""
+        """Compute torque errors of each joint on a run: against the raw torque, by frequency, and in the fit's band."""
         return torque_errors(self, self.predict(run))
 
     @property
