@@ -164,7 +164,7 @@ def torques_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Sec
     )
     every = section("Torque errors of every run", errors_table(runs), Text(REVERSALS, style="soft"), folded=True)
     by_band = bands_section([error for run in runs for error in run.errors])
-    bands = () if by_band is None else (replace(by_band, folded=True),)
+    bands = () if by_band is None else (replace(by_band, folded=True, id=""),)
     return section(
         "Torques",
         Text(words),
