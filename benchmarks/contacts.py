@@ -104,7 +104,7 @@ def pushed(result: Result, run: Run, onsets: np.ndarray, force: float) -> Run:
 
 def forces(result: Result, run: Run, bandwidth: float | None) -> tuple[np.ndarray, np.ndarray]:
     """Estimate forces (N, 3) at the flange, by the zero-phase estimate or the observer, and their deviations."""
-    prediction = predict_under_load(result, run)
+    prediction = predict_under_load(result, run).in_band
     if bandwidth is not None:
         observed = momentum_observer(result, run, bandwidth)
         prediction = replace(prediction, measured=prediction.predicted - observed)

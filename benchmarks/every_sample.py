@@ -6,8 +6,9 @@
 The script is what one would write by hand: positions behind a zero-phase Butterworth low-pass, central differences,
 Pinocchio's regressor with rotor inertia, viscous and Coulomb friction and offset, base columns by QR with pivoting,
 torques and columns decimated by SciPy, weighted least squares; over every sample, with the rest at both ends masked,
-and with slow rows masked as well. It is given the gains that gtau finds, and finds the payload's parameters itself.
-Errors are rms errors over rms torques, per cent, of the same rows behind the same filter.
+and with slow rows masked as well, each with positions behind 5 and behind 20 times the bandwidth of the motion. It is
+given the gains that gtau finds, and finds the payload's parameters itself. Errors are rms errors over rms torques,
+per cent, of the same samples: of all against the raw torque, and away from reversals behind the same low-pass.
 """
 
 from __future__ import annotations
@@ -16,13 +17,15 @@ import argparse
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 from scipy.signal import butter, decimate, sosfiltfilt
 
-sys.path.append(str(Path(__file__).parent))
+sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[1] / "tests" / "support")]
+from models_to_export import of_equations
 from peers import Pinocchio, base_columns, random_parameters
 from zoo import ENTRIES
 
@@ -36,11 +39,14 @@ from gtau.signals.run import Run, arrange
 
 LOGS = ("panda", "ur10e", "tx40")
 MASKS = ("every sample", "ends masked", "slow masked")
+CUTOFFS = (5, 20)  # times the bandwidth, of the position filter
 SLOW = 0.05  # of the rms speed of a joint
 ENDS = 20  # decimated rows, where filters begin
 
 
-def script(result: Result, runs: Sequence[Run], mask: str) -> tuple[Callable[[Run], np.ndarray], np.ndarray]:
+def script(
+    result: Result, runs: Sequence[Run], mask: str, wide: float = 5
+) -> tuple[Callable[[Run], np.ndarray], np.ndarray]:
     """Identify by hand; returns what predicts torques (N, n) along a run, and the columns' parameters.
 
     These are ten a link in Pinocchio's order, then of each driven joint rotor inertia, viscous and Coulomb friction and
@@ -51,7 +57,7 @@ def script(result: Result, runs: Sequence[Run], mask: str) -> tuple[Callable[[Ru
     ratios, n = result.friction_law.ratios, len(model.actuated)
     links = tree.model.njoints - 1
     driven = [k for k, joint in enumerate(result.robot.joints) if joint.parameters in ("all", "drive")]
-    cutoff, factor = result.preparation.bandwidth * 5, result.preparation.decimator.factor
+    cutoff, factor = result.preparation.bandwidth * wide, result.preparation.decimator.factor
 
     def columns(run: Run) -> tuple[np.ndarray, np.ndarray]:
         """Regressor (N, n, columns), the tool's inertial columns last but one block, and speeds (N, n)."""
@@ -99,16 +105,14 @@ def script(result: Result, runs: Sequence[Run], mask: str) -> tuple[Callable[[Ru
 
 
 def errors_of(result: Result, run: Run, torques: np.ndarray | None = None) -> np.ndarray:
-    """Errors (n, 2) of the result, or of other torques (N, n), over all samples and away from reversals, per cent."""
+    """Errors (n, 2) of the result, or of other torques (N, n), per cent: raw, and in band away from reversals."""
     prediction = result.predict(run)
-    difference = prediction.measured - prediction.predicted
     if torques is not None:
-        n = len(result.gains)
-        left = result.gains * np.asarray(run.command)[:, :n] - torques
-        difference = result.preparation.decimator.smooth(left.T, 0, len(left)).T
+        prediction = replace(prediction, predicted=torques)
     found = []
-    for rows in (prediction.valid, prediction.keep):
-        squares = [np.sum(np.where(rows, each, 0.0) ** 2, axis=0) for each in (difference, prediction.measured)]
+    for each, rows in ((prediction, prediction.valid), (prediction.in_band, prediction.keep)):
+        pair = each.measured - each.predicted, each.measured
+        squares = [np.sum(values**2, axis=0, where=rows) for values in pair]
         found.append(100 * np.sqrt(squares[0] / squares[1]))
     return np.array(found).T
 
@@ -131,18 +135,23 @@ def emps() -> None:
     """The EMPS, simulated with the published values and presliding: moves to and fro, with rests."""
     robot = load_robot("emps")
     joint = robot.actuated[0]
-    runs = [emps_run(joint, seed) for seed in range(2)]
-    compare(identify(robot, runs[:1]), runs[:1], runs[1:], "EMPS, simulated")
+    runs, pulses = [emps_run(joint, seed) for seed in range(2)], replace(emps_run(joint, 2, 1.0), name="pulses")
+    compare(identify(robot, runs[:1]), runs[:1], [*runs[1:], pulses], "EMPS, simulated")
 
 
-def emps_run(joint: str, seed: int) -> Run:
-    """A run of 24 s at 1 kHz: twelve cycloidal moves of 1 s, each followed by a rest of 1 s."""
+def emps_run(joint: str, seed: int, pulse: float = 0.0) -> Run:
+    """A run of 24 s at 1 kHz: twelve cycloidal moves of 1 s, each followed by a rest of 1 s.
+
+    Every 0.25 s a pulse of 25 ms accelerates it by up to ``pulse``, m/s2, to and fro.
+    """
     rng, rate = np.random.default_rng(seed), 1000.0
     time = np.arange(24 * int(rate)) / rate
     a = np.zeros_like(time)
     for k, way in enumerate(rng.uniform(0.05, 0.12, 12) * (-1.0) ** np.arange(12)):
         since = np.clip(time - 2 * k, 0, 1)
         a += 2 * np.pi * way * np.sin(2 * np.pi * since)
+    for k, begin in enumerate(np.arange(0.1, 23.9, 0.25)):
+        a += pulse * (-1.0) ** k * np.sin(np.pi * np.clip((time - begin) / 0.025, 0, 1)) ** 2
     v = np.cumsum(a) / rate
     q = np.cumsum(v) / rate
     force = 95.1 * a + 203.5 * v + 20.4 * stop(q, np.array([3e-5]), np.zeros(1))[0] - 3.2 + rng.normal(size=len(time))
@@ -153,26 +162,42 @@ def emps_run(joint: str, seed: int) -> Run:
 def compare(result: Result, runs: Sequence[Run], checks: Sequence[Run], name: str) -> None:
     """Print a row for each joint and log, and one for each log."""
     runs, checks = ([arrange(run, result.idm.actuated) for run in each] for each in (runs, checks))
-    scripts = [script(result, runs, mask)[0] for mask in MASKS]
-    plain = result.replaced(curves={})
+    variants = [(mask, wide) for wide in CUTOFFS for mask in MASKS]
+    scripts = [script(result, runs, *variant)[0] for variant in variants]
+    plain = of_equations(result)
     for run in checks:
-        peer = np.array([errors_of(result, run, by_hand(run)) for by_hand in scripts])  # (masks, n, 2)
+        peer = np.array([errors_of(result, run, by_hand(run)) for by_hand in scripts])  # (variants, n, 2)
         before, after = errors_of(plain, run), errors_of(result, run)
         best = peer[:, :, 0].argmin(axis=0)
         rows = [
-            (joint, peer[best[j], j, 0], MASKS[best[j]], before[j, 0], after[j, 0], peer[:, j, 1].min(), after[j, 1])
+            (
+                joint,
+                peer[best[j], j, 0],
+                words(variants[best[j]]),
+                before[j, 0],
+                after[j, 0],
+                peer[:, j, 1].min(),
+                after[j, 1],
+            )
             for j, joint in enumerate(result.idm.actuated)
         ]
-        mean = np.exp(np.log(peer).mean(axis=1))  # (masks, 2)
+        mean = np.exp(np.log(peer).mean(axis=1))  # (variants, 2)
         whole = mean[:, 0].argmin()
         ours = [np.exp(np.log(each).mean(axis=0)) for each in (before, after)]
-        rows.append(("all", mean[whole, 0], MASKS[whole], ours[0][0], ours[1][0], mean[:, 1].min(), ours[1][1]))
+        rows.append(
+            ("all", mean[whole, 0], words(variants[whole]), ours[0][0], ours[1][0], mean[:, 1].min(), ours[1][1])
+        )
         for joint, by_peer, which, *mine, peer_away, away in rows:
             print(
                 f"| {name}, {run.name} | {joint} | {by_peer:.2f} | {which} | {mine[0]:.2f} | {mine[1]:.2f} "
                 f"| {mine[1] / by_peer:.2f} | {peer_away:.2f} | {away:.2f} |",
                 flush=True,
             )
+
+
+def words(variant: tuple[str, float]) -> str:
+    """Name a variant of the script."""
+    return f"{variant[0]}, {variant[1]} times"
 
 
 def main() -> None:

@@ -137,7 +137,7 @@ def compare(title: str, result: Result, run: Run, draws: int, truth: Mapping[str
 
 def torques(result: Result, samples: Samples, run: Run) -> None:
     """Print the spread of the draws' torques along the run beside the torque error."""
-    prediction = result.predict(run)
+    prediction = result.predict(run).in_band
     error = np.sqrt(np.mean((prediction.predicted - prediction.measured)[prediction.keep] ** 2))
     motion = result.idm.motion(*_path(run, result))
     base = result.base.standard

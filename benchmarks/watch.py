@@ -83,7 +83,7 @@ def reference(name: str, data: Path) -> Reference:
     runs = read_runs(described, described.runs)
     run = next(each for each in runs if each.payload is None)
     run = without_sensors(arrange(run, model.robot.actuated))
-    found = model.predict(run)
+    found = model.predict(run).in_band
     residual = np.where(found.valid, found.measured - found.predicted, 0.0)
     speed, _ = differentiate(run.position, run.rate)
     values = {**model.parameters, **model.friction_parameters}

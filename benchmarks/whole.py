@@ -131,7 +131,7 @@ def ur10e_parameters(samples: int, few: int) -> list[Row]:
         predicted, measured = theirs()
         check("FIGAROH's torques", predicted, measured, 0.05)
         run = gtau.read_run(Path(other) / "0.parquet", **_as_read(robot))
-        prediction = result.predict(run)
+        prediction = result.predict(run).in_band
         check("torques", prediction.predicted, prediction.measured, 0.05)
         ours, peer = medians(1, lambda: gtau.identify(long, method="wls"), theirs)
     return [Row(work, f"{name}, N = {few:.0e}", 1e6 * ours / samples, 1e6 * peer / few, "us/sample", "30x")]

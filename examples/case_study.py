@@ -30,8 +30,9 @@ from gtau.documents.files import folder_of, write_atomically
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.identify import identify
 from gtau.estimation.results.estimate import Estimate, TorqueError
-from gtau.estimation.results.prediction import Prediction, torque_errors
+from gtau.estimation.results.prediction import Prediction
 from gtau.estimation.results.result import Result
+from gtau.estimation.results.torque_errors import torque_errors
 from gtau.estimation.weigh import weigh
 from gtau.progress import Progress, silent
 from gtau.report.gains import NOT_SHOWN

@@ -263,7 +263,7 @@ def test_check_names_its_joints_and_what_is_to_be_weighed(five_bar: Path, tmp_pa
 
 
 def test_a_chart_of_torques_is_titled_with_its_run() -> None:
-    from gtau.estimation.results.prediction import Prediction
+    from gtau.estimation.results.predicted import Prediction
     from gtau.report.render.charts import figure_of
     from gtau.report.torques import torques_chart
 
@@ -283,7 +283,7 @@ def test_a_chart_of_torques_is_titled_with_its_run() -> None:
 
 def test_the_stretch_of_a_validation_begins_with_its_run() -> None:
     """The filter takes the first rows of a run; where the figure shows them all, time begins at zero all the same."""
-    from gtau.estimation.results.prediction import Prediction
+    from gtau.estimation.results.predicted import Prediction
     from gtau.report.evidence import RunEvidence, worst_stretch
 
     shown = []

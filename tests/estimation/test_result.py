@@ -120,7 +120,7 @@ def test_an_edited_model_works_or_is_refused_in_a_sentence(result: Result, tmp_p
 def test_predictions_are_the_plant_s_torques(result: Result) -> None:
     for payload, values in ((None, {}), (KNOWN, STEEL)):
         run = replace(PLANT.run("check", seed=7, payload=values), payload=payload)
-        found = result.predict(run)
+        found = result.predict(run).in_band
         assert found.joints == JOINTS
         assert found.predicted.shape == found.measured.shape == found.keep.shape == (len(found.time), 2)
         loaded = dict(CHI)
@@ -143,11 +143,20 @@ def test_predictions_are_the_plant_s_torques(result: Result) -> None:
 
 def test_validation_errors_of_all_samples_stand_beside_those_away_from_reversals(result: Result) -> None:
     run = PLANT.run("check", seed=7)
-    found = result.predict(run)
+    raw = result.predict(run)
+    found = raw.in_band
+    np.testing.assert_allclose(raw.measured, result.gains * run.command[:, :2])
     assert found.valid.mean() > found.keep.mean()
     for j, error in enumerate(result.validate(run)):
-        every = (found.predicted - found.measured)[found.valid[:, j], j]
+        rows = found.valid[:, j]
+        every, unfiltered = ((each.predicted - each.measured)[rows, j] for each in (found, raw))
         assert error.rms_all == pytest.approx(np.sqrt(np.mean(every**2)))
+        assert error.rms_raw == pytest.approx(np.sqrt(np.mean(unfiltered**2)))
+        assert error.rms_raw > 2 * error.rms_all  # the noise of the currents
+        for of_all, name in ((error.rms_raw, "rms"), (error.signal_raw, "signal")):
+            assert np.sqrt(sum(getattr(band, name) ** 2 for band in error.bands)) == pytest.approx(of_all, rel=0.05)
+        assert [band.high for band in error.bands[:-1]] == [band.low for band in error.bands[1:]]
+        assert error.bands[-1].high == pytest.approx(run.rate / 2)
         assert error.relative_all == pytest.approx(100 * error.rms_all / error.signal_all)
     gap = np.ones(run.position.shape, dtype=bool)
     gap[1000:1200] = False

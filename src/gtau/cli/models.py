@@ -272,15 +272,19 @@ def use(
 
     External torque is what the environment exerts on a joint: the model's torque minus the motor's, N m (or N). For
     each joint it prints the rms away from reversals and over all samples, the largest value and its time, the
-    residual of the identification, and the share of samples beyond four residuals. With --frame it also prints the
+    residual of the identification, and the share of samples beyond four residuals, all behind the low-pass of
+    identification; and the error against the raw torque by frequency. With --frame it also prints the
     wrench of these torques with its intervals; components that a pose does not show have no value. LOG has the
     columns t, qJOINT and vJOINT (tauJOINT for a model of torques; s, rad or m, A), unless an experiment file names
     others. FILE gets motor, model and external torque of every sample.
     """
     with refusals(json_):
         from gtau.estimation.experiment_runs import carrying, read_log
+        from gtau.estimation.results.model_document import torque_error
         from gtau.estimation.results.result import Result
         from gtau.export.external_torques import summary_text, torques_along_log, write_table
+        from gtau.report.page import page
+        from gtau.report.torques import bands_section
 
         if force_only and frame is None:
             raise GtauError(
@@ -299,12 +303,13 @@ def use(
         if json_:
             joints = [asdict(each) for each in found.joints]
             document: dict[str, Any] = {"log": str(log), "out": None if out is None else str(out), "joints": joints}
+            document["errors"] = list(map(torque_error, found.errors))
             if (wrench := found.wrench) is not None:
                 document["wrench"] = {"frame": wrench.frame, "components": list(map(asdict, wrench.components))}
             print_json(document)
         else:
             typer.echo(summary_text(found))
-            show_written([] if out is None else [out])
+            show(page("", bands_section(found.errors)), [] if out is None else [out])
 
 
 def _frame(result: Result, frame: str, experiment: Path | None) -> tuple[str, Placement]:

@@ -28,8 +28,9 @@ from gtau.estimation.gate import (
 from gtau.estimation.pipeline import estimate
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
-from gtau.estimation.results.prediction import judge
+from gtau.estimation.results.prediction_filter import with_prediction_cutoffs
 from gtau.estimation.results.result import Result
+from gtau.estimation.results.torque_errors import judge
 from gtau.estimation.thresholds.estimates import ACCURACY
 from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.progress import Progress, silent
@@ -161,7 +162,8 @@ def identify(
         geometry = geometry_of(experiment, experiment.runs, dataset.model, progress) if experiment else None
         found = [*([geometry.note] if geometry else []), *map(note, command_lag(dataset, system))]
         notes = (*found, *_data_sheet_notes(experiment.drives if experiment else {}, result), *result.notes)
-        return _judged(result.replaced(geometry=geometry, notes=notes), experiment, progress)
+        result = with_prediction_cutoffs(result.replaced(geometry=geometry, notes=notes), dataset.runs)
+        return _judged(result, experiment, progress)
 
 
 def _tested(

@@ -26,9 +26,11 @@ import numpy as np
 from gtau.documents import files
 from gtau.documents.validation import NUMBER, takes
 from gtau.errors import GtauError
+from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.predicted import Prediction
 from gtau.estimation.results.prediction import loaded_parameters, predict, suited
 from gtau.estimation.results.result import Result
+from gtau.estimation.results.torque_errors import torque_errors
 from gtau.export.identified import OBSERVED, functions, identified
 from gtau.export.wrench import WrenchAlongLog, wrench_along_log
 from gtau.robots.floating import refuse_floating
@@ -67,11 +69,13 @@ class TorquesAlongLog:
     """Table with one row per sample, and a summary per joint.
 
     The table is that of :meth:`gtau.estimation.results.estimate.Prediction.table`; with ``observed_J``, the causal
-    estimate of the external torques, and the columns of the ``wrench`` at a frame, where these were asked for.
+    estimate of the external torques, and the columns of the ``wrench`` at a frame, where these were asked for. All are
+    behind the low-pass of identification; ``errors`` are also those against the raw torque, by frequency.
     """
 
     table: pl.DataFrame
     joints: tuple[External, ...]
+    errors: tuple[TorqueError, ...]
     wrench: WrenchAlongLog | None = None
 
 
@@ -99,7 +103,8 @@ def torques_along_log(
     GtauError
         Where the run does not suit the robot, or the model refuses a sample.
     """
-    prediction = predict_under_load(result, run)
+    raw = predict_under_load(result, run)
+    prediction = raw.in_band
     residual = {each.joint: each.rms for each in result.residuals}
     joints = [
         _summary(prediction.of([joint]), torque_unit(result.robot, joint), residual.get(joint))
@@ -113,14 +118,15 @@ def torques_along_log(
     if frame is not None:
         wrench = wrench_along_log(result, run, prediction, frame, force_only)
         table = table.with_columns(**wrench.columns).fill_nan(None)
-    return TorquesAlongLog(table, tuple(joints), wrench)
+    return TorquesAlongLog(table, tuple(joints), torque_errors(result, raw), wrench)
 
 
 def predict_under_load(result: Result, run: Run) -> Prediction:
     """Predict torques where friction that depends on the load feels the external torques too."""
     prediction = result.predict(run)
-    for _ in range(PASSES * any(name.startswith("fl_") for name in result.friction_parameters)):
-        prediction = predict(result, run, prediction.predicted - prediction.measured)
+    for _ in range(PASSES * any(name.kind == "fl" for name in result.friction_parameters)):
+        behind = prediction.in_band
+        prediction = predict(result, run, behind.predicted - behind.measured)
     return prediction
 
 
@@ -227,7 +233,8 @@ def summary_text(found: TorquesAlongLog) -> str:
     return "\n".join(
         [
             *lines,
-            "rms: away from reversals, as largest and beyond 4; all: over all samples.",
+            "Behind the low-pass of identification. rms: away from reversals, as largest and",
+            "beyond 4; all: over all samples.",
             "residual: rms torque residual of the identification; beyond 4: share of samples",
             "whose external torque exceeds four of them, by chance 0.006 %. A contact, a",
             "collision or an unknown payload shows there.",

@@ -10,8 +10,9 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.predicted import Prediction
-from gtau.estimation.results.prediction import predict, torque_errors
+from gtau.estimation.results.prediction import predict
 from gtau.estimation.results.result import Result
+from gtau.estimation.results.torque_errors import torque_errors
 from gtau.progress import Progress, silent
 from gtau.signals.preparation import Preparation
 from gtau.signals.run import Run
@@ -30,7 +31,8 @@ class RunEvidence:
     used : bool
         Whether the model was identified from it.
     prediction, samples : Prediction, optional
-        Its prediction at one sample in ``factor``, that of the decimation, and at every sample where that is wanted.
+        Its prediction at the rows of identification, behind its low-pass; and the raw one at every sample where that
+        is wanted.
     errors : tuple of TorqueError
         Of every joint, over every sample.
     refusal : str
@@ -141,6 +143,10 @@ def settings_of(result: Result) -> dict[str, str]:
         "estimator": result.method,
         "bandwidth of the motion": bandwidth,
         "position filter": cutoff,
+        "position filter of predictions": ", ".join(
+            "none" if each is None else f"{each:.4g} Hz" for each in result.preparation.prediction_cutoffs
+        )
+        or cutoff,
         "decimation": decimation,
         "rows masked below": f"{100 * result.preparation.speed_fraction:g} % of the rms speed",
         **{name.replace("_", " "): f"{value:.4g}" for name, value in result.statistics.items()},

@@ -146,7 +146,7 @@ def _worst_errors(result: Result, runs: Sequence[RunEvidence]) -> dict[str, str]
         more = "" if worst.relative_all is None else f", {worst.relative_all:.2f} % over all samples"
         found["largest torque residual of the rows used"] = f"{worst.relative:.2f} %{more} ({worst.joint})"
     if worst := worst_joint([error for run in runs if not run.used for error in run.errors]):
-        more = "" if worst.relative_all is None else f", {worst.relative_all:.2f} % with reversals"
+        more = f" in band away from reversals, {worst.relative_raw:.2f} % of the raw torque"
         found["largest torque error of a validation run"] = f"{worst.relative:.2f} %{more} ({worst.joint})"
     if shares := determination([run for run in runs if run.used]):
         joint = min(shares, key=lambda name: shares[name])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -65,6 +65,8 @@ class Plots:
     def residuals(self, joint: str, run: str | Run | None = None) -> Figure:
         """Draw a joint's residuals along a run, their histogram, spectrum and autocorrelation."""
         found, _ = self._evidence(joint, run)
+        assert found.prediction is not None
+        found = replace(found, prediction=found.prediction.in_band)
         assert found.prediction is not None
         j, unit = found.prediction.joints.index(joint), torque_unit(self.result.robot, joint)
         values = found.residuals[:, j]

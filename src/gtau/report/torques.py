@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,8 +17,13 @@ from gtau.report.page import Axis, Chart, Column, Kind, Panel, Section, Series, 
 from gtau.robots.units import torque_unit
 
 REVERSALS = (
-    "Gains and inertia are identified away from reversals, where friction does not change its sign. All samples: "
-    "including reversals, with the friction identified on them."
+    "Raw: against the torque as it was measured, at all samples. In band: both torques behind the low-pass of the "
+    "identification. Gains and inertia are identified away from reversals, where friction does not change its sign; "
+    "all samples include them, with the friction identified on them."
+)
+BANDS = (
+    "Against the raw torque at all samples, in bands that begin where the one before ends. Near 100 %, the model says "
+    "nothing of the torque in a band: it is noise, or faster than the positions show."
 )
 SHORTEST = 1e-3  # of the time: shaded stretches closer together are drawn as one
 TORQUE = (Column("torque", Kind.NUMBER, 4), Column("%", Kind.NUMBER, decimals=2))
@@ -27,27 +33,71 @@ ALL = (Column("error, all", Kind.NUMBER, 4), Column("%, all", Kind.NUMBER, decim
 
 
 def errors_table(runs: Sequence[RunEvidence]) -> Table:
-    """Tabulate torque errors of each joint on each run, away from reversals and over all samples."""
+    """Tabulate torque errors of each joint on each run: raw, and in the band of the identification."""
     of_run = (Column("run"), Column("", wide=True), Column("joint"))
+    shares = ("raw, %", "in band, %", "in band away from reversals, %")
     rows = [
-        (run.run.name, "used" if run.used else "validation", *_error_cells(error, True))
+        (
+            *(
+                run.run.name,
+                "used" if run.used else "validation",
+                error.joint,
+                error.rms_raw,
+                error.signal_raw,
+                error.unit,
+            ),
+            *(error.relative_raw, error.relative_all, error.relative),
+        )
         for run in runs
         for error in run.errors
     ]
-    return table((*of_run, Column("error", Kind.NUMBER, 4), *TORQUE, *ALL, Column("unit, rms")), rows)
+    raw = (Column("raw error", Kind.NUMBER, 4), Column("raw torque", Kind.NUMBER, 4), Column("unit, rms"))
+    return table((*of_run, *raw, *(Column(share, Kind.NUMBER, decimals=2) for share in shares)), rows)
 
 
-def _error_cells(error: TorqueError, every: bool) -> tuple[object, ...]:
-    """Return joint, error and torque away from reversals, the error over ``every`` sample, and the unit."""
-    over_all = (error.rms_all, error.relative_all) if every else ()
-    return error.joint, error.rms, error.signal, error.relative, *over_all, error.unit
+def bands_section(errors: Sequence[TorqueError]) -> Section | None:
+    """Tabulate raw torque errors and torques by frequency, of each joint over all its runs; None without a run."""
+    bands = sorted({(band.low, band.high) for error in errors for band in error.bands})
+    if not bands:
+        return None
+    edges = [f"to {high:.4g} Hz" for _, high in bands]
+    shares, torques = [], []
+    for joint in dict.fromkeys(error.joint for error in errors):
+        mine = [error for error in errors if error.joint == joint]
+        pairs = np.zeros((len(bands), 2))
+        for band in (band for error in mine for band in error.bands):
+            pairs[bands.index((band.low, band.high))] += band.rms**2, band.signal**2
+        rms, signal = np.sqrt(pairs.T / len(mine))
+        shares.append((joint_label(joint), *(100 * rms / np.maximum(signal, np.finfo(float).tiny)).tolist()))
+        torques.append((joint_label(joint), *signal.tolist(), mine[0].unit))
+    percent = [Column(edge, Kind.NUMBER, decimals=1, most=999) for edge in edges]
+    return section(
+        "Torque errors by frequency",
+        table([Column("error, % of the torque in the band"), *percent], shares),
+        table(
+            [Column("measured torque, rms"), *(Column(edge, Kind.NUMBER, 2) for edge in edges), Column("unit")], torques
+        ),
+        Text(BANDS, style="soft"),
+        id="bands",
+    )
 
 
 def fit_table(residuals: Sequence[TorqueError], title: str) -> Table:
     """Tabulate the torque residuals of a fit."""
     every = any(each.rms_all is not None for each in residuals)
     columns = (Column(title), Column("residual", Kind.NUMBER, 4), *TORQUE, *(ALL if every else ()))
-    return table((*columns, Column("unit, rms")), [_error_cells(each, every) for each in residuals])
+    rows = [
+        (
+            each.joint,
+            each.rms,
+            each.signal,
+            each.relative,
+            *((each.rms_all, each.relative_all) if every else ()),
+            each.unit,
+        )
+        for each in residuals
+    ]
+    return table((*columns, Column("unit, rms")), rows)
 
 
 def worst_errors_table(runs: Sequence[RunEvidence]) -> Table:
@@ -60,16 +110,16 @@ def worst_errors_table(runs: Sequence[RunEvidence]) -> Table:
     columns = [Column("largest torque error of one run, %")]
     shares = [determination(members) for _, members in groups]
     for words, _ in groups:
-        columns.append(Column(f"{words}: away from reversals", Kind.NUMBER, decimals=2))
-        columns.append(Column(f"{words}: all samples", Kind.NUMBER, decimals=2))
+        for where in ("raw", "in band", "in band away from reversals"):
+            columns.append(Column(f"{words}: {where}", Kind.NUMBER, decimals=2))
         columns.append(Column(f"{words}: R²", Kind.NUMBER, decimals=4))
     rows = []
     for joint in dict.fromkeys(error.joint for run in runs for error in run.errors):
         row: list[object] = [joint_label(joint)]
         for (_, members), share in zip(groups, shares, strict=True):
             errors = [error for run in members for error in run.errors if error.joint == joint]
-            row.append(max((error.relative for error in errors), default=None))
-            row.append(max((each.relative_all for each in errors if each.relative_all is not None), default=None))
+            for name in ("relative_raw", "relative_all", "relative"):
+                row.append(max((getattr(error, name) or 0.0 for error in errors), default=None))
             row.append(share.get(joint))
         rows.append(row)
     return table(columns, rows)
@@ -109,12 +159,21 @@ def torques_section(result: Result, runs: Sequence[RunEvidence]) -> Section | No
     )
     each_run = (
         "Torque errors are of single runs at every sample; the torque residuals of the fit are of the decimated rows "
-        "used, over all runs. R²: share of the measured torque's variance that the model "
+        "used, over all runs. Charts and R² are in band. R²: share of the measured torque's variance that the model "
         "explains, over all these runs, away from reversals."
     )
     every = section("Torque errors of every run", errors_table(runs), Text(REVERSALS, style="soft"), folded=True)
+    by_band = bands_section([error for run in runs for error in run.errors])
+    bands = () if by_band is None else (replace(by_band, folded=True, id=""),)
     return section(
-        "Torques", Text(words), worst_errors_table(runs), Text(each_run, style="soft"), every, *parts, id="torques"
+        "Torques",
+        Text(words),
+        worst_errors_table(runs),
+        Text(each_run, style="soft"),
+        every,
+        *bands,
+        *parts,
+        id="torques",
     )
 
 
@@ -142,8 +201,8 @@ def torques_chart(
     for j, (joint, unit) in enumerate(zip(prediction.joints, units, strict=True)):
         words, error = joint_label(joint), of_joint.get(joint)
         if error is not None:
-            words += f": torque error {error.relative:.2f} %"
-            words += f", {error.relative_all:.2f} % over all samples" if error.relative_all is not None else ""
+            words += f": torque error {error.relative:.2f} % in band away from reversals"
+            words += f", {error.relative_raw:.2f} % raw" if error.relative_raw is not None else ""
         measured, predicted = prediction.measured[:, j], prediction.predicted[:, j]
         masked = stretches(time, ~prediction.keep[:, j])
         both = (Series(label, time, measured, "measured", width=2.6), Series("predicted", time, predicted, width=1.2))

@@ -14,13 +14,14 @@ from gtau.estimation.results.model_document import torque_error
 from gtau.estimation.results.payload import PayloadBody, PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.report.check import unique_names
-from gtau.report.evidence import RunEvidence, worst_joint, worst_stretch
+from gtau.report.evidence import RunEvidence, worst_stretch
 from gtau.report.gains import gains_section, masses_section, payloads_section
 from gtau.report.logs import logs_section, seconds
 from gtau.report.motion import motion_section
 from gtau.report.page import Chart, Column, Kind, Page, Section, Text, page, section, table
 from gtau.report.torques import (
     REVERSALS,
+    bands_section,
     errors_table,
     part_of,
     stretch_title,
@@ -28,6 +29,7 @@ from gtau.report.torques import (
     torques_section,
     units_of,
 )
+from gtau.signals.run import Run
 
 CAUTION = (
     "A small error does not validate the gains: they scale both sides. Weigh a known payload ('gtau payload') for that."
@@ -36,7 +38,7 @@ SHOWN = 10.0  # s of a run in its figure
 
 
 def validation_document(runs: Sequence[RunEvidence]) -> dict[str, Any]:
-    """Describe torque errors as JSON: ``rms`` and ``signal`` in ``unit``, ``relative`` in per cent."""
+    """Describe torque errors as JSON: ``rms`` and ``signal`` in ``unit``, ``relative`` in per cent, ``bands`` in Hz."""
     return {
         "runs": [
             {"log": each.run.name, "joints": list(map(torque_error, each.errors)), "notes": list(each.notes)}
@@ -48,11 +50,12 @@ def validation_document(runs: Sequence[RunEvidence]) -> dict[str, Any]:
 def validation_page(result: Result, runs: Sequence[RunEvidence], notes: Sequence[str] = ()) -> Page:
     """Show the torque errors of each run; ``notes`` say what all predictions take for granted."""
     said = [f"run '{each.run.name}': {note}" for each in runs for note in each.notes]
-    verdict = Text(headline(runs), (*said, *notes, CAUTION), "neutral")
+    verdict = Text(headline(result, runs), (*said, *notes, CAUTION), "neutral")
     return page(
         f"Validation of {result.robot.name}",
         section("Verdict", verdict, id="verdict"),
         section("Torque errors", errors_table(runs), Text(REVERSALS), id="errors"),
+        bands_section([error for run in runs for error in run.errors]),
         lead=[f"Model identified from {', '.join(result.runs)}; validated on {', '.join(r.run.name for r in runs)}."],
     )
 
@@ -72,18 +75,28 @@ def validation_report(
     return replace(short, sections=(short.sections[0], *more.sections))
 
 
-def headline(runs: Sequence[RunEvidence]) -> str:
+def headline(result: Result, runs: Sequence[RunEvidence]) -> str:
     """Summarise the torque errors over all runs in one sentence."""
     errors = [error for run in runs for error in run.errors]
-    worst = worst_joint(errors)
-    if worst is None:
+    if not errors:
         return "No joint moves in these runs, so there is no torque error."
-    words = (
-        f"The predicted torques differ from the measured ones by {min(error.relative for error in errors):.2f} to "
-        f"{worst.relative:.2f} % away from reversals, most at {worst.joint}"
+    worst = max(errors, key=lambda error: error.relative_raw or 0.0)
+
+    def span(name: str) -> str:
+        values = [getattr(error, name) for error in errors]
+        return f"{min(values):.2f} to {max(values):.2f} %"
+
+    band = max(in_band(result, run.run) for run in runs)
+    return (
+        f"The predicted torques differ from the raw measured ones by {span('relative_raw')}, most at {worst.joint}; "
+        f"in the band of the identification (below {band:.3g} Hz) by {span('relative_all')}, there away from reversals "
+        f"by {span('relative')}."
     )
-    whole = [error.relative_all for error in errors if error.relative_all is not None]
-    return words + (f"; over all samples by {min(whole):.2f} to {max(whole):.2f} %." if whole else ".")
+
+
+def in_band(result: Result, run: Run) -> float:
+    """Return the cut-off (Hz) of the low-pass of identification for a run."""
+    return result.preparation.at(run.rate).decimator.cutoff(run.rate)
 
 
 def validation_chart(result: Result, evidence: RunEvidence) -> Chart:

@@ -7,10 +7,12 @@ below the valley belongs to the motion, power above it is noise.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from gtau.signals.filters import HIGHEST_CUTOFF
 from gtau.signals.run import Run
 from gtau.signals.samples import extremes
 from gtau.signals.storage import block
@@ -82,6 +84,46 @@ def spectra(run: Run) -> tuple[JointSpectrum, ...]:
     density[:, most - low <= rounding] = 0.0
     moves = most - low > LEAST_RANGE * noise
     return tuple(_judge(frequency, each, gain, moving) for each, moving in zip(density.T, moves.tolist(), strict=True))
+
+
+def position_noise(run: Run, cutoffs: Sequence[float | None]) -> np.ndarray:
+    """Bound the noise of positions (n,) by a white density, in the position's unit squared per Hz.
+
+    It is the largest density of a third of an octave above a joint's cut-off (Hz), where the torques show no motion.
+    """
+    found = []
+    for cutoff, (centre, density, gain) in zip(cutoffs, _banded(run), strict=True):
+        above = centre > cutoff if cutoff is not None else np.zeros(len(centre), dtype=bool)
+        found.append(float(np.max(density / gain**2, where=above, initial=0.0)))
+    return np.array(found)
+
+
+def widened(run: Run, cutoffs: Sequence[float | None], noise: Sequence[float]) -> tuple[float | None, ...]:
+    """Raise each joint's cut-off (Hz) where a run has faster motion than :func:`position_noise` explains.
+
+    The error of the accelerations, of lost motion above the cut-off and of noise that passes, is least.
+    """
+    found: list[float | None] = []
+    for cutoff, level, (centre, density, gain) in zip(cutoffs, noise, _banded(run), strict=True):
+        if cutoff is None or cutoff >= HIGHEST_CUTOFF * run.rate:
+            found.append(None)
+            continue
+        above = centre > cutoff
+        frequency, white = centre[above], (level * gain**2)[above]
+        motion = np.maximum(density[above] - white, 0.0)
+        tried = cutoff * 2 ** (np.arange(int(4 * np.log2(HIGHEST_CUTOFF * run.rate / cutoff)) + 1) / 4)
+        passed = 1 / (1 + (frequency / tried[:, None]) ** 8)  # of filters.low_pass
+        error = ((1 - passed) ** 2 * motion + passed**2 * white) @ frequency
+        found.append(float(tried[np.argmin(error)]))
+    return tuple(found)
+
+
+def _banded(run: Run) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """List of each joint frequencies, density of the accelerations, and the gain of two differences, in bands."""
+    frequency, density = _accelerations(run.position, run.rate)
+    gain = (2 * run.rate * np.sin(np.pi * frequency / run.rate)) ** 2
+    bands = [_in_bands(frequency, each) for each in density.T]
+    return [(centre, each, np.interp(centre, frequency, gain)) for centre, each in bands]
 
 
 def _accelerations(position: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:

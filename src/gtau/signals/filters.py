@@ -19,6 +19,9 @@ HIGHEST_CUTOFF = 0.4
 LARGEST_ENDS = 0.12  # share of the samples that may be lost at both ends
 FORGOTTEN = 18.0  # periods of the cut-off after which a filter has forgotten where it began, to 1e-18
 
+Cutoff = float | tuple[float | None, ...] | None
+"""Cut-off of a low-pass, Hz: of all columns, or of each; None for no filter."""
+
 
 def cutoff_frequency(bandwidth: float, end: float, rate: float, seconds: float = np.inf) -> float | None:
     """Choose the cut-off of the position filter, Hz; None for no filter.
@@ -57,7 +60,7 @@ def low_pass(x: np.ndarray, rate: float, cutoff: float) -> np.ndarray:
     return sosfiltfilt(sos, x, axis=0, padlen=min(len(x) - 1, filter_edge(rate, cutoff)))
 
 
-def smooth_path(position: np.ndarray, rate: float, cutoff: float | None, start: int, stop: int) -> np.ndarray:
+def smooth_path(position: np.ndarray, rate: float, cutoff: Cutoff, start: int, stop: int) -> np.ndarray:
     """Smooth a stretch of positions by a Gaussian with a gain of 1 / sqrt(2) at the cut-off.
 
     Its weights are positive, so that the path reverses only where the logged one does. :func:`low_pass`
@@ -65,6 +68,9 @@ def smooth_path(position: np.ndarray, rate: float, cutoff: float | None, start: 
     """
     from scipy.ndimage import gaussian_filter1d
 
+    if isinstance(cutoff, tuple):
+        columns = [smooth_path(position[:, [j]], rate, each, start, stop) for j, each in enumerate(cutoff)]
+        return np.hstack(columns)
     if cutoff is None:
         return block(position, start, stop)
     spread = np.sqrt(np.log(2)) / (2 * np.pi) * rate / cutoff  # samples
@@ -75,13 +81,20 @@ def smooth_path(position: np.ndarray, rate: float, cutoff: float | None, start: 
     return smooth[start - begin : stop - begin]
 
 
-def filter_edge(rate: float, cutoff: float | None) -> int:
+def _lowest(cutoff: Cutoff) -> float | None:
+    given = [each for each in (cutoff if isinstance(cutoff, tuple) else (cutoff,)) if each is not None]
+    return min(given, default=None)
+
+
+def filter_edge(rate: float, cutoff: Cutoff) -> int:
     """Count samples at either end of a log that its unknown past or future affects by more than 1e-3."""
+    cutoff = _lowest(cutoff)
     return STENCIL + (0 if cutoff is None else ceil(EDGE * rate / cutoff))
 
 
-def filter_margin(rate: float, cutoff: float | None) -> int:
+def filter_margin(rate: float, cutoff: Cutoff) -> int:
     """Count samples on either side of one that affect its filtered motion by more than 1e-18."""
+    cutoff = _lowest(cutoff)
     return STENCIL + (0 if cutoff is None else ceil(FORGOTTEN * rate / cutoff))
 
 
@@ -100,7 +113,7 @@ def differentiate(x: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def position_filter(
-    position: np.ndarray, rate: float, cutoff: float | None, start: int = 0, stop: int | None = None
+    position: np.ndarray, rate: float, cutoff: Cutoff, start: int = 0, stop: int | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Compute filtered positions, speeds and accelerations.
 
@@ -112,8 +125,8 @@ def position_filter(
         Positions on a uniform grid, rad or m.
     rate : float
         Sampling rate, Hz.
-    cutoff : float or None
-        Cut-off of the low-pass, Hz; None for no filter.
+    cutoff : float, tuple or None
+        Cut-off of the low-pass, Hz, of all columns or of each; None for no filter.
     start, stop : int
         First sample wanted, and the one after the last; all of the log if left out.
 
@@ -126,7 +139,11 @@ def position_filter(
     margin = filter_margin(rate, cutoff)
     begin = max(0, start - margin)
     x = block(position, begin, min(len(position), stop + margin))
-    q = x if cutoff is None else low_pass(x, rate, cutoff)
+    if isinstance(cutoff, tuple):
+        columns = zip(x.T, cutoff, strict=True)
+        q = np.stack([column if each is None else low_pass(column, rate, each) for column, each in columns], axis=1)
+    else:
+        q = x if cutoff is None else low_pass(x, rate, cutoff)
     wanted = slice(start - begin, stop - begin)
     qd, qdd = differentiate(q, rate)
     return q[wanted], qd[wanted], qdd[wanted]

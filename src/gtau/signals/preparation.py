@@ -9,9 +9,17 @@ from itertools import pairwise
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.signals.bandwidth import JointSpectrum, spectra
+from gtau.signals.bandwidth import JointSpectrum, spectra, widened
 from gtau.signals.decimation import Decimator
-from gtau.signals.filters import STENCIL, below_nyquist, differentiate, filter_edge, position_filter, smooth_path
+from gtau.signals.filters import (
+    STENCIL,
+    Cutoff,
+    below_nyquist,
+    differentiate,
+    filter_edge,
+    position_filter,
+    smooth_path,
+)
 from gtau.signals.notes import Kind, Note
 from gtau.signals.run import Run
 from gtau.signals.storage import block, spans, stored
@@ -39,6 +47,11 @@ class Preparation:
         Sampling rate of the slowest run, Hz; 0 if unknown.
     given : tuple of str
         Names of settings made by hand, see :class:`gtau.signals.settings.PreparationSettings`.
+    prediction_cutoffs : tuple
+        Of the position filter of each joint when torques are predicted, Hz; empty for that of identification. See
+        :func:`gtau.estimation.results.prediction_filter.with_prediction_cutoffs`.
+    position_noise : tuple of float
+        Of the same joints, see :func:`gtau.signals.bandwidth.position_noise`.
     """
 
     bandwidth: float
@@ -47,6 +60,8 @@ class Preparation:
     speed_fraction: float = SPEED_FRACTION
     rate: float = 0.0
     given: tuple[str, ...] = ()
+    prediction_cutoffs: tuple[float | None, ...] = ()
+    position_noise: tuple[float, ...] = ()
 
     def at(self, rate: float) -> Preparation:
         """Adapt the preparation to runs with another sampling ``rate`` (Hz): same filter, same row rate."""
@@ -105,6 +120,8 @@ class PreparedRun:
         (PARTS, n) Largest speeds in equal parts of the run.
     notes : tuple of Note
         On omitted parts.
+    cutoffs : tuple
+        Of the position filter of each joint, Hz; empty for that of the preparation.
     """
 
     run: Run
@@ -115,6 +132,7 @@ class PreparedRun:
     motor_to_joint_speed: np.ndarray
     peaks: np.ndarray
     notes: tuple[Note, ...] = ()
+    cutoffs: tuple[float | None, ...] = ()
 
     def __len__(self) -> int:
         return len(self.kept)
@@ -123,6 +141,15 @@ class PreparedRun:
     def time(self) -> np.ndarray:
         """Instants of the samples that are used, (N,) in s."""
         return self.run.time[self.kept.start : self.kept.stop]
+
+    def for_prediction(self) -> PreparedRun:
+        """Filter each joint's position only as far as its noise asks for, as predictions do."""
+        cutoffs, noise = self.preparation.prediction_cutoffs, self.preparation.position_noise
+        return replace(self, cutoffs=widened(self.run, cutoffs, noise)) if cutoffs else self
+
+    @property
+    def _cutoff(self) -> Cutoff:
+        return self.cutoffs or self.preparation.cutoff
 
     def awake(self) -> tuple[np.ndarray, np.ndarray]:
         """Split the used samples into parts at (parts + 1,) indices, and mark the parts in which a joint moves."""
@@ -139,13 +166,13 @@ class PreparedRun:
     def path(self, time: np.ndarray) -> np.ndarray:
         """Return positions (n, N) at consecutive samples, given by their times, without spurious reversals."""
         start = int(np.searchsorted(self.run.time, time[0]))
-        return smooth_path(self.run.position, self.run.rate, self.preparation.cutoff, start, start + len(time)).T
+        return smooth_path(self.run.position, self.run.rate, self._cutoff, start, start + len(time)).T
 
     def samples(self, start: int = 0, stop: int | None = None) -> SampleWindow:
         """Prepare the used samples from ``start`` to before ``stop``, with their neighbours."""
         at = self.kept[start:stop]
         run, preparation, begin = self.run, self.preparation, max(0, at.start - STENCIL)
-        q, qd, qdd = position_filter(run.position, run.rate, preparation.cutoff, at.start, at.stop)
+        q, qd, qdd = position_filter(run.position, run.rate, self._cutoff, at.start, at.stop)
         command = block(run.command, begin, min(len(run.time), at.stop + STENCIL))
         modelled = [channel for channel in run.channels if channel.kind.modelled]
         rows, c = [channel.row for channel in modelled], len(modelled)

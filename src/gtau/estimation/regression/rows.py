@@ -106,31 +106,29 @@ def stream_torques(
     idm: InverseDynamics,
     regressor: Regressor,
     prepared: PreparedRun,
-    decimator: Decimator,
     values: np.ndarray,
     friction: Law,
 ) -> Iterator[np.ndarray]:
     """Compute the torques of columns with ``values``, and of ``friction``, at every sample of a run.
 
-    Torques and commands pass the low-pass of the decimation, but are not decimated. Blocks (5, n, K) hold the torques
-    of the model, with friction and measured wrenches; friction alone; and the commands, as in :class:`Rows`.
+    Behind no low-pass but that of the positions. Blocks (3, n, K) hold the torques of the model, with friction and
+    measured wrenches; friction alone; and the commands.
 
     Raises
     ------
     GtauError
         Where the loops cannot be closed at a sample, or a pose is too close to a singularity.
     """
-    n, margin, joints = len(prepared), decimator.warm_up, len(idm.actuated)
-    blocks = (
-        Block(slice(max(a - margin, 0), min(b + margin, n)), slice(a, b), min(a, margin))
-        for a, b in spans(n, max(ALL_SAMPLES, 4 * margin))
-    )
-    for block, of, c in _along(idm, prepared, blocks):
+    joints = len(idm.actuated)
+    for _, of, c in _along(idm, prepared, _every_sample(prepared)):
         motion, measured, external = _measured(idm, prepared.run, of, c)
         effort = regressor.torques(regressor(idm.layout, motion), values, joints) - external[0]
         rubbing = friction(of.time, motion, effort)
-        made = np.concatenate([[effort + rubbing, rubbing], measured[:, :joints]])
-        yield decimator.smooth(made, block.first, block.outputs.stop - block.outputs.start)
+        yield np.stack([effort + rubbing, rubbing, measured[0, :joints]])
+
+
+def _every_sample(prepared: PreparedRun) -> Iterator[Block]:
+    return (Block(slice(a, b), slice(a, b), 0) for a, b in spans(len(prepared), ALL_SAMPLES))
 
 
 def _measured(idm: InverseDynamics, run: Run, of: SampleWindow, c: np.ndarray) -> tuple[Motion, np.ndarray, np.ndarray]:
@@ -149,8 +147,7 @@ def _measured(idm: InverseDynamics, run: Run, of: SampleWindow, c: np.ndarray) -
 
 def stream_motions(idm: InverseDynamics, prepared: PreparedRun) -> Iterator[tuple[SampleWindow, Motion]]:
     """Compute the motion at every sample of a run, behind no low-pass but that of the positions; raises GtauError."""
-    blocks = (Block(slice(a, b), slice(a, b), 0) for a, b in spans(len(prepared), ALL_SAMPLES))
-    for _, of, c in _along(idm, prepared, blocks):
+    for _, of, c in _along(idm, prepared, _every_sample(prepared)):
         yield of, idm.rates(c, of.qd.T.copy(), of.qdd.T.copy(), Labels(prepared.run.name, of.time))
 
 

@@ -206,12 +206,24 @@ class AlternativeMoves:
 
 
 @dataclass(frozen=True)
+class BandError:
+    """Rms of a torque error and of the raw torque between the frequencies ``low`` and ``high`` (Hz), N m or N."""
+
+    low: float
+    high: float
+    rms: float
+    signal: float
+
+
+@dataclass(frozen=True)
 class TorqueError:
     """Torque error of a joint: rms of the error and of the signal ``v g_tau``, N m or N.
 
     ``rms`` and ``signal`` are taken over the rows that identification uses, away from the joint's reversals, where
     the plain law does not hold; ``rms_all`` and ``signal_all`` over all valid rows, reversals included, with the
-    friction of all samples. The latter are None for the residuals of a fit without it.
+    friction of all samples. The latter are None for the residuals of a fit without it. All four are behind the low-pass
+    of identification. ``rms_raw`` and ``signal_raw`` are those of the raw torque over all valid samples, and ``bands``
+    by frequency; residuals of a fit have none.
     """
 
     joint: str
@@ -220,6 +232,9 @@ class TorqueError:
     unit: str
     rms_all: float | None = None
     signal_all: float | None = None
+    rms_raw: float | None = None
+    signal_raw: float | None = None
+    bands: tuple[BandError, ...] = ()
 
     @property
     def relative(self) -> float:
@@ -230,6 +245,11 @@ class TorqueError:
     def relative_all(self) -> float | None:
         """Error over signal of all valid rows, reversals included, per cent."""
         return None if self.rms_all is None or not self.signal_all else 100 * self.rms_all / self.signal_all
+
+    @property
+    def relative_raw(self) -> float | None:
+        """Error over signal of the raw torque at all valid samples, per cent."""
+        return None if self.rms_raw is None or not self.signal_raw else 100 * self.rms_raw / self.signal_raw
 
 
 @dataclass(frozen=True)

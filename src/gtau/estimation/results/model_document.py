@@ -70,6 +70,8 @@ def to_document(result: Result) -> dict[str, Any]:
             "speed_fraction": preparation.speed_fraction,
             "rate": preparation.rate,
             "given": list(preparation.given),
+            "prediction_cutoffs": list(preparation.prediction_cutoffs),
+            "position_noise": list(preparation.position_noise),
         },
         "logged_speeds": dict(result.logged_speeds),
         "statistics": dict(result.statistics),
@@ -94,7 +96,8 @@ def to_document(result: Result) -> dict[str, Any]:
 
 def torque_error(error: TorqueError) -> dict[str, Any]:
     """Describe a torque error as a JSON document: ``relative`` in per cent."""
-    return asdict(error) | {"relative": error.relative, "relative_all": error.relative_all}
+    shares = {name: getattr(error, name) for name in ("relative", "relative_all", "relative_raw")}
+    return asdict(error) | shares
 
 
 def _standard(found: Consistency, robot: Robot) -> dict[str, Any]:

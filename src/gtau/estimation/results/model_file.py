@@ -149,10 +149,13 @@ class _Preparation(_Group):
     speed_fraction: NonNegativeFloat
     rate: NonNegativeFloat
     given: tuple[str, ...]
+    prediction_cutoffs: tuple[Positive | None, ...] = ()
+    position_noise: tuple[NonNegativeFloat, ...] = ()
 
     def made(self) -> Preparation:
         decimator = Decimator(self.decimation, self.decimator)
-        return Preparation(self.bandwidth, self.cutoff, decimator, self.speed_fraction, self.rate, self.given)
+        rest = self.speed_fraction, self.rate, self.given, self.prediction_cutoffs, self.position_noise
+        return Preparation(self.bandwidth, self.cutoff, decimator, *rest)
 
 
 class _Parameter(_Group):

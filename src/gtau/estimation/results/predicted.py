@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gtau.display import views
+from gtau.signals.decimation import Decimator
 
 if TYPE_CHECKING:
     import polars as pl
@@ -20,8 +21,10 @@ class Prediction:
 
     ``friction`` (N, n) is the part of what is predicted that friction and offsets take.
 
-    All are behind the low-pass of identification, whose rows are one sample in ``factor``. ``keep`` (N, n) is False
-    near a joint's reversals and rests, which identification of gains and inertia leaves out, and near gaps; ``valid``
+    Measured torques are raw. Those predicted are at the instants of the commands, and behind no low-pass but that of
+    the positions, up to where their noise takes over; :attr:`in_band` has both behind the low-pass of identification,
+    ``decimator``, and :attr:`rows` one sample in its factor. ``keep`` (N, n) is False near a joint's reversals and
+    rests, which identification of gains and inertia leaves out, and near gaps; ``valid``
     (N, n) is False near gaps and repaired samples, and at the ends of the log up to where the motion begins.
     """
 
@@ -32,12 +35,22 @@ class Prediction:
     keep: np.ndarray
     valid: np.ndarray
     friction: np.ndarray
-    factor: int = 1
+    decimator: Decimator
+
+    @property
+    def in_band(self) -> Prediction:
+        """Predicted and measured torques behind the low-pass of identification, as its residuals are."""
+        predicted, measured, friction = (
+            self.decimator.smooth(each.T, 0, len(self.time)).T
+            for each in (self.predicted, self.measured, self.friction)
+        )
+        return replace(self, predicted=predicted, measured=measured, friction=friction, decimator=Decimator(1))
 
     @property
     def rows(self) -> Prediction:
-        """One sample in ``factor``, whose residuals are as independent as the low-pass lets them be."""
-        return replace(self.part(slice(self.factor // 2, None, self.factor)), factor=1)
+        """The rows of identification, whose residuals are as independent as its low-pass lets them be."""
+        factor = self.decimator.factor
+        return self.in_band.part(slice(factor // 2, None, factor))
 
     def part(self, samples: slice | np.ndarray) -> Prediction:
         """Take some of the samples."""

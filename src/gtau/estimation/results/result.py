@@ -324,7 +324,7 @@ class Result:
         return self.torques(q, qd, qdd, payload) / self.gains
 
     def predict(self, run: Run) -> Prediction:
-        """Predict torques along ``run``, beside the measured ``v g_tau``.
+        """Predict torques along ``run``, beside the raw measured ``v g_tau``.
 
         Raises
         ------
@@ -335,8 +335,10 @@ class Result:
         return prediction
 
     def validate(self, run: Run) -> tuple[TorqueError, ...]:
-        """Compute torque errors of each joint on a run: away from reversals, and over all samples."""
-        errors: tuple[TorqueError, ...] = late("estimation.results.prediction").torque_errors(self, self.predict(run))
+        """Compute torque errors of each joint on a run: against the raw torque, by frequency, and in the fit's band."""
+        errors: tuple[TorqueError, ...] = late("estimation.results.torque_errors").torque_errors(
+            self, self.predict(run)
+        )
         return errors
 
     @property
