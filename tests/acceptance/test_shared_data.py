@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from models_to_export import of_equations
 
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.experiment_runs import read_log
@@ -123,7 +124,8 @@ def test_two_pairs_of_one_robot_agree_within_their_intervals(ur10e: Result, fold
 
 def test_ur10e_friction_takes_energy_beyond_the_logged_speeds(ur10e: Result) -> None:
     """Cubic terms of the shoulder are negative: at 3.1 rad/s, its limit, the polynomials would propel by 90 N m."""
-    values = {name: each.value for name, each in ur10e.friction.items()} | ur10e.params
+    plain = of_equations(ur10e)
+    values = {name: each.value for name, each in plain.friction.items()} | plain.params
     for j, (joint, logged) in enumerate(ur10e.logged_speeds.items()):
         assert 0.8 < logged < 1.4
         qd = np.zeros((60, 6))

@@ -88,7 +88,7 @@ def test_priors_hold_what_is_not_excited_and_leave_the_rest(true: Robot) -> None
     quiet = plant(true, (0.01, 0.9, 1.2, 0.01), noise=3.0)
     priors = inertia_priors(true, 0.3)
     free, held = identified(true, quiet), identified(true, quiet, prior_inertias=0.3)
-    matrix, names = held.base.matrix, held.model.parameter_names
+    matrix, names = held.base.matrix, held.idm.parameter_names
     stated = matrix @ [priors[name].value if name in priors else 0.0 for name in names]
     spread = np.linalg.norm(matrix * [priors[name].std if name in priors else 0.0 for name in names], axis=1)
     unknown = matrix @ [float(name not in priors and not name.startswith("off_")) for name in names] != 0

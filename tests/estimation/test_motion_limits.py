@@ -96,5 +96,5 @@ def test_other_limits_are_no_other_robot(tmp_path: Path) -> None:
     )
     assert experiment_of(model, file).robot.limits["left"].effort == 0.1
     low = identify(file)
-    assert [note.joint for note in low.notes if note.finding == FindingKind.EFFORT] == ["left"]
+    assert [note.joint for note in low.notes if note.finding == FindingKind.DOUBTFUL_LIMIT] == ["left"]
     assert low.drive_gains["left"].verdict.outcome == model.drive_gains["left"].verdict.outcome == Outcome.GOOD

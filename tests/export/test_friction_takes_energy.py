@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -187,7 +186,7 @@ def test_friction_that_takes_energy_is_the_fitted_one(rng: np.random.Generator) 
 
 
 def test_without_a_logged_speed_cubic_friction_does_not_count() -> None:
-    result = replace(propelling(tree()), logged_speeds={})
+    result = propelling(tree()).replaced(logged_speeds={})
     n, first = len(result.robot.actuated), result.robot.actuated[0]
     still = np.zeros((n, 1))
     motion = result.idm.motion(home(tree())[:, None], still + 2.0, still)

@@ -75,7 +75,7 @@ def noisy(tmp_path_factory: pytest.TempPathFactory) -> Result:
 def test_draws_of_a_weak_result_are_arms(noisy: Result) -> None:
     """Where the logs say little, the mass stays near the file's 15.2 kg, and no draw is far from the estimates."""
     samples = draw(noisy, 60, seed=5)
-    names = noisy.model.parameter_names
+    names = noisy.idm.parameter_names
     masses = samples.standard[:, [name.startswith("m_") for name in names]].sum(axis=1)
     assert 10 < masses.min() < 15.2 < masses.max() < 25
     assert samples.moved.max() < 1

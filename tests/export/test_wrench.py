@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -102,7 +101,7 @@ def test_a_body_that_the_model_does_not_know_is_the_force_within_its_intervals()
             "yz": -mass * y * z}  # fmt: skip
     standard = free.consistency.standard
     heavier = dict(standard) | {f"{k}_{robot.tool}": standard[f"{k}_{robot.tool}"] + v for k, v in body.items()}
-    loaded = replace(model_of(robot, terms=False, chi=heavier), friction=friction)
+    loaded = model_of(robot, terms=False, chi=heavier).replaced(friction=friction)
     free = free.replaced(friction=friction)
     engine = Pinocchio(robot, {})
     data, joint = engine.model.createData(), engine.model.getJointId(robot.tool)
@@ -232,7 +231,7 @@ def test_the_command_writes_wrench_and_observer(tmp_path: Path) -> None:
 
 
 def test_a_joint_without_residual_has_no_interval() -> None:
-    result = replace(known(load_robot("five-bar"), 0.1), residuals=())
+    result = known(load_robot("five-bar"), 0.1).replaced(residuals=())
     time = np.arange(0, 3, 2e-3)
     q, qd, qdd = trajectory(result.robot, time)
     run = gtau.Run("free", result.robot.actuated, time, q, result.torques(q, qd, qdd) / result.gains)

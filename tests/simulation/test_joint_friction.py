@@ -82,6 +82,7 @@ def test_the_plant_the_law_and_the_c_code_agree_through_reversals(tmp_path: Path
 
     c = Compiled(result, tmp_path)
     assert c("start", q[0]) == 0
+    c("rest")
     for k, (_, force) in enumerate(passed):
         assert c("move", q[k]) == 0
         tau = c("torques", qd[k], qdd[k], c.model.values, size=2)

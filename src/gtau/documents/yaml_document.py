@@ -202,7 +202,8 @@ def _text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
     return dumper.represent_scalar(f"tag:yaml.org,2002:{kind}", text)
 
 
-_Dumper.add_multi_representer(str, _text)
+_Dumper.add_representer(str, _text)
+_Dumper.add_multi_representer(str, _text)  # parameters
 
 
 def yaml_text(data: Any, flow: bool | None = None, width: float = 120) -> str:

@@ -29,7 +29,7 @@ from gtau.robots.robot import GROUND, Robot
 SLENDER = 0.04  # radius of a link of unknown shape, of the arm's length: UR10e 0.07 m, Panda 0.06, as their tubes
 STUBBY = 0.4  # and at most this part of the link's own length
 ROOM = 1.1  # of the clearance that the resting arm keeps from a floor below the base plane
-STATES = 64  # random poses that tell whether a distance can change
+STATES = 64  # random poses, which show whether a distance can change
 SAME = 1e-9  # m
 STATE = "limits.shapes"
 

@@ -73,14 +73,14 @@ class Target:
         return np.asarray(y @ self.S.T - self.means)
 
     def scores(self, u: np.ndarray) -> np.ndarray:
-        """Compute normal scores of deviations ``u``."""
+        """Compute normal scores of standardised differences ``u``."""
         t = np.isfinite(self.freedom)
         z = u.copy()
         z[..., t] = -np.sign(u[..., t]) * ndtri(stdtr(self.freedom[t], -np.abs(u[..., t])))
         return z
 
     def outside(self, u: np.ndarray) -> np.ndarray:
-        """Return how far deviations (N, m) lie outside the 95 % region of the estimates, in standard deviations."""
+        """Compute how far standardised differences (N, m) lie outside the 95 % region, in standard deviations."""
         z = self.scores(u)
         distance = np.sqrt(np.einsum("ni,ij,nj->n", z, self.information, z))
         return np.asarray(np.maximum(distance - np.sqrt(chdtri(len(self.means), 0.05)), 0.0))

@@ -30,7 +30,7 @@ def is_written(number: float) -> bool:
 class Digits:
     """The digits of the numbers in a file: so many ``decimals``, or so many ``significant`` ones where those are many.
 
-    Trailing zeros are often left out, so a single number does not tell; the longest of all numbers does.
+    Trailing zeros are often left out, so a single number does not show them; the longest of all numbers does.
     """
 
     decimals: int

@@ -25,17 +25,21 @@ from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.linearisation import least_squares_step
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.priors import stated_inertias
-from gtau.estimation.thresholds.estimates import GRAVITY_MISFIT, MISFIT, SWAPPED
+from gtau.estimation.thresholds.estimates import (
+    GRAVITY_MISFIT,
+    HARDLY_NEGATIVE,
+    LIKELY_SHARES,
+    MISFIT,
+    RETRIED,
+    SIGN_STD,
+    SWAPPED,
+)
 from gtau.estimation.thresholds.logs import AS_WELL, LATE, MEANING_CLOSE, NO_GRAVITY, WITH_GRAVITY
 from gtau.model.base_parameters import of_drive
 
 AS_STATED, NONE = "as stated", "none of these"
 SHARES = (0.0, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0)  # of gravity that are tried
-INTERVAL = 1.92  # log likelihood below the largest that bounds an interval of 95 %
-APART = 2.0  # times what a joint's own parameters leave: more is tried again with other columns, at a cost
-BEYOND = 2.0  # standard deviations of a coefficient that has a sign
 TINY = 1e-9  # a share of rounding
-UNSIGNED = 0.05  # of the largest: a magnitude behind a filter is hardly negative
 REWEIGHTED = 3  # steps that find the variances of joints with common parameters
 
 
@@ -137,7 +141,7 @@ def rank_meanings(dataset: Dataset, slowest: float) -> Ranking:
         found += _among_joints(joints, factors, stated, counts)
     profile = _gravity_profile(joints, factors, made)
     likely = np.array([each.likelihood for each in profile])
-    held = np.array(SHARES)[likely > likely.max() - INTERVAL]
+    held = np.array(SHARES)[likely > likely.max() - LIKELY_SHARES]
     low, high = float(held.min()), float(held.max())
     as_well = profile[0].likelihood > stated.likelihood - counts.sum() / 2 * np.log(AS_WELL)
     of_file = _by_file(joints, counts, dataset) if torques else None
@@ -146,9 +150,9 @@ def rank_meanings(dataset: Dataset, slowest: float) -> Ranking:
         gain = profile[0].likelihood - stated.likelihood
     else:
         (coefficient, std), gain = of_file.gravity, of_file.gain
-        near = max(abs(coefficient) - BEYOND * std, 0.0)  # a reversed column has gravity too
-        without = as_well and near < NO_GRAVITY and abs(coefficient) + BEYOND * std < WITH_GRAVITY
-    if of_file is not None and (turned := of_file.scale[0] / of_file.scale[1]) < -BEYOND:
+        near = max(abs(coefficient) - SIGN_STD * std, 0.0)  # a reversed column has gravity too
+        without = as_well and near < NO_GRAVITY and abs(coefficient) + SIGN_STD * std < WITH_GRAVITY
+    if of_file is not None and (turned := of_file.scale[0] / of_file.scale[1]) < -SIGN_STD:
         likelihood = stated.likelihood + 2 * turned**2  # of the coefficient, at its size with either sign
         values = {"after": float(left.max()), "before": 1.0}
         found.append(Meaning(F.REVERSED, left, likelihood, tuple(range(len(left))), values))
@@ -192,7 +196,7 @@ def _magnitudes(joints: Sequence[JointRows], left: np.ndarray, made: Maker) -> I
     found = left.copy()
     for joint in joints:
         effort = joint.mine
-        if effort.min() > -UNSIGNED * effort.max():
+        if effort.size and effort.min() > -HARDLY_NEGATIVE * effort.max():
             found[joint.index] = float(joint.left(_signed(joint, effort)))
     altered = np.flatnonzero(found < SWAPPED * left).tolist()
     if altered:
@@ -232,7 +236,7 @@ def _among_joints(
             values = {"after": float(shares[altered].max()), "before": float(before[altered].min())}
             yield Meaning(kind, stated.left, stated.likelihood + gain, tuple(altered), values)
 
-    wrong = np.flatnonzero((before > APART * stated.left) & (before > GRAVITY_MISFIT)).tolist()
+    wrong = np.flatnonzero((before > RETRIED * stated.left) & (before > GRAVITY_MISFIT)).tolist()
     for pair in combinations(range(n), 2):
         if set(pair) & set(wrong):
             other = order.copy()

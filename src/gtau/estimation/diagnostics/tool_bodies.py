@@ -19,7 +19,7 @@ from gtau.estimation.estimators.estimator import Fit, Solution
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.regression.system import System
-from gtau.estimation.thresholds.estimates import LOAD_ALIKE, LOAD_LEFT, REFUTED_STD
+from gtau.estimation.thresholds.estimates import LOAD_ALIKE, LOAD_LEFT, MASS_ABSENT, REFUTED_STD
 from gtau.signals.payload import Payload
 
 TOOL_BODIES = "tool bodies"
@@ -62,7 +62,10 @@ def other_loads(fit: Fit) -> Alternative | None:
             break
         # a body in some runs is one that the others lack: more is forgotten than taken away
         best = max((each for each in found if each.left < LOAD_ALIKE * least), key=lambda each: each.masses[-1])
-    if best is None or np.any(np.abs(best.masses) < REFUTED_STD * best.std):
+    if best is None:
+        return None
+    declared = [_mass(fit, run) for run in best.runs]
+    if np.any(np.abs(best.masses) < np.maximum(REFUTED_STD * best.std, MASS_ABSENT * np.array(declared))):
         return None
     return _alternative(fit, best)
 
@@ -85,8 +88,13 @@ def _loaded(fit: Fit, runs: tuple[int, ...]) -> _Loaded | None:
     rows = system.problem.total_rows
     left = float(np.exp(2 * rows @ np.log(solution.sigma / fit.unrefined.sigma) / rows.sum()))
     found = _Loaded(runs, other, solution, left, np.zeros(len(runs)))
-    known = [0.0 if (load := declared[run]) is None else load.mass or 0.0 for run in runs]
-    return replace(found, masses=solution.theta[found.places] - known)
+    return replace(found, masses=solution.theta[found.places] - [_mass(fit, run) for run in runs])
+
+
+def _mass(fit: Fit, run: int) -> float:
+    """Return the declared mass of a run's payload, kg; 0 without one."""
+    payload = fit.dataset.runs[run].payload
+    return 0.0 if payload is None else payload.mass or 0.0
 
 
 def _alternative(fit: Fit, found: _Loaded) -> Alternative:

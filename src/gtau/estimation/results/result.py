@@ -43,8 +43,6 @@ from gtau.signals.run import Run
 if TYPE_CHECKING:
     import polars as pl
 
-    from gtau.report.plots import Plots
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result:
@@ -356,10 +354,9 @@ class Result:
         return self.believable and all(each.met for each in self.requirements)
 
     @property
-    def plot(self) -> Plots:
+    def plot(self) -> Any:
         """Plot the result, one figure per call: ``result.plot.torques("elbow_joint")``."""
-        plots: Plots = views().plots(self)
-        return plots
+        return views().plots(self)
 
     def report(self, path: str | Path) -> None:
         """Write the report of the result and its runs as one self-contained HTML file."""

@@ -379,6 +379,35 @@ LOAD_LEFT = Threshold(
     faulty="0.025 to 0.11 (UR10e: 2.8 kg not declared, or declared and absent)",
     evidence="shared logs",
 )
+LIKELY_SHARES = Threshold(
+    1.92,
+    "log likelihood below the largest that bounds a 95 % interval of one unknown",
+    healthy="half the 95 % quantile of chi-square with one degree of freedom",
+    faulty="the same",
+    evidence="Wilks' theorem",
+)
+SIGN_STD = Threshold(
+    2.0,
+    "size of a coefficient in standard deviations, above which it has a sign",
+    evidence="a level",
+)
+RETRIED = Threshold(
+    2.0,
+    "share that a joint's columns leave over what its own parameters leave: more is tried with other columns, at a cost",
+    evidence="a choice",
+)
+HARDLY_NEGATIVE = Threshold(
+    0.05,
+    "most negative value over the largest of a column of magnitudes behind a filter",
+    evidence="a choice",
+)
+MASS_ABSENT = Threshold(
+    0.5,
+    "part of a declared mass by which the load of a run differs: below it the mass is wrong, above it the body",
+    healthy="0.09 (a mass stated 10 % too large, which the payload's own check names)",
+    faulty="1.0 (declared and absent)",
+    evidence="faults",
+)
 LOAD_ALIKE = Threshold(
     1.01,
     "the same over the least of all runs, from which on another run explains less",

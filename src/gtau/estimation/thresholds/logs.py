@@ -347,7 +347,6 @@ UNSEEN_RATIO = Threshold(
     4.0,
     "share of a joint's current that its own equations leave unexplained in a run in which another joint's position "
     "never changes, over the largest in runs in which that one moves",
-    healthy="1.3 (a joint of a simulated arm held)",
     faulty="10 to 22 (five joints of a UR10e frozen in one run), 2.4 (its first joint, which gravity does not feel)",
     evidence="UR10e pair, the loaded run; tests/estimation/test_still_joints.py. In its logs of single joints, held "
     "ones move by 2 quanta",
