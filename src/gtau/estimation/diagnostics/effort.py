@@ -33,13 +33,13 @@ from gtau.estimation.thresholds.estimates import (
     RETRIED,
     SIGN_STD,
     SWAPPED,
+    TINY,
 )
 from gtau.estimation.thresholds.logs import AS_WELL, LATE, MEANING_CLOSE, NO_GRAVITY, WITH_GRAVITY
 from gtau.model.base_parameters import of_drive
 
 AS_STATED, NONE = "as stated", "none of these"
 SHARES = (0.0, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0)  # of gravity that are tried
-TINY = 1e-9  # a share of rounding
 REWEIGHTED = 3  # steps that find the variances of joints with common parameters
 
 

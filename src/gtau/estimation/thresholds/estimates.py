@@ -393,7 +393,7 @@ SIGN_STD = Threshold(
 )
 RETRIED = Threshold(
     2.0,
-    "share that a joint's columns leave over what its own parameters leave: more is tried with other columns, at a cost",
+    "share that a joint's columns leave over that of its own parameters: more is tried with other columns",
     evidence="a choice",
 )
 HARDLY_NEGATIVE = Threshold(
@@ -401,6 +401,7 @@ HARDLY_NEGATIVE = Threshold(
     "most negative value over the largest of a column of magnitudes behind a filter",
     evidence="a choice",
 )
+TINY = Threshold(1e-9, "share of a torque that is rounding", evidence="a choice")
 MASS_ABSENT = Threshold(
     0.5,
     "part of a declared mass by which the load of a run differs: below it the mass is wrong, above it the body",
