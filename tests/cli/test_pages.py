@@ -266,11 +266,14 @@ def test_a_chart_of_torques_is_titled_with_its_run() -> None:
     from gtau.estimation.results.predicted import Prediction
     from gtau.report.render.charts import figure_of
     from gtau.report.torques import torques_chart
+    from gtau.signals.decimation import Decimator
 
     time, torques = np.linspace(0.0, 1.0, 50), np.ones((50, 2))
     kept = np.ones((50, 2), dtype=bool)
     kept[10:20, 0] = False
-    prediction = Prediction(("left", "elbow_joint"), time, torques * [1.1, 1.01], torques, kept, kept, 0 * torques)
+    prediction = Prediction(
+        ("left", "elbow_joint"), time, torques * [1.1, 1.01], torques, kept, kept, 0 * torques, Decimator(1)
+    )
     chart = torques_chart(prediction, ["N m", "N"], "current", time, title="loaded")
     labels = [panel.y.label for panel in chart.panels]
     assert labels == ["torque, N m", "residual, N m", "force, N", "residual, N"]
@@ -285,6 +288,7 @@ def test_the_stretch_of_a_validation_begins_with_its_run() -> None:
     """The filter takes the first rows of a run; where the figure shows them all, time begins at zero all the same."""
     from gtau.estimation.results.predicted import Prediction
     from gtau.report.evidence import RunEvidence, worst_stretch
+    from gtau.signals.decimation import Decimator
 
     shown = []
     for last in (5.0, 60.0):
@@ -293,7 +297,7 @@ def test_the_stretch_of_a_validation_begins_with_its_run() -> None:
         measured[-20] = 3.0  # the largest difference
         kept = np.ones((500, 1), dtype=bool)
         run = SimpleNamespace(name="run", time=np.array([100.0, 100.2 + last]), kind="current")
-        prediction = Prediction(("left",), time, ones, measured, kept, kept, 0 * ones)
+        prediction = Prediction(("left",), time, ones, measured, kept, kept, 0 * ones, Decimator(1))
         shown.append(worst_stretch(RunEvidence(run, False, prediction), 10.0))
     assert shown[0] == (0.0, pytest.approx(5.0))
     assert shown[1][0] > 40.0

@@ -19,6 +19,7 @@ from gtau.report.page import Page, Text
 from gtau.report.render.terminal import plain
 from gtau.report.torques import determination
 from gtau.report.uncertainty import correlation_section
+from gtau.signals.decimation import Decimator
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +68,7 @@ def test_r_squared_is_of_the_kept_samples_of_all_runs() -> None:
     def run(measured: list[float], predicted: list[float]) -> RunEvidence:
         kept = np.array([[True], [True], [False]])
         arrays = [np.array(each)[:, None] for each in (predicted, measured)]
-        return RunEvidence(None, True, Prediction(("q",), np.arange(3.0), *arrays, kept, kept, arrays[0]))  # type: ignore[arg-type]
+        return RunEvidence(None, True, Prediction(("q",), np.arange(3.0), *arrays, kept, kept, arrays[0], Decimator(1)))  # type: ignore[arg-type]
 
     runs = [run([1.0, 2.0, 99.0], [1.0, 2.5, 0.0]), run([3.0, 6.0, 0.0], [3.0, 5.0, 99.0])]
     assert determination(runs)["q"] == pytest.approx(1 - (0.5**2 + 1.0) / (2.0**2 + 1.0 + 0.0 + 3.0**2))

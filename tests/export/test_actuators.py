@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -39,7 +38,7 @@ LATE = 0.004  # s
 def result() -> Result:
     made = model_of(ARM, terms=False)
     delays = {**made.delays, "b": Estimate("b", LATE, 0.0005, "s"), "c": Estimate("c", -0.002, 0.0005, "s")}
-    return replace(made, delays=delays)
+    return made.replaced(delays=delays)
 
 
 def forces(model: mujoco.MjModel, ctrl: np.ndarray, seed: int) -> np.ndarray:

@@ -103,7 +103,7 @@ def test_a_body_that_the_model_does_not_know_is_the_force_within_its_intervals()
     standard = free.consistency.standard
     heavier = dict(standard) | {f"{k}_{robot.tool}": standard[f"{k}_{robot.tool}"] + v for k, v in body.items()}
     loaded = replace(model_of(robot, terms=False, chi=heavier), friction=friction)
-    free = replace(free, friction=friction)
+    free = free.replaced(friction=friction)
     engine = Pinocchio(robot, {})
     data, joint = engine.model.createData(), engine.model.getJointId(robot.tool)
     inside, halves = [], []

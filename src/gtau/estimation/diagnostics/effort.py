@@ -27,7 +27,7 @@ from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.priors import stated_inertias
 from gtau.estimation.thresholds.estimates import GRAVITY_MISFIT, MISFIT, SWAPPED
 from gtau.estimation.thresholds.logs import AS_WELL, LATE, MEANING_CLOSE, NO_GRAVITY, WITH_GRAVITY
-from gtau.robots.parameter import parameter_of
+from gtau.model.base_parameters import of_drive
 
 AS_STATED, NONE = "as stated", "none of these"
 SHARES = (0.0, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0)  # of gravity that are tried
@@ -303,15 +303,14 @@ def _by_file(joints: Sequence[JointRows], counts: np.ndarray, dataset: Dataset) 
     if not any(stated.values()) or not all(each.free.any() for each in joints):
         return None
     values = base.matrix @ np.array([stated.get(name, 0.0) for name in dataset.model.parameter_names])
-    kinds = [parameter_of(name) for name in base.standard]
     found, gain = np.zeros((2, len(joints), 3)), 0.0  # coefficient, variance and weight, (N m)^2
     for joint, count in zip(joints, counts, strict=True):
         name = dataset.model.actuated[joint.index]
-        of_drive = [k for k, (kind, body, _) in enumerate(kinds) if body == name and kind in ("fv", "fs", "off", "ia")]
+        drive = [k for k, parameter in enumerate(base.standard) if of_drive(parameter, name)]
         first = joint.names < base.count
         first &= np.any(joint.own[joint.free], axis=0)
         W, G = joint.own[joint.free][:, first], joint.weight[joint.free][:, first]
-        own = [k for k, number in enumerate(joint.names[first] % base.count) if number in of_drive]
+        own = [k for k, number in enumerate(joint.names[first] % base.count) if number in drive]
         chi = values[joint.names[first] % base.count]
         gravity, total, effort = G @ chi, W @ chi, joint.mine[joint.free]
         for row, columns in enumerate(([gravity, total - gravity], [total])):

@@ -16,7 +16,6 @@ from gtau.estimation.diagnostics.linearisation import central_windows
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.equations import triangle
 from gtau.estimation.regression.rows import stream_rows
-from gtau.robots.parameter import parameter_of
 from gtau.robots.robot import INERTIAL
 
 REACH = 0.3  # s: lags beyond are other runs, or clocks that were never set
@@ -164,7 +163,7 @@ def _windows(dataset: Dataset, reach: float) -> Iterator[_Window]:
     """Iterate over the middle of the runs, with currents available up to ``reach`` (s) before and after."""
     model, names = dataset.model, dataset.base.standard
     joints, regressor = range(len(model.actuated)), model.columns(names)
-    falling = np.array([parameter_of(name).kind in INERTIAL for name in names])[regressor.columns]
+    falling = np.array([name.kind in INERTIAL for name in names])[regressor.columns]
     for run, piece in central_windows(dataset):
         decimator = dataset.preparation.at(piece.run.rate).decimator
         parts = list(stream_rows(model, regressor, piece, decimator))

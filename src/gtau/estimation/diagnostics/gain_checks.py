@@ -40,7 +40,7 @@ from gtau.estimation.thresholds.estimates import (
 )
 from gtau.estimation.thresholds.logs import ALIKE, BEYOND_GEARS, FRICTIONLESS, GEARED, MODEL_RESIDUAL
 from gtau.model.base_parameters import whole_mass
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.parameter import Parameter
 from gtau.robots.units import unit_of
 
 
@@ -161,13 +161,12 @@ def impossible_parameters(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
 
     Gains and parameters are estimated together: friction that drives a joint is what a wrong description looks like.
     """
-    dataset, problem = fit.dataset, fit.system.problem
-    stds = np.sqrt(np.diag(estimates.covariance))
+    dataset, stds = fit.dataset, np.sqrt(np.diag(estimates.covariance))
     listed: dict[str, list[list[object]]] = {}
-    for name, standard in zip(dataset.base.names, dataset.base.standard, strict=True):
-        if name not in problem.parameters:
+    for name in dataset.base.names:
+        if name not in estimates.places:
             continue
-        k, (kind, body, _) = problem.parameters.index(name), parameter_of(standard)
+        k, kind, body = estimates.places[name], name.kind, name.body
         value, std = float(fit.solution.theta[k]), float(stds[k])
         if judge_parameter(value, std, dataset.base.regroupings[name]).outcome == Outcome.CONTRADICTORY:
             listed.setdefault(body, []).append([name, value, std, unit_of(kind, dataset.robot, body)])

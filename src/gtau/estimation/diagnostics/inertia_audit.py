@@ -23,7 +23,7 @@ from gtau.estimation.regression.priors import inertia_priors, sizes_of, stated_i
 from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import INERTIA_CHANCE, INERTIA_EXPLAINED
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import DRIVE, INERTIAL
 from gtau.robots.units import unit_of
 
@@ -282,13 +282,13 @@ def _links(fit: Fit, comparison: _Comparison, stated: Mapping[str, float]) -> li
     rows, difference = comparison.rows, comparison.identified - comparison.file
     torque = rows @ difference
     members: dict[str, list[int]] = {}
-    for k, (kind, body, _) in enumerate(map(parameter_of, names)):
-        if kind in INERTIAL or Parameter(kind, body) in stated:
-            members.setdefault(ROTORS if kind == "ia" else body, []).append(k)
+    for k, name in enumerate(names):
+        if name.kind in INERTIAL or name in stated:
+            members.setdefault(ROTORS if name.kind == "ia" else name.body, []).append(k)
     bodies = {body: base.matrix[:, columns] for body, columns in members.items()}
     found: list[AuditedLink] = []
     # rotor inertias that the file leaves open adapt to any change of links
-    freed = base.matrix[:, [k for k, name in enumerate(names) if name[:3] == "ia_" and name not in stated]]
+    freed = base.matrix[:, [k for k, name in enumerate(names) if name.kind == "ia" and name not in stated]]
     least, total = float(torque @ torque), float(torque @ torque)
     while len(found) < len(bodies) and least > (1 - INERTIA_EXPLAINED) * total:
         named = {each.name for each in found}
