@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from platform import node
+from unittest.mock import Mock
 
 import numpy as np
 import polars as pl
@@ -19,7 +21,7 @@ from gtau.estimation.results.result import Result
 from gtau.fleet import fleet
 from gtau.fleet.fleet import Member, Report, identify_fleet, read_fleet
 from gtau.fleet.gains import fleet_table
-from gtau.fleet.processes import serial_map
+from gtau.fleet.mapping import serial_map
 from gtau.report.fleet import fleet_page
 from gtau.report.render.terminal import plain
 
@@ -60,6 +62,7 @@ def test_a_member_is_found_from_another_folder(tmp_path: Path, monkeypatch: pyte
 
 @pytest.mark.slow
 def test_the_two_that_are_off_are_found(cells: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gtau.cli.console.EVERY", 1e6)  # s: a busy machine takes minutes
     out = tmp_path / "out"
     arguments = (str(cells / "*" / "experiment.yaml"), "--out", str(out))
     result = run(*arguments, "--jobs", "1")
@@ -92,7 +95,7 @@ def some(cells: Path, *robots: int) -> tuple[Member, ...]:
     return read_fleet([cells / f"robot_{k}" / "experiment.yaml" for k in robots])
 
 
-def test_a_robot_that_fails_does_not_stop_the_others(cells: Path, tmp_path: Path, monkeypatch) -> None:
+def test_a_robot_that_fails_does_not_stop_the_others(cells: Path, tmp_path: Path) -> None:
     bad = tmp_path / "bad" / "experiment.yaml"
     bad.parent.mkdir()
     bad.write_text(ONE)
@@ -105,12 +108,20 @@ def test_a_robot_that_fails_does_not_stop_the_others(cells: Path, tmp_path: Path
     assert f"bad: {bad}, line 5, runs.1.log: there is no file" in " ".join(page.split())
     assert "too few robots to find outliers" in " ".join(page.split())
 
-    def broken(*_: object, **__: object) -> None:
-        raise ZeroDivisionError("oops")
 
-    monkeypatch.setattr("gtau.estimation.identify.identify", broken)
+@pytest.mark.parametrize(
+    ("error", "says"),
+    [
+        (ZeroDivisionError("oops"), "internal error (ZeroDivisionError: oops); report it with the output of"),
+        (OSError("disk full"), f"the machine {node()} failed (disk full); check its disks and network."),
+    ],
+)
+def test_what_fails_in_the_middle_is_reported(
+    cells: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, says: str
+) -> None:
+    monkeypatch.setattr("gtau.estimation.identify.identify", Mock(side_effect=error))
     (report,) = identify_fleet(some(cells, 3), tmp_path, serial_map)
-    assert "internal error (ZeroDivisionError: oops); report it with the output of" in report.sentence
+    assert says in report.sentence
     assert fleet_table([report]).refused[0][0] == report.member.name
 
 

@@ -10,32 +10,36 @@ import pytest
 from process_functions import fragile, limits, square
 from programs import start_python, wait_until
 
-from gtau.fleet.processes import process_map
+from gtau.fleet.mapping import processes
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_every_item_once(jobs: int) -> None:
-    assert sorted(process_map(square, range(12), jobs)) == [(k, k * k) for k in range(12)]
+    with processes(jobs) as mapper:
+        assert sorted(mapper(square, range(12))) == [(k, k * k) for k in range(12)]
 
 
 def test_an_item_that_kills_its_process_is_reported_and_the_others_are_done() -> None:
-    found = dict(process_map(fragile, range(8), 2))
-    assert "died" in str(found.pop(3))
-    assert found == {k: k * k for k in range(8) if k != 3}
+    with processes(2) as mapper:
+        results = dict(mapper(fragile, range(8)))
+    assert "died" in str(results.pop(3))
+    assert results == {k: k * k for k in range(8) if k != 3}
 
 
 def test_a_process_has_one_thread() -> None:
-    assert dict(process_map(limits, range(2), 2)) == {0: "1", 1: "1"}
+    with processes(2) as mapper:
+        assert dict(mapper(limits, range(2))) == {0: "1", 1: "1"}
 
 
 def test_ctrl_c_ends_all_processes_at_once_and_without_a_word(tmp_path: Path) -> None:
     code = """
 import sys, pathlib
-from gtau.fleet.processes import process_map
+from gtau.fleet.mapping import processes
 from process_functions import slow
 if __name__ == "__main__":
     try:
-        list(process_map(slow, [pathlib.Path(sys.argv[1]) / str(k) for k in range(4)], 2))
+        with processes(2) as mapper:
+            list(mapper(slow, [pathlib.Path(sys.argv[1]) / str(k) for k in range(4)]))
     except KeyboardInterrupt:
         sys.exit(130)
 """

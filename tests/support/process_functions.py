@@ -27,14 +27,6 @@ def refusing(x: int) -> int:
     return x * x
 
 
-def away(folder: Path) -> str:
-    """Fails the first time, as a network drive may."""
-    if not (folder / "there").exists():
-        (folder / "there").touch()
-        raise OSError("not mounted")
-    return "read"
-
-
 def limits(_: int) -> str:
     return os.environ["GTAU_THREADS"]
 

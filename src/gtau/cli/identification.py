@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated
@@ -184,10 +182,10 @@ def fleet(
         start = perf_counter()
         from gtau.estimation.estimators.estimator import Gains
         from gtau.estimation.estimators.registry import estimator_of
-        from gtau.fleet.dask_workers import connected, dask_map
+        from gtau.fleet.dask_workers import dask_workers
         from gtau.fleet.fleet import identify_fleet, read_fleet
         from gtau.fleet.gains import fleet_table
-        from gtau.fleet.processes import process_map
+        from gtau.fleet.mapping import processes
         from gtau.report.fleet import fleet_document, fleet_page, fleet_report, write_fleet
         from gtau.report.write import write_report
 
@@ -197,12 +195,9 @@ def fleet(
             raise GtauError("--jobs is for processes without Dask; give one of --jobs and --dask.")
         members = read_fleet(experiments)
         folder = folder_of(out)
+        workers = dask_workers(dask) if dask is not None else processes(min(jobs or os.cpu_count() or 1, len(members)))
         try:
-            with progress_bar() as progress, ExitStack() as stack:
-                if dask is not None:
-                    mapper = partial(dask_map, client=stack.enter_context(connected(dask)))
-                else:
-                    mapper = partial(process_map, jobs=min(jobs or os.cpu_count() or 1, len(members)))
+            with progress_bar() as progress, workers as mapper:
                 reports = identify_fleet(members, folder, mapper, method, progress)
         except KeyboardInterrupt:
             raise KeyboardInterrupt(

@@ -2,96 +2,86 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from gtau.errors import GtauError, missing_extra
-from gtau.fleet.processes import LIMITS, completed, shielded_from_terminal, submit_all
+from gtau.fleet.mapping import LIMITS, Mapper, WorkerDied, Workers, shielded_from_terminal
 
 if TYPE_CHECKING:
     from distributed import Client
 
-Item = TypeVar("Item")
-Made = TypeVar("Made")
 PATIENCE = 15.0  # s to wait for a scheduler, and for its first worker
 WITHOUT_WORKERS = 60.0  # s until the work is given up: workers may be starting again
-RETRIES = 2  # after an error that is not gtau's own: a network drive that was away, a full disk
 _ONE_AT_A_TIME = threading.Lock()  # in a process: CasADi's symbolic expressions are not thread-safe
 
 
 @contextmanager
-def connected(address: str, patience: float = PATIENCE) -> Iterator[Client]:
-    """Open a client of the scheduler at ``address``, or of processes of this machine where that is ``local``.
+def dask_workers(
+    address: str, patience: float = PATIENCE, without_workers: float = WITHOUT_WORKERS
+) -> Iterator[Mapper]:
+    """Open a map over the workers of the scheduler at ``address``, or over processes of this machine: ``local``.
 
-    Leaving cancels the work that is still going on.
-
-    Parameters
-    ----------
-    address : str
-        ``tcp://host:8786``, or ``local``.
-    patience : float
-        Seconds to wait for the scheduler, and for its first worker.
+    Leaving cancels the work that is still going on. ``patience`` is the time for the scheduler and its first worker
+    to answer, and ``without_workers`` that without any worker until the work is given up, in s.
 
     Raises
     ------
     GtauError
-        Dask is missing, the scheduler cannot be reached or has no workers, or they have another gtau.
+        Dask is missing, the scheduler cannot be reached, stops or has no workers, or they have another gtau.
     """
     try:
         from distributed import Client, LocalCluster
     except ImportError:
         raise missing_extra("--dask", "distributed", "dask") from None
-    if address == "local":
-        with shielded_from_terminal():
-            cluster = LocalCluster(
-                n_workers=os.cpu_count(),
-                threads_per_worker=1,
-                dashboard_address=None,
-                env=LIMITS,
-                silence_logs="CRITICAL",
-            )
-        with cluster, Client(cluster) as client:
-            yield client
-        return
-    _check_scheduler(address, patience)
-    with _silenced("distributed.client"), Client(address, timeout=patience) as client:
-        _check_workers(client, address, patience, installed())
-        yield client
+    logging.getLogger("distributed.client").disabled = True  # what it logs with a traceback, a sentence says
+    with ExitStack() as stack:
+        if address == "local":
+            options = {"n_workers": os.cpu_count(), "threads_per_worker": 1, "env": LIMITS}
+            with shielded_from_terminal():
+                cluster = LocalCluster(dashboard_address=":0", silence_logs="CRITICAL", **options)
+            address = stack.enter_context(cluster).scheduler_address
+        _check_scheduler(address, patience)
+        client = stack.enter_context(Client(address, timeout=patience))
+        _check_workers(client, address, patience)
 
+        submit = client.get_executor(pure=False).submit
+        seen = time.monotonic()
 
-@contextmanager
-def _silenced(logger: str) -> Iterator[None]:
-    """Silence a log: scheduler errors are reported in one sentence, without a traceback."""
-    known = logging.getLogger(logger)
-    before = known.level
-    known.setLevel(logging.CRITICAL + 1)
-    try:
-        yield
-    finally:
-        known.setLevel(before)
+        def check() -> None:
+            nonlocal seen
+            if client.status == "running" and client.scheduler_info()["workers"]:
+                seen = time.monotonic()
+            elif time.monotonic() > seen + without_workers:
+                raise GtauError(
+                    f"the Dask scheduler has had no workers for {without_workers:.0f} s; check workers and network, "
+                    "and run the same command again."
+                )
+
+        yield Workers(partial(submit, _work, installed()), _failure, check=check).map
 
 
 def _check_scheduler(address: str, patience: float) -> None:
-    """Check that the scheduler responds: a client that fails to connect leaves threads behind."""
-    import asyncio
-
+    """Check that the scheduler responds: a client that fails to connect leaves threads and tracebacks behind."""
     from distributed import rpc
 
-    async def identity() -> dict[str, Any]:
+    async def identity() -> str:
         async with rpc(address) as scheduler:
-            return await asyncio.wait_for(scheduler.identity(), patience)
+            answer = await asyncio.wait_for(scheduler.identity(), patience)
+        return str(answer["type"]).lower()
 
     try:
-        found = asyncio.run(identity())["type"]
-        reason = "" if found == "Scheduler" else f"this is a {found.lower()}"
+        kind = asyncio.run(identity())
+        reason = "" if kind == "scheduler" else f"this is a {kind}"
     except OSError:
         reason = "it does not answer"
     except ValueError as error:
@@ -103,7 +93,7 @@ def _check_scheduler(address: str, patience: float) -> None:
         )
 
 
-def _check_workers(client: Client, address: str, patience: float, ours: str) -> None:
+def _check_workers(client: Client, address: str, patience: float) -> None:
     try:
         client.wait_for_workers(1, timeout=patience)
     except TimeoutError:
@@ -112,9 +102,8 @@ def _check_workers(client: Client, address: str, patience: float, ours: str) -> 
         ) from None
     for worker, theirs in client.run(version, "gtau", on_error="return").items():
         if isinstance(theirs, PackageNotFoundError):
-            raise GtauError(f"the Dask worker {worker} has no gtau; install gtau {ours} there.")
-        if theirs != ours:
-            raise _other_version(worker, theirs, ours)
+            raise GtauError(f"the Dask worker {worker} has no gtau; install gtau {installed()} there.")
+        _check_version(worker, theirs, installed())
 
 
 def installed() -> str:
@@ -122,110 +111,36 @@ def installed() -> str:
     return version("gtau")
 
 
-def _other_version(worker: str, theirs: str, ours: str) -> GtauError:
-    return GtauError(
-        f"the Dask worker {worker} has gtau {theirs} and this machine {ours}; install the same version everywhere."
-    )
+def _check_version(worker: str, theirs: str, ours: str) -> None:
+    if theirs != ours:
+        raise GtauError(
+            f"the Dask worker {worker} has gtau {theirs} and this machine {ours}; install the same version everywhere."
+        )
 
 
-def dask_map(
-    function: Callable[[Item], Made], items: Sequence[Item], client: Client, without_workers: float = WITHOUT_WORKERS
-) -> Iterator[tuple[int, Made | GtauError]]:
-    """Map a function over items on the workers; an item whose worker dies is retried on another worker.
-
-    Parameters
-    ----------
-    function : callable
-        Of one item.
-    items : sequence
-        Sent pickled.
-    client : Client
-        From :func:`connected`.
-    without_workers : float
-        Seconds without any worker until the work is given up.
-
-    Yields
-    ------
-    int, object
-        Index of an item and its result, in the order in which they finish; a GtauError for an item that gtau
-        refused, or that repeatedly killed its worker.
-
-    Raises
-    ------
-    GtauError
-        Where the scheduler stops or its workers are gone for too long.
-    """
-    killed = {}
-    for k, result in _results(function, dict(enumerate(items)), client, without_workers):
-        if isinstance(result, WorkersDied):
-            killed[k] = items[k]  # perhaps another item killed the workers
-        else:
-            yield k, result
-    for k, item in killed.items():
-        yield from _results(function, {k: item}, client, without_workers)
-
-
-class WorkersDied(GtauError):
-    """Workers died while they worked on an item."""
-
-
-def _results(
-    function: Callable[[Item], Made], items: Mapping[int, Item], client: Client, without_workers: float
-) -> Iterator[tuple[int, Made | GtauError]]:
-    executor = client.get_executor(pure=False, retries=RETRIES)
-    seen = time.monotonic()
-
-    def check() -> None:
-        nonlocal seen
-        if client.status == "running" and client.scheduler_info()["workers"]:
-            seen = time.monotonic()
-        elif time.monotonic() > seen + without_workers:
-            raise GtauError(
-                f"the Dask scheduler has had no workers for {without_workers:.0f} s; check workers and network, "
-                "and run the same command again."
-            )
-
-    futures = submit_all(executor, partial(_work, function, installed()), items)
-    try:
-        for k, future in completed(futures, check):
-            seen = time.monotonic()
-            yield k, _result(future)
-    finally:
-        for future in futures:
-            future.cancel()
-
-
-def _work(function: Callable[[Item], Made], expected: str, item: Item) -> Made | GtauError:
-    """Process an item on a worker; a refusal is a result, as a retry is useless."""
+def _work(expected: str, function: Callable[[Any], Any], item: Any) -> Any:
+    """Process an item on a worker, which may have come after the check of the others."""
     from distributed import get_worker
 
-    address = get_worker().address
-    if installed() != expected:
-        return _other_version(address, installed(), expected)
+    _check_version(get_worker().address, installed(), expected)
     with _ONE_AT_A_TIME:
-        try:
-            return function(item)
-        except GtauError as error:
-            return error
-        except OSError as error:
-            raise OSError(f"the Dask worker {address} failed ({error}); check its disks and network.") from None
+        return function(item)
 
 
-def _result(future: Any) -> Any:
+def _failure(error: BaseException) -> GtauError:
     from distributed import CancelledError as DaskCancelledError
     from distributed import KilledWorker
     from distributed.comm.core import CommClosedError
 
-    try:
-        return future.result()
-    except KilledWorker as killed:
-        return WorkersDied(
-            f"it killed one Dask worker after the other, the last one {killed.last_worker.address}, usually for lack "
+    if isinstance(error, KilledWorker):
+        return WorkerDied(
+            f"it killed one Dask worker after the other, the last one {error.last_worker.address}, usually for lack "
             f"of memory; give them more."
         )
-    except (CancelledError, DaskCancelledError, CommClosedError):
+    if isinstance(error, (CancelledError, DaskCancelledError, CommClosedError)):
         raise GtauError(
             "the Dask scheduler stopped or cancelled the work; start it, and run the same command again."
         ) from None
-    except OSError as error:  # at every attempt
-        return GtauError(str(error))
+    if isinstance(error, GtauError):
+        return error
+    raise error

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
+from platform import node
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -17,7 +18,7 @@ from gtau.documents.validation import Keys, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.estimation.results.model_file import model_text
-from gtau.fleet.processes import Mapper
+from gtau.fleet.mapping import Mapper
 from gtau.model.home import load_robot
 from gtau.progress import Progress, silent
 from gtau.robots.readers.native_text import native_text
@@ -149,8 +150,7 @@ def identify_fleet(
     out : Path
         An existing folder.
     mapper : callable
-        Executor: :func:`gtau.fleet.processes.process_map` or
-        :func:`gtau.fleet.dask_workers.dask_map`.
+        From :func:`gtau.fleet.mapping.processes` or :func:`gtau.fleet.dask_workers.dask_workers`.
     method : str
         See :func:`gtau.identify`.
     progress : callable
@@ -182,6 +182,8 @@ def _identify_member(method: str, item: tuple[Member, str]) -> tuple[str, str] |
         return key, "" if key == known else model_text(identify(experiment, method=method))
     except GtauError as error:
         return GtauError(str(error))
+    except OSError as error:
+        return GtauError(f"the machine {node()} failed ({error}); check its disks and network.")
     except Exception as error:  # the other robots are identified all the same
         return GtauError(
             f"internal error ({type(error).__name__}: {error}); report it with the output of "

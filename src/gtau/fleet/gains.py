@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -102,25 +102,48 @@ def _weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
 class FleetGain:
     """Drive gain of one robot compared with the rest of the fleet.
 
-    ``gain`` and ``std`` in ``unit``, None where the gain is not identifiable; ``difference_percent`` from the median
-    of the fleet; ``z`` the same in standard deviations, and ``limit`` the outlier threshold, both None without
-    others to compare with. ``outcome`` and ``why`` are the verdict of its own identification,
-    and ``half_width`` is half its 95 % interval, in ``unit``.
+    ``estimate`` is the gain in the unit of its joint, ``outcome`` and ``why`` are the verdict of its own
+    identification; ``difference_percent`` from the median of the fleet; ``z`` the same in standard deviations, and
+    ``limit`` the outlier threshold, both None without others to compare with.
     """
 
     robot: str
     model: str
-    joint: str
-    gain: float | None
-    std: float | None
-    unit: str
+    estimate: Estimate
     outcome: str
     why: str
     difference_percent: float | None = None
     z: float | None = None
     limit: float | None = None
-    outlier: bool = False
-    half_width: float | None = None
+
+    @property
+    def joint(self) -> str:
+        """Name of the joint."""
+        return self.estimate.name
+
+    @property
+    def outlier(self) -> bool:
+        """Whether the gain is an outlier of the fleet."""
+        return self.z is not None and self.limit is not None and abs(self.z) > self.limit
+
+    @property
+    def row(self) -> dict[str, Any]:
+        """Row of the fleet's table; ``half_width`` is half the 95 % interval, in ``unit``."""
+        return {
+            "robot": self.robot,
+            "model": self.model,
+            "joint": self.joint,
+            "gain": self.estimate.value,
+            "std": self.estimate.std,
+            "unit": self.estimate.unit,
+            "outcome": self.outcome,
+            "why": self.why,
+            "difference_percent": self.difference_percent,
+            "z": self.z,
+            "limit": self.limit,
+            "outlier": self.outlier,
+            "half_width": self.estimate.half_interval(),
+        }
 
 
 @dataclass(frozen=True)
@@ -158,47 +181,35 @@ class FleetTable:
 
 def fleet_table(reports: Sequence[Report]) -> FleetTable:
     """Compare the gains of each joint over the robots of the same model; see :func:`gtau.fleet.gains.distances`."""
-    models = [(report.member.name, report.model) for report in reports if report.model is not None]
     gains = [
-        FleetGain(
-            name, model["robot"], g["joint"], g["value"], g["std"], g["unit"], g["outcome"], g["why"],
-            half_width=Estimate(g["joint"], g["value"], g["std"], g["unit"], freedom=g["freedom"]).half_interval(),
-        )
-        for name, model in models
-        for g in model["drive_gains"]
-    ]  # fmt: skip
-    freedom = [g["freedom"] or np.inf for _, model in models for g in model["drive_gains"]]
-    known = [k for k, g in enumerate(gains) if g.gain is not None and g.std is not None]
+        FleetGain(report.member.name, report.model["robot"], _estimate(gain), gain["outcome"], gain["why"])
+        for report in reports
+        if report.model is not None
+        for gain in report.model["drive_gains"]
+    ]
     groups: dict[tuple[str, str, str], list[int]] = {}
-    for k in known:
-        groups.setdefault((gains[k].model, gains[k].joint, gains[k].unit), []).append(k)
+    for k, gain in enumerate(gains):
+        if gain.estimate.value is not None and gain.estimate.std is not None:
+            groups.setdefault((gain.model, gain.joint, gain.estimate.unit), []).append(k)
+    tests = sum(map(len, groups.values()))
     joints = []
-    for group, index in groups.items():
-        values, std = (np.array([getattr(gains[k], what) for k in index], dtype=float) for what in ("gain", "std"))
-        found = distances(values, std, np.array([freedom[k] for k in index], dtype=float), len(known))
-        comparable = bool(np.isfinite(found.limit).all())
-        joints.append(JointOfFleet(*group, len(index), found.median, found.median_std, found.spread, comparable))
-        for place, k in enumerate(index):
-            gains[k] = _compared(gains[k], found, place)
+    for group, members in groups.items():
+        estimates = [gains[k].estimate for k in members]
+        numbers = np.array([(gain.value, gain.std, gain.freedom or np.inf) for gain in estimates], dtype=float)
+        values, std, freedom = numbers.T
+        apart = distances(values, std, freedom, tests)
+        comparable = len(members) >= LEAST
+        joints.append(JointOfFleet(*group, len(members), apart.median, apart.median_std, apart.spread, comparable))
+        for k, value, z, limit in zip(members, values, apart.z, apart.limit, strict=True):
+            gains[k] = replace(
+                gains[k],
+                difference_percent=float(100 * (value / apart.median - 1)) if apart.median else None,
+                z=float(z) if comparable else None,
+                limit=float(limit) if comparable else None,
+            )
     refused = tuple((report.member.name, report.sentence) for report in reports if report.model is None)
     return FleetTable(tuple(gains), tuple(joints), refused)
 
 
-def _compared(gain: FleetGain, found: Distances, place: int) -> FleetGain:
-    difference = 100 * ((gain.gain or 0.0) / found.median - 1) if found.median else None
-    if not np.isfinite(found.limit[place]):
-        return replace(gain, difference_percent=difference)
-    return replace(
-        gain,
-        difference_percent=difference,
-        z=float(found.z[place]),
-        limit=float(found.limit[place]),
-        outlier=bool(found.outlier[place]),
-    )
-
-
-def table_rows(table: FleetTable) -> list[dict[str, Any]]:
-    """Return the rows of the table: one for each gain, and one for each refused robot."""
-    names = [field.name for field in fields(FleetGain)]
-    refused = [{"robot": name, "outcome": "refused", "why": why, "outlier": False} for name, why in table.refused]
-    return [asdict(gain) for gain in table.gains] + [dict.fromkeys(names) | row for row in refused]
+def _estimate(gain: dict[str, Any]) -> Estimate:
+    return Estimate(gain["joint"], gain["value"], gain["std"], gain["unit"], freedom=gain["freedom"])

@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 
 from gtau.documents.files import write_table
-from gtau.fleet.gains import FleetGain, FleetTable, JointOfFleet, table_rows
+from gtau.fleet.gains import FleetGain, FleetTable, JointOfFleet
 from gtau.report.page import (
     Axis,
     Chart,
@@ -42,7 +42,7 @@ def fleet_document(found: FleetTable) -> dict[str, Any]:
     return {
         "schema": "gtau-fleet/1",
         "joints": [asdict(joint) for joint in found.joints],
-        "gains": [asdict(gain) for gain in found.gains],
+        "gains": [gain.row for gain in found.gains],
         "refused": [{"robot": robot, "why": why} for robot, why in found.refused],
     }
 
@@ -101,9 +101,9 @@ GAIN: tuple[tuple[Column, Callable[[FleetGain], Any]], ...] = (
     (Column("robot"), lambda gain: gain.robot),
     (Column("joint"), lambda gain: joint_label(gain.joint)),
     (Column("verdict", Kind.BADGE), lambda gain: "outlier" if gain.outlier else gain.outcome),
-    (Column("gain", Kind.NUMBER, 5), lambda gain: gain.gain),
-    (Column("std", Kind.NUMBER, 2), lambda gain: gain.std),
-    (Column("unit"), lambda gain: gain.unit),
+    (Column("gain", Kind.NUMBER, 5), lambda gain: gain.estimate.value),
+    (Column("std", Kind.NUMBER, 2), lambda gain: gain.estimate.std),
+    (Column("unit"), lambda gain: gain.estimate.unit),
     (Column("from median, %", Kind.NUMBER, 3), lambda gain: gain.difference_percent),
     (Column("z", Kind.NUMBER, 3), lambda gain: gain.z),
     (Column("limit", Kind.NUMBER, 3), lambda gain: gain.limit),
@@ -156,14 +156,18 @@ def _off_alike(outliers: Sequence[FleetGain], gains: Sequence[FleetGain]) -> lis
 
 def fleet_chart(found: FleetTable, joint: JointOfFleet) -> Chart:
     """Draw gains of a joint on all robots in per cent of the median, with 95 % intervals and the spread."""
-    gains = [g for g in found.gains if (g.model, g.joint, g.unit) == (joint.model, joint.joint, joint.unit)]
-    gains = [g for g in gains if g.difference_percent is not None]
+    gains = [
+        gain
+        for gain in found.gains
+        if (gain.model, gain.joint, gain.estimate.unit) == (joint.model, joint.joint, joint.unit)
+        and gain.difference_percent is not None
+    ]
     percent = 100 / abs(joint.median)
     series = []
     for outlier, label, mark in ((False, "robot, 95 % interval", "disc"), (True, "outlier", "diamond")):
         at = np.flatnonzero([gain.outlier == outlier for gain in gains])
         values = np.array([gains[k].difference_percent for k in at], dtype=float)
-        halves = percent * np.array([gains[k].half_width or 0.0 for k in at])
+        halves = percent * np.array([gains[k].estimate.half_interval() or 0.0 for k in at])
         hue = "residual" if outlier else "predicted"
         series += [Series(label, at.astype(float), values, hue, mark, half=halves, upright=True)] if len(at) else []  # type: ignore[arg-type]
     names = {float(k): gain.robot for k, gain in enumerate(gains)} if len(gains) <= NAMED else {}
@@ -180,7 +184,8 @@ def write_fleet(found: FleetTable, out: Path) -> list[Path]:
     """Write ``gains.csv``, ``gains.parquet`` and a figure of each robot model."""
     from gtau.report.render.charts import save
 
-    frame = pl.DataFrame(table_rows(found), schema=_SCHEMA)
+    refused = [{"robot": robot, "outcome": "refused", "why": why, "outlier": False} for robot, why in found.refused]
+    frame = pl.DataFrame([gain.row for gain in found.gains] + refused, schema=_SCHEMA)
     written = [out / "gains.csv", out / "gains.parquet"]
     for path in written:
         write_table(frame, path)
