@@ -320,8 +320,8 @@ def _by_file(joints: Sequence[JointRows], counts: np.ndarray, dataset: Dataset) 
         for row, columns in enumerate(([gravity, total - gravity], [total])):
             others = basis_of(np.column_stack([*columns[1:], W[:, own]])) if len(own) or len(columns) > 1 else W[:, :0]
             x, y = (each - others @ (others.T @ each) for each in (columns[0], effort))
-            size = float(x @ x)
-            if size > TINY * max(float(columns[0] @ columns[0]), 1e-300):
+            size, rounding = float(x @ x), TINY * max(float(columns[0] @ columns[0]), 1e-300)
+            if size > rounding:
                 coefficient = float(x @ y) / size
                 rest = y - coefficient * x
                 found[row, joint.index] = coefficient, float(rest @ rest) / count / size, size

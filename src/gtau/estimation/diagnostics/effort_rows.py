@@ -147,7 +147,8 @@ def _lags(left: Callable[[np.ndarray], np.ndarray], reach: float, slowest: float
         return 0.0, 0.0
     coarse = slowest / COARSE * np.arange(-round(COARSE * reach / slowest), round(COARSE * reach / slowest) + 1)
     shares = left(coarse)
-    within = np.flatnonzero(np.abs(coarse) <= slowest * (1 + 1e-9))
+    longest = slowest * (1 + 1e-9)  # and rounding
+    within = np.flatnonzero(np.abs(coarse) <= longest)
     stated, k = float(coarse[within[np.argmin(shares[within])]]), int(np.argmin(shares))
     if k in within or not 0 < k < len(coarse) - 1:
         return stated, stated

@@ -35,8 +35,6 @@ from gtau.signals.payload import FIRST_MOMENTS, Payload
 from gtau.signals.run import Run
 from gtau.signals.storage import block, spans
 
-FEWEST = 3  # joints of which equal limits say something
-
 
 def units_and_signs(
     fit: Fit, estimates: Estimates, prior_gains: Mapping[str, float], audit: InertiaAudit | None
@@ -193,7 +191,7 @@ def _efforts_exceeded(fit: Fit, settled: Collection[str]) -> Iterator[Finding]:
     """
     robot, problem = fit.dataset.robot, fit.system.problem
     limits = {joint: robot.joint(joint).limits.effort for joint in problem.joints}
-    placeholder = len(limits) >= FEWEST and len(set(limits.values())) == 1 and not robot.closures
+    placeholder = len(limits) >= 3 and len(set(limits.values())) == 1 and not robot.closures
     torques = dict(zip(problem.joints, np.abs(fit.solution.gains) * problem.signal, strict=False))
     ratios = {joint: float(torques[joint] / limit) for joint, limit in limits.items() if limit}
     over = sorted((ratio, joint) for joint, ratio in ratios.items() if ratio > EFFORT_FACTOR)
