@@ -21,7 +21,7 @@ from gtau.export.external_torques import torques_along_log
 from gtau.export.wrench import BEYOND
 from gtau.model.home import load_robot
 from gtau.robots.floating import WRENCH
-from gtau.robots.readers.urdf import frame_on
+from gtau.robots.readers.read import frame_on
 from gtau.robots.robot import Robot
 from gtau.simulation.closed_loop import write_log
 

@@ -32,7 +32,7 @@ from gtau.estimation.results.prediction_filter import with_prediction_cutoffs
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.torque_errors import judge
 from gtau.estimation.thresholds.estimates import ACCURACY
-from gtau.model.interpreter.threads import single_threaded_blas
+from gtau.model.interpreter.program import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot

@@ -13,7 +13,7 @@ from gtau.errors import GtauError
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.results.result import Result
 from gtau.export.identified import identified, torques_of
-from gtau.model.random_states import random_motion
+from gtau.model.singularities import random_motion
 from gtau.robots.parameter import Parameter
 
 STATES = 500

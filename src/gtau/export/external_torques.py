@@ -34,8 +34,8 @@ from gtau.estimation.results.torque_errors import torque_errors
 from gtau.export.identified import OBSERVED, functions, identified
 from gtau.export.wrench import WrenchAlongLog, wrench_along_log
 from gtau.robots.floating import refuse_floating
+from gtau.robots.parameter import torque_unit
 from gtau.robots.robot import Placement
-from gtau.robots.units import torque_unit
 from gtau.signals.run import Run
 
 if TYPE_CHECKING:

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from gtau.export.consistent import ConsistentModel
-from gtau.model.random_states import random_motion
+from gtau.model.singularities import random_motion
+from gtau.robots.parameter import torque_unit
 from gtau.robots.robot import Robot
-from gtau.robots.units import torque_unit
 
 POSES = 200  # at random within the workspace
 

@@ -30,8 +30,7 @@ from gtau.report.page import (
     section,
     table,
 )
-from gtau.robots.parameter import Parameter, parameter_of
-from gtau.robots.units import torque_unit, unit_of
+from gtau.robots.parameter import Parameter, parameter_of, torque_unit, unit_of
 
 ORDERS = (("position", ""), ("velocity", "/s"), ("acceleration", "/s²"))
 DIGITS = 9

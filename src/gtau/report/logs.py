@@ -22,8 +22,8 @@ from gtau.report.page import (
     section,
     table_of,
 )
+from gtau.robots.parameter import command_unit, position_unit
 from gtau.robots.robot import Robot
-from gtau.robots.units import command_unit, position_unit
 from gtau.signals.bandwidth import spectra
 from gtau.signals.log_set import find_logs
 from gtau.signals.preparation import Preparation

@@ -26,8 +26,8 @@ from gtau.report.page import (
     section,
     table_of,
 )
+from gtau.robots.parameter import position_unit
 from gtau.robots.robot import Robot
-from gtau.robots.units import position_unit
 from gtau.signals.run import Run, arrange
 from gtau.signals.storage import rows_at
 

@@ -22,7 +22,7 @@ from gtau.report.page import (
     section,
     table,
 )
-from gtau.robots.units import torque_unit
+from gtau.robots.parameter import torque_unit
 
 SEGMENT = 256  # samples of a segment of the spectrum, at most
 FEWEST = 16  # samples that a statistic needs

@@ -10,9 +10,8 @@ from pydantic import Field, FiniteFloat, field_validator, model_validator
 
 from gtau.documents.validation import Keys, Positive
 from gtau.errors import GtauError
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import Parameter, torque_unit, unit_of
 from gtau.robots.robot import Robot
-from gtau.robots.units import torque_unit, unit_of
 from gtau.signals.notes import Kind, Note
 
 TOLERANCE = 0.1  # standard deviation of a torque constant or rotor inertia: data sheets state tolerances of 10 %

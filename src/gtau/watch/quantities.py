@@ -32,9 +32,8 @@ from gtau.estimation.regression.rows import Labels, Rows, stream_rows
 from gtau.estimation.regression.stretches import stretch_edges, stretch_of
 from gtau.estimation.results.prediction import check_temperature_unit, friction_along, loaded_parameters
 from gtau.estimation.results.result import Result
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import Parameter, unit_of
 from gtau.robots.robot import PLAIN_FRICTION
-from gtau.robots.units import unit_of
 from gtau.signals.payload import Payload
 from gtau.signals.run import Run, arrange, without_sensors
 

@@ -11,7 +11,7 @@ from gtau.estimation.results.estimate import BandError, Requirement, TorqueError
 from gtau.estimation.results.predicted import Prediction
 from gtau.estimation.results.prediction import predict
 from gtau.estimation.results.result import Result
-from gtau.robots.units import torque_unit
+from gtau.robots.parameter import torque_unit
 from gtau.signals.run import Run
 from gtau.signals.settings import Requirements
 
