@@ -29,7 +29,7 @@ from gtau.export.external_torques import momentum_observer, predict_under_load
 from gtau.export.wrench import wrench_along_log
 from gtau.robots.floating import WrenchFrame
 from gtau.robots.robot import Pose
-from gtau.signals.experiment import read_experiment
+from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import Run
 
 LOGS = ("ur10e", "rokae_sensor")

@@ -38,7 +38,7 @@ from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.estimation.weigh import weigh
 from gtau.robots.robot import Robot
-from gtau.signals.experiment import read_experiment
+from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import Run, arrange
 
 MARKS = "<!-- peers: begin -->", "<!-- peers: end -->"

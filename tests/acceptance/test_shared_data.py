@@ -17,7 +17,7 @@ from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
 from gtau.estimation.weigh import weigh
 from gtau.report.uncertainty import PAPER
-from gtau.signals.experiment import read_experiment
+from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import read_run
 from gtau.watch.watch import Watch
 

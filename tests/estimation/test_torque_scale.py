@@ -22,7 +22,7 @@ from gtau.estimation.results.torque_scale import torque_scale_text, torque_scale
 from gtau.estimation.weigh import weigh
 from gtau.export.identified import identified
 from gtau.model.home import load_robot
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run, read_run
 
 ROBOT = five_bar().robot

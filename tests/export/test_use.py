@@ -18,7 +18,7 @@ from gtau.estimation.experiment_runs import carrying
 from gtau.export.external_torques import torques_along_log, write_table
 from gtau.model.home import load_robot
 from gtau.robots.readers.urdf import frame_on
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 
 PLANT = Plant(noise=0.005)
 

@@ -14,7 +14,7 @@ from gtau.estimation.results.prediction import predict
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.torque_errors import torque_errors
 from gtau.progress import Progress, silent
-from gtau.signals.preparation import Preparation
+from gtau.signals.preparation.prepared_run import Preparation
 from gtau.signals.run import Run
 
 LONGEST = 300_000  # samples of a run that are predicted; of a longer one its beginning

@@ -31,7 +31,7 @@ from gtau.report.page import (
     section,
     table_of,
 )
-from gtau.signals.samples import counted
+from gtau.signals.reading.samples import counted
 
 LISTED = 20  # outliers, or robots that were refused; the others are in the table
 NAMED = 40  # robots whose names find room below the axis

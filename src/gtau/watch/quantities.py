@@ -35,7 +35,7 @@ from gtau.estimation.results.result import Result
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import PLAIN_FRICTION
 from gtau.robots.units import unit_of
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run, arrange, without_sensors
 
 STEP = 1e-3  # rad or m, of an encoder zero: torques are linear over this

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gtau.display import views
-from gtau.signals.decimation import Decimator
+from gtau.signals.preparation.filters import Decimator
 
 if TYPE_CHECKING:
     import polars as pl

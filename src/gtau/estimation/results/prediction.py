@@ -19,8 +19,8 @@ from gtau.estimation.results.predicted import Prediction
 from gtau.estimation.results.result import Result
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter
-from gtau.signals.payload import Payload
-from gtau.signals.preparation import PreparedRun, prepare
+from gtau.signals.preparation.prepared_run import PreparedRun, prepare
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run, arrange
 from gtau.signals.storage import spans
 

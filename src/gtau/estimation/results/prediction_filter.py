@@ -10,9 +10,9 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.results.prediction import joint_torques, loaded_parameters, prepared_for
 from gtau.estimation.results.result import Result
-from gtau.signals.bandwidth import position_noise
-from gtau.signals.filters import HIGHEST_CUTOFF
-from gtau.signals.preparation import PreparedRun
+from gtau.signals.preparation.bandwidth import position_noise
+from gtau.signals.preparation.filters import HIGHEST_CUTOFF
+from gtau.signals.preparation.prepared_run import PreparedRun
 from gtau.signals.run import Run
 
 SAMPLES = 1 << 14  # of all runs together, from the middle of each
@@ -28,7 +28,8 @@ def with_prediction_cutoffs(result: Result, runs: Sequence[Run]) -> Result:
 
     A lower cut-off loses the torque of fast motion, a higher one lets position noise pass, which inertia and friction
     turn into torque. Of each joint the highest is taken whose error against the raw torque exceeds the least by no more
-    than 1 %. A run with faster motion is filtered less, see :func:`gtau.signals.bandwidth.widened`.
+    than 1 %. A run with faster motion is filtered less, see
+    :func:`gtau.signals.preparation.bandwidth.widened`.
 
     Parameters
     ----------

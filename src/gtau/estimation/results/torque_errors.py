@@ -12,8 +12,8 @@ from gtau.estimation.results.predicted import Prediction
 from gtau.estimation.results.prediction import predict
 from gtau.estimation.results.result import Result
 from gtau.robots.units import torque_unit
+from gtau.signals.reading.statements import Requirements
 from gtau.signals.run import Run
-from gtau.signals.settings import Requirements
 
 
 def torque_errors(result: Result, prediction: Prediction) -> tuple[TorqueError, ...]:

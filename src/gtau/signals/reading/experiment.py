@@ -4,59 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from gtau.documents.files import EXPERIMENT, refuse_other_kind
-from gtau.documents.validation import MAPPING, PATH, Keys, Positive, expect, read_group, takes, validate
+from gtau.documents.validation import PATH, Keys, Positive, takes, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.robots.parameter import Parameter
 from gtau.robots.readers.source import AnySource, RobotSource
 from gtau.robots.robot import Robot
 from gtau.signals.channel import BEHIND_DRIVE
-from gtau.signals.columns import SampleRate, Signals
-from gtau.signals.data_sheets import Drive, check_drives
-from gtau.signals.logged_run import Folders, LoggedRun, file_or_name
-from gtau.signals.payload import Payload
-from gtau.signals.settings import CHOSEN, PreparationSettings, Requirements
-from gtau.signals.units import Units
-
-
-class Prior(Keys):
-    """Prior of a standard parameter, SI units: a value with its standard deviation, or bounds."""
-
-    value: FiniteFloat | None = None
-    std: Positive | None = None
-    min: FiniteFloat | None = None
-    max: FiniteFloat | None = None
-
-    @model_validator(mode="after")
-    def _complete(self) -> Prior:
-        if (self.value is None) != (self.std is None):
-            raise ValueError("give 'value' and 'std' (its standard deviation) together")
-        if self.min is not None and self.max is not None and self.min >= self.max:
-            raise ValueError(f"'min' is {self.min:g} and 'max' {self.max:g}; write the smaller one as 'min'")
-        return self
-
-
-class StatedGain(Keys):
-    """Drive gain of a joint, N m/A or N/A, with its standard deviation where that is known."""
-
-    value: FiniteFloat
-    std: Positive | None = None
-
-
-def _with_std(gain: Any) -> Any:
-    """Read a gain that is a number alone."""
-    return gain if isinstance(gain, dict | StatedGain) else {"value": gain}
-
-
-def as_priors(priors: Mapping[str, Prior | Mapping[str, Any]]) -> dict[str, Prior]:
-    """Read priors by parameter from mappings as in the experiment file; raises GtauError."""
-    expect("'priors'", priors, MAPPING)
-    return {str(name): read_group(Prior, f"prior of {name}", each) for name, each in priors.items()}
+from gtau.signals.reading.columns import SampleRate, Signals
+from gtau.signals.reading.logged_run import Folders, LoggedRun, file_or_name
+from gtau.signals.reading.statements import (
+    CHOSEN,
+    Drive,
+    GainEntry,
+    Payload,
+    PreparationSettings,
+    Prior,
+    Requirements,
+    StatedGain,
+    check_drives,
+)
+from gtau.signals.reading.units import Units
 
 
 class Experiment(Keys):
@@ -71,7 +43,7 @@ class Experiment(Keys):
     robot: AnySource
     signals: Signals
     units: Units = Units()
-    prior_gains: dict[str, Annotated[StatedGain, BeforeValidator(_with_std)]] = Field(default_factory=dict)
+    prior_gains: dict[str, GainEntry] = Field(default_factory=dict)
     priors: dict[str, Prior] = Field(default_factory=dict)
     prior_inertias: Positive | None = None
     drives: dict[str, Drive] = Field(default_factory=dict)

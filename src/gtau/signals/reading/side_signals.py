@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gtau.errors import GtauError
-from gtau.signals.columns import Signals
-from gtau.signals.log_file import read_log
-from gtau.signals.log_set import instants
-from gtau.signals.samples import WHOLE, Part
+from gtau.signals.reading.columns import Signals
+from gtau.signals.reading.log_file import read_log
+from gtau.signals.reading.log_set import instants
+from gtau.signals.reading.samples import WHOLE, Part
+from gtau.signals.reading.units import Units
 from gtau.signals.storage import store
-from gtau.signals.units import Units
 
 FEWEST = 20  # rows of a run that hold a pose
 
@@ -24,7 +24,7 @@ FEWEST = 20  # rows of a run that hold a pose
 class LoggedPoses:
     """Complete rows of a log: ``time`` (N,) in s, ``q`` (N, n) in the order of the signals, ``values`` (N, columns).
 
-    The values are those of :attr:`gtau.signals.body_columns.PoseColumns.columns`, SI units.
+    The values are those of :attr:`gtau.signals.reading.body_columns.PoseColumns.columns`, SI units.
     """
 
     run: str

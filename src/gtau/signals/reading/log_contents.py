@@ -11,10 +11,10 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.robots.robot import Robot
-from gtau.signals.checks import LARGEST_RATE, LEAST_RATE
-from gtau.signals.column_names import ColumnName, parse_column_name, parse_item
-from gtau.signals.formats import Table
-from gtau.signals.log_file import find_columns, read_log
+from gtau.signals.reading.column_names import ColumnName, parse_column_name, parse_item
+from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
+from gtau.signals.reading.formats import Table
+from gtau.signals.reading.log_file import find_columns, read_log
 
 ROWS = 200_000  # of a log that are evaluated
 DERIVATIVE = 0.9  # correlation with a numerical derivative from which a column is taken for the velocity

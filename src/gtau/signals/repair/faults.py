@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.signals.clock import REACH, WHITE, cubic_residuals
 from gtau.signals.notes import Kind, Note
-from gtau.signals.resampling import FROZEN, MISSING_STEP, Held
-from gtau.signals.samples import Samples, ahead, counted, extremes
+from gtau.signals.reading.samples import Samples, ahead, counted, extremes
+from gtau.signals.repair.clock import REACH, WHITE, cubic_residuals
+from gtau.signals.repair.resampling import FROZEN, MISSING_STEP, Held
 from gtau.signals.storage import block, spans, store, stride_of
 
 WIDEST = 3  # samples; positions that stay away longer are a slip, which is refused

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from gtau.documents.files import in_order
 from gtau.errors import GtauError
-from gtau.signals.formats import WIDEST, Table
+from gtau.signals.reading.formats import WIDEST, Table
 from gtau.signals.storage import sizes
 
 if TYPE_CHECKING:

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.signals.formats import Table
-from gtau.signals.formats.arrays import open_hdf5, open_mat, open_npz
-from gtau.signals.formats.columnar import INFO, open_feather, open_parquet
-from gtau.signals.formats.rosbag import open_rosbag
-from gtau.signals.formats.text import open_text
+from gtau.signals.reading.formats import Table
+from gtau.signals.reading.formats.arrays import open_hdf5, open_mat, open_npz
+from gtau.signals.reading.formats.columnar import INFO, open_feather, open_parquet
+from gtau.signals.reading.formats.rosbag import open_rosbag
+from gtau.signals.reading.formats.text import open_text
 from gtau.signals.storage import store
 
 if TYPE_CHECKING:

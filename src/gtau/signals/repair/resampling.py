@@ -12,9 +12,9 @@ from itertools import groupby
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.signals.clock import Clock
 from gtau.signals.notes import Kind, Note
-from gtau.signals.samples import MAX_MISSING, Samples, ahead, counted
+from gtau.signals.reading.samples import MAX_MISSING, Samples, ahead, counted
+from gtau.signals.repair.clock import Clock
 from gtau.signals.storage import Store, block, spans, store
 
 # After stale samples a signal has come as far as meanwhile: it is not slower over them than around them by this factor.

@@ -11,9 +11,8 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from gtau.documents.validation import Keys, Positive
 from gtau.documents.yaml_document import Document
-from gtau.signals.body_columns import BaseColumns, PoseColumns, Wrench
-from gtau.signals.column_names import time_unit
-from gtau.signals.columns import Signals, text_or_group
+from gtau.signals.reading.body_columns import BaseColumns, PoseColumns, Wrench
+from gtau.signals.reading.columns import Signals, text_or_group, time_unit
 
 Kind = Literal["time", "position", "current", "torque", "force"]
 

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.signals.body_columns import at_origins
-from gtau.signals.columns import SampleRate, Signals
-from gtau.signals.log_file import ALL, LogFile, read_log
 from gtau.signals.notes import Kind, Note
-from gtau.signals.samples import Source
+from gtau.signals.reading.body_columns import at_origins
+from gtau.signals.reading.columns import SampleRate, Signals
+from gtau.signals.reading.log_file import ALL, LogFile, read_log
+from gtau.signals.reading.samples import Source
+from gtau.signals.reading.units import Units
 from gtau.signals.storage import block, spans, store
-from gtau.signals.units import Units
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 
 from gtau.documents.files import BINARY, LOG, kind_of, refuse_other_kind
 from gtau.errors import GtauError
-from gtau.signals.formats import Table
 from gtau.signals.notes import Kind, Note
+from gtau.signals.reading.formats import Table
 from gtau.signals.storage import sizes
 
 if TYPE_CHECKING:

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gtau.signals.filters import HIGHEST_CUTOFF
+from gtau.signals.preparation.filters import HIGHEST_CUTOFF
+from gtau.signals.reading.samples import extremes
 from gtau.signals.run import Run
-from gtau.signals.samples import extremes
 from gtau.signals.storage import block
 
 SPEED_POWER = 0.999  # share of a joint's speed power below its bandwidth

@@ -13,8 +13,12 @@ from typing import Literal
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.signals.clock import Clock, clock_of
-from gtau.signals.faults import (
+from gtau.signals.notes import Kind, Note
+from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
+from gtau.signals.reading.samples import WHOLE, Part, Samples, Source, ahead, complete, counted, extremes, refuse_short
+from gtau.signals.reading.statements import CHOSEN, PreparationSettings
+from gtau.signals.repair.clock import Clock, clock_of
+from gtau.signals.repair.faults import (
     clipped,
     find_glitches,
     glitch_note,
@@ -24,13 +28,9 @@ from gtau.signals.faults import (
     whole_numbers,
     without_glitches,
 )
-from gtau.signals.notes import Kind, Note
-from gtau.signals.resampling import Resampling, UniformSamples, holds_of, uniform
-from gtau.signals.samples import WHOLE, Part, Samples, Source, ahead, complete, counted, extremes, refuse_short
-from gtau.signals.settings import CHOSEN, PreparationSettings
+from gtau.signals.repair.resampling import Resampling, UniformSamples, holds_of, uniform
 from gtau.signals.storage import block, spans, store
 
-LEAST_RATE, LARGEST_RATE = 10.0, 5e4  # Hz; of drives that are logged
 FINER = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # units of time in a second
 # s; maximum lateness of the stamps of packets or messages. In the shared logs it is 5 ms (a polled Panda).
 LATEST = 0.25
@@ -45,7 +45,7 @@ def check(
     Samples that are incomplete or repeated are dropped, angles that wrap around are unwrapped. Samples of a joint
     whose command is clipped at a limit are masked, and outliers of positions are interpolated. Irregular
     sampling is resampled at the mean rate: cubic splines for positions, lines for commands; see
-    :mod:`gtau.signals.clock` for what the samples' instants are.
+    :mod:`gtau.signals.repair.clock` for what the samples' instants are.
 
     Parameters
     ----------

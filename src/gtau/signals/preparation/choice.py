@@ -9,10 +9,9 @@ from typing import Literal
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.signals.bandwidth import JointSpectrum, spectra
-from gtau.signals.decimation import MAX_FACTOR, Decimator, decimation_factor
-from gtau.signals.filters import cutoff_frequency, position_filter
-from gtau.signals.preparation import SPEED_FRACTION, Preparation, valid_samples
+from gtau.signals.preparation.bandwidth import JointSpectrum, spectra
+from gtau.signals.preparation.filters import MAX_FACTOR, Decimator, cutoff_frequency, decimation_factor, position_filter
+from gtau.signals.preparation.prepared_run import SPEED_FRACTION, Preparation, valid_samples
 from gtau.signals.run import Run
 from gtau.signals.storage import spans
 
@@ -30,8 +29,8 @@ def choose_preparation(runs: Sequence[Run], decimator: Literal["fir", "chebyshev
     """Choose the preparation of an experiment from its runs; entries of their ``settings`` take precedence.
 
     The bandwidth is the largest of all joints in all runs. The position filter follows from it and from where noise
-    takes over, see :func:`gtau.signals.filters.cutoff_frequency`. The decimation leaves five rows in a period of the
-    bandwidth, or more where it would lose more than 15 % of the samples around reversals and rests.
+    takes over, see :func:`gtau.signals.preparation.filters.cutoff_frequency`. The decimation leaves five rows in a
+    period of the bandwidth, or more where it would lose more than 15 % of the samples around reversals and rests.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau.errors import GtauError, missing_extra
-from gtau.signals.formats import WIDEST, Table, common_length, readable
+from gtau.signals.reading.formats import WIDEST, Table, common_length, readable
 from gtau.signals.storage import sizes
 
 if TYPE_CHECKING:

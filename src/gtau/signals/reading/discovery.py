@@ -1,4 +1,4 @@
-"""Draft of an experiment file from the contents of logs; :mod:`gtau.signals.draft_file` writes it."""
+"""Draft of an experiment file from the contents of logs; :mod:`gtau.signals.reading.drafting` writes it."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.robots.robot import Robot
-from gtau.signals.column_names import base_like, is_pose, is_temperature, mass_in_name, wrench_like
-from gtau.signals.log_contents import Group, LogContents
-from gtau.signals.log_file import find_columns
+from gtau.signals.reading.column_names import base_like, is_pose, is_temperature, mass_in_name, wrench_like
+from gtau.signals.reading.log_contents import Group, LogContents
+from gtau.signals.reading.log_file import find_columns
 
 LARGEST_CURRENT = 100.0  # A; commands of unknown kind with larger values are taken for torques, to be checked
 TURNS = 20.0  # rad or m; positions with a larger range are in deg or mm

@@ -9,18 +9,18 @@ from itertools import pairwise
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.signals.bandwidth import JointSpectrum, spectra, widened
-from gtau.signals.decimation import Decimator
-from gtau.signals.filters import (
+from gtau.signals.notes import Kind, Note
+from gtau.signals.preparation.bandwidth import JointSpectrum, spectra, widened
+from gtau.signals.preparation.filters import (
     STENCIL,
     Cutoff,
+    Decimator,
     below_nyquist,
     differentiate,
     filter_edge,
     position_filter,
     smooth_path,
 )
-from gtau.signals.notes import Kind, Note
 from gtau.signals.run import Run
 from gtau.signals.storage import block, spans, stored
 
@@ -46,12 +46,12 @@ class Preparation:
     rate : float
         Sampling rate of the slowest run, Hz; 0 if unknown.
     given : tuple of str
-        Names of settings made by hand, see :class:`gtau.signals.settings.PreparationSettings`.
+        Names of settings made by hand, see :class:`gtau.signals.reading.statements.PreparationSettings`.
     prediction_cutoffs : tuple
         Of the position filter of each joint when torques are predicted, Hz; empty for that of identification. See
         :func:`gtau.estimation.results.prediction_filter.with_prediction_cutoffs`.
     position_noise : tuple of float
-        Of the same joints, see :func:`gtau.signals.bandwidth.position_noise`.
+        Of the same joints, see :func:`gtau.signals.preparation.bandwidth.position_noise`.
     """
 
     bandwidth: float

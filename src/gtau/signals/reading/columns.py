@@ -2,14 +2,82 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, FiniteFloat, Tag, field_validator, model_validator
 
 from gtau.documents.validation import Keys, Positive
-from gtau.signals.body_columns import BaseColumns, BodyWrench, PoseColumns
 from gtau.signals.channel import Channel, channels_of
-from gtau.signals.column_names import expanded
+from gtau.signals.reading.body_columns import BaseColumns, BodyWrench, PoseColumns
+
+LEAST_RATE, LARGEST_RATE = 10.0, 5e4  # Hz; of drives that are logged
+
+
+@dataclass(frozen=True)
+class Preset:
+    """Time column with its unit, and patterns of the columns by joint: its number from 0 (``{k}``) or 1, or its name.
+
+    Without ``gravity``, the torques are gravity-compensated by the controller.
+    """
+
+    time: str
+    time_unit: str = "s"
+    position: str | None = None
+    current: str | None = None
+    torque: str | None = None
+    gravity: bool = True
+
+
+JOINT_STATES = ("/joint_states/header/stamp", "s", "/joint_states/{joint}/position")
+
+
+PRESETS: Mapping[str, Preset] = {
+    "ur_rtde": Preset("timestamp", position="actual_q_{k}", current="actual_current_{k}"),
+    "ur_rtde_torque": Preset(
+        "timestamp", position="actual_q_{k}", torque="actual_current_as_torque_{k}", gravity=False
+    ),
+    "ur-current": Preset(*JOINT_STATES, current="/joint_states/{joint}/effort"),
+    "ur-torque": Preset(*JOINT_STATES, torque="/joint_states/{joint}/effort", gravity=False),
+    "franka-ros": Preset(*JOINT_STATES, torque="/joint_states/{joint}/effort"),
+    "kinova": Preset(*JOINT_STATES, torque="/joint_states/{joint}/effort"),
+    "lerobot": Preset("timestamp", position="observation.state[{n}]", current="observation.current[{n}]"),
+    "franka": Preset("time", "ms", position="state.q[{k}]", torque="state.tau_J[{k}]"),
+    "plotjuggler": Preset("__time", position="/joint_states/{joint}/position", torque="/joint_states/{joint}/effort"),
+    "twincat_scope": Preset("time", "ms"),
+}
+
+
+def time_unit(preset: str | None) -> str:
+    """Return the unit of the time column where none is given."""
+    return "s" if preset is None else PRESETS[preset].time_unit
+
+
+def expanded(signals: Mapping[str, Any]) -> dict[str, Any]:
+    """Fill in the columns of a preset for the ``joints`` named, those given by hand first.
+
+    Raises
+    ------
+    ValueError
+        There is no such preset, or its joints are missing; the text gives the remedy.
+    """
+    given = {key: value for key, value in signals.items() if key != "joints"}
+    preset = PRESETS.get(str(signals["preset"]))
+    if preset is None:
+        raise ValueError(f"there is no preset '{signals['preset']}'; choose from {', '.join(PRESETS)}")
+    patterns = {"position": preset.position, "current": preset.current, "torque": preset.torque}
+    if given.keys() & {"current", "torque", "motor_torque"}:
+        patterns |= {"current": None, "torque": None}
+    wanted = {key: pattern for key, pattern in patterns.items() if pattern is not None and key not in given}
+    joints = signals.get("joints")
+    if wanted and (not isinstance(joints, Sequence) or isinstance(joints, str) or not joints):
+        raise ValueError(f"the preset '{signals['preset']}' needs the joints in their order; add 'joints: [..., ...]'")
+    columns = {
+        key: {str(joint): pattern.format(k=k, n=k + 1, joint=joint) for k, joint in enumerate(joints or ())}
+        for key, pattern in wanted.items()
+    }
+    return {"time": preset.time} | columns | given
 
 
 def text_or_group(value: Any) -> str:
