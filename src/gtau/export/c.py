@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from gtau.estimation.results.result import Result
-from gtau.export.exported import Exported, suffixes, written
+from gtau.export.exported import Export, Exported, suffixes, written
 from gtau.export.identified import Functions, Identified, functions, identified, notes_on
 from gtau.model.loop_paths import CONTRACTION
 from gtau.model.loops import CONDITION
@@ -199,3 +199,6 @@ def _kernel(function: ca.Function, inputs: tuple[str, ...], outputs: tuple[str, 
 def in_c(text: str) -> str:
     """Clean a text so that it is safe in a comment and in a string of C."""
     return re.sub(r"[^\w .,:;()+/-]", "_", text, flags=re.ASCII)
+
+
+EXPORTS = {"c": Export(export)}

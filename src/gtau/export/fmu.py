@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 from gtau.errors import missing_extra
 from gtau.estimation.results.result import Result
 from gtau.export.c import CLOSED, NEWTON_STEPS, STARTING_STEPS, TEMPLATES
-from gtau.export.exported import Exported, suffixes, written
+from gtau.export.exported import Export, Exported, suffixes, written
 from gtau.export.identified import Functions, Identified, functions, identified, notes_on
 from gtau.model.loop_paths import CONTRACTION
 from gtau.model.loops import CONDITION
@@ -78,3 +78,6 @@ def _document(model: Identified, made: Functions) -> dict[str, object]:
         "contraction": CONTRACTION,
         "condition": CONDITION,
     }
+
+
+EXPORTS = {"fmu": Export(export)}
