@@ -12,9 +12,9 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.results.result import Result
-from gtau.export.identified import identified, torques_of
 from gtau.model.random_states import random_motion
 from gtau.robots.parameter import Parameter
+from gtau.uses.identified import identified, torques_of
 
 STATES = 500
 PLAIN = ("fv", "fs", "off")

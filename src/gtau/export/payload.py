@@ -13,9 +13,10 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from gtau.documents.files import identifier
 from gtau.errors import GtauError
 from gtau.estimation.results.payload import PayloadBody
-from gtau.export.exported import Exported, identifier, written
+from gtau.export.exported import Exported, written
 from gtau.robots.geometry import angles_of
 from gtau.robots.rigid_body import RigidBody
 

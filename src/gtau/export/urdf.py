@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 import yaml
 
-from gtau.documents.files import write_atomically
+from gtau.documents.files import identifier, write_atomically
 from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
 from gtau.export.consistent import (
@@ -22,7 +22,7 @@ from gtau.export.consistent import (
     term_notes,
     terms_left_out,
 )
-from gtau.export.exported import Exported, identifier, written
+from gtau.export.exported import Exported, written
 from gtau.export.input_file import InputFile, input_file
 from gtau.export.open_tree import serial_equivalent, what_is_lost
 from gtau.robots.geometry import compose, pose_of, turn
