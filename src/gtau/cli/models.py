@@ -129,7 +129,6 @@ def payload(
             from gtau.estimation.diagnostics.verdict import Outcome
             from gtau.estimation.results.model_document import payload_documents
             from gtau.estimation.results.result import Result
-            from gtau.estimation.weigh import exact_gains, weigh
             from gtau.export.exported import refuse_unknown
             from gtau.export.payload import WRITERS, refuse_unnamed
             from gtau.report.evidence import settings_of
@@ -137,6 +136,7 @@ def payload(
             from gtau.report.write import inputs_of, write_report
             from gtau.robots.readers.urdf import links_on
             from gtau.signals.experiment import read_experiment
+            from gtau.uses.weigh import exact_gains, weigh
 
             result, described = Result.load(model), read_experiment(experiment)
             file = described.robot if isinstance(described.robot, str) else described.robot.file
@@ -182,7 +182,7 @@ def payload(
 
 def _exported(bodies: Sequence[PayloadBody], to: str, out: Path) -> list[Exported]:
     """Write payloads for a controller, each weighing to its own files."""
-    from gtau.export.exported import identifier
+    from gtau.documents.files import identifier
     from gtau.export.payload import export_payload
     from gtau.report.check import unique_names
 
@@ -280,9 +280,9 @@ def use(
         from gtau.estimation.experiment_runs import carrying, read_log
         from gtau.estimation.results.model_document import torque_error
         from gtau.estimation.results.result import Result
-        from gtau.export.external_torques import summary_text, torques_along_log, write_table
         from gtau.report.page import page
         from gtau.report.torques import bands_section
+        from gtau.uses.external_torques import summary_text, torques_along_log, write_table
 
         if force_only and frame is None:
             raise GtauError(

@@ -21,12 +21,13 @@ from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
+from gtau.documents.files import identifier
 from gtau.documents.yaml_document import yaml_text
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.export import urdf
 from gtau.export.consistent import ConsistentModel, consistent_model, serial_equivalent, what_is_lost
-from gtau.export.exported import Export, Exported, identifier, written
+from gtau.export.exported import Export, Exported, written
 from gtau.export.mjcf import compiled, digits, imported, model_text
 from gtau.robots.parameter import Parameter
 

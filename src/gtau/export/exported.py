@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
@@ -11,8 +10,6 @@ from pathlib import Path
 from gtau.documents.files import folder_of, write_atomically
 from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
-
-LONGEST = 40  # characters: with what follows, MATLAB's 63 are not exceeded
 
 
 @dataclass(frozen=True)
@@ -64,24 +61,3 @@ def written(out: Path, texts: Mapping[str, str | bytes]) -> tuple[Path, ...]:
     for name, text in texts.items():
         write_atomically(folder / name, text)
     return tuple(folder / name for name in texts)
-
-
-def identifier(name: str) -> str:
-    """Make a name that C, MATLAB, Python and file systems accept: ``five-bar`` becomes ``five_bar``."""
-    plain = _word(name.lower())
-    return (plain if re.match(r"[a-z]", plain) else f"robot_{plain}")[:LONGEST]
-
-
-def suffixes(names: Iterable[str]) -> dict[str, str]:
-    """Make names unique suffixes of identifiers: ``a-b`` and ``a_b`` become ``a_b`` and ``a_b_2``."""
-    found: dict[str, str] = {}
-    for name in names:
-        plain, number = _word(name)[:LONGEST], 1
-        while (made := plain if number == 1 else f"{plain}_{number}") in found.values():
-            number += 1
-        found[name] = made
-    return found
-
-
-def _word(name: str) -> str:
-    return re.sub(r"\W", "_", name, flags=re.ASCII)

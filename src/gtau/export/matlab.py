@@ -13,9 +13,9 @@ import numpy as np
 from gtau.estimation.results.result import Result
 from gtau.export.c import CLOSED, NEWTON_STEPS, STARTING_STEPS
 from gtau.export.exported import Export, Exported, written
-from gtau.export.identified import OUTPUTS, Functions, Identified, functions, identified, notes_on
 from gtau.model.loop_paths import CONTRACTION
 from gtau.model.loops import CONDITION
+from gtau.uses.identified import OUTPUTS, Functions, Identified, functions, identified, notes_on
 
 ARGUMENTS = {"gravity": "c, p", "inertia": "c, p"}  # of the others: c, qd, qdd, p
 MOVE = """\

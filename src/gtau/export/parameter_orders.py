@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from gtau.documents.files import in_csv
+from gtau.documents.files import identifier, in_csv
 from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
 from gtau.export.consistent import consistent_model
-from gtau.export.exported import Export, Exported, identifier, written
+from gtau.export.exported import Export, Exported, written
 from gtau.robots.parameter import Parameter
 from gtau.robots.rigid_body import RigidBody, inertial_parameters, rigid_body
 from gtau.robots.robot import INERTIAL

@@ -13,10 +13,11 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from gtau.documents.files import identifier
 from gtau.documents.validation import PATH, TEXT, takes
 from gtau.errors import GtauError
 from gtau.estimation.results.payload import PayloadBody
-from gtau.export.exported import Exported, identifier, refuse_unknown, written
+from gtau.export.exported import Exported, refuse_unknown, written
 from gtau.robots.geometry import angles_of
 from gtau.robots.rigid_body import RigidBody
 

@@ -13,12 +13,12 @@ from pathlib import Path
 from types import MappingProxyType
 from unicodedata import normalize
 
-from gtau.documents.files import in_csv
+from gtau.documents.files import identifier, in_csv
 from gtau.documents.yaml_document import yaml_text
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.table import estimates_table
-from gtau.export.exported import Export, Exported, identifier, written
+from gtau.export.exported import Export, Exported, written
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import Mdh, Robot
 

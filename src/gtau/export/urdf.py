@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 import yaml
 
-from gtau.documents.files import write_atomically
+from gtau.documents.files import identifier, write_atomically
 from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
 from gtau.export.consistent import (
@@ -24,7 +24,7 @@ from gtau.export.consistent import (
     terms_left_out,
     what_is_lost,
 )
-from gtau.export.exported import Export, Exported, identifier, written
+from gtau.export.exported import Export, Exported, written
 from gtau.export.input_file import InputFile, input_file
 from gtau.robots.geometry import compose, pose_of, turn
 from gtau.robots.rigid_body import RigidBody, rigid_body
