@@ -17,14 +17,13 @@ if TYPE_CHECKING:
     from gtau.estimation.results.payload import PayloadBody, PayloadEstimate
     from gtau.estimation.results.predicted import Prediction
     from gtau.estimation.results.result import Result
-    from gtau.estimation.weigh import weigh
     from gtau.excitation.design import Design
     from gtau.excitation.design import design as excite
     from gtau.excitation.design_file import read_design
     from gtau.excitation.task import DesignProblem
     from gtau.export.exported import Exported
-    from gtau.export.external_torques import momentum_observer
-    from gtau.export.registry import export_model, export_payload
+    from gtau.export.payload import export_payload
+    from gtau.export.registry import export_model
     from gtau.model.base_parameters import BaseParameters, base_parameters
     from gtau.model.home import load_robot
     from gtau.model.inverse_dynamics import InverseDynamics
@@ -38,6 +37,8 @@ if TYPE_CHECKING:
     from gtau.signals.run import Run, read_run
     from gtau.simulation.experiment_files import simulate_experiment as simulate
     from gtau.simulation.simulation_file import Simulation
+    from gtau.uses.external_torques import momentum_observer
+    from gtau.uses.weigh import weigh
     from gtau.watch.watch import Watch
 
 __version__ = "0.1.0"
@@ -116,15 +117,15 @@ _HOMES = {
     "compare": "estimation.compare",
     "excite": "excitation.design",
     "export_model": "export.registry",
-    "export_payload": "export.registry",
+    "export_payload": "export.payload",
     "identify": "estimation.identify",
     "load_robot": "model.home",
-    "momentum_observer": "export.external_torques",
+    "momentum_observer": "uses.external_torques",
     "read_design": "excitation.design_file",
     "read_experiment": "signals.reading.experiment",
     "read_run": "signals.run",
     "simulate": "simulation.experiment_files",
-    "weigh": "estimation.weigh",
+    "weigh": "uses.weigh",
 }
 _NAMES_AT_HOME = {
     "check": "check_logs",

@@ -49,7 +49,7 @@ class Preparation:
         Names of settings made by hand, see :class:`gtau.signals.reading.statements.PreparationSettings`.
     prediction_cutoffs : tuple
         Of the position filter of each joint when torques are predicted, Hz; empty for that of identification. See
-        :func:`gtau.estimation.results.prediction_filter.with_prediction_cutoffs`.
+        :func:`gtau.uses.prediction.with_prediction_cutoffs`.
     position_noise : tuple of float
         Of the same joints, see :func:`gtau.signals.preparation.bandwidth.position_noise`.
     """

@@ -17,13 +17,12 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from gtau.documents.files import identifier
 from gtau.errors import GtauError
 from gtau.estimation.friction.law import SHAPES, carried
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.prediction import torques_along
 from gtau.estimation.results.result import Result
-from gtau.export.exported import identifier
 from gtau.model import dynamics
 from gtau.model.closures import closure_maps
 from gtau.model.kinematics import configuration_rates
@@ -31,6 +30,7 @@ from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import INERTIAL, PLAIN_FRICTION
 from gtau.robots.units import torque_unit
+from gtau.uses.prediction import torques_along
 
 SLIDING = 2.0  # beyond every state: the joint slides, its friction has the sign of the velocity
 OUTPUTS = {

@@ -16,7 +16,6 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.regression.rows import stream_motions
 from gtau.estimation.results.predicted import Prediction
-from gtau.estimation.results.prediction import prepared_for
 from gtau.estimation.results.result import Result
 from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.loops import Motion
@@ -25,6 +24,7 @@ from gtau.robots.geometry import characteristic_length
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Placement
 from gtau.signals.run import Run
+from gtau.uses.prediction import prepared_for
 
 # Of the largest singular value of J^T, lengths over the robot's, down to which directions are seen, however precise the
 # torques: on a UR10e 0.06 is the least in a regular pose, 0.01 the wrist 3 degrees from straight. On seven of its logs

@@ -27,16 +27,15 @@ from gtau.documents import files
 from gtau.documents.validation import NUMBER, takes
 from gtau.errors import GtauError
 from gtau.estimation.results.estimate import TorqueError
-from gtau.estimation.results.predicted import Prediction
-from gtau.estimation.results.prediction import loaded_parameters, predict, suited
+from gtau.estimation.results.predicted import Prediction, torque_errors
 from gtau.estimation.results.result import Result
-from gtau.estimation.results.torque_errors import torque_errors
-from gtau.export.identified import OBSERVED, functions, identified
-from gtau.export.wrench import WrenchAlongLog, wrench_along_log
 from gtau.robots.floating import refuse_floating
 from gtau.robots.robot import Placement
 from gtau.robots.units import torque_unit
 from gtau.signals.run import Run
+from gtau.uses.identified import OBSERVED, functions, identified
+from gtau.uses.prediction import loaded_parameters, predict, suited
+from gtau.uses.wrench import WrenchAlongLog, wrench_along_log
 
 if TYPE_CHECKING:
     import polars as pl
@@ -94,9 +93,9 @@ def torques_along_log(
         The model and the run.
     frame : tuple, optional
         Frame for the wrench, and whether it is a pure force (``force_only``); see
-        :func:`gtau.export.wrench.wrench_along_log`.
+        :func:`gtau.uses.wrench.wrench_along_log`.
     bandwidth : float, optional
-        Of :func:`gtau.export.external_torques.momentum_observer`, Hz, to add its estimate.
+        Of :func:`gtau.uses.external_torques.momentum_observer`, Hz, to add its estimate.
 
     Raises
     ------
@@ -118,7 +117,7 @@ def torques_along_log(
     if frame is not None:
         wrench = wrench_along_log(result, run, prediction, frame, force_only)
         table = table.with_columns(**wrench.columns).fill_nan(None)
-    return TorquesAlongLog(table, tuple(joints), torque_errors(result, raw), wrench)
+    return TorquesAlongLog(table, tuple(joints), torque_errors(raw, result.robot, result.preparation.bandwidth), wrench)
 
 
 def predict_under_load(result: Result, run: Run) -> Prediction:

@@ -14,7 +14,6 @@ from gtau.errors import GtauError
 from gtau.estimation.estimators.standard_parameters import pseudo_inertia
 from gtau.estimation.identify import identify
 from gtau.estimation.results.payload import QUANTITIES, PayloadEstimate, Weighed, payload_body, quantities
-from gtau.estimation.weigh import weigh
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.readers.urdf import frame_on, links_on
@@ -23,6 +22,7 @@ from gtau.robots.robot import INERTIAL, Pose
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 from gtau.simulation.trajectories import envelope, sines
+from gtau.uses.weigh import weigh
 
 FRAME = Pose((0.02, -0.01, 0.05), (0.3, -0.2, 0.5))
 POINTS = np.array([[0.05, 0.02, 0.1], [-0.06, 0.0, 0.14], [0.01, -0.08, 0.05], [0.02, 0.05, 0.2]])

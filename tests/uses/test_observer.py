@@ -18,10 +18,10 @@ from robots_for_tests import ROBOTS, home, random_samples, trajectory
 import gtau
 from gtau.estimation.results.estimate import Estimate
 from gtau.export.c import export
-from gtau.export.external_torques import momentum_observer, observed
-from gtau.export.identified import functions, identified
 from gtau.robots.robot import Robot
 from gtau.simulation.plant import Plant, PlantState
+from gtau.uses.external_torques import momentum_observer, observed
+from gtau.uses.identified import functions, identified
 
 DRIVER = Path(__file__).with_name("observer_fuzz.c")
 BY_NAME = {robot.name: robot for robot in ROBOTS}

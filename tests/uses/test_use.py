@@ -15,10 +15,10 @@ from typer.testing import CliRunner
 import gtau
 from gtau.cli.commands import app
 from gtau.estimation.experiment_runs import carrying
-from gtau.export.external_torques import torques_along_log, write_table
 from gtau.model.home import load_robot
 from gtau.robots.readers.urdf import frame_on
 from gtau.signals.reading.statements import Payload
+from gtau.uses.external_torques import torques_along_log, write_table
 
 PLANT = Plant(noise=0.005)
 

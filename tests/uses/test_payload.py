@@ -18,7 +18,6 @@ from gtau.estimation.results.conclusions import remarks, sums_with_mass
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.results.result import Result
-from gtau.estimation.weigh import exact_gains, weigh
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.report.render.terminal import plain
 from gtau.report.validation import weighing_page
@@ -27,6 +26,7 @@ from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload, as_payload
 from gtau.signals.run import Run
 from gtau.simulation.trajectories import envelope, sines
+from gtau.uses.weigh import exact_gains, weigh
 
 MASS_STD = 0.06  # 5 % of the known payload
 LEAD = {"m": 0.8, "mx": 0.1, "my": -0.05, "zz": 0.03}

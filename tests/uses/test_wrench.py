@@ -17,13 +17,13 @@ from typer.testing import CliRunner
 import gtau
 from gtau.cli.commands import app
 from gtau.estimation.results.estimate import Estimate, TorqueError
-from gtau.export.external_torques import torques_along_log
-from gtau.export.wrench import BEYOND
 from gtau.model.home import load_robot
 from gtau.robots.floating import WRENCH
 from gtau.robots.readers.urdf import frame_on
 from gtau.robots.robot import Robot
 from gtau.simulation.closed_loop import write_log
+from gtau.uses.external_torques import torques_along_log
+from gtau.uses.wrench import BEYOND
 
 SCREW = np.array([1.0, -2.0, 0.5, 10.0, 20.0, -15.0])  # moment, force
 FRAME = "0.05 -0.1 0.2 0.3 -0.4 0.5"

@@ -64,7 +64,7 @@ def weigh(
     -------
     tuple of PayloadEstimate
         One for each run with an unknown payload. The standard deviations include the uncertainty of the gains, as far
-        as it is known (see :func:`gtau.estimation.weigh.exact_gains`). A mass whose interval lies below zero has a
+        as it is known (see :func:`gtau.uses.weigh.exact_gains`). A mass whose interval lies below zero has a
         contradictory verdict.
 
     Raises
