@@ -25,7 +25,8 @@ from gtau.model.interpreter.program import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import gain_unit
 from gtau.robots.robot import Robot
-from gtau.signals.experiment import Experiment, Prior
+from gtau.signals.reading.experiment import Experiment
+from gtau.signals.reading.statements import Prior
 from gtau.signals.run import Run
 
 if TYPE_CHECKING:

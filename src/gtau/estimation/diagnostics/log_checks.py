@@ -36,7 +36,7 @@ from gtau.estimation.thresholds.logs import (
     WHOLE,
 )
 from gtau.robots.robot import Robot
-from gtau.signals.faults import whole_numbers
+from gtau.signals.repair.faults import whole_numbers
 from gtau.signals.run import Run
 from gtau.signals.storage import block, spans
 

@@ -44,7 +44,7 @@ from gtau.estimation.thresholds.estimates import (
 from gtau.estimation.thresholds.logs import GRAVITY_FELT, UNFELT
 from gtau.model.base_parameters import base_parameters
 from gtau.progress import Progress, silent
-from gtau.signals.preparation import InMemoryRun
+from gtau.signals.preparation.prepared_run import InMemoryRun
 
 STEPS = 4  # of Gauss-Newton, from an axis at most 55 degrees off
 

@@ -13,8 +13,8 @@ from gtau.estimation.diagnostics.poses import Compared, Frames, compare, compone
 from gtau.estimation.regression.rows import Labels
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.lengths import BodyPose, VariableGeometry, variable_geometry
-from gtau.signals.body_columns import PoseColumns
-from gtau.signals.side_signals import LoggedPoses
+from gtau.signals.reading.body_columns import PoseColumns
+from gtau.signals.reading.side_signals import LoggedPoses
 
 SAMPLES = 400  # of all runs together: residuals are smooth, so that more hardly add anything
 STRETCHES = 8  # of a run, whose residuals are taken for independent of each other

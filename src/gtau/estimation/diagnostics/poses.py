@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gtau.model.lengths import BodyPose
-from gtau.signals.body_columns import PoseColumns
+from gtau.signals.reading.body_columns import PoseColumns
 
 STEP = 1e-6  # rad: of the differences that turn angular velocities into rates of angles
 OWN = 7  # entries of a step that are the delay's and the marker's; six of the tracker's follow for each run

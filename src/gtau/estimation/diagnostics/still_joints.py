@@ -16,7 +16,7 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.equations import SIGNAL
 from gtau.estimation.thresholds.estimates import MISFIT
 from gtau.estimation.thresholds.logs import UNSEEN_MISFIT, UNSEEN_RATIO
-from gtau.signals.samples import extremes
+from gtau.signals.reading.samples import extremes
 
 
 def frozen_encoders(fit: Fit) -> tuple[Finding, ...]:

@@ -20,7 +20,7 @@ from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import LOAD_ALIKE, LOAD_LEFT, MASS_ABSENT, REFUTED_STD
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 
 TOOL_BODIES = "tool bodies"
 

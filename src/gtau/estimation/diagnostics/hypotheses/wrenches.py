@@ -18,7 +18,7 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.rows import external_torques
 from gtau.estimation.thresholds import Threshold
 from gtau.robots.floating import WRENCH
-from gtau.signals.preparation import InMemoryRun
+from gtau.signals.preparation.prepared_run import InMemoryRun
 
 Reading = Callable[[np.ndarray], np.ndarray]
 """From what the wrenches read (6 k, M) to by how much too large that may be, (m, 6 k, M)."""
