@@ -33,8 +33,8 @@ from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.thresholds.estimates import ALTERNATIVE_PRIOR
 from gtau.model.home import load_robot
-from gtau.signals.payload import Payload
-from gtau.signals.preparation import InMemoryRun
+from gtau.signals.preparation.prepared_run import InMemoryRun
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
 ROBOT = load_robot("five-bar")

@@ -19,7 +19,7 @@ from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import DOMINANT
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Joint, Mdh, Robot
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
 ARM = Robot(

@@ -29,7 +29,7 @@ from gtau.robots.floating import float_base
 from gtau.robots.readers.native_text import write_native
 from gtau.robots.robot import STANDARD_GRAVITY as G
 from gtau.robots.robot import Robot
-from gtau.signals.experiment import read_experiment
+from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import Run
 
 

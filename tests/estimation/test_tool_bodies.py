@@ -20,7 +20,7 @@ from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
 FIVE_BAR = load_robot("five-bar")

@@ -29,7 +29,7 @@ from gtau.estimation.regression.rows import Labels, configurations
 from gtau.estimation.thresholds.estimates import ALTERNATIVE_PRIOR, REFUTED_STD
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import Motion
-from gtau.signals.preparation import InMemoryRun
+from gtau.signals.preparation.prepared_run import InMemoryRun
 
 CERTAIN = 1e9  # log factor that stands for certainty
 

@@ -38,9 +38,9 @@ from gtau.estimation.thresholds.logs import (
     WHOLE,
 )
 from gtau.robots.robot import Robot
-from gtau.signals.faults import whole_numbers
+from gtau.signals.reading.samples import extremes
+from gtau.signals.repair.faults import whole_numbers
 from gtau.signals.run import Run
-from gtau.signals.samples import extremes
 from gtau.signals.storage import block, spans
 
 

@@ -71,8 +71,8 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.lengths import SAME, models_alike
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Attachment, Closure, Mdh, Placement, Robot, Spring
-from gtau.signals.payload import Payload
-from gtau.signals.preparation import InMemoryRun
+from gtau.signals.preparation.prepared_run import InMemoryRun
+from gtau.signals.reading.statements import Payload
 
 TOOL_BODIES = "tool bodies"
 

@@ -19,8 +19,8 @@ from gtau.errors import GtauError
 from gtau.estimation.regression.rows import Labels
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.lengths import BodyPose, VariableGeometry, variable_geometry
-from gtau.signals.body_columns import PoseColumns
-from gtau.signals.side_signals import LoggedPoses
+from gtau.signals.reading.body_columns import PoseColumns
+from gtau.signals.reading.side_signals import LoggedPoses
 
 STEP = 1e-6  # rad: of the differences that turn angular velocities into rates of angles
 OWN = 7  # entries of a step that are the delay's and the marker's; six of the tracker's follow for each run

@@ -31,7 +31,7 @@ from gtau.estimation.regression.plausibility import stated_rate
 from gtau.estimation.regression.rows import external_torques
 from gtau.estimation.thresholds import Threshold
 from gtau.robots.floating import WRENCH
-from gtau.signals.preparation import InMemoryRun
+from gtau.signals.preparation.prepared_run import InMemoryRun
 
 DEGREE, MILLIMETRE, PER_CENT = np.pi / 180, 1e-3, 1e-2
 STEP = 0.1  # of the unit: the torques' change is linear over this

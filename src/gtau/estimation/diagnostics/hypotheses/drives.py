@@ -48,8 +48,8 @@ from gtau.estimation.regression.rows import Rows
 from gtau.estimation.thresholds import Threshold
 from gtau.estimation.thresholds.estimates import DOMINANT, PLAUSIBLE_GAIN_CHANGE, SCALED, TIE
 from gtau.robots.parameter import Parameter
-from gtau.signals.filters import differentiate
-from gtau.signals.preparation import InMemoryRun
+from gtau.signals.preparation.filters import differentiate
+from gtau.signals.preparation.prepared_run import InMemoryRun
 
 OTHER_FRICTION = "add runs at other speeds, or with other loads, to separate it from other effects"
 CUBIC_FRICTION = Cause(
