@@ -24,7 +24,7 @@ from gtau.estimation.diagnostics.gain_checks import (
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit, prior_findings
 from gtau.estimation.diagnostics.other_estimators import position_noise
 from gtau.estimation.diagnostics.parameter_checks import delay_verdicts, unlike_legs
-from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings, ripple_findings
+from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings
 from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.diagnostics.stated_constants import (
     SensorScale,
@@ -116,12 +116,12 @@ def diagnose(
         *prior_findings(audit),
         *(each for each in sizes if each.kind not in OUTCOMES),
         *position_noise(fit, examined.alternatives),
-        *ripple_findings(examined.ripple, fit),
+        *(examined.ripple.causes if examined.ripple else ()),
         *repeated_motion_findings(fit, examined.alternatives),
         *(_small_refutations(examined, accuracy) if fit.free_gains else []),
         *(common_scale(fit, estimates, accuracy) if fit.free_gains else []),
         *logged_torques(fit, examined, estimates),
-        *examined.untested,
+        *(each for each in examined.findings if each.kind not in OUTCOMES),
     ]
     halves = half_widths(fit, estimates) if fit.free_gains else np.zeros(0)
     beside = [replace(each, moves=_moves(each, halves)) for each in beside]
@@ -132,7 +132,7 @@ def diagnose(
 
 def _small_refutations(examined: Examination, accuracy: float) -> list[Finding]:
     """List the parts of the description that the data refute without moving any gain by more than the accuracy."""
-    moves = [(each, float(np.abs(each.moves).max())) for each in examined.refuted]
+    moves = [(each, each.largest_move / 100) for each in examined.refuted]
     return [
         Finding(F.SMALL_REFUTATION, values={"share": each.share, "move": move}, causes=each.causes)
         for each, move in moves

@@ -62,9 +62,9 @@ def estimated_gains(
     halves = half_widths(fit, estimates)
     random_halves = halves * stds / (np.sqrt(np.diag(estimates.covariance)[problem.gain_rows]) / np.abs(gains))
     misfits = unexplained_shares(problem, solution)
-    yield from examined.against
+    yield from (each for each in examined.findings if each.kind in OUTCOMES)
     free = problem.free[: len(gains)]
-    turned = any(np.all(each.moves[: len(gains)][free] < -1) for each in examined.refuted)  # by another gravity
+    turned = any(all(move < -100 for move in each.moves.values()) for each in examined.refuted)  # by another gravity
     if min(prior_gains.values(), default=1.0) > 0 and np.all(gains[free] < 0) and not turned:
         yield Finding(F.ALL_NEGATIVE, motors(fit))
     if not solution.settled:
@@ -78,8 +78,8 @@ def estimated_gains(
             if "singular_ratio" in solution.statistics:
                 yield Finding(F.TLS_CONFUSED, mine)
         for each in examined.refuted:
-            if abs(each.moves[j]) > accuracy:
-                values = {"size": each.size, "unit": each.unit, "share": each.share, "move": float(each.moves[j])}
+            if abs(move := each.moves[joint] / 100) > accuracy:
+                values = {"size": each.size, "unit": each.unit, "share": each.share, "move": move}
                 yield Finding(F.REFUTED, mine, values=values, causes=each.causes, severity=each.share)
         if misfits[j] > MISFIT:
             values = {"share": float(misfits[j]), "kind": fit.dataset.runs[0].kind, "given": False}
@@ -87,8 +87,9 @@ def estimated_gains(
         if half >= 1:  # an interval that includes zero leaves not even the sign
             yield Finding(F.SIGN_OPEN, mine)
         for each in examined.alternatives:
-            if each.causes[0].kind == F.TWO_STAGE and abs(each.moves[j]) > accuracy and abs(each.t) > APART_REFUTED:
-                values = {"move": float(each.moves[j]), "t": each.t}
+            move = each.moves[joint] / 100
+            if each.hypothesis == F.TWO_STAGE and abs(move) > accuracy and abs(each.t) > APART_REFUTED:
+                values = {"move": move, "t": each.t}
                 yield Finding(F.OTHER_ESTIMATOR, mine, values=values, causes=each.causes, severity=abs(each.t))
         if half > accuracy:
             values = {"half": half, "accuracy": accuracy, "random": bool(random_halves[j] > accuracy)}
@@ -113,8 +114,9 @@ def _widest(examined: Examination, estimates: Estimates, row: int) -> tuple[F, t
         return F.WIDE_SCALE, ()
     if model < NAMED_SHARE * (random + model):
         return F.WIDE_RANDOM, ()
-    most = max(examined.alternatives, key=lambda each: each.mean_square * each.slopes[row] ** 2, default=None)
-    if most is None or examined.ripple.moves[row] ** 2 > most.mean_square * most.slopes[row] ** 2:
+    every = (*examined.alternatives, *([examined.ripple] if examined.ripple else []))
+    most = max(every, key=lambda each: each.probability * each.shifts[row] ** 2, default=None)
+    if most is None or most is examined.ripple:
         return F.WIDE_RIPPLE, ()
     return F.WIDE_CAUSE, most.causes
 
@@ -131,7 +133,7 @@ def given_gains(fit: Fit, examined: Examination, payloads: Mapping[str, Verdict]
         if each.finding is not None
         for joint in each.finding.joints
     }
-    yield from examined.against
+    yield from (each for each in examined.findings if each.kind in OUTCOMES)
     best = min((each.finding.values["remains"] for each in payloads.values() if each.finding), default=1.0)
     for turned in (each for each in examined.refuted if "remains" in each.causes[0].values):
         values = {"size": turned.size, "unit": turned.unit, "share": turned.share}

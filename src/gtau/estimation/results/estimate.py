@@ -179,32 +179,6 @@ class ReferenceTemperatures:
         return "K" if self.unit == "degC" else self.unit
 
 
-@dataclass(frozen=True, repr=False)
-class AlternativeMoves:
-    """The model with one further unknown: its causes, its size, and by how much the gains would move.
-
-    ``std`` is that of ``size``, None where the data say nothing of it; ``probability`` that it holds, given the data;
-    ``share`` of the residual variance that it explains; ``moves`` of each joint's gain, per cent.
-    """
-
-    hypothesis: str
-    causes: tuple[Finding, ...]
-    size: float
-    std: float | None
-    unit: str
-    probability: float
-    share: float
-    moves: Mapping[str, float]
-
-    def __repr__(self) -> str:
-        return f"AlternativeMoves({self.subject}: probability {self.probability:.2g})"
-
-    @property
-    def subject(self) -> str:
-        """The causes by name."""
-        return named(self.causes)
-
-
 @dataclass(frozen=True)
 class BandError:
     """Rms of a torque error and of the raw torque between the frequencies ``low`` and ``high`` (Hz), N m or N."""

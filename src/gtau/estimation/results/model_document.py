@@ -76,7 +76,7 @@ def to_document(result: Result) -> dict[str, Any]:
         "statistics": dict(result.statistics),
         "requirements": [asdict(each) | {"met": each.met} for each in result.requirements],
         "alternatives": [
-            asdict(each) | {"subject": each.subject, "causes": list(map(finding_document, each.causes))}
+            {name: getattr(each, name) for name in ALTERNATIVE} | {"causes": list(map(finding_document, each.causes))}
             for each in result.alternatives
         ],
         "singularities": [asdict(each) for each in result.singularities],

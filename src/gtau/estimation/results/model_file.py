@@ -26,6 +26,7 @@ from gtau.documents.files import MODEL, refuse_other_kind, write_atomically
 from gtau.documents.validation import Positive, unknown, validate
 from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
@@ -35,7 +36,6 @@ from gtau.estimation.estimators.physical_consistency import Consistency, Move
 from gtau.estimation.estimators.registry import PLACES
 from gtau.estimation.friction.law import SHAPES
 from gtau.estimation.results.estimate import (
-    AlternativeMoves,
     Estimate,
     FrictionCurve,
     NearestPose,
@@ -235,7 +235,7 @@ class _Model(_Group):
     temperatures: ReferenceTemperatures | None = None
     geometry: GeometryTest | None = None
     standard: _Standard | None
-    alternatives: tuple[AlternativeMoves, ...]
+    alternatives: tuple[Alternative, ...]
     singularities: tuple[NearestPose, ...]
     requirements: tuple[Requirement, ...] = ()
     audit: InertiaAudit | None = None
