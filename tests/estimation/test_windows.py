@@ -22,7 +22,7 @@ from gtau.estimation.regression.equations import BLOCKS
 from gtau.estimation.regression.run_blocks import block_edges, block_of
 from gtau.estimation.thresholds.estimates import FEWEST_FOR_TESTS
 from gtau.model.home import load_robot
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
 ROBOT = load_robot("five-bar")

@@ -14,12 +14,12 @@ from gtau.estimation.diagnostics.geometry_findings import to_document as geometr
 from gtau.estimation.grades import Grade, by_grade, to_document
 from gtau.estimation.results.estimate import write_distances
 from gtau.report import logs
+from gtau.report.chart import Chart
 from gtau.report.evidence import preparation_words
 from gtau.report.findings import findings_section, same_in_several
 from gtau.report.geometry import geometry_section
 from gtau.report.motion import distances_panel, joint_panels, singularities_section
 from gtau.report.page import (
-    Chart,
     Column,
     Facts,
     Kind,
@@ -37,7 +37,7 @@ from gtau.robots.robot import Robot
 from gtau.robots.units import command_unit, position_unit
 from gtau.signals.notes import Kind as NoteKind
 from gtau.signals.notes import Note
-from gtau.signals.samples import counted
+from gtau.signals.reading.samples import counted
 
 
 def check_document(checked: ExperimentCheck) -> dict[str, Any]:
