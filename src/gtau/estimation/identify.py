@@ -10,10 +10,7 @@ import numpy as np
 
 from gtau.documents.validation import FUNCTION, NUMBER, TEXT, TRUTH, takes
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.log_checks import command_lag, require_felt_payload
-from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Estimator, Given
 from gtau.estimation.estimators.registry import ESTIMATORS, estimator_of
@@ -32,13 +29,14 @@ from gtau.estimation.results.prediction_filter import with_prediction_cutoffs
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.torque_errors import judge
 from gtau.estimation.thresholds.estimates import ACCURACY
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
 from gtau.signals.data_sheets import Drive, data_sheet_notes
 from gtau.signals.experiment import Experiment, Prior
-from gtau.signals.notes import Note
 from gtau.signals.run import Run
 
 
@@ -160,7 +158,7 @@ def identify(
         else:
             result = run(estimator, gains)
         geometry = geometry_of(experiment, experiment.runs, dataset.model, progress) if experiment else None
-        found = [*([geometry.note] if geometry else []), *map(note, command_lag(dataset, system))]
+        found = [*([geometry.note] if geometry else []), *command_lag(dataset, system)]
         notes = (*found, *_data_sheet_notes(experiment.drives if experiment else {}, result), *result.notes)
         result = with_prediction_cutoffs(result.replaced(geometry=geometry, notes=notes), dataset.runs)
         return _judged(result, experiment, progress)
@@ -179,7 +177,7 @@ def _tested(
     except GtauError as error:
         why = str(error).rstrip(".")
     result = run(estimator_of("wls"), otherwise)
-    return result.replaced(notes=(note(Finding(F.SCALE_UNTESTED, values={"why": why})), *result.notes))
+    return result.replaced(notes=(Finding(F.SCALE_UNTESTED, values={"why": why}), *result.notes))
 
 
 def _judged(result: Result, experiment: Experiment | None, progress: Progress) -> Result:
@@ -190,7 +188,7 @@ def _judged(result: Result, experiment: Experiment | None, progress: Progress) -
     return result.replaced(requirements=judge(result, experiment.require, read_runs(experiment, tested, progress)))
 
 
-def _data_sheet_notes(drives: Mapping[str, Drive], result: Result) -> tuple[Note, ...]:
+def _data_sheet_notes(drives: Mapping[str, Drive], result: Result) -> tuple[Finding, ...]:
     gains = {Parameter("gain", joint): gain for joint, gain in result.drive_gains.items() if gain.std is not None}
     estimates = gains | dict(result.parameters)
     values = {str(name): (estimate.value, estimate.std) for name, estimate in estimates.items()}

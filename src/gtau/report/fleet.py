@@ -12,6 +12,7 @@ import numpy as np
 import polars as pl
 
 from gtau.documents.files import write_table
+from gtau.findings.words import counted
 from gtau.fleet.gains import FleetGain, FleetTable, JointOfFleet
 from gtau.report.page import (
     Axis,
@@ -31,7 +32,6 @@ from gtau.report.page import (
     section,
     table_of,
 )
-from gtau.signals.samples import counted
 
 LISTED = 20  # outliers, or robots that were refused; the others are in the table
 NAMED = 40  # robots whose names find room below the axis

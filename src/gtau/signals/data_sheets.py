@@ -10,10 +10,11 @@ from pydantic import Field, FiniteFloat, field_validator, model_validator
 
 from gtau.documents.validation import Keys, Positive
 from gtau.errors import GtauError
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
 from gtau.robots.units import torque_unit, unit_of
-from gtau.signals.notes import Kind, Note
 
 TOLERANCE = 0.1  # standard deviation of a torque constant or rotor inertia: data sheets state tolerances of 10 %
 EFFICIENCY = 0.85  # of a gear without stated efficiency: 0.65 to 1 is within two standard deviations
@@ -80,7 +81,7 @@ def check_drives(drives: Mapping[str, Drive], robot: Robot) -> None:
 
 def data_sheet_notes(
     drives: Mapping[str, Drive], robot: Robot, found: Mapping[str, tuple[float | None, float | None]]
-) -> tuple[Note, ...]:
+) -> tuple[Finding, ...]:
     """Compare estimates (value and standard deviation) of gains and ``ia`` with data sheets, one note for each.
 
     Parameters
@@ -102,9 +103,6 @@ def data_sheet_notes(
             if expected is None or value is None:
                 continue
             off = (value - expected[0]) / np.hypot(expected[1], std or 0.0)
-            words = (
-                f"{what} of '{joint}': {value:.4g} {unit} was identified, and {expected[0]:.4g} {unit} is by the "
-                f"data sheet (standard deviation {expected[1]:.2g}; apart by {abs(off):.1f} standard deviations)"
-            )
-            said.append(Note(Kind.DATA_SHEET, words, joint=joint))
+            values = {"quantity": what, "value": value, "unit": unit, "stated": expected[0], "std": expected[1]}
+            said.append(Finding(F.DATA_SHEET, (joint,), values={**values, "apart": float(abs(off))}))
     return tuple(said)

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from gtau.documents.yaml_document import yaml_text
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.signals.discovery import Draft
-from gtau.signals.notes import Kind, Note
 
 CHECK = "CHECK: "
 WIDTH = 90  # characters of columns on one line
@@ -117,7 +118,7 @@ def draft_text(draft: Draft, folder: Path) -> str:
     return "\n".join(lines) + "\n"
 
 
-def guesses(draft: Draft, file: Path) -> tuple[Note, ...]:
+def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
     """List the guesses of a draft, each with the entry to change in its ``file``."""
     commands, columns = list(draft.command.values()), _pairs(draft.position)
     first = " ... ".join(dict.fromkeys((commands[0], commands[-1])))
@@ -156,7 +157,7 @@ def guesses(draft: Draft, file: Path) -> tuple[Note, ...]:
         found.append((f"joints missing from the log are held at home; {', '.join(draft.moving)} move", ""))
     if draft.time and draft.time[0].endswith("/header/stamp"):
         found.append((f"time is {draft.time[0]}, measurement stamps, not receipt stamps", ""))
-    return tuple(Note(Kind.DRAFT, what, action, source=str(file)) for what, action in found)
+    return tuple(Finding(F.DRAFT, values={"what": what, "action": action}, source=str(file)) for what, action in found)
 
 
 STATE = "correct them by --payload LOG=KG (0 for none)"

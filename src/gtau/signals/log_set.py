@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.signals.body_columns import at_origins
 from gtau.signals.columns import SampleRate, Signals
 from gtau.signals.log_file import ALL, LogFile, read_log
-from gtau.signals.notes import Kind, Note
 from gtau.signals.samples import Source
 from gtau.signals.storage import block, spans, store
 from gtau.signals.units import Units
@@ -36,7 +37,7 @@ class Logged:
     times: tuple[int, ...]
     time_scale: float
     aligned: Aligned | None
-    notes: tuple[Note, ...]
+    notes: tuple[Finding, ...]
 
     def blocks(self, rows: range = ALL, progress: Callable[[float], None] = lambda done: None) -> Iterator[np.ndarray]:
         """Read samples (M, n + c + 1) in order: positions, commands, torque sensors, wrenches and time.
@@ -117,7 +118,7 @@ def find_logs(paths: Sequence[Path], signals: Signals, units: Units) -> Logged:
         first_line=first.first_line + (aligned.rows.start if aligned else 0),
         line_word=first.line_word,
     )
-    notes = [note.of(file.path.name) if len(files) > 1 else note for file in files for note in file.table.notes]
+    notes = [note.of_source(file.path.name) if len(files) > 1 else note for file in files for note in file.table.notes]
     return Logged(
         files=tuple(files),
         source=source,
@@ -177,7 +178,7 @@ class Aligned:
     command: np.ndarray
     longest: float
     rows: range
-    note: Note | None
+    note: Finding | None
 
     def at(self, time: np.ndarray) -> np.ndarray:
         """Interpolate commands (M, n) linearly between stamps at other instants (M,); nan where they are missing."""
@@ -261,16 +262,11 @@ def align(
     steps = [float(np.median(np.diff(each))) for each in (finite, own)]
     apart = _distances(finite, own)
     longest = LONGEST_STEP * max(steps)
-    said = ""
-    if apart > CLOSE * min(steps) or len(rows) < len(clock):
-        said = (
-            f"aligned the {what} with the positions by linear interpolation between their stamps "
-            f"({1 / steps[1]:.4g} Hz; positions {1 / steps[0]:.4g} Hz; typically {apart * 1e3:.2g} ms from a "
-            "position to the nearest)"
-        )
-        if out := len(clock) - len(rows):
-            said += f"; left out {out} positions before the first or after the last of them"
-    return Aligned(own, commands, longest, rows, Note(Kind.READING, said) if said else None)
+    if apart <= CLOSE * min(steps) and len(rows) == len(clock):
+        return Aligned(own, commands, longest, rows, None)
+    said = {"signal": what, "rate": 1 / steps[1], "position_rate": 1 / steps[0], "apart": apart * 1e3}
+    aligned = Finding(F.ALIGNED, values={**said, "left_out": len(clock) - len(rows)})
+    return Aligned(own, commands, longest, rows, aligned)
 
 
 def instants(signals: Signals, stamps: np.ndarray, scale: float, row: int) -> np.ndarray:

@@ -11,6 +11,7 @@ import numpy as np
 
 from gtau.documents.validation import FUNCTION, name_problem, read_group, takes
 from gtau.errors import GtauError
+from gtau.findings import Finding
 from gtau.robots.floating import WrenchFrame
 from gtau.robots.robot import base_rows
 from gtau.signals.channel import Channel, channels_of
@@ -18,7 +19,6 @@ from gtau.signals.checks import check
 from gtau.signals.columns import EXACT, Calibration, Signals
 from gtau.signals.log_file import as_log
 from gtau.signals.log_set import find_logs
-from gtau.signals.notes import Note
 from gtau.signals.payload import Payload, as_payload
 from gtau.signals.samples import WHOLE, Part
 from gtau.signals.settings import CHOSEN, PreparationSettings
@@ -59,7 +59,7 @@ class Run:
     command: np.ndarray = field(repr=False)
     kind: Literal["current", "torque"] = "current"
     payload: Payload | None = None
-    notes: tuple[Note, ...] = ()
+    notes: tuple[Finding, ...] = ()
     valid: np.ndarray = field(default_factory=lambda: np.ones((0, 0), dtype=bool), repr=False)
     settings: PreparationSettings = CHOSEN
     sensors: tuple[str, ...] = ()

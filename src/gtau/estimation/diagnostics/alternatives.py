@@ -18,7 +18,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.hypotheses import HYPOTHESES
 from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Hypothesis
 from gtau.estimation.diagnostics.linearisation import (
@@ -37,6 +36,7 @@ from gtau.estimation.diagnostics.score_test import ScoreTests, score_tests
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import to_gains
 from gtau.estimation.thresholds.estimates import ALTERNATIVE_PRIOR, REFUTED_STD, SAME_EFFECT, TOGETHER_SHARE
+from gtau.findings import Finding
 
 CERTAIN = 1e9  # log factor that stands for certainty
 WINDOWS = 10  # of a run, within which residuals may be autocorrelated

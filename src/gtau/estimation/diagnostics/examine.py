@@ -15,8 +15,6 @@ from gtau.estimation.diagnostics.alternatives import (
     model_covariance,
 )
 from gtau.estimation.diagnostics.effort import UNRANKED, Ranking, rank_meanings
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.gain_change import gain_changes
 from gtau.estimation.diagnostics.hypotheses.description import GRAVITY
 from gtau.estimation.diagnostics.hypotheses.wrenches import WRENCH_OFFSETS, WRENCH_POINTS
@@ -53,6 +51,8 @@ from gtau.estimation.thresholds.estimates import (
     PROBABLE,
     REFUTED_SHARE,
 )
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.progress import Progress, silent
 
 

@@ -14,8 +14,6 @@ from dataclasses import replace
 import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import Alternative, established, support
-from gtau.estimation.diagnostics.finding import RELATIVE, Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.linearisation import LinearisedWindow
 from gtau.estimation.diagnostics.score_test import score_tests
 from gtau.estimation.estimators.estimator import Fit, Solution
@@ -23,6 +21,9 @@ from gtau.estimation.estimators.newton import jacobian, jacobian_of_known, resid
 from gtau.estimation.regression.equations import KNOWN, modelled
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.thresholds.estimates import DOMINANT, PLAUSIBLE_GAIN_CHANGE, SCALED, TIE
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
+from gtau.findings.words import RELATIVE
 
 
 def gain_changes(fit: Fit) -> list[Alternative]:

@@ -17,8 +17,6 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.alternatives import Alternative, established
-from gtau.estimation.diagnostics.finding import RELATIVE, Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.linearisation import (
     Windows,
     central_windows,
@@ -29,6 +27,9 @@ from gtau.estimation.diagnostics.linearisation import (
 )
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.thresholds.logs import LENGTH_ALIKE, LENGTH_CHANGE, LENGTH_MOST, LENGTH_SHARE, LENGTH_TRIED
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
+from gtau.findings.words import RELATIVE
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.lengths import SAME, models_alike
 from gtau.progress import Progress, silent

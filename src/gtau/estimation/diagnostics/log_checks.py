@@ -17,8 +17,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.equations import SIGNAL, SIGNALS
@@ -35,6 +33,8 @@ from gtau.estimation.thresholds.logs import (
     STEPS,
     WHOLE,
 )
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.robots.robot import Robot
 from gtau.signals.faults import whole_numbers
 from gtau.signals.run import Run

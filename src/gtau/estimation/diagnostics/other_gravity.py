@@ -16,8 +16,6 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.alternatives import Alternative, established
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.hypotheses.description import DEGREE, GRAVITY, OTHER_GRAVITY
 from gtau.estimation.diagnostics.hypotheses.hypothesis import rms_torques, window_motion
 from gtau.estimation.diagnostics.linearisation import (
@@ -42,6 +40,8 @@ from gtau.estimation.thresholds.estimates import (
     REFUTED_SHARE,
 )
 from gtau.estimation.thresholds.logs import GRAVITY_FELT, UNFELT
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import base_parameters
 from gtau.progress import Progress, silent
 from gtau.signals.preparation import InMemoryRun

@@ -10,12 +10,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.equations import SIGNAL
 from gtau.estimation.thresholds.estimates import MISFIT
 from gtau.estimation.thresholds.logs import UNSEEN_MISFIT, UNSEEN_RATIO
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.signals.samples import extremes
 
 
@@ -37,7 +37,7 @@ def _frozen(fit: Fit, moving: np.ndarray, acting: np.ndarray) -> Iterator[Findin
         if shares[run, worst] > least[worst]:
             share, named = float(shares[run, worst]), (joints[joint], joints[worst])
             values = {"run": runs[run].name, "kind": runs[run].kind, "share": share, "usual": float(usual[worst])}
-            yield Finding(F.FROZEN, named, values=values, severity=share)
+            yield Finding(F.FROZEN, named, values=values, size=share)
 
 
 def unexplained_by_run(fit: Fit) -> np.ndarray:

@@ -13,13 +13,13 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.alternatives import Alternative, established
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.estimators.estimator import Fit, Solution
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import LOAD_ALIKE, LOAD_LEFT, MASS_ABSENT, REFUTED_STD
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.signals.payload import Payload
 
 TOOL_BODIES = "tool bodies"

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gtau.errors import GtauError
-from gtau.signals.notes import Note
+from gtau.findings import Finding
 
 if TYPE_CHECKING:
     import polars as pl
@@ -34,7 +34,7 @@ class Table:
     first_line: int = 1
     line_word: str = "row"
     numbered: bool = False
-    notes: tuple[Note, ...] = ()
+    notes: tuple[Finding, ...] = ()
     unusable: Mapping[str, str] = field(default_factory=dict)
     episodes: Mapping[int, range] = field(default_factory=dict)
     labels: Mapping[str, str] = field(default_factory=dict)

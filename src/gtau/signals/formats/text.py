@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING
 
 from gtau.documents.files import BINARY, LOG, kind_of, refuse_other_kind
 from gtau.errors import GtauError
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.signals.formats import Table
-from gtau.signals.notes import Kind, Note
 from gtau.signals.storage import sizes
 
 if TYPE_CHECKING:
@@ -70,7 +71,7 @@ class Layout:
     numbered: bool
     first_line: int
     first_byte: int
-    notes: tuple[Note, ...]
+    notes: tuple[Finding, ...]
 
 
 @dataclass(frozen=True)
@@ -113,11 +114,10 @@ def layout_of(path: Path) -> Layout:
     before = next((line.end for line in lines if line.number == begin - 1), len(BOM) if _has_bom(path) else 0)
     names = _names(header.fields, width) if header else tuple(str(k + 1) for k in range(width))
     skipped = [line.number for line in written if line.number < begin and (header is None or line != header)]
-    notes: tuple[Note, ...] = ()
+    notes: tuple[Finding, ...] = ()
     if skipped:
-        where = f"lines {skipped[0]} to {skipped[-1]}" if len(skipped) > 1 else f"line {skipped[0]}"
-        named = f", took the names of its columns from line {header.number}" if header else ""
-        notes = (Note(Kind.READING, f"skipped {where} before the table{named}"),)
+        values = {"first": skipped[0], "last": skipped[-1], "header": header.number if header else 0}
+        notes = (Finding(F.SKIPPED_LINES, values=values),)
     return Layout((first or header or written[0]).separator, names, header is None, begin, before, notes)
 
 

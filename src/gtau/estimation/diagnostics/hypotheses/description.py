@@ -13,7 +13,6 @@ from math import asin, atan2, hypot
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import Finding, Sentence, Values, which_payload
 from gtau.estimation.diagnostics.hypotheses.hypothesis import (
     Candidate,
     Candidates,
@@ -27,6 +26,8 @@ from gtau.estimation.diagnostics.linearisation import CandidateColumns, at_full_
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.plausibility import stated_rate
 from gtau.estimation.thresholds import Threshold
+from gtau.findings import Finding
+from gtau.findings.words import Sentence, Values, which_payload
 from gtau.signals.preparation import InMemoryRun
 
 DEGREE, MILLIMETRE, PER_CENT = np.pi / 180, 1e-3, 1e-2

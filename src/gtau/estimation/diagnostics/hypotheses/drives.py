@@ -17,7 +17,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from gtau.estimation.diagnostics.finding import RELATIVE
 from gtau.estimation.diagnostics.hypotheses.hypothesis import (
     Candidates,
     Cause,
@@ -33,6 +32,7 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.friction import transmitted
 from gtau.estimation.regression.rows import Rows
 from gtau.estimation.thresholds import Threshold
+from gtau.findings.words import RELATIVE
 from gtau.robots.parameter import Parameter
 from gtau.signals.filters import differentiate
 from gtau.signals.preparation import InMemoryRun

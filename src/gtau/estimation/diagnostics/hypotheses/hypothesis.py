@@ -8,10 +8,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from gtau.estimation.diagnostics.finding import Finding, Words
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, Offer, at_full_rate
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.rows import Labels, configurations
+from gtau.findings import Finding
+from gtau.findings.words import Words
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import Motion
 from gtau.signals.preparation import InMemoryRun

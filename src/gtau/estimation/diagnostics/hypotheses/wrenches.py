@@ -11,12 +11,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from gtau.estimation.diagnostics.finding import Finding, Sentence, Values
 from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidate, Candidates, Cause, Hypothesis, window_motion
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, at_full_rate
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.rows import external_torques
 from gtau.estimation.thresholds import Threshold
+from gtau.findings import Finding
+from gtau.findings.words import Sentence, Values
 from gtau.robots.floating import WRENCH
 from gtau.signals.preparation import InMemoryRun
 
