@@ -25,12 +25,12 @@ from zoo import ENTRIES
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
-from gtau.export.external_torques import momentum_observer, predict_under_load
-from gtau.export.wrench import wrench_along_log
 from gtau.robots.floating import WrenchFrame
 from gtau.robots.robot import Pose
-from gtau.signals.experiment import read_experiment
+from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import Run
+from gtau.uses.external_torques import momentum_observer, predict_under_load
+from gtau.uses.wrench import wrench_along_log
 
 LOGS = ("ur10e", "rokae_sensor")
 FORCES = (5.0, 20.0, 100.0)  # N

@@ -36,10 +36,10 @@ from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.identify import identify
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.results.result import Result
-from gtau.estimation.weigh import weigh
 from gtau.robots.robot import Robot
-from gtau.signals.experiment import read_experiment
+from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import Run, arrange
+from gtau.uses.weigh import weigh
 
 MARKS = "<!-- peers: begin -->", "<!-- peers: end -->"
 NAMES = ("emps", "orthoglide", "ur10e", "tx40", "panda")

@@ -30,19 +30,19 @@ from gtau.documents.files import folder_of, write_atomically
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.identify import identify
 from gtau.estimation.results.estimate import Estimate, TorqueError
-from gtau.estimation.results.prediction import Prediction
+from gtau.estimation.results.predicted import torque_errors
 from gtau.estimation.results.result import Result
-from gtau.estimation.results.torque_errors import torque_errors
-from gtau.estimation.weigh import weigh
 from gtau.progress import Progress, silent
 from gtau.report.gains import NOT_SHOWN
 from gtau.report.render.charts import figure_of, save_figure
 from gtau.report.robot_figure import robot_figure
 from gtau.report.torques import part_of, torques_chart
-from gtau.signals.experiment import read_experiment
+from gtau.signals.reading.experiment import read_experiment
 from gtau.simulation.closed_loop import sample
 from gtau.simulation.simulation_file import read_simulation
 from gtau.simulation.trajectories import make_trajectory
+from gtau.uses.prediction import Prediction
+from gtau.uses.weigh import weigh
 
 DURATION = 20.0  # s, the paper's exciting trajectories
 
@@ -186,7 +186,9 @@ def run(folder: Path, progress: Progress) -> Study:
     prediction = result.predict(unused)
     gains = {joint: gain.value or 0.0 for joint, gain in result.drive_gains.items()}
     comparison = compare_control(folder / "simulation.yaml", experiment, progress, gains)
-    return Study(result, weighings, prediction, torque_errors(result, prediction), comparison)
+    return Study(
+        result, weighings, prediction, torque_errors(prediction, result.robot, result.preparation.bandwidth), comparison
+    )
 
 
 def write_figures(study: Study, folder: Path, duration: float, images: Path) -> None:

@@ -16,7 +16,7 @@ from gtau.estimation.regression.friction import Friction
 from gtau.findings import FindingKind as F
 from gtau.findings import Severity
 from gtau.model.home import load_robot
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
 FIVE_BAR = load_robot("five-bar")

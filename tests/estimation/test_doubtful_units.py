@@ -13,7 +13,7 @@ from gtau.findings import FindingKind as F
 from gtau.findings import Severity
 from gtau.model.home import load_robot
 from gtau.robots.floating import float_base
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
 

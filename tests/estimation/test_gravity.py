@@ -12,7 +12,7 @@ from gravity_logs import Gravity, logged, scara
 
 from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.hypotheses import description
-from gtau.estimation.diagnostics.other_gravity import other_gravity
+from gtau.estimation.diagnostics.other_robots import other_gravity
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Given
 from gtau.estimation.estimators.least_squares import fit_by
@@ -28,7 +28,7 @@ from gtau.robots.floating import float_base
 from gtau.robots.readers.native_text import write_native
 from gtau.robots.robot import STANDARD_GRAVITY as G
 from gtau.robots.robot import Robot
-from gtau.signals.experiment import read_experiment
+from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import Run
 
 

@@ -37,7 +37,7 @@ from gtau.findings import FindingKind as F
 from gtau.findings.finding import by_severity
 from gtau.findings.words import percent_text
 from gtau.model.home import load_robot
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
 FIVE_BAR = load_robot("five-bar")

@@ -20,10 +20,10 @@ from robots_for_tests import ROBOTS, home, random_samples, slider_crank, traject
 from scipy.integrate import solve_ivp
 
 from gtau.export.c import export
-from gtau.export.identified import identified, torques, torques_of
 from gtau.robots.robot import Joint, Mdh, Robot
 from gtau.simulation.closed_loop import JointHardware, Reference, computed_torque, hardware, simulate
 from gtau.simulation.plant import Plant, PlantState
+from gtau.uses.identified import identified, torques, torques_of
 
 
 def relative(found: np.ndarray, expected: np.ndarray) -> float:

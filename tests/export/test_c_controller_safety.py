@@ -12,7 +12,7 @@ from models_to_export import model_of
 from robots_for_tests import ROBOTS, home
 
 from gtau.export.c import export
-from gtau.export.identified import identified, torques
+from gtau.uses.identified import identified, torques
 
 DRIVER = Path(__file__).with_name("controller_fuzz.c")
 

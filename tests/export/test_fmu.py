@@ -9,11 +9,11 @@ import pytest
 from models_to_export import model_of, preslid
 from robots_for_tests import home, tree
 
-from gtau.export.exported import suffixes
+from gtau.documents.files import suffixes
 from gtau.export.fmu import export
-from gtau.export.identified import identified, torques
 from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
+from gtau.uses.identified import identified, torques
 
 fmpy = pytest.importorskip("fmpy")
 validate_fmu = pytest.importorskip("fmpy.validation").validate_fmu

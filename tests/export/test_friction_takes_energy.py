@@ -18,7 +18,6 @@ from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
 from gtau.export.c import c_files
 from gtau.export.fmu import export as export_fmu
-from gtau.export.identified import functions, identified, torques
 from gtau.export.matlab import matlab_files
 from gtau.export.mjcf import export as export_mjcf
 from gtau.export.registry import export_model
@@ -26,6 +25,7 @@ from gtau.export.urdf import export as export_urdf
 from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
 from gtau.simulation.simulation_file import Simulation
+from gtau.uses.identified import functions, identified, torques
 
 ROUNDING = 1e-9  # W: of terms of 1e3
 FIVE_BAR = next(robot for robot in ROBOTS if robot.name == "five-bar")

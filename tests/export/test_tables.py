@@ -20,9 +20,8 @@ from models_to_export import model_of
 from robots_for_tests import tree
 
 import gtau
-from gtau.documents.files import in_csv
+from gtau.documents.files import identifier, in_csv, suffixes
 from gtau.estimation.results.result import Result
-from gtau.export.exported import identifier, suffixes
 from gtau.export.parameter_orders import ORDERS, from_order, to_order
 from gtau.export.tables import SPACE, TEXT_WIDTH, in_latex, in_latex_index, symbol, width
 from gtau.model.home import load_robot

@@ -12,7 +12,7 @@ import pytest
 
 from gtau.estimation.results.result import Result
 from gtau.export.c import export
-from gtau.export.identified import functions, identified
+from gtau.uses.identified import functions, identified
 
 GCC = shutil.which("gcc")
 needs_gcc = pytest.mark.skipif(GCC is None, reason="gcc is not installed (Debian: apt install gcc)")

@@ -23,16 +23,17 @@ from gtau.documents.files import folder_of, write_atomically
 from gtau.estimation.identify import identify
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
-from gtau.estimation.weigh import weigh
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress
-from gtau.report.page import Chart, Column, Facts, Kind, Page, Text, intervals, joint_label, page, section, table
+from gtau.report.chart import Chart, intervals
+from gtau.report.page import Column, Facts, Kind, Page, Text, joint_label, page, section, table
 from gtau.report.render.charts import save
 from gtau.report.render.terminal import plain
 from gtau.simulation.closed_loop import write_log
 from gtau.simulation.experiment_files import make_run
 from gtau.simulation.simulation_file import read_simulation
+from gtau.uses.weigh import weigh
 
 CASES = {"prior": "case 1: manufacturer's gains", "identified": "case 2: identified gains"}
 COMMANDS = (

@@ -17,6 +17,7 @@ from gtau.errors import GtauError
 if TYPE_CHECKING:
     import polars as pl
 
+LONGEST = 40  # characters of an identifier: with what follows, MATLAB's 63 are not exceeded
 FORMULA = r"^(\s*[=+\-@])"  # begins a cell that spreadsheets compute
 
 
@@ -119,6 +120,27 @@ def in_order(paths: Iterable[Path]) -> list[Path]:
         return [(not number, int(number or 0), text) for number, text in re.findall(r"(\d+)|(\D+)", str(path))]
 
     return sorted(paths, key=key)
+
+
+def identifier(name: str) -> str:
+    """Make a name that C, MATLAB, Python and file systems accept: ``five-bar`` becomes ``five_bar``."""
+    plain = _word(name.lower())
+    return (plain if re.match(r"[a-z]", plain) else f"robot_{plain}")[:LONGEST]
+
+
+def suffixes(names: Iterable[str]) -> dict[str, str]:
+    """Make names unique suffixes of identifiers: ``a-b`` and ``a_b`` become ``a_b`` and ``a_b_2``."""
+    found: dict[str, str] = {}
+    for name in names:
+        plain, number = _word(name)[:LONGEST], 1
+        while (made := plain if number == 1 else f"{plain}_{number}") in found.values():
+            number += 1
+        found[name] = made
+    return found
+
+
+def _word(name: str) -> str:
+    return re.sub(r"\W", "_", name, flags=re.ASCII)
 
 
 def matching(pattern: Path) -> list[Path]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gtau.display import late
 from gtau.documents.validation import FUNCTION, NUMBER, TEXT, TRUTH, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.log_checks import command_lag, require_felt_payload
@@ -25,18 +26,17 @@ from gtau.estimation.gate import (
 from gtau.estimation.pipeline import estimate
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
-from gtau.estimation.results.prediction_filter import with_prediction_cutoffs
+from gtau.estimation.results.estimate import Requirement, TorqueError
 from gtau.estimation.results.result import Result
-from gtau.estimation.results.torque_errors import judge
 from gtau.estimation.thresholds.estimates import ACCURACY
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
-from gtau.model.interpreter.threads import single_threaded_blas
+from gtau.model.interpreter.program import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
-from gtau.signals.data_sheets import Drive, data_sheet_notes
-from gtau.signals.experiment import Experiment, Prior
+from gtau.signals.reading.experiment import Experiment
+from gtau.signals.reading.statements import Drive, Prior, Requirements, data_sheet_notes
 from gtau.signals.run import Run
 
 
@@ -160,7 +160,8 @@ def identify(
         geometry = geometry_of(experiment, experiment.runs, dataset.model, progress) if experiment else None
         found = [*([geometry.note] if geometry else []), *command_lag(dataset, system)]
         notes = (*found, *_data_sheet_notes(experiment.drives if experiment else {}, result), *result.notes)
-        result = with_prediction_cutoffs(result.replaced(geometry=geometry, notes=notes), dataset.runs)
+        result = result.replaced(geometry=geometry, notes=notes)
+        result = late("uses.prediction").with_prediction_cutoffs(result, dataset.runs)
         return _judged(result, experiment, progress)
 
 
@@ -185,7 +186,32 @@ def _judged(result: Result, experiment: Experiment | None, progress: Progress) -
     if experiment is None:
         return result
     tested = experiment.validation if experiment.require.torque_error is not None else ()
-    return result.replaced(requirements=judge(result, experiment.require, read_runs(experiment, tested, progress)))
+    validation = read_runs(experiment, tested, progress)
+    return result.replaced(requirements=tuple(_requirements(result, experiment.require, validation)))
+
+
+def _requirements(result: Result, require: Requirements, validation: Sequence[Run]) -> Iterator[Requirement]:
+    """Compare with the limits, those of torque errors also on the runs kept for ``validation``."""
+    if require.torque_error is not None:
+        yield _of_torques(require.torque_error, result.residuals)
+        for run in validation:
+            try:
+                errors = result.validate(run)
+            except GtauError:
+                errors = ()
+            yield _of_torques(require.torque_error, errors, run.name)
+    if require.gain_interval is not None:
+        widths = {joint: gain.half_width for joint, gain in result.drive_gains.items()}
+        unknown = [joint for joint, width in widths.items() if width is None]
+        joint = unknown[0] if unknown else max(widths, key=lambda name: widths[name] or 0.0)
+        yield Requirement("gain_interval", require.gain_interval, widths[joint], joint)
+
+
+def _of_torques(limit: float, errors: Iterable[TorqueError], run: str = "") -> Requirement:
+    worst = max(errors, key=lambda each: each.relative, default=None)
+    if worst is None:
+        return Requirement("torque_error", limit, None, run=run)
+    return Requirement("torque_error", limit, worst.relative, worst.joint, run)
 
 
 def _data_sheet_notes(drives: Mapping[str, Drive], result: Result) -> tuple[Finding, ...]:

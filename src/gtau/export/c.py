@@ -12,11 +12,12 @@ from string import Template
 import casadi as ca
 import numpy as np
 
+from gtau.documents.files import suffixes
 from gtau.estimation.results.result import Result
-from gtau.export.exported import Exported, suffixes, written
-from gtau.export.identified import Functions, Identified, functions, identified, notes_on
+from gtau.export.exported import Export, Exported, written
 from gtau.model.loop_paths import CONTRACTION
 from gtau.model.loops import CONDITION
+from gtau.uses.identified import Functions, Identified, functions, identified, notes_on
 
 TEMPLATES = Path(__file__).with_name("templates")
 NEWTON_STEPS = 4  # from 0.01 rad away corrections are about 1e-2, 1e-4, 1e-8, 1e-16: the fourth is rounding
@@ -199,3 +200,6 @@ def _kernel(function: ca.Function, inputs: tuple[str, ...], outputs: tuple[str, 
 def in_c(text: str) -> str:
     """Clean a text so that it is safe in a comment and in a string of C."""
     return re.sub(r"[^\w .,:;()+/-]", "_", text, flags=re.ASCII)
+
+
+EXPORTS = {"c": Export(export)}

@@ -1,15 +1,15 @@
-"""Files of an export: their names, how they are written, and what is returned."""
+"""What a kind of export is: its files, their names, how they are written, and what is returned."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from pathlib import Path
 
 from gtau.documents.files import folder_of, write_atomically
-
-LONGEST = 40  # characters: with what follows, MATLAB's 63 are not exceeded
+from gtau.errors import GtauError
+from gtau.estimation.results.result import Result
 
 
 @dataclass(frozen=True)
@@ -25,30 +25,39 @@ class Exported:
     lost: str = ""
 
 
+@dataclass(frozen=True)
+class Export:
+    """A kind of export.
+
+    Attributes
+    ----------
+    write : callable
+        Writes a result into a folder.
+    into : callable, optional
+        Writes a copy of the robot's own file with the identified parameters (result, file, folder).
+    simulates : bool
+        Whether a simulator reads it, so that models can be drawn.
+    floating : bool
+        Whether it holds parameters alone, so that the robot's base may float.
+    """
+
+    write: Callable[[Result, Path], Exported]
+    into: Callable[[Result, Path, Path], Exported] | None = None
+    simulates: bool = False
+    floating: bool = False
+
+
+def refuse_unknown(kind: str, kinds: Collection[str]) -> None:
+    """Refuse a ``kind`` that is not among ``kinds``."""
+    if kind not in kinds:
+        close = get_close_matches(kind, kinds, n=1)
+        hint = f"did you mean '{close[0]}'?" if close else f"choose from {', '.join(kinds)}."
+        raise GtauError(f"there is no export to '{kind}'; {hint}")
+
+
 def written(out: Path, texts: Mapping[str, str | bytes]) -> tuple[Path, ...]:
     """Write files by name into the folder ``out``, each atomically; raises GtauError where that fails."""
     folder = folder_of(out)
     for name, text in texts.items():
         write_atomically(folder / name, text)
     return tuple(folder / name for name in texts)
-
-
-def identifier(name: str) -> str:
-    """Make a name that C, MATLAB, Python and file systems accept: ``five-bar`` becomes ``five_bar``."""
-    plain = _word(name.lower())
-    return (plain if re.match(r"[a-z]", plain) else f"robot_{plain}")[:LONGEST]
-
-
-def suffixes(names: Iterable[str]) -> dict[str, str]:
-    """Make names unique suffixes of identifiers: ``a-b`` and ``a_b`` become ``a_b`` and ``a_b_2``."""
-    found: dict[str, str] = {}
-    for name in names:
-        plain, number = _word(name)[:LONGEST], 1
-        while (made := plain if number == 1 else f"{plain}_{number}") in found.values():
-            number += 1
-        found[name] = made
-    return found
-
-
-def _word(name: str) -> str:
-    return re.sub(r"\W", "_", name, flags=re.ASCII)

@@ -10,13 +10,14 @@ from pathlib import Path
 from string import Template
 from tempfile import TemporaryDirectory
 
+from gtau.documents.files import suffixes
 from gtau.errors import missing_extra
 from gtau.estimation.results.result import Result
 from gtau.export.c import CLOSED, NEWTON_STEPS, STARTING_STEPS, TEMPLATES
-from gtau.export.exported import Exported, suffixes, written
-from gtau.export.identified import Functions, Identified, functions, identified, notes_on
+from gtau.export.exported import Export, Exported, written
 from gtau.model.loop_paths import CONTRACTION
 from gtau.model.loops import CONDITION
+from gtau.uses.identified import Functions, Identified, functions, identified, notes_on
 
 NEEDS = "the simulator's Python needs the packages casadi and numpy ('pythonfmu3 deploy' installs them)"
 
@@ -78,3 +79,6 @@ def _document(model: Identified, made: Functions) -> dict[str, object]:
         "contraction": CONTRACTION,
         "condition": CONDITION,
     }
+
+
+EXPORTS = {"fmu": Export(export)}

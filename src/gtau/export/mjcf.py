@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from gtau.documents.files import identifier
 from gtau.errors import GtauError, missing_extra
 from gtau.estimation.results.result import Result
 from gtau.export.consistent import (
@@ -21,7 +22,7 @@ from gtau.export.consistent import (
     term_notes,
     terms_left_out,
 )
-from gtau.export.exported import Exported, identifier, written
+from gtau.export.exported import Exported, written
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import GROUND, Robot
 from gtau.simulation.mujoco_plant import LIGHTEST, STEP, STIFF, mujoco_positions, robot_spec, spring_attributes

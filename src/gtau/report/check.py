@@ -16,12 +16,12 @@ from gtau.findings import Finding, FindingKind, Severity
 from gtau.findings.finding import by_severity, note_document
 from gtau.findings.words import counted
 from gtau.report import logs
+from gtau.report.chart import Chart
 from gtau.report.evidence import preparation_words
 from gtau.report.findings import findings_section, same_in_several
 from gtau.report.geometry import geometry_section
 from gtau.report.motion import distances_panel, joint_panels, singularities_section
 from gtau.report.page import (
-    Chart,
     Column,
     Facts,
     Kind,
@@ -35,8 +35,8 @@ from gtau.report.page import (
     table,
     table_of,
 )
+from gtau.robots.parameter import command_unit, position_unit
 from gtau.robots.robot import Robot
-from gtau.robots.units import command_unit, position_unit
 
 
 def check_document(checked: ExperimentCheck) -> dict[str, Any]:

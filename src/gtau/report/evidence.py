@@ -9,13 +9,12 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.results.estimate import TorqueError
-from gtau.estimation.results.predicted import Prediction
-from gtau.estimation.results.prediction import predict
+from gtau.estimation.results.predicted import Prediction, torque_errors
 from gtau.estimation.results.result import Result
-from gtau.estimation.results.torque_errors import torque_errors
 from gtau.progress import Progress, silent
-from gtau.signals.preparation import Preparation
+from gtau.signals.preparation.prepared_run import Preparation
 from gtau.signals.run import Run
+from gtau.uses.prediction import predict
 
 LONGEST = 300_000  # samples of a run that are predicted; of a longer one its beginning
 
@@ -89,7 +88,7 @@ def predicted(result: Result, run: Run, used: bool = False, longest: int | None 
     """Predict a run, or its beginning; raises GtauError where it does not suit the model."""
     cut = longest is not None and len(run.time) > longest
     prediction = predict(result, _beginning(run, longest or 0) if cut else run)
-    errors = torque_errors(result, prediction)
+    errors = torque_errors(prediction, result.robot, result.preparation.bandwidth)
     all_samples = prediction if longest is None else None
     notes = _unknown_payload(result, run)
     return RunEvidence(run, used, prediction.rows, all_samples, errors, cut=cut, notes=notes)

@@ -21,14 +21,14 @@ from pydantic import AfterValidator, Field, FiniteFloat
 from gtau.documents.files import write_table
 from gtau.documents.validation import Keys, Positive
 from gtau.estimation.regression.column_blocks import known_values
-from gtau.estimation.results.prediction import torques_along
 from gtau.estimation.results.result import Result
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 from gtau.simulation.plant import PlantState
 from gtau.simulation.trajectories import NotNegative, Trajectory
+from gtau.uses.prediction import torques_along
 
 BANDWIDTH = 100.0  # rad/s
 FILTER = 10.0  # the derivative is filtered at this multiple of the bandwidth

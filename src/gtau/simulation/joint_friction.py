@@ -16,10 +16,10 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.friction.law import FrictionLaw, Shape
-from gtau.estimation.results.prediction import friction_values, loaded_parameters
 from gtau.estimation.results.result import Result
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter, parameter_of
+from gtau.uses.prediction import friction_values, loaded_parameters
 
 WIDTH = {"prismatic": 1e-3, "revolute": 2e-3}  # m/s, rad/s: sign(v) is tanh(v / width)
 TERMS = ("fb", "fl")

@@ -30,13 +30,12 @@ from gtau.estimation.regression.dataset import at_rate_of, check_wrenches, prepa
 from gtau.estimation.regression.equations import STRETCHES, delayed
 from gtau.estimation.regression.rows import Labels, Rows, stream_rows
 from gtau.estimation.regression.stretches import stretch_edges, stretch_of
-from gtau.estimation.results.prediction import check_temperature_unit, friction_along, loaded_parameters
 from gtau.estimation.results.result import Result
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import Parameter, unit_of
 from gtau.robots.robot import PLAIN_FRICTION
-from gtau.robots.units import unit_of
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run, arrange, without_sensors
+from gtau.uses.prediction import check_temperature_unit, friction_along, loaded_parameters
 
 STEP = 1e-3  # rad or m, of an encoder zero: torques are linear over this
 FEWEST_ROWS = 50  # of a joint in a log, as in an identification

@@ -19,8 +19,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from gtau.estimation.diagnostics.alternatives import friction_levels, rms_speeds, rms_torques
 from gtau.estimation.diagnostics.examine import Examination
-from gtau.estimation.diagnostics.hypotheses.hypothesis import friction_levels, rms_speeds, rms_torques
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
 from gtau.estimation.diagnostics.parameter_checks import judge_parameter, unexplained_shares
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
@@ -40,8 +40,7 @@ from gtau.estimation.thresholds.logs import ALIKE, BEYOND_GEARS, FRICTIONLESS, G
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import whole_mass
-from gtau.robots.parameter import Parameter
-from gtau.robots.units import unit_of
+from gtau.robots.parameter import Parameter, unit_of
 
 
 def estimated_gains(

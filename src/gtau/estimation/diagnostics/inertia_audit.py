@@ -23,9 +23,8 @@ from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import INERTIA_CHANCE, INERTIA_EXPLAINED
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import Parameter, unit_of
 from gtau.robots.robot import DRIVE, INERTIAL
-from gtau.robots.units import unit_of
 
 ROTORS = "the rotor inertias"
 Standing = Literal["agrees", "contradicted", "not identifiable", "not stated"]

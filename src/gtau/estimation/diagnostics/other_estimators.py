@@ -42,8 +42,8 @@ from gtau.estimation.thresholds.estimates import DIFFERENT_PROBABILITY, DIFFEREN
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.findings.words import RELATIVE
-from gtau.signals.filters import below_nyquist
-from gtau.signals.preparation import Preparation
+from gtau.signals.preparation.filters import below_nyquist
+from gtau.signals.preparation.prepared_run import Preparation
 
 WINDOWS = 10  # of a run
 FURTHER = 4.0  # cut-off of the instruments over the bandwidth of the motion

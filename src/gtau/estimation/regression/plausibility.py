@@ -23,8 +23,8 @@ from gtau.findings import FindingKind as F
 from gtau.findings.words import clock_advice, write_limits
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import Joint, Robot
-from gtau.signals.columns import SampleRate
-from gtau.signals.preparation import PreparedRun
+from gtau.signals.preparation.prepared_run import PreparedRun
+from gtau.signals.reading.columns import SampleRate
 from gtau.signals.run import Run
 from gtau.signals.storage import block, spans
 

@@ -16,8 +16,8 @@ from gtau.estimation.thresholds.logs import NEAR_SINGULAR
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.findings.words import percent_text
-from gtau.signals.columns import Signals
-from gtau.signals.payload import FIRST_MOMENTS
+from gtau.signals.reading.columns import Signals
+from gtau.signals.reading.statements import FIRST_MOMENTS
 
 RANKED = (Outcome.CONTRADICTORY, Outcome.NOT_IDENTIFIABLE, Outcome.WEAK, Outcome.GOOD, Outcome.GIVEN)
 NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")

@@ -51,8 +51,8 @@ from gtau.findings.finding import read_note
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.readers.native import parse_native
 from gtau.signals.channel import SENSOR, ChannelKind, sensor_kind
-from gtau.signals.decimation import Decimator
-from gtau.signals.preparation import Preparation
+from gtau.signals.preparation.filters import Decimator
+from gtau.signals.preparation.prepared_run import Preparation
 
 
 class _Group(BaseModel):

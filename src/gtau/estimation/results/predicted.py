@@ -1,4 +1,4 @@
-"""Prediction of a run: torques predicted and measured at every sample, with tables of them."""
+"""Prediction of a run: torques predicted and measured at every sample, tables of them, and their errors."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gtau.display import views
-from gtau.signals.decimation import Decimator
+from gtau.estimation.results.estimate import BandError, TorqueError
+from gtau.robots.parameter import torque_unit
+from gtau.robots.robot import Robot
+from gtau.signals.preparation.filters import Decimator
 
 if TYPE_CHECKING:
     import polars as pl
@@ -108,3 +111,51 @@ class Prediction:
     def _repr_html_(self) -> str:
         html: str = views().html(self)
         return html
+
+
+def torque_errors(prediction: Prediction, robot: Robot, bandwidth: float) -> tuple[TorqueError, ...]:
+    """Compute rms of error and signal of each joint that moves, whose motion has a ``bandwidth``, Hz.
+
+    Behind the low-pass of identification over the kept rows, and over all valid ones; and over these against the raw
+    torque, as a whole and by frequency.
+    """
+    errors = []
+    behind = prediction.in_band
+    for j, joint in enumerate(prediction.joints):
+        kept, valid = prediction.keep[:, j], prediction.valid[:, j]
+        if not kept.any() or not prediction.measured[:, j].any():  # nothing may act on a base in some direction
+            continue
+        smooth, raw = (
+            np.stack([each.measured[:, j] - each.predicted[:, j], each.measured[:, j]]) for each in (behind, prediction)
+        )
+        (rms, signal), (rms_all, signal_all), (rms_raw, signal_raw) = (
+            np.sqrt(np.mean(pair[:, rows] ** 2, axis=1)).tolist()
+            for pair, rows in ((smooth, kept), (smooth, valid), (raw, valid))
+        )
+        bands = _bands(prediction.time, raw, valid, bandwidth)
+        unit = torque_unit(robot, joint)
+        errors.append(TorqueError(joint, rms, signal, unit, rms_all, signal_all, rms_raw, signal_raw, bands))
+    return tuple(errors)
+
+
+def _bands(time: np.ndarray, raw: np.ndarray, valid: np.ndarray, bandwidth: float) -> tuple[BandError, ...]:
+    """Compute rms of error and signal (2, N) in octaves from the ``bandwidth`` (Hz) of the motion to Nyquist."""
+    from scipy.signal.windows import tukey
+
+    rate = (len(time) - 1) / float(time[-1] - time[0])
+    window = tukey(len(time), 0.1) * valid
+    frequency = np.fft.rfftfreq(len(time), 1 / rate)
+    power = []
+    for values in raw:
+        mean = values[valid].mean()  # apart, as its sidelobes would reach far
+        density = 2 * np.abs(np.fft.rfft(window * (values - mean))) ** 2 / (len(time) * (window**2).sum())
+        density[0] = mean**2
+        power.append(np.concatenate([[0.0], np.cumsum(density)]))
+    octave = 2.0 ** np.ceil(np.log2(bandwidth))
+    octaves = octave * 2.0 ** np.arange(max(np.ceil(np.log2(0.5 * rate / octave)), 0))
+    edges = np.array([0.0, *octaves, 0.5 * rate])
+    at = np.searchsorted(frequency, edges)
+    at[-1] = len(frequency)
+    rms = np.sqrt(np.diff(np.array(power)[:, at], axis=1))
+    listed = np.column_stack([edges[:-1], edges[1:], *rms]).tolist()
+    return tuple(BandError(*values) for values in listed)

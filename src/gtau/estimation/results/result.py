@@ -30,14 +30,14 @@ from gtau.estimation.results.estimate import (
 )
 from gtau.estimation.results.groups import Evidence, FitRecord, Model, ModelEstimates
 from gtau.estimation.results.payload import PayloadEstimate
-from gtau.estimation.results.predicted import Prediction
+from gtau.estimation.results.predicted import Prediction, torque_errors
 from gtau.findings import Finding
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import PLAIN_FRICTION, Robot
-from gtau.signals.payload import Payload, as_payload
-from gtau.signals.preparation import Preparation
+from gtau.signals.preparation.prepared_run import Preparation
+from gtau.signals.reading.statements import Payload, as_payload
 from gtau.signals.run import Run
 
 if TYPE_CHECKING:
@@ -308,7 +308,7 @@ class Result:
         GtauError
             Where the loops cannot be closed, a pose is too close to a singularity, or the payload's mass is unknown.
         """
-        tau: np.ndarray = late("estimation.results.prediction").torques(self, q, qd, qdd, as_payload(payload))
+        tau: np.ndarray = late("uses.prediction").torques(self, q, qd, qdd, as_payload(payload))
         return tau
 
     def currents(
@@ -329,15 +329,12 @@ class Result:
         GtauError
             Where the run does not suit the robot, or the model refuses a sample.
         """
-        prediction: Prediction = late("estimation.results.prediction").predict(self, run)
+        prediction: Prediction = late("uses.prediction").predict(self, run)
         return prediction
 
     def validate(self, run: Run) -> tuple[TorqueError, ...]:
         """Compute torque errors of each joint on a run: against the raw torque, by frequency, and in the fit's band."""
-        errors: tuple[TorqueError, ...] = late("estimation.results.torque_errors").torque_errors(
-            self, self.predict(run)
-        )
-        return errors
+        return torque_errors(self.predict(run), self.robot, self.preparation.bandwidth)
 
     @property
     def believable(self) -> bool:

@@ -1,0 +1,263 @@
+"""Motor, model and external torques along a log, for contact detection.
+
+A causal estimate is that of the observer of generalized momentum ``p = M qd``:
+
+    ``dp/dt = tau + tau_ext + C^T qd - g - friction``, so ``r`` with ``dr/dt = K (tau_ext - r)`` needs no acceleration.
+
+A. De Luca, R. Mattone, "Actuator failure detection and isolation using generalized momenta", ICRA 2003; S. Haddadin,
+A. De Luca, A. Albu-Schaeffer, "Robot collisions: a survey on detection, isolation, and identification", T-RO 2017.
+
+Each step integrates r exactly for a torque that is constant in it, so that any bandwidth and any period are stable.
+Momenta are those half-way between two positions, where their difference over the period is the velocity, and torques
+are those half-way between two of these instants: no term lags another. The exported C takes the same steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from textwrap import wrap
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+
+from gtau.documents import files
+from gtau.documents.validation import NUMBER, takes
+from gtau.errors import GtauError
+from gtau.estimation.results.estimate import TorqueError
+from gtau.estimation.results.predicted import Prediction, torque_errors
+from gtau.estimation.results.result import Result
+from gtau.robots.floating import refuse_floating
+from gtau.robots.parameter import torque_unit
+from gtau.robots.robot import Placement
+from gtau.signals.run import Run
+from gtau.uses.identified import OBSERVED, functions, identified
+from gtau.uses.prediction import loaded_parameters, predict, suited
+from gtau.uses.wrench import WrenchAlongLog, wrench_along_log
+
+if TYPE_CHECKING:
+    import polars as pl
+
+PASSES = 2  # each leaves fl of the error of the last one; fl is below 0.1 on a UR10e
+USABLE = 4.0  # standard deviations: Gaussian residuals exceed them once in 16,000 rows
+
+
+@dataclass(frozen=True, eq=False)
+class External:
+    """External torque of a joint along a log.
+
+    ``residual`` is the rms torque residual of the identification; ``rms`` and ``largest`` (at ``time``, s) are over the
+    samples away from reversals, ``share`` is the part of them beyond four residuals; ``rms_all`` is over all valid
+    samples. N m or N.
+    """
+
+    joint: str
+    unit: str
+    residual: float | None
+    rms: float
+    rms_all: float
+    largest: float
+    time: float
+    share: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class TorquesAlongLog:
+    """Table with one row per sample, and a summary per joint.
+
+    The table is that of :meth:`gtau.estimation.results.estimate.Prediction.table`; with ``observed_J``, the causal
+    estimate of the external torques, and the columns of the ``wrench`` at a frame, where these were asked for. All are
+    behind the low-pass of identification; ``errors`` are also those against the raw torque, by frequency.
+    """
+
+    table: pl.DataFrame
+    joints: tuple[External, ...]
+    errors: tuple[TorqueError, ...]
+    wrench: WrenchAlongLog | None = None
+
+
+def torques_along_log(
+    result: Result,
+    run: Run,
+    frame: tuple[str, Placement] | None = None,
+    force_only: bool = False,
+    bandwidth: float | None = None,
+) -> TorquesAlongLog:
+    """Compute motor, model and external torques at every sample of a run, after the low-pass of identification.
+
+    Parameters
+    ----------
+    result, run : Result, Run
+        The model and the run.
+    frame : tuple, optional
+        Frame for the wrench, and whether it is a pure force (``force_only``); see
+        :func:`gtau.uses.wrench.wrench_along_log`.
+    bandwidth : float, optional
+        Of :func:`gtau.uses.external_torques.momentum_observer`, Hz, to add its estimate.
+
+    Raises
+    ------
+    GtauError
+        Where the run does not suit the robot, or the model refuses a sample.
+    """
+    raw = predict_under_load(result, run)
+    prediction = raw.in_band
+    residual = {each.joint: each.rms for each in result.residuals}
+    joints = [
+        _summary(prediction.of([joint]), torque_unit(result.robot, joint), residual.get(joint))
+        for j, joint in enumerate(prediction.joints)
+        if prediction.keep[:, j].any()
+    ]
+    table, wrench = prediction.table(), None
+    if bandwidth is not None:
+        observed = momentum_observer(result, run, bandwidth)
+        table = table.with_columns(**{f"observed_{each}": observed[:, j] for j, each in enumerate(prediction.joints)})
+    if frame is not None:
+        wrench = wrench_along_log(result, run, prediction, frame, force_only)
+        table = table.with_columns(**wrench.columns).fill_nan(None)
+    return TorquesAlongLog(table, tuple(joints), torque_errors(raw, result.robot, result.preparation.bandwidth), wrench)
+
+
+def predict_under_load(result: Result, run: Run) -> Prediction:
+    """Predict torques where friction that depends on the load feels the external torques too."""
+    prediction = result.predict(run)
+    for _ in range(PASSES * any(name.kind == "fl" for name in result.friction_parameters)):
+        behind = prediction.in_band
+        prediction = predict(result, run, behind.predicted - behind.measured)
+    return prediction
+
+
+@takes(result=("a result", (Result,)), run=("a run (gtau.read_run)", (Run,)), bandwidth=NUMBER)
+def momentum_observer(result: Result, run: Run, bandwidth: float) -> np.ndarray:
+    """Estimate external torques along a run causally, as the exported C observer does.
+
+    Parameters
+    ----------
+    result : Result
+        Of the robot.
+    run : Run
+        Its positions are differentiated over one sample; its commands are taken at their delayed times. A delay below
+        zero, of commands that are logged late, delays the estimate by as much.
+    bandwidth : float
+        Of the observer, ``K / 2 pi``, Hz.
+
+    Returns
+    -------
+    ndarray
+        External torques (N, n), exerted by the environment on each joint, N m or N; 0 before the third sample.
+
+    Raises
+    ------
+    GtauError
+        Where the run does not suit the robot, the loops cannot be closed, or the bandwidth is not positive.
+    """
+    if not 0 < bandwidth < np.inf:
+        raise GtauError(f"the bandwidth of the observer is {bandwidth:g} Hz; write a positive number.")
+    refuse_floating(result.robot, "the momentum observer is")
+    run = suited(result, run)
+    n, time = len(run.joints), np.asarray(run.time)
+    delays = np.array([result.delays[joint].value or 0.0 for joint in run.joints])
+    late = max(0.0, -delays.min())
+    torque = np.stack(
+        [np.interp(time - late - delay, time, run.command[:, j]) for j, delay in enumerate(delays)], axis=1
+    )
+    q = np.stack([np.interp(time - late, time, run.position[:, j]) for j in range(n)], axis=1)
+    values = identified(result).values
+    if run.payload is not None:
+        values[: result.base.count] += loaded_parameters(result, run.payload, f"run '{run.name}'")
+        values[: result.base.count] -= loaded_parameters(result, None, "")
+    return observed(result, values, time, q, torque * result.gains, bandwidth)
+
+
+def observed(
+    result: Result, values: np.ndarray, time: np.ndarray, q: np.ndarray, torque: np.ndarray, bandwidth: float
+) -> np.ndarray:
+    """Observe external torques (N, n) for parameters ``values`` (n_p,), positions and motors' torques (N, n)."""
+    made = functions(identified(result)).outputs
+    h = np.diff(time)
+    middle, qd = (q[1:] + q[:-1]) / 2, np.diff(q, axis=0) / h[:, None]
+    path = np.vstack([q[:1], middle]).T
+    motion = result.idm.motion(path, 0 * path, 0 * path)
+    states = np.vstack([motion.c, result.friction_law.followers(lambda _: path)(time)])
+    given = ca.DM(states[:, 1:]), ca.DM(qd.T), ca.DM.zeros(*qd.T.shape), ca.DM(values)
+    momentum, drift = (np.array(made[each](*given)).reshape(-1, len(qd), order="F").T for each in OBSERVED)
+    push = (torque[1:] + torque[:-1]) / 2 + drift
+    apart = (h[1:] + h[:-1]) / 2
+    found = np.diff(momentum, axis=0) / apart[:, None] - (push[1:] + push[:-1]) / 2
+    kept = np.exp(-2 * np.pi * bandwidth * apart)
+    external = np.zeros_like(q)
+    for k in range(2, len(q)):
+        external[k] = kept[k - 2] * external[k - 1] + (1.0 - kept[k - 2]) * found[k - 2]
+    return external
+
+
+def _summary(of: Prediction, unit: str, residual: float | None) -> External:
+    external, keep, valid = (each[:, 0] for each in (of.predicted - of.measured, of.keep, of.valid))
+    kept = external[keep]
+    worst = int(np.argmax(np.abs(kept)))
+    beyond = None if residual is None else float(np.mean(np.abs(kept) > USABLE * residual))
+    rms, rms_all = (float(np.sqrt(np.mean(each**2))) for each in (kept, external[valid]))
+    return External(of.joints[0], unit, residual, rms, rms_all, float(kept[worst]), float(of.time[keep][worst]), beyond)
+
+
+def write_table(found: TorquesAlongLog, path: Path) -> None:
+    """Write the table as Parquet or CSV, by the ending of ``path``.
+
+    Raises
+    ------
+    GtauError
+        Where the extension is another one, or the file cannot be written.
+    """
+    if path.suffix.lower() not in (".csv", ".parquet"):
+        raise GtauError(f"{path} ends in neither .csv nor .parquet; give the table one of these endings.")
+    files.write_table(found.table, path)
+
+
+def summary_text(found: TorquesAlongLog) -> str:
+    """Print the summary as a table."""
+    lines = [
+        f"{'External torque':<20}{'rms':>10}{'rms, all':>10}{'residual':>11}{'largest':>11}{'at, s':>10}"
+        f"{'beyond 4':>11}   unit",
+    ]
+    for each in found.joints:
+        residual = "-" if each.residual is None else f"{each.residual:.4g}"
+        share = "-" if each.share is None else f"{100 * each.share:.2f} %"
+        lines.append(
+            f"  {each.joint:<18}{each.rms:>10.4g}{each.rms_all:>10.4g}{residual:>11}{each.largest:>11.4g}"
+            f"{each.time:>10.4g}{share:>11}"
+            f"   {each.unit}"
+        )
+    return "\n".join(
+        [
+            *lines,
+            "Behind the low-pass of identification. rms: away from reversals, as largest and",
+            "beyond 4; all: over all samples.",
+            "residual: rms torque residual of the identification; beyond 4: share of samples",
+            "whose external torque exceeds four of them, by chance 0.006 %. A contact, a",
+            "collision or an unknown payload shows there.",
+            *(() if found.wrench is None else _wrench_lines(found.wrench)),
+        ]
+    )
+
+
+def _wrench_lines(found: WrenchAlongLog) -> Iterator[str]:
+    yield ""
+    yield f"{'External wrench':<20}{'rms':>10}{'+-':>10}{'largest':>11}{'at, s':>10}{'beyond 4':>11}{'seen':>9}   unit"
+    for each in found.components:
+        numbers = (each.rms, each.interval, each.largest, each.time)
+        rms, interval, largest, time = ("-" if number is None else f"{number:.4g}" for number in numbers)
+        share = "-" if each.share is None else f"{100 * each.share:.2f} %"
+        yield (
+            f"  {each.name:<18}{rms:>10}{interval:>10}{largest:>11}{time:>10}{share:>11}{100 * each.seen:>7.0f} %"
+            f"   {each.unit}"
+        )
+    yield from wrap(f"At {found.frame}, in its axes. +-: half the 95 % interval, the median.", 80)
+    if not found.seen.all():
+        few = int(np.median(found.directions))
+        yield from wrap(
+            f"seen: share of samples whose pose shows the component; there the joints feel {few} of 6 directions, the "
+            "median. Elsewhere it has no value: it is empty in the table.",
+            80,
+        )

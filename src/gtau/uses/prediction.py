@@ -1,0 +1,262 @@
+"""Torques along a run, predicted by an identified model at the highest bandwidth that position noise allows.
+
+The position filter of each joint is chosen for this on the runs of the identification.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.friction.law import SHAPES, carried
+from gtau.estimation.regression.column_blocks import known_values
+from gtau.estimation.regression.dataset import at_rate_of, check_wrenches, motor_to_joint_speed
+from gtau.estimation.regression.friction import TEMPERATURE_TERMS
+from gtau.estimation.regression.rows import Law, stream_torques
+from gtau.estimation.results.predicted import Prediction
+from gtau.estimation.results.result import Result
+from gtau.model.loops import Motion
+from gtau.robots.parameter import Parameter
+from gtau.signals.preparation.bandwidth import position_noise
+from gtau.signals.preparation.filters import HIGHEST_CUTOFF
+from gtau.signals.preparation.prepared_run import PreparedRun, prepare
+from gtau.signals.reading.statements import Payload
+from gtau.signals.run import Run, arrange
+from gtau.signals.storage import spans
+
+SAMPLES = 1 << 14  # of all runs together, from the middle of each
+STEP = np.sqrt(2.0)  # between the cut-offs tried
+# Share by which position noise may raise the error. The error hardly depends on a cut-off below the noise (the
+# Panda's from 7 to 50 Hz by 1 %), so the highest one is taken: other motions than those of the logs may be faster.
+RAISED = 0.01
+NOISY = 2.0  # times its least: noise then rules the error of a joint, and higher cut-offs are not tried
+
+
+def suited(result: Result, run: Run) -> Run:
+    """Order the columns of a run as the model's joints; raises GtauError where it is of another kind."""
+    if not isinstance(run, Run):
+        raise GtauError(
+            f"this takes a run, not a {type(run).__name__}; read the log with gtau.read_run(log, signals), which knows "
+            "its columns."
+        )
+    run = arrange(run, result.idm.actuated)
+    if run.kind != result.kind:
+        raise GtauError(
+            f"run '{run.name}' holds {run.kind}s, but the model was identified from {result.kind}s; give a run of the "
+            "same kind."
+        )
+    return run
+
+
+def prepared_for(result: Result, run: Run) -> tuple[PreparedRun, range]:
+    """Prepare all samples of a run as for identification, and mark those in which the robot moves."""
+    run = suited(result, run)
+    check_wrenches(result.robot, run)
+    prepared = prepare(run, at_rate_of([run], result.preparation), motor_to_joint_speed(result.idm))
+    return replace(prepared, kept=range(len(run.time))), prepared.kept
+
+
+def predict(result: Result, run: Run, external: np.ndarray | None = None) -> Prediction:
+    """Predict torques at every sample of a run, beside the measured ones; see :meth:`gtau.Result.predict`.
+
+    ``external`` (N, n) are torques of the environment on the joints: load for their friction, N m or N.
+    """
+    prepared, moving = prepared_for(result, run)
+    run, decimator, time = prepared.run, prepared.preparation.decimator, np.asarray(prepared.time)
+    chi = loaded_parameters(result, run.payload, f"run '{run.name}'")
+    check_temperature_unit(result, run)
+    made, rubbing, measured = joint_torques(result, prepared.for_prediction(), chi, external)
+    n = len(made)
+    keep = np.concatenate([prepared.samples(*span).usable[:, :n] for span in spans(len(prepared))])
+    valid = np.concatenate([prepared.valid(*span)[:, :n] for span in spans(len(prepared))])
+    # at rest before and after the motion anything within the band of friction holds the robot
+    resting = np.ones((len(valid), 1), dtype=bool)
+    resting[moving.start : moving.stop] = False
+    keep, valid = (decimator.near(each & ~resting) for each in (keep, valid))
+    if not keep.any():
+        raise GtauError(f"run '{run.name}' has no usable rows, away from its reversals and gaps; give a longer run.")
+    return Prediction(result.idm.actuated, time, made.T, measured.T, keep, valid, rubbing.T, decimator)
+
+
+def joint_torques(
+    result: Result, prepared: PreparedRun, chi: np.ndarray, external: np.ndarray | None = None
+) -> np.ndarray:
+    """Compute torques (3, n, N) of a run's samples: predicted, the part of friction and offsets, and measured.
+
+    A current of ``t - delay`` belongs to the torque of ``t`` (eq. 17): predicted torques are moved to the instants of
+    the currents, so that the measured ones stay raw. A delay that is not identifiable is not applied: on a Panda logged
+    at 30 Hz such delays raise the raw error of a joint on unused samples from 2.5 to 3.1 %.
+    """
+    model, standard, time = result.idm, result.base.standard, np.asarray(prepared.time)
+    load, friction = np.array(carried(np, standard, chi)), friction_along(result, prepared, chi, external)
+    found = np.concatenate([*stream_torques(model, model.columns(standard), prepared, load, friction)], axis=2)
+    for torque in found[:2]:
+        for row, joint in zip(torque, model.actuated, strict=True):
+            delay = result.delays[joint]
+            if delay.value and delay.verdict.outcome != Outcome.NOT_IDENTIFIABLE:
+                row[:] = np.interp(time + delay.value, time, row)
+    found[2] *= result.gains[:, None]
+    return found
+
+
+def friction_along(result: Result, prepared: PreparedRun, chi: np.ndarray, external: np.ndarray | None = None) -> Law:
+    """Make the friction of a run, at its temperatures and with its presliding, for base parameters ``chi`` (n_b,)."""
+    law, run = result.friction_law, prepared.run
+    states = law.followers(prepared.path)
+
+    def friction(at: np.ndarray, motion: Motion, effort: np.ndarray) -> np.ndarray:
+        if external is not None:
+            effort = effort - external[np.searchsorted(prepared.time, at)].T
+        return law.torques(motion, friction_values(result, chi, run, at), effort, states(at))
+
+    return friction
+
+
+def check_temperature_unit(result: Result, run: Run) -> None:
+    """Check that the temperatures of a run are in the model's unit; raises GtauError."""
+    if result.temperatures is None or run.temperature is None:
+        return
+    if run.temperature.unit != result.temperatures.unit:
+        raise GtauError(
+            f"the temperatures of run '{run.name}' are in {run.temperature.unit}, but those of the model in "
+            f"{result.temperatures.unit}; give the same unit."
+        )
+
+
+def friction_values(
+    result: Result, chi: np.ndarray, run: Run | None = None, time: np.ndarray | None = None
+) -> dict[str, Any]:
+    """Collect the parameters of friction by name, numbers or (N,), for base parameters ``chi`` (n_b,).
+
+    At the temperatures that a run has at ``time`` (N,), else at those of reference.
+    """
+    values: dict[str, Any] = dict(zip(result.base.standard, chi, strict=True))
+    terms = {name: each.value or 0.0 for name, each in result.friction.items() if name.kind not in SHAPES}
+    values |= {name: value for name, value in terms.items() if name.kind not in TEMPERATURE_TERMS}
+    if result.temperatures is None or run is None or run.temperature is None or time is None:
+        return values
+    warm = {name: value for name, value in terms.items() if name.kind in TEMPERATURE_TERMS}
+    for name, slope in warm.items():
+        term, site = name.kind, name.body
+        joint = result.friction_law.motor_of(site)
+        if joint is not None and joint in run.temperature.of_joint:
+            above = run.temperature.at(joint, time) - result.temperatures.of_joint[joint]
+            kind = Parameter(TEMPERATURE_TERMS[term], site)
+            values[kind] = values[kind] + slope * above
+    return values
+
+
+def torques_along(
+    result: Result,
+    motion: Motion,
+    chi: np.ndarray,
+    terms: Mapping[Parameter, float] | None = None,
+    z: np.ndarray | None = None,
+) -> np.ndarray:
+    """Compute torques (n, N) along a motion for base parameters ``chi`` (n_b,), all friction included.
+
+    ``terms`` are values of friction other than the identified ones, z (s, N) states of presliding; all joints
+    slide without them.
+    """
+    model, base = result.idm, result.base
+    load = model.columns(base.standard).torques_along(model.layout, motion, np.array(carried(np, base.standard, chi)))
+    return load + result.friction_law.torques(motion, friction_values(result, chi) | dict(terms or {}), load, z)
+
+
+def torques(result: Result, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, payload: Payload | None) -> np.ndarray:
+    """Compute torques (N, n) of the identified model at any states; see :meth:`gtau.Result.torques`."""
+    model = result.idm
+    chi = loaded_parameters(result, payload, "the robot")
+    q, qd, qdd = model.samples(q, qd, qdd)
+    return torques_along(result, model.motion(q, qd, qdd), chi).T
+
+
+def loaded_parameters(result: Result, payload: Payload | None, carrier: str) -> np.ndarray:
+    """Add a ``payload`` to base parameters (n_b,): what it leaves out takes the identified values.
+
+    Raises
+    ------
+    GtauError
+        Where the model lacks a parameter, or nothing says how heavy the payload is that the ``carrier`` carries.
+    """
+    model, base = result.idm, result.base
+    missing = [name for name in base.names if name not in result.parameters]
+    if missing:
+        raise GtauError(f"the model lacks the base parameter '{missing[0]}'; identify it again.")
+    chi = np.array([result.params[name] for name in base.names])
+    if payload is None:
+        return chi
+    tool = {name: k for k, name in enumerate(model.parameter_names)}
+    identified = result.payload(payload.name)
+    if payload.mass is None and "m" not in identified:
+        raise GtauError(
+            f"{carrier} carries the payload '{payload.name}', whose mass neither the run nor the model knows; add its "
+            "'mass'."
+        )
+    for kind, value in {**identified, **known_values(payload)}.items():
+        chi = chi + value * base.matrix[:, tool[Parameter(kind, result.robot.tool)]]
+    return chi
+
+
+def with_prediction_cutoffs(result: Result, runs: Sequence[Run]) -> Result:
+    """Choose the position filter of each joint for predictions, from runs that a model was identified from.
+
+    A lower cut-off loses the torque of fast motion, a higher one lets position noise pass, which inertia and friction
+    turn into torque. Of each joint the highest is taken whose error against the raw torque exceeds the least by no more
+    than 1 %. A run with faster motion is filtered less, see :func:`gtau.signals.preparation.bandwidth.widened`.
+
+    Parameters
+    ----------
+    result : Result
+        The model; a position filter set by hand is kept.
+    runs : sequence of Run
+        Those of its identification.
+
+    Returns
+    -------
+    Result
+        With ``prediction_cutoffs`` and ``position_noise`` in its preparation.
+    """
+    preparation = result.preparation
+    stretches = [found for run in runs if (found := _stretch(result, run, SAMPLES // len(runs))) is not None]
+    if "position_filter" in preparation.given or not stretches:
+        return result
+    highest, tried = HIGHEST_CUTOFF * min(run.rate for run in runs), [preparation.bandwidth]
+    while tried[-1] * STEP < highest:
+        tried.append(tried[-1] * STEP)
+    errors: list[np.ndarray] = []
+    for cutoff in tried:
+        errors.append(np.sqrt(np.sum([_squares(result, cutoff, *each) for each in stretches], axis=0)))
+        if (errors[-1] > NOISY * np.min(errors, axis=0)).all():
+            break
+    allowed = np.array(errors) <= (1 + RAISED) * np.min(errors, axis=0)
+    last = len(errors) - 1 - np.argmax(allowed[::-1], axis=0)
+    cutoffs = tuple(float(tried[k]) if tried[k] < highest else None for k in last)
+    noise = np.max([position_noise(each.run, cutoffs) for each, _ in stretches], axis=0)
+    preparation = replace(preparation, prediction_cutoffs=cutoffs, position_noise=tuple(noise.tolist()))
+    return result.replaced(preparation=preparation)
+
+
+def _stretch(result: Result, run: Run, samples: int) -> tuple[PreparedRun, np.ndarray] | None:
+    """Prepare the middle of a run, with the base parameters (n_b,) of its payload; None if its mass is unknown."""
+    prepared, moving = prepared_for(result, run)
+    try:
+        chi = loaded_parameters(result, run.payload, f"run '{run.name}'")
+    except GtauError:
+        return None
+    middle = (moving.start + moving.stop) // 2
+    kept = range(max(moving.start, middle - samples // 2), min(moving.stop, middle + samples // 2))
+    return replace(prepared, kept=kept), chi
+
+
+def _squares(result: Result, cutoff: float, prepared: PreparedRun, chi: np.ndarray) -> np.ndarray:
+    """Sum squares (n,) of the errors against the raw torques, with positions behind a ``cutoff`` (Hz)."""
+    wide = replace(prepared, cutoffs=(cutoff,) * len(prepared.run.joints))
+    predicted, _, measured = joint_torques(result, wide, chi)
+    valid = prepared.valid()[:, : len(measured)].T
+    return np.asarray(np.sum((measured - predicted) ** 2, axis=1, where=valid))
