@@ -44,9 +44,9 @@ from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.friction_curves import curves_of
 from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
-from gtau.signals.decimation import Decimator
-from gtau.signals.experiment import read_experiment
-from gtau.signals.payload import Payload
+from gtau.signals.preparation.filters import Decimator
+from gtau.signals.reading.experiment import read_experiment
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 from gtau.simulation.trajectories import Envelope, sines
 

@@ -39,8 +39,8 @@ from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import Robot
-from gtau.signals.filters import differentiate
-from gtau.signals.payload import Payload
+from gtau.signals.preparation.filters import differentiate
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 from gtau.simulation.trajectories import envelope, point_to_point, sines
 

@@ -19,7 +19,7 @@ from gtau.estimation.estimators.two_stage import two_stage
 from gtau.estimation.regression.equations import delayed, leave_one_out, triangle
 from gtau.estimation.regression.problem import Problem
 from gtau.signals.channel import MOTOR, Channel
-from gtau.signals.filters import differentiate, low_pass
+from gtau.signals.preparation.filters import differentiate, low_pass
 
 UNITS = 20
 THETA = np.array([1.5, -0.7, 0.4, 2.2, -1.1])

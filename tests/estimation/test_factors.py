@@ -24,8 +24,8 @@ from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
 from gtau.robots.robot import Joint, Mdh, Robot
-from gtau.signals.payload import Payload
-from gtau.signals.preparation import prepare
+from gtau.signals.preparation.prepared_run import prepare
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
 PLANT = Plant(delays=(2e-3, -2e-3), noise=0.01)

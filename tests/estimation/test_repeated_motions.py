@@ -16,7 +16,7 @@ from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.regression.equations import STRETCHES
 from gtau.estimation.regression.friction import Friction
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
 DISC = Payload(name="disc", mass=STEEL["m"])

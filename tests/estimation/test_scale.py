@@ -40,9 +40,8 @@ from gtau.model.base_parameters import base_parameters, seen_by_sensor
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent
 from gtau.robots.robot import DRIVE, Joint, Mdh, Robot
-from gtau.signals.columns import Calibration
-from gtau.signals.experiment import Prior
-from gtau.signals.payload import Payload
+from gtau.signals.reading.columns import Calibration
+from gtau.signals.reading.statements import Payload, Prior
 from gtau.signals.run import Run
 
 ARM = Robot(

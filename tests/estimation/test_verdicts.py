@@ -38,7 +38,7 @@ from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import BASE_MISFIT, INFLATED
 from gtau.model.home import load_robot
 from gtau.signals.notes import Kind, Note
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
 FIVE_BAR = load_robot("five-bar")

@@ -22,7 +22,7 @@ from gtau.estimation.regression.equations import STRETCHES
 from gtau.estimation.regression.stretches import stretch_edges, stretch_of
 from gtau.estimation.thresholds.estimates import FEWEST_FOR_TESTS
 from gtau.model.home import load_robot
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
 ROBOT = load_robot("five-bar")

@@ -25,7 +25,8 @@ from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
 from gtau.robots.units import gain_unit
-from gtau.signals.experiment import Experiment, Prior
+from gtau.signals.reading.experiment import Experiment
+from gtau.signals.reading.statements import Prior
 from gtau.signals.run import Run
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.regression.system import System
 from gtau.robots.robot import Robot
-from gtau.signals.experiment import Prior
+from gtau.signals.reading.statements import Prior
 from gtau.signals.run import Run
 
 

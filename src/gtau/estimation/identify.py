@@ -36,11 +36,10 @@ from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
-from gtau.signals.data_sheets import Drive, data_sheet_notes
-from gtau.signals.experiment import Experiment, Prior
 from gtau.signals.notes import Note
+from gtau.signals.reading.experiment import Experiment
+from gtau.signals.reading.statements import Drive, Prior, Requirements, data_sheet_notes
 from gtau.signals.run import Run
-from gtau.signals.settings import Requirements
 
 
 @takes(

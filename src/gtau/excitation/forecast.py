@@ -21,8 +21,8 @@ from gtau.excitation.task import DesignProblem, close
 from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter
-from gtau.signals.preparation import prepare
-from gtau.signals.preparation_choice import choose_preparation
+from gtau.signals.preparation.choice import choose_preparation
+from gtau.signals.preparation.prepared_run import prepare
 from gtau.signals.run import Run
 
 

@@ -18,7 +18,7 @@ from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, se
 from gtau.robots.parameter import Parameter
 from gtau.robots.units import position_unit, torque_unit
 from gtau.signals.channel import BEHIND_DRIVE
-from gtau.signals.filters import position_filter
+from gtau.signals.preparation.filters import position_filter
 from gtau.signals.run import arrange
 
 GROUPS = ("base parameter", "friction", *(kind.name for kind in BEHIND_DRIVE))

@@ -22,10 +22,10 @@ from gtau.estimation.results.predicted import Prediction
 from gtau.estimation.results.result import Result
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter
-from gtau.signals.bandwidth import position_noise
-from gtau.signals.filters import HIGHEST_CUTOFF
-from gtau.signals.payload import Payload
-from gtau.signals.preparation import PreparedRun, prepare
+from gtau.signals.preparation.bandwidth import position_noise
+from gtau.signals.preparation.filters import HIGHEST_CUTOFF
+from gtau.signals.preparation.prepared_run import PreparedRun, prepare
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run, arrange
 from gtau.signals.storage import spans
 
@@ -208,7 +208,7 @@ def with_prediction_cutoffs(result: Result, runs: Sequence[Run]) -> Result:
 
     A lower cut-off loses the torque of fast motion, a higher one lets position noise pass, which inertia and friction
     turn into torque. Of each joint the highest is taken whose error against the raw torque exceeds the least by no more
-    than 1 %. A run with faster motion is filtered less, see :func:`gtau.signals.bandwidth.widened`.
+    than 1 %. A run with faster motion is filtered less, see :func:`gtau.signals.preparation.bandwidth.widened`.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ from gtau.model.interpreter.threads import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
-from gtau.signals.experiment import Experiment
+from gtau.signals.reading.experiment import Experiment
 from gtau.signals.run import Run, without_sensors
 
 

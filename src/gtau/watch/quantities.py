@@ -34,7 +34,7 @@ from gtau.estimation.results.result import Result
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import PLAIN_FRICTION
 from gtau.robots.units import unit_of
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run, arrange, without_sensors
 from gtau.uses.prediction import check_temperature_unit, friction_along, loaded_parameters
 

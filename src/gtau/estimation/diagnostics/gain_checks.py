@@ -19,10 +19,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from gtau.estimation.diagnostics.alternatives import friction_levels, rms_speeds, rms_torques
 from gtau.estimation.diagnostics.examine import Examination
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.hypotheses.hypothesis import friction_levels, rms_speeds, rms_torques
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
 from gtau.estimation.diagnostics.parameter_checks import judge_parameter, unexplained_shares
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict

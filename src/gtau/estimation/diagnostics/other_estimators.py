@@ -41,8 +41,8 @@ from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.equations import SIGNALS, triangle
 from gtau.estimation.regression.friction import TERMS
 from gtau.estimation.thresholds.estimates import DIFFERENT_PROBABILITY, DIFFERENT_STD, NOISE_STD, WEAK_INSTRUMENTS
-from gtau.signals.filters import below_nyquist
-from gtau.signals.preparation import Preparation
+from gtau.signals.preparation.filters import below_nyquist
+from gtau.signals.preparation.prepared_run import Preparation
 
 WINDOWS = 10  # of a run
 FURTHER = 4.0  # cut-off of the instruments over the bandwidth of the motion

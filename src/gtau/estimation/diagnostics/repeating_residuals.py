@@ -40,7 +40,7 @@ from gtau.estimation.estimators.estimator import Fit, jackknife
 from gtau.estimation.estimators.newton import to_gains
 from gtau.estimation.regression.equations import STRETCHES, triangle
 from gtau.estimation.thresholds.estimates import CORRELATED, CORRELATED_STD, PROBABLE, RIPPLE_SHARE
-from gtau.signals.preparation import InMemoryRun
+from gtau.signals.preparation.prepared_run import InMemoryRun
 
 KNOTS = 24  # of the piecewise linear function, over a joint's range in all runs
 LARGEST = 10.0  # times the joint's error: how large such a torque may be, more or less

@@ -41,7 +41,7 @@ from gtau.estimation.thresholds.estimates import APART, MISFIT_GIVEN, PAYLOAD_MO
 from gtau.model.base_parameters import independent_columns
 from gtau.robots.units import unit_of
 from gtau.signals.channel import Channel
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 
 
 @dataclass(frozen=True, eq=False)

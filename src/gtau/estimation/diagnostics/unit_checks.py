@@ -31,7 +31,7 @@ from gtau.estimation.thresholds.logs import CURRENTS_APART, LARGEST_CURRENT, PAY
 from gtau.robots.parameter import parameter_of
 from gtau.robots.robot import GROUND, Robot
 from gtau.robots.units import gain_unit, torque_unit
-from gtau.signals.payload import FIRST_MOMENTS, Payload
+from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
 from gtau.signals.run import Run
 from gtau.signals.storage import block, spans
 

@@ -13,7 +13,7 @@ from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
 from gtau.progress import Progress, silent
-from gtau.signals.experiment import Prior
+from gtau.signals.reading.statements import Prior
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,8 +34,8 @@ from gtau.estimation.regression.system import System
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress
 from gtau.robots.parameter import Parameter
-from gtau.signals.decimation import Decimator
-from gtau.signals.preparation import InMemoryRun, PreparedRun
+from gtau.signals.preparation.filters import Decimator
+from gtau.signals.preparation.prepared_run import InMemoryRun, PreparedRun
 
 PASSES = 6  # simulations
 SAME = 0.01  # standard deviations: a smaller change ends them

@@ -33,7 +33,7 @@ from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import INERTIAL
-from gtau.signals.experiment import Prior
+from gtau.signals.reading.statements import Prior
 
 STEPS = 40
 SETTLED = 1e-3  # of a standard deviation

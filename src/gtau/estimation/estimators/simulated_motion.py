@@ -27,9 +27,9 @@ from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.rows import Labels
 from gtau.estimation.regression.system import System
 from gtau.model.inverse_dynamics import PATH, InverseDynamics, Regressor
-from gtau.signals.bandwidth import spectra
-from gtau.signals.filters import below_nyquist, filter_edge, position_filter
-from gtau.signals.preparation import InMemoryRun, Preparation, PreparedRun, SampleWindow
+from gtau.signals.preparation.bandwidth import spectra
+from gtau.signals.preparation.filters import below_nyquist, filter_edge, position_filter
+from gtau.signals.preparation.prepared_run import InMemoryRun, Preparation, PreparedRun, SampleWindow
 from gtau.signals.run import Run
 from gtau.signals.storage import Store, block, spans
 

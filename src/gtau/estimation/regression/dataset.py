@@ -22,11 +22,10 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
 from gtau.robots.plausibility import oddities, tool_note
 from gtau.robots.robot import Robot
-from gtau.signals.experiment import Prior
 from gtau.signals.notes import Kind, Note
-from gtau.signals.payload import Payload
-from gtau.signals.preparation import InMemoryRun, Preparation, PreparedRun, prepare
-from gtau.signals.preparation_choice import choose_preparation
+from gtau.signals.preparation.choice import choose_preparation
+from gtau.signals.preparation.prepared_run import InMemoryRun, Preparation, PreparedRun, prepare
+from gtau.signals.reading.statements import Payload, Prior
 from gtau.signals.run import Run, arrange
 
 

@@ -21,8 +21,8 @@ from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.singularities import singularities
 from gtau.robots.parameter import Parameter
 from gtau.signals.channel import Channel
-from gtau.signals.decimation import Decimator
-from gtau.signals.preparation import InMemoryRun, PreparedRun
+from gtau.signals.preparation.filters import Decimator
+from gtau.signals.preparation.prepared_run import InMemoryRun, PreparedRun
 from gtau.signals.storage import Store
 
 ROWS = 512  # merged into triangles at once

@@ -30,7 +30,7 @@ from gtau.errors import GtauError
 from gtau.estimation.regression.equations import STRETCHES
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import PLAIN_FRICTION
-from gtau.signals.preparation import PreparedRun
+from gtau.signals.preparation.prepared_run import PreparedRun
 
 TERMS = ("f3", "fl")
 TEMPERATURE_TERMS = {"fvt": "fv", "fst": "fs"}

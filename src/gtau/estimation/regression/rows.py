@@ -11,8 +11,8 @@ import numpy as np
 from gtau.estimation.regression.friction import term_columns
 from gtau.model.inverse_dynamics import PATH, InverseDynamics, Regressor
 from gtau.model.loops import Motion
-from gtau.signals.decimation import Block, Decimator
-from gtau.signals.preparation import InMemoryRun, PreparedRun, SampleWindow
+from gtau.signals.preparation.filters import Block, Decimator
+from gtau.signals.preparation.prepared_run import InMemoryRun, PreparedRun, SampleWindow
 from gtau.signals.run import Run
 from gtau.signals.storage import spans
 

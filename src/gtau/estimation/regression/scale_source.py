@@ -13,7 +13,7 @@ from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import ANSWERED, OWN_BODY
 from gtau.model.base_parameters import independent_columns
 from gtau.robots.robot import Robot
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 
 
 def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | None], method: str) -> None:

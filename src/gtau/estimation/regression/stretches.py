@@ -16,7 +16,7 @@ import numpy as np
 
 from gtau.estimation.regression.equations import STRETCHES
 from gtau.estimation.thresholds.logs import REPEATED, REPEATED_PART
-from gtau.signals.preparation import InMemoryRun, PreparedRun
+from gtau.signals.preparation.prepared_run import InMemoryRun, PreparedRun
 
 ASLEEP = 1e-6  # weight of a sample in a rest
 REST = 0.5  # of a stretch: shorter rests leave rows in it, and longer ones may leave none

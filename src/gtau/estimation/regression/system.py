@@ -26,8 +26,7 @@ from gtau.model.base_parameters import BaseParameters, independent_columns
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter
 from gtau.signals.channel import Channel, channels_of
-from gtau.signals.experiment import Prior
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload, Prior
 
 FEWEST_ROWS = 50  # of a joint, in all runs together
 

@@ -52,9 +52,9 @@ from gtau.extensions import registered
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.readers.native import parse_native
 from gtau.signals.channel import SENSOR, ChannelKind, sensor_kind
-from gtau.signals.decimation import Decimator
 from gtau.signals.notes import Note
-from gtau.signals.preparation import Preparation
+from gtau.signals.preparation.filters import Decimator
+from gtau.signals.preparation.prepared_run import Preparation
 
 
 class _Group(BaseModel):
