@@ -27,9 +27,8 @@ from gtau.model import dynamics
 from gtau.model.closures import closure_maps
 from gtau.model.kinematics import configuration_rates
 from gtau.model.loops import Motion
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.parameter import Parameter, parameter_of, torque_unit
 from gtau.robots.robot import INERTIAL, PLAIN_FRICTION
-from gtau.robots.units import torque_unit
 from gtau.uses.prediction import torques_along
 
 SLIDING = 2.0  # beyond every state: the joint slides, its friction has the sign of the velocity

@@ -31,9 +31,8 @@ from gtau.estimation.regression.equations import STRETCHES, delayed
 from gtau.estimation.regression.rows import Labels, Rows, stream_rows
 from gtau.estimation.regression.stretches import stretch_edges, stretch_of
 from gtau.estimation.results.result import Result
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import Parameter, unit_of
 from gtau.robots.robot import PLAIN_FRICTION
-from gtau.robots.units import unit_of
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run, arrange, without_sensors
 from gtau.uses.prediction import check_temperature_unit, friction_along, loaded_parameters

@@ -16,8 +16,8 @@ import numpy as np
 
 from gtau.estimation.estimators.estimator import jackknife
 from gtau.estimation.results.result import Result
+from gtau.robots.parameter import torque_unit
 from gtau.robots.robot import PLAIN_FRICTION
-from gtau.robots.units import torque_unit
 from gtau.signals.run import Run
 from gtau.watch.quantities import NormalEquations, Quantity, normal_equations
 

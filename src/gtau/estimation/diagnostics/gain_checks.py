@@ -40,8 +40,7 @@ from gtau.estimation.thresholds.estimates import (
 )
 from gtau.estimation.thresholds.logs import ALIKE, BEYOND_GEARS, FRICTIONLESS, GEARED, MODEL_RESIDUAL
 from gtau.model.base_parameters import whole_mass
-from gtau.robots.parameter import Parameter
-from gtau.robots.units import unit_of
+from gtau.robots.parameter import Parameter, unit_of
 
 
 def estimated_gains(

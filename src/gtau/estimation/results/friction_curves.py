@@ -22,9 +22,8 @@ from gtau.estimation.friction.selection import (
 )
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS, UNITS
 from gtau.estimation.results.estimate import FrictionCurve, ReferenceTemperatures
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import Parameter, position_unit, unit_of
 from gtau.robots.robot import PLAIN_FRICTION, Robot
-from gtau.robots.units import position_unit, unit_of
 
 # Standard deviation of the logarithm of a width or speed between those tried, whose columns are interpolated: over 18
 # widths and 9 speeds of a simulated UR10e and Puma 560 the rms was this where noise gave a fifth of it.
