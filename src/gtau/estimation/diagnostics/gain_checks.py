@@ -63,11 +63,11 @@ def estimated_gains(
     random_halves = halves * stds / (np.sqrt(np.diag(estimates.covariance)[problem.gain_rows]) / np.abs(gains))
     misfits = unexplained_shares(problem, solution)
     yield from examined.against
-    free = problem.free[: len(gains)]
+    free = problem.unknown_gains[: len(gains)]
     turned = any(np.all(each.moves[: len(gains)][free] < -1) for each in examined.refuted)  # by another gravity
     if min(prior_gains.values(), default=1.0) > 0 and np.all(gains[free] < 0) and not turned:
         yield Finding(F.ALL_NEGATIVE, motors(fit))
-    if not solution.settled:
+    if not solution.converged:
         yield Finding(F.UNSETTLED, motors(fit))
     for j, joint in enumerate(problem.joints):
         if not problem.channels[j].kind.of_joint:
@@ -146,7 +146,7 @@ def given_gains(fit: Fit, examined: Examination, payloads: Mapping[str, Verdict]
 
 def motors(fit: Fit) -> tuple[str, ...]:
     """List the joints whose gains are judged: all but those of a floating base."""
-    return tuple(each.joint for each in fit.system.problem.channels if each.kind.free)
+    return tuple(each.joint for each in fit.system.problem.channels if each.kind.unknown_gain)
 
 
 def in_context(fit: Fit, finding: Finding) -> Finding:

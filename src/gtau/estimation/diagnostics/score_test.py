@@ -196,7 +196,7 @@ def _alternatives(
     found: list[Tried] = []
     for m, column in enumerate(candidates.columns):
         for j in range(1 if hypothesis.shared else len(joints)):
-            if not (hypothesis.shared or problem.free[j]):
+            if not (hypothesis.shared or problem.unknown_gains[j]):
                 continue  # a base that floats has no current and no friction
             slopes = T @ tests.slopes[m, j]
             size, std = float(tests.size[m, j]), float(tests.std[m, j])

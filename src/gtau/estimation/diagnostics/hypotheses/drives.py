@@ -42,7 +42,7 @@ from gtau.estimation.diagnostics.score_test import score_tests
 from gtau.estimation.estimators.estimator import Fit, Solution
 from gtau.estimation.estimators.newton import jacobian, jacobian_of_known, residuals, to_gains
 from gtau.estimation.regression.equations import KNOWN, modelled
-from gtau.estimation.regression.friction import transmitted
+from gtau.estimation.regression.friction import is_transmitted
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.rows import Rows
 from gtau.estimation.thresholds import Threshold
@@ -81,7 +81,7 @@ def _friction_shape(fit: Fit) -> Candidates:
     fv, fs = friction_levels(fit)
     level = np.maximum(fv * speeds + fs, 0.02 * rms_torques(fit))
     model, base = fit.dataset.model, fit.dataset.base
-    regressor, acting = model.columns(base.standard), transmitted(base.names)
+    regressor, acting = model.columns(base.standard), is_transmitted(base.names)
     absent = {
         term: np.array([Parameter(term, j) not in fit.system.friction.terms for j in joints]) for term in ("f3", "fl")
     }
