@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.extensions import Extensions
 from gtau.signals.reading.formats import Table
-from gtau.signals.reading.formats.arrays import open_hdf5, open_mat, open_npz
-from gtau.signals.reading.formats.columnar import INFO, open_feather, open_parquet
+from gtau.signals.reading.formats.columnar import INFO, open_parquet
 from gtau.signals.reading.formats.rosbag import open_rosbag
 from gtau.signals.reading.formats.text import open_text
 from gtau.signals.storage import store
@@ -24,19 +24,8 @@ if TYPE_CHECKING:
     import polars as pl
 
 
-READERS: Mapping[str, Callable[[Path], Table]] = {
-    ".parquet": open_parquet,
-    ".feather": open_feather,
-    ".arrow": open_feather,
-    ".npz": open_npz,
-    ".mat": open_mat,
-    ".h5": open_hdf5,
-    ".hdf5": open_hdf5,
-    ".db3": open_rosbag,
-    ".mcap": open_rosbag,
-    ".bag": open_rosbag,
-}
-"""By the ending of the file's name; anything else is text."""
+FORMATS: Extensions[Callable[[Path], Table]] = Extensions("gtau.log_formats", "gtau.signals.reading.formats", Callable)
+"""Readers by the ending of the file's name; any other file is text."""
 
 ALL = range(1 << 62)  # rows
 
@@ -86,7 +75,7 @@ class LogFile:
 def read_log(path: str | Path, names: Iterable[str]) -> LogFile:
     """Locate columns of a log by name, as a :class:`LogFile`.
 
-    The file name extension gives the format; see :data:`READERS`.
+    The file name extension gives the format; see :data:`FORMATS`.
 
     Parameters
     ----------
@@ -117,7 +106,7 @@ def find_columns(path: Path) -> Table:
         if path.is_dir():
             return open_rosbag(path) if (path / "metadata.yaml").is_file() else open_parquet(path)
         path.open("rb").close()  # the system's reason, not a library's, where there is no such file
-        return READERS.get(path.suffix.lower(), open_text)(path)
+        return (FORMATS.find(path.suffix.lower()) or open_text)(path)
 
 
 def is_log_folder(path: Path) -> bool:
@@ -127,7 +116,7 @@ def is_log_folder(path: Path) -> bool:
 
 def is_rosbag(path: Path) -> bool:
     """Decide by its name whether a path is a bag."""
-    return (path / "metadata.yaml").is_file() or READERS.get(path.suffix.lower()) is open_rosbag
+    return (path / "metadata.yaml").is_file() or FORMATS.built_in.get(path.suffix.lower()) is open_rosbag
 
 
 @contextmanager

@@ -187,3 +187,6 @@ def _column(arrays: Mapping[str, Any], where: tuple[str, int | None, bool], star
     span = slice(start, stop)
     part = array[span] if array.ndim == 1 else array[k or 0, span] if last else array[span, k or 0]
     return np.asarray(part, dtype=float)
+
+
+LOG_FORMATS = {".npz": open_npz, ".mat": open_mat, ".h5": open_hdf5, ".hdf5": open_hdf5}

@@ -170,3 +170,6 @@ def _flat(names: Any) -> list[str]:
     if isinstance(names, list):
         return [each for of in names for each in _flat(of)]
     return [names] if isinstance(names, str) else []
+
+
+LOG_FORMATS = {".parquet": open_parquet, ".feather": open_feather, ".arrow": open_feather}

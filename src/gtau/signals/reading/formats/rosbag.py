@@ -154,3 +154,6 @@ def _of_item(getter: Callable[[Any], Any], k: int) -> Getter:
 
 def _seconds(stamp: Any) -> float:
     return float(stamp.sec + stamp.nanosec * 1e-9)
+
+
+LOG_FORMATS = dict.fromkeys((".db3", ".mcap", ".bag"), open_rosbag)

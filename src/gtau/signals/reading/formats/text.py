@@ -300,3 +300,6 @@ def _unreadable_line(path: Path, layout: Layout, reason: str) -> str:
                     f"again."
                 )
     return f"{path} is not a readable CSV file ({reason.splitlines()[0]})."
+
+
+LOG_FORMATS = {".csv": open_text}
