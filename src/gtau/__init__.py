@@ -22,19 +22,19 @@ if TYPE_CHECKING:
     from gtau.excitation.design_file import read_design
     from gtau.excitation.task import DesignProblem
     from gtau.export.exported import Exported
-    from gtau.export.registry import export_model, export_payload
+    from gtau.export.payload import export_payload
+    from gtau.export.registry import export_model
     from gtau.model.base_parameters import BaseParameters, base_parameters
     from gtau.model.home import load_robot
     from gtau.model.inverse_dynamics import InverseDynamics
     from gtau.robots.readers.source import RobotSource
     from gtau.robots.robot import Robot
-    from gtau.signals.columns import Signals
-    from gtau.signals.experiment import Experiment, Prior, read_experiment
-    from gtau.signals.payload import Payload
+    from gtau.signals.reading.columns import Signals
+    from gtau.signals.reading.experiment import Experiment, read_experiment
+    from gtau.signals.reading.samples import Part
+    from gtau.signals.reading.statements import Payload, PreparationSettings, Prior
+    from gtau.signals.reading.units import Units
     from gtau.signals.run import Run, read_run
-    from gtau.signals.samples import Part
-    from gtau.signals.settings import PreparationSettings
-    from gtau.signals.units import Units
     from gtau.simulation.experiment_files import simulate_experiment as simulate
     from gtau.simulation.simulation_file import Simulation
     from gtau.uses.external_torques import momentum_observer
@@ -91,38 +91,38 @@ _HOMES = {
     "DesignProblem": "excitation.task",
     "Estimate": "estimation.results.estimate",
     "EstimatorComparison": "estimation.compare",
-    "Experiment": "signals.experiment",
+    "Experiment": "signals.reading.experiment",
     "ExperimentCheck": "estimation.check_logs",
     "Exported": "export.exported",
     "GtauError": "errors",
     "InverseDynamics": "model.inverse_dynamics",
-    "Part": "signals.samples",
-    "Payload": "signals.payload",
+    "Part": "signals.reading.samples",
+    "Payload": "signals.reading.statements",
     "PayloadBody": "estimation.results.payload",
     "PayloadEstimate": "estimation.results.payload",
     "Prediction": "estimation.results.predicted",
-    "PreparationSettings": "signals.settings",
-    "Prior": "signals.experiment",
+    "PreparationSettings": "signals.reading.statements",
+    "Prior": "signals.reading.statements",
     "Result": "estimation.results.result",
     "Robot": "robots.robot",
     "RobotSource": "robots.readers.source",
     "Run": "signals.run",
-    "Signals": "signals.columns",
+    "Signals": "signals.reading.columns",
     "Simulation": "simulation.simulation_file",
     "TorqueError": "estimation.results.estimate",
-    "Units": "signals.units",
+    "Units": "signals.reading.units",
     "Watch": "watch.watch",
     "base_parameters": "model.base_parameters",
     "check": "estimation.check_logs",
     "compare": "estimation.compare",
     "excite": "excitation.design",
     "export_model": "export.registry",
-    "export_payload": "export.registry",
+    "export_payload": "export.payload",
     "identify": "estimation.identify",
     "load_robot": "model.home",
     "momentum_observer": "uses.external_torques",
     "read_design": "excitation.design_file",
-    "read_experiment": "signals.experiment",
+    "read_experiment": "signals.reading.experiment",
     "read_run": "signals.run",
     "simulate": "simulation.experiment_files",
     "weigh": "uses.weigh",

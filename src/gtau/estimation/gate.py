@@ -13,7 +13,7 @@ from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.regression.system import System
 from gtau.robots.robot import Robot
-from gtau.signals.experiment import Prior
+from gtau.signals.reading.statements import Prior
 from gtau.signals.run import Run
 
 
@@ -96,7 +96,7 @@ def require_identifiable(
 def tests_torques(system: System) -> bool:
     """Decide whether a known payload, a torque sensor or a wrench tests the scale of logged torques."""
     problem, known = system.problem, (each for each in system.payloads if each.payload.mass is not None)
-    return any(each.acts for each in known) or bool(problem.wrenches) or not problem.free.all()
+    return any(each.acts for each in known) or bool(problem.wrenches) or not problem.unknown_gains.all()
 
 
 def _refuse_priors(

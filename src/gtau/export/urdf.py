@@ -19,13 +19,15 @@ from gtau.export.consistent import (
     difference_note,
     differences,
     friction_comments,
+    serial_equivalent,
     term_notes,
     terms_left_out,
+    what_is_lost,
 )
-from gtau.export.exported import Exported, written
+from gtau.export.exported import Export, Exported, written
 from gtau.export.input_file import InputFile, input_file
-from gtau.export.open_tree import serial_equivalent, what_is_lost
 from gtau.robots.geometry import compose, pose_of, turn
+from gtau.robots.parameter import gain_unit, torque_unit, unit_of
 from gtau.robots.rigid_body import RigidBody, rigid_body
 from gtau.robots.robot import (
     DAMPING,
@@ -42,7 +44,6 @@ from gtau.robots.robot import (
     Robot,
     Spring,
 )
-from gtau.robots.units import gain_unit, torque_unit, unit_of
 
 ROOT = "base"
 UNLIMITED = 1e6  # rad, m: the format requires limits of prismatic joints
@@ -335,3 +336,6 @@ def _carriers(file: InputFile, joints: set[str]) -> dict[str, tuple[str, bool]]:
                 break
             at, direct = parent_name, False
     return found
+
+
+EXPORTS = {"urdf": Export(export, into=export_into, simulates=True)}
