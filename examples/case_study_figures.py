@@ -9,7 +9,8 @@ import numpy as np
 from control_comparison import STRATEGIES, ControlComparison
 
 from gtau.estimation.results.estimate import Estimate
-from gtau.report.page import Axis, Chart, Panel, Rule, Series, colour, intervals, joint_label
+from gtau.report.chart import Axis, Chart, Panel, Rule, Series, colour, intervals
+from gtau.report.page import joint_label
 from gtau.simulation.closed_loop import Reference
 
 MICRO = 1e6

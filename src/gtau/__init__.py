@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from gtau.excitation.design_file import read_design
     from gtau.excitation.task import DesignProblem
     from gtau.export.exported import Exported
-    from gtau.export.registry import export_model, export_payload
+    from gtau.export.payload import export_payload
+    from gtau.export.registry import export_model
     from gtau.model.base_parameters import BaseParameters, base_parameters
     from gtau.model.home import load_robot
     from gtau.model.inverse_dynamics import InverseDynamics
@@ -117,7 +118,7 @@ _HOMES = {
     "compare": "estimation.compare",
     "excite": "excitation.design",
     "export_model": "export.registry",
-    "export_payload": "export.registry",
+    "export_payload": "export.payload",
     "identify": "estimation.identify",
     "load_robot": "model.home",
     "momentum_observer": "uses.external_torques",

@@ -11,8 +11,7 @@ import yaml
 from models_to_export import model_of
 
 from gtau.estimation.results.result import Result
-from gtau.export.consistent import consistent_model
-from gtau.export.open_tree import motor_inertias
+from gtau.export.consistent import consistent_model, motor_inertias
 from gtau.export.registry import export_model
 from gtau.model.home import load_robot
 

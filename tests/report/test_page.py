@@ -9,23 +9,8 @@ import numpy as np
 import pytest
 
 from gtau.model.home import load_robot
-from gtau.report.page import (
-    Axis,
-    Chart,
-    Column,
-    Facts,
-    Kind,
-    Page,
-    Panel,
-    Rule,
-    Series,
-    Text,
-    colour,
-    intervals,
-    page,
-    section,
-    table,
-)
+from gtau.report.chart import Axis, Chart, Panel, Rule, Series, colour, intervals
+from gtau.report.page import Column, Facts, Kind, Page, Text, page, section, table
 from gtau.report.render.charts import figure_of, palette
 from gtau.report.render.html import MINUS, arrays_for, frame, html, minus, spec_of
 from gtau.report.render.panels import envelope, sketch_of, ticks

@@ -24,12 +24,16 @@ def show_version(wanted: bool) -> None:
 
 
 class _Command(TyperCommand):
-    """A command whose help lists arguments without the Python types that recent Typers add to their names."""
+    """A command whose help names all exports, and arguments without the Python types that recent Typers add."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        for each in self.get_params(ctx):
-            if each.param_type_name == "argument":
-                each.display_type_rich = _no_type  # type: ignore[attr-defined, method-assign, unused-ignore]
+        for parameter in self.get_params(ctx):
+            if parameter.param_type_name == "argument":
+                parameter.display_type_rich = _no_type  # type: ignore[attr-defined, method-assign, unused-ignore]
+            elif "{exports}" in (parameter.help or ""):  # type: ignore[attr-defined]
+                from gtau.export.registry import KINDS
+
+                parameter.help = parameter.help.format(exports=", ".join(sorted(KINDS.names)))  # type: ignore[attr-defined]
         super().format_help(ctx, formatter)
 
 

@@ -34,9 +34,7 @@ if TYPE_CHECKING:
     from gtau.export.exported import Exported
     from gtau.robots.robot import Placement
 
-# those of the registry, which --help need not import
-KINDS = "c, mjcf, mujoco-actuators, mjlab, isaaclab, urdf, yaml, csv, latex, orders, matlab, fmu"
-CONTROLLERS = "ur, franka, kuka, abb, ros"
+CONTROLLERS = "ur, franka, kuka, abb, ros"  # those of export.payload, which --help need not import
 
 
 class Gains(StrEnum):
@@ -131,8 +129,8 @@ def payload(
             from gtau.estimation.diagnostics.verdict import Outcome
             from gtau.estimation.results.model_document import payload_documents
             from gtau.estimation.results.result import Result
-            from gtau.export.payload import refuse_unnamed
-            from gtau.export.registry import PAYLOAD_KINDS, refuse_unknown
+            from gtau.export.exported import refuse_unknown
+            from gtau.export.payload import WRITERS, refuse_unnamed
             from gtau.report.evidence import settings_of
             from gtau.report.validation import bodies_document, weighing_page, weighing_report
             from gtau.report.write import inputs_of, write_report
@@ -143,7 +141,7 @@ def payload(
             result, described = Result.load(model), read_experiment(experiment)
             file = described.robot if isinstance(described.robot, str) else described.robot.file
             if to is not None:
-                refuse_unknown(to, PAYLOAD_KINDS)
+                refuse_unknown(to, WRITERS)
             if to is not None and not frame:
                 tool = result.robot.tool
                 refuse_unnamed(to, f"the frame of '{tool}'", links_on(tool, file))
@@ -185,7 +183,7 @@ def payload(
 def _exported(bodies: Sequence[PayloadBody], to: str, out: Path) -> list[Exported]:
     """Write payloads for a controller, each weighing to its own files."""
     from gtau.documents.files import identifier
-    from gtau.export.registry import export_payload
+    from gtau.export.payload import export_payload
     from gtau.report.check import unique_names
 
     names = unique_names([identifier(each.name) for each in bodies])
@@ -194,7 +192,7 @@ def _exported(bodies: Sequence[PayloadBody], to: str, out: Path) -> list[Exporte
 
 def export(
     model: ModelFile,
-    to: Annotated[str, typer.Option("--to", metavar="KIND", help=f"What to write: {KINDS}.")],
+    to: Annotated[str, typer.Option("--to", metavar="KIND", help="What to write: {exports}.")],
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the files.")],
     into: Annotated[
         Path | None,

@@ -26,7 +26,8 @@ from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress
-from gtau.report.page import Chart, Column, Facts, Kind, Page, Text, intervals, joint_label, page, section, table
+from gtau.report.chart import Chart, intervals
+from gtau.report.page import Column, Facts, Kind, Page, Text, joint_label, page, section, table
 from gtau.report.render.charts import save
 from gtau.report.render.terminal import plain
 from gtau.simulation.closed_loop import write_log

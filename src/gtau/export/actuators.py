@@ -26,10 +26,9 @@ from gtau.documents.yaml_document import yaml_text
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.export import urdf
-from gtau.export.consistent import ConsistentModel, consistent_model
-from gtau.export.exported import Exported, written
+from gtau.export.consistent import ConsistentModel, consistent_model, serial_equivalent, what_is_lost
+from gtau.export.exported import Export, Exported, written
 from gtau.export.mjcf import compiled, digits, imported, model_text
-from gtau.export.open_tree import serial_equivalent, what_is_lost
 from gtau.robots.parameter import Parameter
 
 TIMESTEP = 0.005  # s: of physics in the files, in which delays are counted
@@ -324,3 +323,10 @@ def _delays(mujoco: ModuleType) -> bool:
 def _text(root: Element) -> str:
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+EXPORTS = {
+    "mujoco-actuators": Export(export_mujoco, simulates=True),
+    "mjlab": Export(export_mjlab, simulates=True),
+    "isaaclab": Export(export_isaaclab, simulates=True),
+}

@@ -14,7 +14,7 @@ import numpy as np
 
 from gtau.documents.files import suffixes
 from gtau.estimation.results.result import Result
-from gtau.export.exported import Exported, written
+from gtau.export.exported import Export, Exported, written
 from gtau.model.loop_paths import CONTRACTION
 from gtau.model.loops import CONDITION
 from gtau.uses.identified import Functions, Identified, functions, identified, notes_on
@@ -200,3 +200,6 @@ def _kernel(function: ca.Function, inputs: tuple[str, ...], outputs: tuple[str, 
 def in_c(text: str) -> str:
     """Clean a text so that it is safe in a comment and in a string of C."""
     return re.sub(r"[^\w .,:;()+/-]", "_", text, flags=re.ASCII)
+
+
+EXPORTS = {"c": Export(export)}

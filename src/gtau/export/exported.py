@@ -1,12 +1,15 @@
-"""Files of an export: how they are written, and what is returned."""
+"""What a kind of export is: its files, their names, how they are written, and what is returned."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from pathlib import Path
 
 from gtau.documents.files import folder_of, write_atomically
+from gtau.errors import GtauError
+from gtau.estimation.results.result import Result
 
 
 @dataclass(frozen=True)
@@ -20,6 +23,36 @@ class Exported:
     notes: tuple[str, ...] = ()
     figures: Mapping[str, float] = field(default_factory=dict)
     lost: str = ""
+
+
+@dataclass(frozen=True)
+class Export:
+    """A kind of export.
+
+    Attributes
+    ----------
+    write : callable
+        Writes a result into a folder.
+    into : callable, optional
+        Writes a copy of the robot's own file with the identified parameters (result, file, folder).
+    simulates : bool
+        Whether a simulator reads it, so that models can be drawn.
+    floating : bool
+        Whether it holds parameters alone, so that the robot's base may float.
+    """
+
+    write: Callable[[Result, Path], Exported]
+    into: Callable[[Result, Path, Path], Exported] | None = None
+    simulates: bool = False
+    floating: bool = False
+
+
+def refuse_unknown(kind: str, kinds: Collection[str]) -> None:
+    """Refuse a ``kind`` that is not among ``kinds``."""
+    if kind not in kinds:
+        close = get_close_matches(kind, kinds, n=1)
+        hint = f"did you mean '{close[0]}'?" if close else f"choose from {', '.join(kinds)}."
+        raise GtauError(f"there is no export to '{kind}'; {hint}")
 
 
 def written(out: Path, texts: Mapping[str, str | bytes]) -> tuple[Path, ...]:

@@ -14,7 +14,7 @@ from gtau.documents.files import suffixes
 from gtau.errors import missing_extra
 from gtau.estimation.results.result import Result
 from gtau.export.c import CLOSED, NEWTON_STEPS, STARTING_STEPS, TEMPLATES
-from gtau.export.exported import Exported, written
+from gtau.export.exported import Export, Exported, written
 from gtau.model.loop_paths import CONTRACTION
 from gtau.model.loops import CONDITION
 from gtau.uses.identified import Functions, Identified, functions, identified, notes_on
@@ -79,3 +79,6 @@ def _document(model: Identified, made: Functions) -> dict[str, object]:
         "contraction": CONTRACTION,
         "condition": CONDITION,
     }
+
+
+EXPORTS = {"fmu": Export(export)}

@@ -12,7 +12,7 @@ import numpy as np
 
 from gtau.estimation.results.result import Result
 from gtau.export.c import CLOSED, NEWTON_STEPS, STARTING_STEPS
-from gtau.export.exported import Exported, written
+from gtau.export.exported import Export, Exported, written
 from gtau.model.loop_paths import CONTRACTION
 from gtau.model.loops import CONDITION
 from gtau.uses.identified import OUTPUTS, Functions, Identified, functions, identified, notes_on
@@ -195,3 +195,6 @@ def _list(values: Iterable[float]) -> str:
 def in_matlab(text: str) -> str:
     """Write a text as a string of MATLAB."""
     return "'" + text.replace("'", "''") + "'"
+
+
+EXPORTS = {"matlab": Export(export)}

@@ -12,8 +12,9 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
+from gtau.export import mjcf
 from gtau.export.consistent import ConsistentModel, consistent_model, difference_note, differences
-from gtau.export.exported import Exported
+from gtau.export.exported import Export, Exported
 from gtau.export.input_file import InputFile, input_file
 from gtau.export.mjcf import digits, imported, notes
 from gtau.model.kinematics import frames
@@ -199,3 +200,6 @@ def _check(mujoco: Any, file: InputFile) -> None:
     except ValueError as error:
         said = " ".join(str(error).split()).rstrip(".")
         raise GtauError(f"{file.path}: MuJoCo refuses the identified parameters in it ({said}).") from None
+
+
+EXPORTS = {"mjcf": Export(mjcf.export, into=export, simulates=True)}

@@ -18,7 +18,7 @@ from gtau.documents.files import identifier, in_csv
 from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
 from gtau.export.consistent import consistent_model
-from gtau.export.exported import Exported, written
+from gtau.export.exported import Export, Exported, written
 from gtau.robots.parameter import Parameter
 from gtau.robots.rigid_body import RigidBody, inertial_parameters, rigid_body
 from gtau.robots.robot import INERTIAL
@@ -166,3 +166,6 @@ def _named(order: Order, values: Sequence[float]) -> dict[str, float]:
 def _listed(order: Order, named: Mapping[str, float]) -> list[float]:
     values = [named[name] for name in order.names]
     return [values[9], *values[6:9], *values[:6]] if order.names[0] == "XX" else values
+
+
+EXPORTS = {"orders": Export(export)}

@@ -14,23 +14,40 @@ import numpy as np
 import yaml
 
 from gtau.documents.files import identifier
+from gtau.documents.validation import PATH, TEXT, takes
 from gtau.errors import GtauError
 from gtau.estimation.results.payload import PayloadBody
-from gtau.export.exported import Exported, written
+from gtau.export.exported import Exported, refuse_unknown, written
 from gtau.robots.geometry import angles_of
 from gtau.robots.rigid_body import RigidBody
 
 MILLI = 1e3  # mm in a m
 
 
-def write_payload(payload: PayloadBody, kind: str, out: Path) -> Exported:
-    """Write the files of one of ``WRITERS`` into ``out``.
+@takes(payload=("what PayloadEstimate.in_frame returns", (PayloadBody,)), kind=TEXT, out=PATH)
+def export_payload(payload: PayloadBody, kind: str, out: str | Path) -> Exported:
+    """Export a weighed payload for a controller.
+
+    Parameters
+    ----------
+    payload : PayloadBody
+        From :meth:`gtau.PayloadEstimate.in_frame`, in the frame that the controller expects.
+    kind : str
+        One of ``WRITERS``.
+    out : path
+        Folder of the files.
+
+    Returns
+    -------
+    Exported
+        Files written, and notes on the frame and on parameters not identifiable from the motion.
 
     Raises
     ------
     GtauError
-        Where the mass is not identifiable, or the frame was not named and the controller has its own.
+        Where the mass is not identifiable, the frame was not named, or the files cannot be written.
     """
+    refuse_unknown(kind, WRITERS)
     if not payload.named:
         refuse_unnamed(kind, payload.frame, ())
     if payload.rigid is None:
@@ -47,7 +64,7 @@ def write_payload(payload: PayloadBody, kind: str, out: Path) -> Exported:
             "body, not measured"
         )
     head = f"payload '{payload.name}' in {payload.frame}, weighed by gtau"
-    return Exported(written(out, writer(name, payload.rigid, " ".join(head.split()))), tuple(notes))
+    return Exported(written(Path(out), writer(name, payload.rigid, " ".join(head.split()))), tuple(notes))
 
 
 def refuse_unnamed(kind: str, frame: str, links: Sequence[str]) -> None:

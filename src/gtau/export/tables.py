@@ -18,7 +18,7 @@ from gtau.documents.yaml_document import yaml_text
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.table import estimates_table
-from gtau.export.exported import Exported, written
+from gtau.export.exported import Export, Exported, written
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import Mdh, Robot
 
@@ -269,3 +269,10 @@ def in_latex_index(name: str) -> str:
     if re.fullmatch(r"[\w .:-]*", name, flags=re.ASCII):
         return r"\mathrm{" + in_latex(name).replace(" ", r"\ ") + "}"
     return r"\text{" + in_latex(name) + "}"  # accents and some signs are for text alone
+
+
+EXPORTS = {
+    "yaml": Export(export_yaml, floating=True),
+    "csv": Export(export_csv, floating=True),
+    "latex": Export(export_latex),
+}

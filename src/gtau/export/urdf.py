@@ -19,12 +19,13 @@ from gtau.export.consistent import (
     difference_note,
     differences,
     friction_comments,
+    serial_equivalent,
     term_notes,
     terms_left_out,
+    what_is_lost,
 )
-from gtau.export.exported import Exported, written
+from gtau.export.exported import Export, Exported, written
 from gtau.export.input_file import InputFile, input_file
-from gtau.export.open_tree import serial_equivalent, what_is_lost
 from gtau.robots.geometry import compose, pose_of, turn
 from gtau.robots.rigid_body import RigidBody, rigid_body
 from gtau.robots.robot import (
@@ -335,3 +336,6 @@ def _carriers(file: InputFile, joints: set[str]) -> dict[str, tuple[str, bool]]:
                 break
             at, direct = parent_name, False
     return found
+
+
+EXPORTS = {"urdf": Export(export, into=export_into, simulates=True)}

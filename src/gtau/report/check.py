@@ -14,12 +14,12 @@ from gtau.estimation.diagnostics.geometry_findings import to_document as geometr
 from gtau.estimation.grades import Grade, by_grade, to_document
 from gtau.estimation.results.estimate import write_distances
 from gtau.report import logs
+from gtau.report.chart import Chart
 from gtau.report.evidence import preparation_words
 from gtau.report.findings import findings_section, same_in_several
 from gtau.report.geometry import geometry_section
 from gtau.report.motion import distances_panel, joint_panels, singularities_section
 from gtau.report.page import (
-    Chart,
     Column,
     Facts,
     Kind,

@@ -8,7 +8,8 @@ import numpy as np
 
 from gtau.estimation.compare import EstimatorComparison
 from gtau.estimation.diagnostics.sentences import percent_text
-from gtau.report.page import Chart, Column, Kind, Page, Table, Text, intervals, joint_label, page, section, table
+from gtau.report.chart import Chart, intervals
+from gtau.report.page import Column, Kind, Page, Table, Text, joint_label, page, section, table
 
 BELIEVED = ("good", "weak")
 

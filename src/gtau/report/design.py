@@ -15,21 +15,9 @@ from gtau.excitation.design import Design, check
 from gtau.excitation.forecast import Expected, Forecast, Weak, forecast, sampled_motions, weak_unknowns
 from gtau.excitation.prior import KnownGain
 from gtau.excitation.task import DesignProblem, close
+from gtau.report.chart import Chart
 from gtau.report.motion import joint_panels
-from gtau.report.page import (
-    Chart,
-    Column,
-    Facts,
-    Kind,
-    Page,
-    Section,
-    Table,
-    Text,
-    joint_label,
-    page,
-    section,
-    table,
-)
+from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text, joint_label, page, section, table
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.units import torque_unit, unit_of
 

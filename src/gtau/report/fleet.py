@@ -13,24 +13,8 @@ import polars as pl
 
 from gtau.documents.files import write_table
 from gtau.fleet.gains import FleetGain, FleetTable, JointOfFleet
-from gtau.report.page import (
-    Axis,
-    Chart,
-    Column,
-    Facts,
-    Kind,
-    Page,
-    Panel,
-    Rule,
-    Section,
-    Series,
-    Table,
-    Text,
-    joint_label,
-    page,
-    section,
-    table_of,
-)
+from gtau.report.chart import Axis, Chart, Panel, Rule, Series
+from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text, joint_label, page, section, table_of
 from gtau.signals.samples import counted
 
 LISTED = 20  # outliers, or robots that were refused; the others are in the table

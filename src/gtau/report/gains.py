@@ -12,7 +12,8 @@ from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import ACCURACY
 from gtau.model.base_parameters import whole_mass
-from gtau.report.page import Chart, Column, Kind, Section, Table, Text, intervals, joint_label, section, table
+from gtau.report.chart import Chart, intervals
+from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, section, table
 
 GOOD_OUTCOMES = (Outcome.GOOD, Outcome.GIVEN)
 LEAST = 0.01  # share of a source of the scale that is mentioned

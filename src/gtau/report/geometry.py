@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest, percent
 from gtau.estimation.thresholds.logs import POSE_DELAY_STD
-from gtau.report.page import Axis, Chart, Column, Kind, Panel, Section, Series, Table, Text, colour, section, table
+from gtau.report.chart import Axis, Chart, Panel, Series, colour
+from gtau.report.page import Column, Kind, Section, Table, Text, section, table
 
 STYLES = {"confirmed": "good", "other constants": "bad", "unexplained": "weak"}
 LISTED = 12  # constants

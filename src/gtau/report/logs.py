@@ -7,21 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gtau.report.chart import Axis, Chart, Panel, Rule, Series, colour
 from gtau.report.motion import TIME
-from gtau.report.page import (
-    Axis,
-    Chart,
-    Column,
-    Kind,
-    Panel,
-    Rule,
-    Section,
-    Series,
-    colour,
-    joint_label,
-    section,
-    table_of,
-)
+from gtau.report.page import Column, Kind, Section, joint_label, section, table_of
 from gtau.robots.robot import Robot
 from gtau.robots.units import command_unit, position_unit
 from gtau.signals.bandwidth import spectra

@@ -11,21 +11,9 @@ import numpy as np
 from gtau.estimation.results.estimate import Distances, NearestPose
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.logs import NEAR_SINGULAR
+from gtau.report.chart import Axis, Chart, Panel, Series, colour
 from gtau.report.evidence import RunEvidence
-from gtau.report.page import (
-    Axis,
-    Chart,
-    Column,
-    Kind,
-    Panel,
-    Section,
-    Series,
-    Text,
-    colour,
-    joint_label,
-    section,
-    table_of,
-)
+from gtau.report.page import Column, Kind, Section, Text, joint_label, section, table_of
 from gtau.robots.robot import Robot
 from gtau.robots.units import position_unit
 from gtau.signals.run import Run, arrange

@@ -12,12 +12,13 @@ from gtau.estimation.results.estimate import Named
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.results.predicted import Prediction
 from gtau.estimation.results.result import Result
+from gtau.report.chart import Chart
 from gtau.report.check import check_page
 from gtau.report.comparison import comparison_page
 from gtau.report.evidence import gather, settings_of
 from gtau.report.gains import VALUE, gains_section, payloads_section, unknown_payloads, value_cells
 from gtau.report.identification import full_page, report_page, summary_page, verdict_section
-from gtau.report.page import Chart, Column, Kind, Page, Text, page, section, table
+from gtau.report.page import Column, Kind, Page, Text, page, section, table
 from gtau.report.plots import Plots
 from gtau.report.render.html import frame
 from gtau.report.render.html import html as rendered

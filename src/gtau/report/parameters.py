@@ -11,9 +11,10 @@ from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.table import estimates_table
+from gtau.report.chart import Axis, Chart, Panel, Series
 from gtau.report.evidence import RunEvidence
 from gtau.report.gains import VALUE, regroups, value_cells
-from gtau.report.page import Axis, Chart, Column, Kind, Panel, Section, Series, Table, Text, joint_label, section, table
+from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, section, table
 from gtau.robots.parameter import Parameter
 from gtau.robots.units import position_unit, torque_unit
 from gtau.signals.channel import BEHIND_DRIVE

@@ -10,11 +10,11 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
+from gtau.report.chart import Axis, Chart, Panel, Series
 from gtau.report.evidence import RunEvidence
 from gtau.report.gains import gains_chart
 from gtau.report.logs import seconds
 from gtau.report.motion import TIME, distances_panels
-from gtau.report.page import Axis, Chart, Panel, Series
 from gtau.report.render.charts import figure_of
 from gtau.report.residuals import residual_panels
 from gtau.report.torques import part_of, stretch_title, torques_chart, units_of

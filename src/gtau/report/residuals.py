@@ -7,21 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from gtau.estimation.results.result import Result
+from gtau.report.chart import Axis, Chart, Panel, Series, colour
 from gtau.report.evidence import RunEvidence
-from gtau.report.page import (
-    Axis,
-    Chart,
-    Column,
-    Kind,
-    Panel,
-    Section,
-    Series,
-    Text,
-    colour,
-    joint_label,
-    section,
-    table,
-)
+from gtau.report.page import Column, Kind, Section, Text, joint_label, section, table
 from gtau.robots.units import torque_unit
 
 SEGMENT = 256  # samples of a segment of the spectrum, at most

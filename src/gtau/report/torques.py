@@ -10,10 +10,11 @@ import numpy as np
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.predicted import Prediction
 from gtau.estimation.results.result import Result
+from gtau.report.chart import Axis, Chart, Panel, Series
 from gtau.report.evidence import RunEvidence
 from gtau.report.logs import payload_words
 from gtau.report.motion import TIME
-from gtau.report.page import Axis, Chart, Column, Kind, Panel, Section, Series, Table, Text, joint_label, section, table
+from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, section, table
 from gtau.robots.units import torque_unit
 
 REVERSALS = (

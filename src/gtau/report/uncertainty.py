@@ -9,7 +9,8 @@ import numpy as np
 
 from gtau.estimation.results.estimate import AlternativeMoves
 from gtau.estimation.results.result import Result
-from gtau.report.page import Axis, Chart, Column, Kind, Panel, Section, Series, Text, joint_label, section, table
+from gtau.report.chart import Axis, Chart, Panel, Series
+from gtau.report.page import Column, Kind, Section, Text, joint_label, section, table
 
 STRONG = 0.9  # correlation from which on a pair is listed
 LISTED = 20

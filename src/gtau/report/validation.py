@@ -13,12 +13,13 @@ from gtau.estimation.results.conclusions import headline as headline_of_model
 from gtau.estimation.results.model_document import torque_error
 from gtau.estimation.results.payload import PayloadBody, PayloadEstimate
 from gtau.estimation.results.result import Result
+from gtau.report.chart import Chart
 from gtau.report.check import unique_names
 from gtau.report.evidence import RunEvidence, worst_stretch
 from gtau.report.gains import gains_section, masses_section, payloads_section
 from gtau.report.logs import logs_section, seconds
 from gtau.report.motion import motion_section
-from gtau.report.page import Chart, Column, Kind, Page, Section, Text, page, section, table
+from gtau.report.page import Column, Kind, Page, Section, Text, page, section, table
 from gtau.report.torques import (
     REVERSALS,
     bands_section,

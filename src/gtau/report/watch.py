@@ -8,21 +8,8 @@ from typing import Any
 import numpy as np
 
 from gtau.estimation.results.estimate import Estimate
-from gtau.report.page import (
-    Axis,
-    Chart,
-    Column,
-    Kind,
-    Page,
-    Panel,
-    Rule,
-    Series,
-    Table,
-    Text,
-    page,
-    section,
-    table,
-)
+from gtau.report.chart import Axis, Chart, Panel, Rule, Series
+from gtau.report.page import Column, Kind, Page, Table, Text, page, section, table
 from gtau.watch.state import Alarm, Entry, Explained
 from gtau.watch.watch import Status, Watch
 

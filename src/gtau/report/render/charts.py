@@ -15,7 +15,7 @@ import numpy as np
 
 from gtau.documents.files import write_atomically
 from gtau.errors import GtauError
-from gtau.report.page import Axis, Chart, Panel, Series
+from gtau.report.chart import Axis, Chart, Panel, Series
 from gtau.report.render.panels import NAMES, dashes_of, thinned
 
 if TYPE_CHECKING:

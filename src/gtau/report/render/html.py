@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from gtau.report.page import BADGES, NUMERIC, Chart, Column, Item, Kind, Page, Panel, Section
+from gtau.report.chart import Chart, Panel
+from gtau.report.page import BADGES, NUMERIC, Column, Item, Kind, Page, Section
 from gtau.report.render.panels import MINUS, envelope, sketch_of
 from gtau.report.render.sketch import svg
 from gtau.robots.robot import Robot

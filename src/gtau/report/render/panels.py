@@ -8,7 +8,7 @@ from math import ceil, floor, log10
 
 import numpy as np
 
-from gtau.report.page import Axis, Panel, Series
+from gtau.report.chart import Axis, Panel, Series
 from gtau.report.render.sketch import Item, Mark, Path, Sketch, Word
 
 MINUS = "\N{MINUS SIGN}"
