@@ -23,7 +23,7 @@ import gtau
 from gtau.demo.run import make_experiment
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 from gtau.simulation.closed_loop import (
     Controller,
     Engine,

@@ -27,7 +27,7 @@ from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
 from gtau.robots.floating import WrenchFrame
 from gtau.robots.robot import Pose
-from gtau.signals.experiment import read_experiment
+from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import Run
 from gtau.uses.external_torques import momentum_observer, predict_under_load
 from gtau.uses.wrench import wrench_along_log

@@ -25,9 +25,9 @@ from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.estimators.newton import to_gains
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
-from gtau.signals.decimation import Decimator, _kernel
-from gtau.signals.preparation import InMemoryRun, Preparation
-from gtau.signals.preparation_choice import choose_preparation
+from gtau.signals.preparation.choice import choose_preparation
+from gtau.signals.preparation.filters import Decimator, _kernel
+from gtau.signals.preparation.prepared_run import InMemoryRun, Preparation
 
 DECAY = 0.1  # s
 

@@ -146,7 +146,7 @@ def numbers(folder: Path) -> dict[str, object]:
     from gtau.errors import GtauError
     from gtau.estimation.experiment_runs import read_runs
     from gtau.estimation.identify import identify
-    from gtau.signals.experiment import read_experiment
+    from gtau.signals.reading.experiment import read_experiment
 
     named = folder / "method.txt"
     method = named.read_text(encoding="utf-8") if named.exists() else None

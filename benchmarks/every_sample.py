@@ -34,7 +34,7 @@ from gtau.estimation.friction.law import stop
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
-from gtau.signals.experiment import read_experiment
+from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import Run, arrange
 
 LOGS = ("panda", "ur10e", "tx40")

@@ -37,7 +37,7 @@ from gtau.estimation.identify import identify
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.robots.robot import Robot
-from gtau.signals.experiment import read_experiment
+from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import Run, arrange
 from gtau.uses.weigh import weigh
 

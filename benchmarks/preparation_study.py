@@ -31,8 +31,8 @@ from gtau.estimation.regression.dataset import reduce_runs
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Joint, Mdh, Robot
+from gtau.signals.reading.statements import CHOSEN, PreparationSettings
 from gtau.signals.run import Run, read_run
-from gtau.signals.settings import CHOSEN, PreparationSettings
 
 MARKS = "<!-- study: begin -->", "<!-- study: end -->"
 LIMIT = 1.2  # times the error of the best fixed choice

@@ -42,8 +42,8 @@ from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Joint, Mdh, Robot
-from gtau.signals.decimation import Decimator
-from gtau.signals.preparation import InMemoryRun, SampleWindow
+from gtau.signals.preparation.filters import Decimator
+from gtau.signals.preparation.prepared_run import InMemoryRun, SampleWindow
 from gtau.signals.run import Run
 
 

@@ -35,8 +35,8 @@ from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
 from gtau.export.registry import export_model
 from gtau.export.samples import Samples, draw
-from gtau.signals.experiment import read_experiment
-from gtau.signals.payload import Payload
+from gtau.signals.reading.experiment import read_experiment
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run, read_run
 
 ROOT = Path(__file__).parents[1]

@@ -33,8 +33,8 @@ from threadpoolctl import threadpool_limits
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
-from gtau.signals.experiment import read_experiment
-from gtau.signals.filters import differentiate
+from gtau.signals.preparation.filters import differentiate
+from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import Run, arrange, without_sensors
 from gtau.uses.runs import read_log
 from gtau.watch import follow as following

@@ -24,7 +24,7 @@ from gtau.errors import GtauError
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
-from gtau.signals.experiment import Experiment, read_experiment
+from gtau.signals.reading.experiment import Experiment, read_experiment
 
 MARKS = "<!-- zoo: begin -->", "<!-- zoo: end -->"
 PANDA = ((0, 0, 0.333), (0, -1, 0), (0, 1, 0.316), (0.0825, 1, 0), (-0.0825, -1, 0.384), (0, 1, 0), (0.088, 1, 0))

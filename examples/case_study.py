@@ -37,7 +37,7 @@ from gtau.report.gains import NOT_SHOWN
 from gtau.report.render.charts import figure_of, save_figure
 from gtau.report.robot_figure import robot_figure
 from gtau.report.torques import part_of, torques_chart
-from gtau.signals.experiment import read_experiment
+from gtau.signals.reading.experiment import read_experiment
 from gtau.simulation.closed_loop import sample
 from gtau.simulation.simulation_file import read_simulation
 from gtau.simulation.trajectories import make_trajectory

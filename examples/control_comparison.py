@@ -16,8 +16,8 @@ from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress
 from gtau.robots.floating import refuse_floating
-from gtau.signals.experiment import check_robot, read_experiment
-from gtau.signals.payload import Payload
+from gtau.signals.reading.experiment import check_robot, read_experiment
+from gtau.signals.reading.statements import Payload
 from gtau.simulation.closed_loop import (
     Controller,
     Reference,

@@ -29,13 +29,12 @@ if TYPE_CHECKING:
     from gtau.model.inverse_dynamics import InverseDynamics
     from gtau.robots.readers.source import RobotSource
     from gtau.robots.robot import Robot
-    from gtau.signals.columns import Signals
-    from gtau.signals.experiment import Experiment, Prior, read_experiment
-    from gtau.signals.payload import Payload
+    from gtau.signals.reading.columns import Signals
+    from gtau.signals.reading.experiment import Experiment, read_experiment
+    from gtau.signals.reading.samples import Part
+    from gtau.signals.reading.statements import Payload, PreparationSettings, Prior
+    from gtau.signals.reading.units import Units
     from gtau.signals.run import Run, read_run
-    from gtau.signals.samples import Part
-    from gtau.signals.settings import PreparationSettings
-    from gtau.signals.units import Units
     from gtau.simulation.experiment_files import simulate_experiment as simulate
     from gtau.simulation.simulation_file import Simulation
     from gtau.uses.external_torques import momentum_observer
@@ -92,26 +91,26 @@ _HOMES = {
     "DesignProblem": "excitation.task",
     "Estimate": "estimation.results.estimate",
     "EstimatorComparison": "estimation.compare",
-    "Experiment": "signals.experiment",
+    "Experiment": "signals.reading.experiment",
     "ExperimentCheck": "estimation.check_logs",
     "Exported": "export.exported",
     "GtauError": "errors",
     "InverseDynamics": "model.inverse_dynamics",
-    "Part": "signals.samples",
-    "Payload": "signals.payload",
+    "Part": "signals.reading.samples",
+    "Payload": "signals.reading.statements",
     "PayloadBody": "estimation.results.payload",
     "PayloadEstimate": "estimation.results.payload",
     "Prediction": "estimation.results.predicted",
-    "PreparationSettings": "signals.settings",
-    "Prior": "signals.experiment",
+    "PreparationSettings": "signals.reading.statements",
+    "Prior": "signals.reading.statements",
     "Result": "estimation.results.result",
     "Robot": "robots.robot",
     "RobotSource": "robots.readers.source",
     "Run": "signals.run",
-    "Signals": "signals.columns",
+    "Signals": "signals.reading.columns",
     "Simulation": "simulation.simulation_file",
     "TorqueError": "estimation.results.estimate",
-    "Units": "signals.units",
+    "Units": "signals.reading.units",
     "Watch": "watch.watch",
     "base_parameters": "model.base_parameters",
     "check": "estimation.check_logs",
@@ -123,7 +122,7 @@ _HOMES = {
     "load_robot": "model.home",
     "momentum_observer": "uses.external_torques",
     "read_design": "excitation.design_file",
-    "read_experiment": "signals.experiment",
+    "read_experiment": "signals.reading.experiment",
     "read_run": "signals.run",
     "simulate": "simulation.experiment_files",
     "weigh": "uses.weigh",

@@ -9,7 +9,7 @@ import pytest
 from five_bar_logs import GAINS, JOINTS, STEEL, Plant, five_bar
 
 from gtau.estimation.identify import identify
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
 KNOWN = Payload(name="steel", mass=STEEL["m"], parameters={k: v for k, v in STEEL.items() if k != "m"})

@@ -15,7 +15,7 @@ from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
 from gtau.report.uncertainty import PAPER
-from gtau.signals.experiment import read_experiment
+from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import read_run
 from gtau.uses.runs import read_log
 from gtau.uses.weigh import weigh

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gtau.signals.experiment import read_experiment
+from gtau.signals.reading.experiment import read_experiment
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 

@@ -17,11 +17,10 @@ from typer.testing import CliRunner
 from gtau.cli.commands import app
 from gtau.excitation.design_file import DesignFile
 from gtau.robots.readers.read import catalog_names, read_robot
-from gtau.signals.columns import SampleRate, Signals
-from gtau.signals.data_sheets import Drive
-from gtau.signals.experiment import Experiment, Prior, read_experiment
-from gtau.signals.payload import Payload
-from gtau.signals.units import Units
+from gtau.signals.reading.columns import SampleRate, Signals
+from gtau.signals.reading.experiment import Experiment, read_experiment
+from gtau.signals.reading.statements import Drive, Payload, Prior
+from gtau.signals.reading.units import Units
 from gtau.simulation.closed_loop import JointHardware
 from gtau.simulation.simulation_file import Friction, SimulatedRun, Simulation
 from gtau.simulation.trajectories import Fourier, MotionEntry, Points, RandomMotion
@@ -266,7 +265,7 @@ def test_a_chart_of_torques_is_titled_with_its_run() -> None:
     from gtau.estimation.results.predicted import Prediction
     from gtau.report.render.charts import figure_of
     from gtau.report.torques import torques_chart
-    from gtau.signals.decimation import Decimator
+    from gtau.signals.preparation.filters import Decimator
 
     time, torques = np.linspace(0.0, 1.0, 50), np.ones((50, 2))
     kept = np.ones((50, 2), dtype=bool)
@@ -288,7 +287,7 @@ def test_the_stretch_of_a_validation_begins_with_its_run() -> None:
     """The filter takes the first rows of a run; where the figure shows them all, time begins at zero all the same."""
     from gtau.estimation.results.predicted import Prediction
     from gtau.report.evidence import RunEvidence, worst_stretch
-    from gtau.signals.decimation import Decimator
+    from gtau.signals.preparation.filters import Decimator
 
     shown = []
     for last in (5.0, 60.0):

@@ -16,8 +16,8 @@ import pytest
 from five_bar_logs import Plant, path, write_experiment
 
 import gtau
-from gtau.signals.experiment import read_experiment
-from gtau.signals.payload import as_payload
+from gtau.signals.reading.experiment import read_experiment
+from gtau.signals.reading.statements import as_payload
 
 ROOT = Path(__file__).parents[2]
 

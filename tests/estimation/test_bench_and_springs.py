@@ -11,7 +11,7 @@ from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.readers.native import parse_native
 from gtau.robots.robot import Robot
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 from gtau.simulation.mujoco_plant import MujocoPlant
 from gtau.simulation.plant import Plant

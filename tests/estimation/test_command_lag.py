@@ -18,7 +18,7 @@ from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.model.home import load_robot
 from gtau.signals.notes import Kind
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
 FIVE_BAR = load_robot("five-bar")

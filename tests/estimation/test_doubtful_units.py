@@ -14,7 +14,7 @@ from gtau.estimation.grades import Grade, grade_of
 from gtau.model.home import load_robot
 from gtau.robots.floating import float_base
 from gtau.signals.notes import Kind
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
 

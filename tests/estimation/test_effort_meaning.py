@@ -19,9 +19,9 @@ from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
-from gtau.signals.drafting import draft_logs, write_draft
-from gtau.signals.experiment import read_experiment
-from gtau.signals.payload import Payload
+from gtau.signals.reading.drafting import draft_logs, write_draft
+from gtau.signals.reading.experiment import read_experiment
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run, read_run
 
 FREE = (0.0, 0.0, 0.0)

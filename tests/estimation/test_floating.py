@@ -49,7 +49,7 @@ def test_gains_from_the_wrench_that_holds_the_base(wrench: str, yaw: float, hung
 
 
 def signals(path: Path) -> dict:
-    from gtau.signals.experiment import read_experiment
+    from gtau.signals.reading.experiment import read_experiment
 
     described = read_experiment(path)
     return {"signals": described.signals, "units": described.units}

@@ -27,10 +27,10 @@ from gtau.report.check import check_page
 from gtau.report.render.html import html
 from gtau.report.render.terminal import plain
 from gtau.robots.robot import Mdh, Robot
-from gtau.signals.body_columns import PoseColumns
-from gtau.signals.columns import Signals
-from gtau.signals.side_signals import LoggedPoses, read_poses
-from gtau.signals.units import Units
+from gtau.signals.reading.body_columns import PoseColumns
+from gtau.signals.reading.columns import Signals
+from gtau.signals.reading.side_signals import LoggedPoses, read_poses
+from gtau.signals.reading.units import Units
 
 NOISE = 1e-4  # m and rad
 

@@ -122,7 +122,7 @@ def test_a_wrong_prior_is_contradicted(true: Robot, tmp_path: Path) -> None:
 
 def test_a_known_payload_gives_the_scale_beside_priors(true: Robot) -> None:
     """The file's inertias join in the scale of the gains, and are no reference that tests the payload."""
-    from gtau.signals.payload import Payload
+    from gtau.signals.reading.statements import Payload
 
     made = replace(plant(true, noise=0.02), gains=np.array([8.0, 8.0, 6.0, 5.0]), tool="j4")
     steel = {"m": 2.0, "mx": 0.1, "mz": 0.2, "xx": 0.04, "yy": 0.05, "zz": 0.02, "xz": -0.01}

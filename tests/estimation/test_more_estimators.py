@@ -28,8 +28,7 @@ from gtau.model.home import load_robot
 from gtau.progress import silent
 from gtau.report.comparison import comparison_table
 from gtau.robots.parameter import Parameter
-from gtau.signals.experiment import Prior
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload, Prior
 from gtau.signals.run import Run
 
 FIVE_BAR = load_robot("five-bar")

@@ -17,8 +17,8 @@ from gtau.estimation.regression.dataset import prepare_runs
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Limits, Robot
-from gtau.signals.preparation import PreparedRun
-from gtau.signals.preparation_choice import choose_preparation
+from gtau.signals.preparation.choice import choose_preparation
+from gtau.signals.preparation.prepared_run import PreparedRun
 from gtau.signals.run import Run
 from gtau.uses.runs import experiment_of
 

@@ -29,11 +29,11 @@ from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.model.home import load_robot
-from gtau.signals.decimation import Decimator
 from gtau.signals.notes import Kind
-from gtau.signals.payload import Payload
-from gtau.signals.preparation import Preparation
-from gtau.signals.preparation_choice import choose_preparation
+from gtau.signals.preparation.choice import choose_preparation
+from gtau.signals.preparation.filters import Decimator
+from gtau.signals.preparation.prepared_run import Preparation
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
 ROBOT = load_robot("five-bar")

@@ -29,8 +29,7 @@ from gtau.estimation.thresholds.estimates import LAST_OVERHANG, OVERHANG
 from gtau.model.home import load_robot
 from gtau.robots.geometry import extent, longest_placement
 from gtau.robots.robot import INERTIAL
-from gtau.signals.experiment import Prior
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload, Prior
 from gtau.signals.run import Run
 
 FIVE_BAR = load_robot("five-bar")

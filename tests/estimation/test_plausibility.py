@@ -18,8 +18,8 @@ from gtau.estimation.identify import identify
 from gtau.estimation.regression.plausibility import within_limits
 from gtau.model.home import load_robot
 from gtau.robots.readers.read import CATALOG
-from gtau.signals.preparation import prepare
-from gtau.signals.preparation_choice import choose_preparation
+from gtau.signals.preparation.choice import choose_preparation
+from gtau.signals.preparation.prepared_run import prepare
 from gtau.signals.run import Run
 
 PLANT = Plant(noise=0.01)

@@ -19,7 +19,7 @@ from gtau.report.page import Page, Text
 from gtau.report.render.terminal import plain
 from gtau.report.torques import determination
 from gtau.report.uncertainty import correlation_section
-from gtau.signals.decimation import Decimator
+from gtau.signals.preparation.filters import Decimator
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from gtau.estimation.identify import identify
 from gtau.estimation.results.model_document import to_document
 from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 
 PLANT = Plant(delays=(1e-3, 2e-3), noise=0.01)
 KNOWN = Payload(name="steel", mass=STEEL["m"])

@@ -27,11 +27,10 @@ from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent
-from gtau.signals.decimation import Decimator
-from gtau.signals.filters import position_filter
-from gtau.signals.payload import Payload
-from gtau.signals.preparation import Preparation, prepare
-from gtau.signals.preparation_choice import choose_preparation
+from gtau.signals.preparation.choice import choose_preparation
+from gtau.signals.preparation.filters import Decimator, position_filter
+from gtau.signals.preparation.prepared_run import Preparation, prepare
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 from gtau.simulation import plant
 from gtau.simulation.closed_loop import Controller, JointHardware, Reference, hardware, simulate

@@ -12,7 +12,7 @@ from stated_arm import plant, robot
 from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
 BODY = {"m": 1.5, "mx": 0.05, "mz": 0.1}

@@ -15,7 +15,7 @@ from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Joint, Mdh, Robot
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
 SCARA = Robot(

@@ -14,10 +14,10 @@ from gtau.documents.validation import read_group
 from gtau.errors import GtauError
 from gtau.estimation.results.conclusions import without_temperature
 from gtau.estimation.results.result import Result
-from gtau.signals.columns import Signals
-from gtau.signals.payload import Payload
+from gtau.signals.reading.columns import Signals
+from gtau.signals.reading.side_signals import Temperature
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
-from gtau.signals.side_signals import Temperature
 
 SLOPES = {"fvt_left": -0.02, "fst_left": -0.03, "fvt_right": -0.025, "fst_right": -0.02}  # per K
 BEFORE, AFTER = 25.0, 40.0  # degC

@@ -20,7 +20,7 @@ from gtau.estimation.results.conclusions import headline
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.torque_scale import torque_scale_text, torque_scales
 from gtau.model.home import load_robot
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run, read_run
 from gtau.uses.identified import identified
 from gtau.uses.weigh import weigh

@@ -17,7 +17,7 @@ from gtau.estimation.identify import identify
 from gtau.estimation.results.conclusions import headline
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.torque_scale import torque_scales
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
 DOWN = (0.0, 0.0, -9.81)

@@ -15,8 +15,8 @@ from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
-from gtau.signals.experiment import read_experiment
 from gtau.signals.notes import Kind
+from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import read_run
 
 BASE = f"{{body: trunk, {POSE}}}"

@@ -25,7 +25,7 @@ from gtau.excitation.nlp import Programme, random_start
 from gtau.report.design import _masses, design_document, design_page
 from gtau.report.page import Table, page
 from gtau.report.render.terminal import plain
-from gtau.signals.log_file import read_log
+from gtau.signals.reading.log_file import read_log
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 ORTHOGLIDE = """

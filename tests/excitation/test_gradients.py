@@ -19,7 +19,7 @@ from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import SPRING, Attachment, Pose, Robot, Spring
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 
 DISC = Payload(name="disc", mass=2.0, parameters={"mx": 0.2})
 

@@ -23,8 +23,8 @@ from gtau.model.interpreter.instructions import LANES
 from gtau.model.interpreter.program import compile_program
 from gtau.model.inverse_dynamics import PATH, InverseDynamics
 from gtau.model.loop_paths import follow
-from gtau.signals.decimation import Decimator
-from gtau.signals.preparation import InMemoryRun, SampleWindow
+from gtau.signals.preparation.filters import Decimator
+from gtau.signals.preparation.prepared_run import InMemoryRun, SampleWindow
 from gtau.signals.run import Run
 
 

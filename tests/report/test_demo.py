@@ -20,8 +20,8 @@ from gtau.excitation.design_file import read_design
 from gtau.model.home import load_robot
 from gtau.report.render.terminal import plain
 from gtau.robots.robot import Joint, Robot
-from gtau.signals.experiment import read_experiment
-from gtau.signals.payload import Payload
+from gtau.signals.reading.experiment import read_experiment
+from gtau.signals.reading.statements import Payload
 from gtau.simulation.experiment_files import experiment_text
 from gtau.simulation.simulation_file import read_simulation
 from gtau.simulation.trajectories import envelope, point_to_point, sines

@@ -27,7 +27,7 @@ from gtau.robots.readers.native import parse_native
 from gtau.robots.readers.native_text import native_text
 from gtau.robots.readers.read import catalog_names
 from gtau.robots.robot import GROUND, Joint, Limits, Mdh, Robot
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 
 # A coupling bar stands last in the file, so the payload is taken to sit on it.
 BAR_ARM = """\

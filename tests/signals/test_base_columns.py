@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from gtau.errors import GtauError
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.floating import float_base
-from gtau.signals.body_columns import BaseColumns, at_origins
-from gtau.signals.units import BaseUnits
+from gtau.signals.reading.body_columns import BaseColumns, at_origins
+from gtau.signals.reading.units import BaseUnits
 
 AT = (0.3, -0.2, 0.5)
 

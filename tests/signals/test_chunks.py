@@ -17,9 +17,9 @@ import pytest
 
 import gtau.signals.storage
 from gtau.errors import GtauError
-from gtau.signals.filters import position_filter
-from gtau.signals.preparation import Preparation, prepare
-from gtau.signals.preparation_choice import choose_preparation
+from gtau.signals.preparation.choice import choose_preparation
+from gtau.signals.preparation.filters import position_filter
+from gtau.signals.preparation.prepared_run import Preparation, prepare
 from gtau.signals.run import Run, read_run
 from gtau.signals.storage import Sizes, Store, block, store, working_with
 

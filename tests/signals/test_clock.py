@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from gtau.errors import GtauError
-from gtau.signals.clock import clock_of
+from gtau.signals.reading.statements import PreparationSettings
+from gtau.signals.repair.clock import clock_of
 from gtau.signals.run import Run, read_run
-from gtau.signals.settings import PreparationSettings
 
 PERIOD, SAMPLES = 1e-3, 20000
 SIGNALS = {"time": "t", "position": {"a": "qa", "b": "qb"}, "current": {"a": "va", "b": "vb"}}

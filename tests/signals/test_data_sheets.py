@@ -13,8 +13,8 @@ from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.signals.data_sheets import Drive, check_drives
-from gtau.signals.experiment import read_experiment
+from gtau.signals.reading.experiment import read_experiment
+from gtau.signals.reading.statements import Drive, check_drives
 
 SHEET = "{gear_ratio: 50, torque_constant: 0.05, efficiency: 0.8, rotor_inertia: 2.0e-5}"
 

@@ -15,10 +15,10 @@ from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.robots.robot import Joint, Mdh, Robot
-from gtau.signals.column_names import base_like, parse_column_name, wrench_like
-from gtau.signals.discovery import Draft, discover
-from gtau.signals.draft_file import draft_text
-from gtau.signals.experiment import read_experiment
+from gtau.signals.reading.column_names import base_like, parse_column_name, wrench_like
+from gtau.signals.reading.discovery import Draft, discover
+from gtau.signals.reading.drafting import draft_text
+from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import read_run
 
 TIME = np.arange(3000) / 250

@@ -9,8 +9,8 @@ import pytest
 
 from gtau.errors import GtauError
 from gtau.robots.robot import Joint, Robot
-from gtau.signals.columns import SampleRate
-from gtau.signals.experiment import Experiment, check_robot, read_experiment
+from gtau.signals.reading.columns import SampleRate
+from gtau.signals.reading.experiment import Experiment, check_robot, read_experiment
 
 GOOD = """\
 robot: orthoglide

@@ -7,9 +7,10 @@ import pytest
 from scipy import signal
 
 from gtau.estimation.friction.law import stop
-from gtau.signals.decimation import Decimator, decimation_factor
-from gtau.signals.filters import (
+from gtau.signals.preparation.filters import (
+    Decimator,
     cutoff_frequency,
+    decimation_factor,
     differentiate,
     filter_edge,
     low_pass,

@@ -12,8 +12,8 @@ from five_bar_logs import EXPERIMENT, Plant, write_log
 from gtau.documents.files import in_order
 from gtau.errors import GtauError
 from gtau.estimation.experiment_runs import read_runs
-from gtau.signals.experiment import Experiment, read_experiment
-from gtau.signals.log_file import read_log
+from gtau.signals.reading.experiment import Experiment, read_experiment
+from gtau.signals.reading.log_file import read_log
 
 HEAD = EXPERIMENT.split("runs:")[0] + "runs:\n"
 

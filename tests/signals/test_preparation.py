@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from gtau.errors import GtauError
-from gtau.signals.preparation import prepare
-from gtau.signals.preparation_choice import choose_preparation
+from gtau.signals.preparation.choice import choose_preparation
+from gtau.signals.preparation.prepared_run import prepare
 from gtau.signals.run import Run, read_run
 
 RATE = 1000.0

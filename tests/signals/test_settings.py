@@ -10,9 +10,9 @@ from five_bar_logs import EXPERIMENT, Plant, write_log
 
 from gtau.errors import GtauError
 from gtau.estimation.experiment_runs import read_runs
-from gtau.signals.experiment import read_experiment
-from gtau.signals.preparation import Preparation
-from gtau.signals.preparation_choice import choose_preparation
+from gtau.signals.preparation.choice import choose_preparation
+from gtau.signals.preparation.prepared_run import Preparation
+from gtau.signals.reading.experiment import read_experiment
 
 HEAD = EXPERIMENT.split("runs:")[0]
 

@@ -9,9 +9,9 @@ import pytest
 
 from gtau.documents.validation import read_group
 from gtau.errors import GtauError
-from gtau.signals.columns import Signals
+from gtau.signals.reading.columns import Signals
+from gtau.signals.reading.units import Units, si_factor
 from gtau.signals.run import read_run
-from gtau.signals.units import Units, si_factor
 
 SIGNALS = {"time": "t", "position": {"a": "qa", "b": "qb"}, "current": {"a": "va", "b": "vb"}}
 TORQUES = {"time": "t", "position": {"a": "qa", "b": "qb"}, "torque": {"a": "va", "b": "vb"}}

@@ -17,7 +17,7 @@ from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.readers.native_text import native_text
 from gtau.robots.robot import Joint, Limits, Robot
-from gtau.signals.experiment import read_experiment
+from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import read_run
 from gtau.simulation import experiment_files
 from gtau.simulation.closed_loop import (

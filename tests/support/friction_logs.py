@@ -10,7 +10,7 @@ from five_bar_logs import CHI, GAINS, JOINTS, RATE, STEEL, TOOL, five_bar, path
 
 from gtau.estimation.friction.law import FrictionLaw, Shape
 from gtau.robots.robot import Robot
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
 PLAIN = {name: value for name, value in CHI.items() if name.split("_", 1)[0] in ("fv", "fs", "off")}

@@ -9,7 +9,7 @@ from plausible_parameters import random_parameters
 
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Joint, Limits, Mdh, Robot
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 from gtau.simulation.trajectories import envelope, sines
 

@@ -10,7 +10,7 @@ import numpy as np
 from gtau.demo.orthoglide import DRIVE_GAINS, standard_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 from gtau.simulation.trajectories import envelope, point_to_point, sines
 

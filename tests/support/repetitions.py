@@ -14,9 +14,9 @@ from gtau.estimation.regression.rows import stream_rows
 from gtau.estimation.regression.system import assemble_system
 from gtau.excitation.forecast import expected_runs
 from gtau.excitation.task import DesignProblem
-from gtau.signals.filters import differentiate
-from gtau.signals.preparation import prepare
-from gtau.signals.preparation_choice import choose_preparation
+from gtau.signals.preparation.choice import choose_preparation
+from gtau.signals.preparation.filters import differentiate
+from gtau.signals.preparation.prepared_run import prepare
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")

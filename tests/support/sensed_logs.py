@@ -9,7 +9,7 @@ import numpy as np
 
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import DRIVE
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
 RATE = 250.0  # Hz

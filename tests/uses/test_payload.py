@@ -22,8 +22,8 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.report.render.terminal import plain
 from gtau.report.validation import weighing_page
 from gtau.robots.robot import Coupling, Joint, Limits, Mdh, Pose, Robot
-from gtau.signals.experiment import read_experiment
-from gtau.signals.payload import FIRST_MOMENTS, Payload, as_payload
+from gtau.signals.reading.experiment import read_experiment
+from gtau.signals.reading.statements import FIRST_MOMENTS, Payload, as_payload
 from gtau.signals.run import Run
 from gtau.simulation.trajectories import envelope, sines
 from gtau.uses.weigh import exact_gains, weigh

@@ -12,7 +12,7 @@ import pytest
 import gtau
 from gtau.estimation.friction.law import stop
 from gtau.model.home import load_robot
-from gtau.signals.filters import position_filter
+from gtau.signals.preparation.filters import position_filter
 from gtau.signals.run import Run
 
 RATE = 1000.0

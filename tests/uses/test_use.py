@@ -15,8 +15,8 @@ from typer.testing import CliRunner
 import gtau
 from gtau.cli.commands import app
 from gtau.model.home import load_robot
-from gtau.robots.readers.urdf import frame_on
-from gtau.signals.payload import Payload
+from gtau.robots.readers.read import frame_on
+from gtau.signals.reading.statements import Payload
 from gtau.uses.external_torques import torques_along_log, write_table
 from gtau.uses.runs import carrying
 

@@ -140,7 +140,7 @@ def compare(experiment: ExperimentFile, out: ReportFolder = None, json_: Json = 
             from gtau.estimation.compare import to_document
             from gtau.report.comparison import comparison_page
             from gtau.report.write import inputs_of, write_report
-            from gtau.signals.experiment import read_experiment
+            from gtau.signals.reading.experiment import read_experiment
 
             found = run(experiment, progress=progress)
         described = read_experiment(experiment)

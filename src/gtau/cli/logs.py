@@ -17,8 +17,8 @@ from gtau.documents.files import EXPERIMENT, LOG, folder_of, kind_of, refuse_as_
 from gtau.errors import GtauError
 
 if TYPE_CHECKING:
-    from gtau.signals.discovery import Draft
     from gtau.signals.notes import Note
+    from gtau.signals.reading.discovery import Draft
 
 WIDTH = 80
 
@@ -102,9 +102,8 @@ def init(
 ) -> None:
     """Draft an experiment file from logs: find the time, positions and currents, their units and the sampling rate."""
     with refusals(json_):
-        from gtau.signals.draft_file import UNSURE
-        from gtau.signals.drafting import draft_logs, write_draft
-        from gtau.signals.log_file import is_rosbag
+        from gtau.signals.reading.drafting import UNSURE, draft_logs, write_draft
+        from gtau.signals.reading.log_file import is_rosbag
 
         if out.exists():
             raise GtauError(f"{out} exists already; give another name (--out FILE), or remove it.")
@@ -139,7 +138,7 @@ def _on_terminal() -> bool:
 
 def _answered(draft: Draft) -> Draft:
     """Ask on the terminal what the logs do not say."""
-    from gtau.signals.drafting import with_kind, with_masses
+    from gtau.signals.reading.drafting import with_kind, with_masses
 
     if "rate" in draft.open:
         rate = typer.prompt("Sampling rate of the logs, Hz", type=float)
@@ -262,8 +261,7 @@ def experiment_of(
         return sources[0], ()
     if others := [each for each in sources if each.suffix in (".yaml", ".yml") or kind_of(each) == EXPERIMENT]:
         raise GtauError(f"{others[0]} is an experiment file; give either it or logs.")
-    from gtau.signals.draft_file import guesses
-    from gtau.signals.drafting import draft_logs, with_sensors, write_draft
+    from gtau.signals.reading.drafting import draft_logs, guesses, with_sensors, write_draft
 
     masses = _masses(payloads or [])
     drafted = draft_logs(sources, robot, masses=masses, kind=None if kind is None else kind.value, preset=preset)
@@ -285,9 +283,9 @@ def experiment_of(
 
 
 def _is_log(path: Path) -> bool:
-    from gtau.signals.log_file import READERS, is_log_folder
+    from gtau.signals.reading.log_file import FORMATS, is_log_folder
 
-    return path.suffix.lower() in (*READERS, ".csv") or (is_log_folder(path) if path.is_dir() else kind_of(path) == LOG)
+    return path.suffix.lower() in FORMATS.names or (is_log_folder(path) if path.is_dir() else kind_of(path) == LOG)
 
 
 def _masses(payloads: list[str]) -> dict[str, float]:

@@ -25,18 +25,19 @@ from gtau.estimation.regression.rows import Labels
 from gtau.estimation.regression.system import FEWEST_ROWS
 from gtau.estimation.results.conclusions import near_singularities, not_separated
 from gtau.estimation.results.estimate import Distances, NearestPose, distances_of, nearest_poses
-from gtau.model.interpreter.threads import single_threaded_blas
+from gtau.model.interpreter.program import single_threaded_blas
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import singularities
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
-from gtau.signals.bandwidth import JointSpectrum, spectra
-from gtau.signals.decimation import Decimator
-from gtau.signals.experiment import Experiment, Prior
-from gtau.signals.logged_run import LoggedRun
 from gtau.signals.notes import Kind, Note
-from gtau.signals.preparation import Preparation, PreparedRun
-from gtau.signals.preparation_choice import choose_preparation, moving_spectra
+from gtau.signals.preparation.bandwidth import JointSpectrum, spectra
+from gtau.signals.preparation.choice import choose_preparation, moving_spectra
+from gtau.signals.preparation.filters import Decimator
+from gtau.signals.preparation.prepared_run import Preparation, PreparedRun
+from gtau.signals.reading.experiment import Experiment
+from gtau.signals.reading.logged_run import LoggedRun
+from gtau.signals.reading.statements import Prior
 from gtau.signals.run import Run, arrange
 from gtau.signals.storage import Store, sizes
 

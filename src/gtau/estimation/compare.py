@@ -20,11 +20,12 @@ from gtau.estimation.experiment_runs import options_of, read
 from gtau.estimation.pipeline import estimate
 from gtau.estimation.preconditions import plan, reduced, require_inputs
 from gtau.estimation.regression.friction import Friction
-from gtau.model.interpreter.threads import single_threaded_blas
+from gtau.model.interpreter.program import single_threaded_blas
 from gtau.progress import Progress, silent
+from gtau.robots.parameter import gain_unit
 from gtau.robots.robot import Robot
-from gtau.robots.units import gain_unit
-from gtau.signals.experiment import Experiment, Prior
+from gtau.signals.reading.experiment import Experiment
+from gtau.signals.reading.statements import Prior
 from gtau.signals.run import Run
 
 if TYPE_CHECKING:

@@ -18,10 +18,11 @@ from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
-from gtau.signals.experiment import Experiment, Prior, StatedGain, as_priors, check_robot, read_experiment
-from gtau.signals.logged_run import LoggedRun
+from gtau.signals.reading.experiment import Experiment, check_robot, read_experiment
+from gtau.signals.reading.logged_run import LoggedRun
+from gtau.signals.reading.side_signals import read_poses
+from gtau.signals.reading.statements import Prior, StatedGain, as_priors
 from gtau.signals.run import Run, read_run
-from gtau.signals.side_signals import read_poses
 
 OF_RUNS = "the runs of a robot are a list of runs; read each log with gtau.read_run."
 

@@ -23,15 +23,14 @@ from gtau.estimation.regression.system import System
 from gtau.estimation.results.estimate import Requirement, TorqueError
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import ACCURACY
-from gtau.model.interpreter.threads import single_threaded_blas
+from gtau.model.interpreter.program import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
-from gtau.signals.data_sheets import Drive, data_sheet_notes
-from gtau.signals.experiment import Experiment, Prior
 from gtau.signals.notes import Note
+from gtau.signals.reading.experiment import Experiment
+from gtau.signals.reading.statements import Drive, Prior, Requirements, data_sheet_notes
 from gtau.signals.run import Run
-from gtau.signals.settings import Requirements
 
 NO_GAIN = {Outcome.CONTRADICTORY, Outcome.NOT_IDENTIFIABLE}
 

@@ -16,7 +16,7 @@ from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.regression.system import System
 from gtau.progress import Progress
 from gtau.robots.robot import Robot
-from gtau.signals.preparation import Preparation
+from gtau.signals.preparation.prepared_run import Preparation
 from gtau.signals.run import Run
 
 
@@ -104,7 +104,7 @@ def without_scale(subject: Subject, dataset: Dataset) -> Plan:
 def tests_torques(system: System) -> bool:
     """Decide whether a known payload, a torque sensor or a wrench tests the scale of logged torques."""
     problem, known = system.problem, (each for each in system.payloads if each.payload.mass is not None)
-    return any(each.acts for each in known) or bool(problem.wrenches) or not problem.free.all()
+    return any(each.acts for each in known) or bool(problem.wrenches) or not problem.unknown_gains.all()
 
 
 def _refuse_priors(estimator: Estimator, subject: Subject) -> None:

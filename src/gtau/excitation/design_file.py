@@ -35,8 +35,8 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.floating import refuse_floating
 from gtau.robots.plausibility import massless
 from gtau.robots.robot import Pose, Robot
-from gtau.signals.logged_run import RobotName
-from gtau.signals.payload import Payload
+from gtau.signals.reading.logged_run import RobotName
+from gtau.signals.reading.statements import Payload
 
 Interval = tuple[FiniteFloat, FiniteFloat]
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]

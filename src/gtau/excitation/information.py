@@ -25,7 +25,7 @@ from gtau.estimation.regression.system import assemble_system
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 
 VAGUE = 1e3  # prior standard deviations of the unknowns, in units of their scale: wide enough to have no influence
 

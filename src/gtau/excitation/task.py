@@ -21,9 +21,9 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import frames
 from gtau.model.loop_paths import advance
 from gtau.model.loops import Motion, differentiate
-from gtau.signals.decimation import Decimator, decimation_factor
-from gtau.signals.payload import Payload
-from gtau.signals.preparation import Preparation
+from gtau.signals.preparation.filters import Decimator, decimation_factor
+from gtau.signals.preparation.prepared_run import Preparation
+from gtau.signals.reading.statements import Payload
 
 SPEED_FRACTION = Preparation.speed_fraction
 SMOOTH = 0.02  # width of passive joints' Coulomb friction in a design, of their speed

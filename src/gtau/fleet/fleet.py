@@ -22,7 +22,7 @@ from gtau.fleet.mapping import Mapper
 from gtau.model.home import load_robot
 from gtau.progress import Progress, silent
 from gtau.robots.readers.native_text import native_text
-from gtau.signals.experiment import Experiment, read_experiment
+from gtau.signals.reading.experiment import Experiment, read_experiment
 
 
 @dataclass(frozen=True)

@@ -33,11 +33,11 @@ from gtau.report.page import (
     table,
     table_of,
 )
+from gtau.robots.parameter import command_unit, position_unit
 from gtau.robots.robot import Robot
-from gtau.robots.units import command_unit, position_unit
 from gtau.signals.notes import Kind as NoteKind
 from gtau.signals.notes import Note
-from gtau.signals.samples import counted
+from gtau.signals.reading.samples import counted
 
 
 def check_document(checked: ExperimentCheck) -> dict[str, Any]:

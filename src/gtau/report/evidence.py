@@ -12,7 +12,7 @@ from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.predicted import Prediction, torque_errors
 from gtau.estimation.results.result import Result
 from gtau.progress import Progress, silent
-from gtau.signals.preparation import Preparation
+from gtau.signals.preparation.prepared_run import Preparation
 from gtau.signals.run import Run
 from gtau.uses.prediction import predict
 

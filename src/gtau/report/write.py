@@ -20,7 +20,7 @@ from gtau.report.evidence import gather, settings_of
 from gtau.report.identification import report_page
 from gtau.report.page import Column, Facts, Kind, Page, Text, section, table
 from gtau.report.render.html import html
-from gtau.signals.experiment import Experiment, read_experiment
+from gtau.signals.reading.experiment import Experiment, read_experiment
 
 Inputs = tuple[tuple[str, Path], ...]
 """Files, by what they are for."""

@@ -14,17 +14,16 @@ from gtau.errors import GtauError
 from gtau.robots.floating import WrenchFrame
 from gtau.robots.robot import base_rows
 from gtau.signals.channel import Channel, channels_of
-from gtau.signals.checks import check
-from gtau.signals.columns import EXACT, Calibration, Signals
-from gtau.signals.log_file import as_log
-from gtau.signals.log_set import find_logs
 from gtau.signals.notes import Note
-from gtau.signals.payload import Payload, as_payload
-from gtau.signals.samples import WHOLE, Part
-from gtau.signals.settings import CHOSEN, PreparationSettings
-from gtau.signals.side_signals import Temperature, read_temperature
+from gtau.signals.reading.columns import EXACT, Calibration, Signals
+from gtau.signals.reading.log_file import as_log
+from gtau.signals.reading.log_set import find_logs
+from gtau.signals.reading.samples import WHOLE, Part
+from gtau.signals.reading.side_signals import Temperature, read_temperature
+from gtau.signals.reading.statements import CHOSEN, Payload, PreparationSettings, as_payload
+from gtau.signals.reading.units import Units
+from gtau.signals.repair.checks import check
 from gtau.signals.storage import block, spans, store
-from gtau.signals.units import Units
 
 
 @dataclass(frozen=True)
@@ -129,9 +128,9 @@ def read_run(
     Parameters
     ----------
     log : path, two paths, or a table
-        A log in any format of :mod:`gtau.signals.formats`, or one with the positions (and the time) and one with the
-        commands; or a Polars or pandas data frame, a mapping of columns, or an array (N, columns), whose columns are
-        numbered from 1.
+        A log in any format of :mod:`gtau.signals.reading.formats`, or one with the positions (and the time) and one
+        with the commands; or a Polars or pandas data frame, a mapping of columns, or an array (N, columns), whose
+        columns are numbered from 1.
     signals, payload, units : mapping
         As under these keys of an experiment file; columns and joints may be written as integers.
     progress : callable, optional
@@ -149,7 +148,7 @@ def read_run(
     Raises
     ------
     GtauError
-        A file cannot be read, lacks a column, or fails the checks of :func:`gtau.signals.checks.check`.
+        A file cannot be read, lacks a column, or fails the checks of :func:`gtau.signals.repair.checks.check`.
     """
     signals, units = read_group(Signals, "signals", signals), read_group(Units, "units", {} if units is None else units)
     settings = read_group(PreparationSettings, "settings", settings)

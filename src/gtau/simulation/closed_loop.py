@@ -24,7 +24,7 @@ from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.results.result import Result
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter
-from gtau.signals.payload import Payload
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 from gtau.simulation.plant import PlantState
 from gtau.simulation.trajectories import NotNegative, Trajectory

@@ -15,8 +15,8 @@ from gtau.documents.yaml_document import Document, read_yaml
 from gtau.errors import GtauError
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import DAMPING, Robot
-from gtau.signals.logged_run import RobotName
-from gtau.signals.payload import Payload
+from gtau.signals.reading.logged_run import RobotName
+from gtau.signals.reading.statements import Payload
 from gtau.simulation.closed_loop import BANDWIDTH, JointHardware
 from gtau.simulation.joint_friction import WIDTH
 from gtau.simulation.trajectories import MotionEntry, PerJoint, existing

@@ -13,7 +13,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.friction.law import SHAPES, carried
+from gtau.estimation.friction.law import SHAPES, transmitted
 from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.regression.rows import Law, stream_torques
@@ -21,10 +21,10 @@ from gtau.estimation.results.predicted import Prediction
 from gtau.estimation.results.result import Result
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter
-from gtau.signals.bandwidth import position_noise
-from gtau.signals.filters import HIGHEST_CUTOFF
-from gtau.signals.payload import Payload
-from gtau.signals.preparation import PreparedRun
+from gtau.signals.preparation.bandwidth import position_noise
+from gtau.signals.preparation.filters import HIGHEST_CUTOFF
+from gtau.signals.preparation.prepared_run import PreparedRun
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 from gtau.signals.storage import spans
 from gtau.uses.runs import prepared_for
@@ -46,7 +46,7 @@ def predict(result: Result, run: Run, external: np.ndarray | None = None) -> Pre
     run, decimator, time = prepared.run, prepared.preparation.decimator, np.asarray(prepared.time)
     chi = loaded_parameters(result, run.payload, f"run '{run.name}'")
     check_temperature_unit(result, run)
-    made, rubbing, measured = joint_torques(result, prepared.for_prediction(), chi, external)
+    made, friction_torque, measured = joint_torques(result, prepared.for_prediction(), chi, external)
     n = len(made)
     keep = np.concatenate([prepared.samples(*span).usable[:, :n] for span in spans(len(prepared))])
     valid = np.concatenate([prepared.valid(*span)[:, :n] for span in spans(len(prepared))])
@@ -56,7 +56,7 @@ def predict(result: Result, run: Run, external: np.ndarray | None = None) -> Pre
     keep, valid = (decimator.near(each & ~resting) for each in (keep, valid))
     if not keep.any():
         raise GtauError(f"run '{run.name}' has no usable rows, away from its reversals and gaps; give a longer run.")
-    return Prediction(result.idm.actuated, time, made.T, measured.T, keep, valid, rubbing.T, decimator)
+    return Prediction(result.idm.actuated, time, made.T, measured.T, keep, valid, friction_torque.T, decimator)
 
 
 def joint_torques(
@@ -69,7 +69,7 @@ def joint_torques(
     at 30 Hz such delays raise the raw error of a joint on unused samples from 2.5 to 3.1 %.
     """
     model, standard, time = result.idm, result.base.standard, np.asarray(prepared.time)
-    load, friction = np.array(carried(np, standard, chi)), friction_along(result, prepared, chi, external)
+    load, friction = np.array(transmitted(np, standard, chi)), friction_along(result, prepared, chi, external)
     found = np.concatenate([*stream_torques(model, model.columns(standard), prepared, load, friction)], axis=2)
     for torque in found[:2]:
         for row, joint in zip(torque, model.actuated, strict=True):
@@ -140,7 +140,9 @@ def torques_along(
     slide without them.
     """
     model, base = result.idm, result.base
-    load = model.columns(base.standard).torques_along(model.layout, motion, np.array(carried(np, base.standard, chi)))
+    load = model.columns(base.standard).torques_along(
+        model.layout, motion, np.array(transmitted(np, base.standard, chi))
+    )
     return load + result.friction_law.torques(motion, friction_values(result, chi) | dict(terms or {}), load, z)
 
 
@@ -184,7 +186,7 @@ def with_prediction_cutoffs(result: Result, runs: Sequence[Run]) -> Result:
 
     A lower cut-off loses the torque of fast motion, a higher one lets position noise pass, which inertia and friction
     turn into torque. Of each joint the highest is taken whose error against the raw torque exceeds the least by no more
-    than 1 %. A run with faster motion is filtered less, see :func:`gtau.signals.bandwidth.widened`.
+    than 1 %. A run with faster motion is filtered less, see :func:`gtau.signals.preparation.bandwidth.widened`.
 
     Parameters
     ----------

@@ -12,11 +12,11 @@ from gtau.estimation.experiment_runs import describe
 from gtau.estimation.regression.dataset import at_rate_of, check_wrenches, motor_to_joint_speed
 from gtau.estimation.results.result import Result
 from gtau.robots.robot import Limits, Robot
-from gtau.signals.experiment import Experiment, read_experiment
-from gtau.signals.payload import Payload
-from gtau.signals.preparation import PreparedRun, prepare
+from gtau.signals.preparation.prepared_run import PreparedRun, prepare
+from gtau.signals.reading.experiment import Experiment, read_experiment
+from gtau.signals.reading.samples import WHOLE, Part
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run, arrange, read_run
-from gtau.signals.samples import WHOLE, Part
 
 
 def suited(result: Result, run: Run) -> Run:

@@ -15,7 +15,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from gtau.errors import GtauError
-from gtau.signals.formats.text import layout_of
+from gtau.signals.reading.formats.text import layout_of
 from gtau.signals.run import Run
 from gtau.watch.state import date_of, digest_of, logs_of
 from gtau.watch.watch import Status, Watch, now

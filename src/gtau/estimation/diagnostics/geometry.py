@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.estimation.diagnostics.geometry_findings import ConstantChange, GeometryTest, PoseResidual, PoseTrace
-from gtau.estimation.diagnostics.pose_fit import PoseFit, fit_frames, fit_poses
-from gtau.estimation.diagnostics.poses import component_names
+from gtau.estimation.diagnostics.pose_fit import PoseFit, component_names, fit_frames, fit_poses
 from gtau.estimation.thresholds.logs import (
     GEOMETRY_ALIKE,
     GEOMETRY_CHANGE,
@@ -30,8 +29,8 @@ from gtau.model.lengths import Constant
 from gtau.progress import Progress, silent
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import Robot
-from gtau.signals.body_columns import PoseColumns
-from gtau.signals.side_signals import LoggedPoses
+from gtau.signals.reading.body_columns import PoseColumns
+from gtau.signals.reading.side_signals import LoggedPoses
 
 TRIED = 4  # constants that are fitted beyond the first order at each step; one that is the explanation was the first
 MOST = 4  # constants that may explain the residuals together: the effort of the search; three were the most found

@@ -69,7 +69,7 @@ class GeometryTest:
     Attributes
     ----------
     body, source : str
-        Whose pose, and from where; see :class:`gtau.signals.body_columns.PoseColumns`.
+        Whose pose, and from where; see :class:`gtau.signals.reading.body_columns.PoseColumns`.
     outcome : {"confirmed", "other constants", "unexplained"}
         The last where residuals too large for the robot are left, whatever constants change.
     position_rms, angle_rms : float or None

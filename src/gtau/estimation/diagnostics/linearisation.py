@@ -14,8 +14,8 @@ from gtau.estimation.regression.equations import FIXED, triangle
 from gtau.estimation.regression.factors import EXTRA, equations
 from gtau.estimation.regression.rows import Rows, stream_rows
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.signals.filters import STENCIL
-from gtau.signals.preparation import InMemoryRun, PreparedRun, joined
+from gtau.signals.preparation.filters import STENCIL
+from gtau.signals.preparation.prepared_run import InMemoryRun, PreparedRun, joined
 
 SAMPLES = 24_000  # of all windows together, which bounds the time of the tests for long logs
 # Of a window: longer rests are cut out. In the shared measured logs robots rest for 0.49 of one at most (1.8 s); in

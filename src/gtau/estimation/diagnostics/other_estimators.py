@@ -41,8 +41,8 @@ from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.equations import SIGNALS, triangle
 from gtau.estimation.regression.friction import TERMS
 from gtau.estimation.thresholds.estimates import DIFFERENT_PROBABILITY, DIFFERENT_STD, NOISE_STD, WEAK_INSTRUMENTS
-from gtau.signals.filters import below_nyquist
-from gtau.signals.preparation import Preparation
+from gtau.signals.preparation.filters import below_nyquist
+from gtau.signals.preparation.prepared_run import Preparation
 
 WINDOWS = 10  # of a run
 FURTHER = 4.0  # cut-off of the instruments over the bandwidth of the motion
@@ -82,7 +82,7 @@ def alternatives_of(fit: Fit, differences: Sequence[Difference]) -> list[Alterna
     n_theta = problem.n_theta
     plausible = np.sqrt(np.diag(solution.jackknife))
     estimates = [((), name) for name in problem.parameters] + [((joint,), "") for joint in problem.joints]
-    estimated = np.concatenate([np.ones(n_theta, dtype=bool), problem.free[: len(problem.joints)]])
+    estimated = np.concatenate([np.ones(n_theta, dtype=bool), problem.unknown_gains[: len(problem.joints)]])
     found = []
     for each in differences:
         for k, (joints, parameter) in enumerate(estimates):

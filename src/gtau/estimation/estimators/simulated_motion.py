@@ -27,9 +27,9 @@ from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.rows import Labels
 from gtau.estimation.regression.system import System
 from gtau.model.inverse_dynamics import PATH, InverseDynamics, Regressor
-from gtau.signals.bandwidth import spectra
-from gtau.signals.filters import below_nyquist, filter_edge, position_filter
-from gtau.signals.preparation import InMemoryRun, Preparation, PreparedRun, SampleWindow
+from gtau.signals.preparation.bandwidth import spectra
+from gtau.signals.preparation.filters import below_nyquist, filter_edge, position_filter
+from gtau.signals.preparation.prepared_run import InMemoryRun, Preparation, PreparedRun, SampleWindow
 from gtau.signals.run import Run
 from gtau.signals.storage import Store, block, spans
 
@@ -41,7 +41,7 @@ SMOOTH = 4.0  # cut-off of the reference over the bandwidth of the motion, at le
 ROWS = 2.0
 POLE = 20.0  # of the loop, over the bandwidth of the motion
 PASSES = 20
-SETTLED = 1e-6  # change of the accelerations, of their rms
+CONVERGED = 1e-6  # change of the accelerations, of their rms
 MEASURED = ("command", "command_d", "command_dd", "usable")
 
 
@@ -101,7 +101,7 @@ def resimulated(
             change += float(np.sum((following[2] - before[2]) ** 2))
             size += float(np.sum(reference[2] ** 2))
         motion = [each.array() for each in stores]
-        if change < SETTLED**2 * size:
+        if change < CONVERGED**2 * size:
             break
     else:
         raise GtauError(

@@ -23,7 +23,7 @@ from gtau.robots.geometry import characteristic_length, extent, longest_placemen
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import DAMPING, INERTIAL, STANDARD_GRAVITY, STIFFNESS, Robot
 from gtau.signals.channel import Channel
-from gtau.signals.experiment import Prior
+from gtau.signals.reading.statements import Prior
 
 ROOT2 = np.sqrt(2.0)
 MARGIN = 1e-6

@@ -21,7 +21,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import INERTIAL
 from gtau.signals.channel import Channel
-from gtau.signals.payload import FIRST_MOMENTS, Payload
+from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,9 +20,9 @@ from gtau.estimation.thresholds.logs import (
 )
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import Joint, Robot
-from gtau.signals.columns import SampleRate
 from gtau.signals.notes import Kind, Note
-from gtau.signals.preparation import PreparedRun
+from gtau.signals.preparation.prepared_run import PreparedRun
+from gtau.signals.reading.columns import SampleRate
 from gtau.signals.run import Run
 from gtau.signals.storage import block, spans
 

@@ -11,7 +11,7 @@ from gtau.errors import GtauError
 from gtau.model.base_parameters import BaseParameters
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import INERTIAL, Robot
-from gtau.signals.experiment import Prior
+from gtau.signals.reading.statements import Prior
 
 RANK = 1e-9  # of the largest singular value: below it a combination is free of unknown parameters
 

@@ -16,9 +16,9 @@ from gtau.estimation.results.result import Result
 from gtau.estimation.results.torque_scale import listed, torque_headline
 from gtau.estimation.thresholds.estimates import INFLATED
 from gtau.estimation.thresholds.logs import NEAR_SINGULAR
-from gtau.signals.columns import Signals
 from gtau.signals.notes import Kind, Note
-from gtau.signals.payload import FIRST_MOMENTS
+from gtau.signals.reading.columns import Signals
+from gtau.signals.reading.statements import FIRST_MOMENTS
 
 RANKED = (Outcome.CONTRADICTORY, Outcome.NOT_IDENTIFIABLE, Outcome.WEAK, Outcome.GOOD, Outcome.GIVEN)
 NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")

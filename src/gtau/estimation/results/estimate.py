@@ -19,8 +19,8 @@ from gtau.estimation.diagnostics.verdict import GOOD, Verdict
 from gtau.model.singularities import TYPES
 from gtau.robots.parameter import Parameter
 from gtau.signals.channel import SENSOR, ChannelKind
-from gtau.signals.decimation import Decimator
-from gtau.signals.preparation import PreparedRun
+from gtau.signals.preparation.filters import Decimator
+from gtau.signals.preparation.prepared_run import PreparedRun
 from gtau.signals.storage import rows_at
 
 

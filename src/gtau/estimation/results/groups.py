@@ -30,7 +30,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import Robot
 from gtau.signals.notes import Note
-from gtau.signals.preparation import Preparation
+from gtau.signals.preparation.prepared_run import Preparation
 from gtau.signals.run import Run
 
 

@@ -36,8 +36,8 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import PLAIN_FRICTION, Robot
 from gtau.signals.notes import Note
-from gtau.signals.payload import Payload, as_payload
-from gtau.signals.preparation import Preparation
+from gtau.signals.preparation.prepared_run import Preparation
+from gtau.signals.reading.statements import Payload, as_payload
 from gtau.signals.run import Run
 
 if TYPE_CHECKING:

@@ -1,0 +1,146 @@
+"""Runs cut into blocks, which the jackknife leaves out in turn: of as many samples in motion each.
+
+Model errors depend mostly on the motion. Runs without and with a payload that repeat one motion share them, and they
+cancel in the gains, which depend on the difference of the currents. A jackknife that leaves out blocks of one run
+alone counts them as errors of the difference. So runs that repeat a motion are cut at the same positions, and their
+blocks are left out together: common errors then cancel in each unit, and differences remain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from gtau.estimation.regression.equations import BLOCKS
+from gtau.estimation.thresholds.logs import REPEATED, REPEATED_PART
+from gtau.signals.preparation.prepared_run import InMemoryRun, PreparedRun
+
+ASLEEP = 1e-6  # weight of a sample in a rest
+REST = 0.5  # of a block: shorter rests leave rows in it, and longer ones may leave none
+LONGEST = 1 << 16  # positions of a run that are compared, at most
+
+
+def block_edges(prepared: PreparedRun | InMemoryRun) -> np.ndarray:
+    """Find the edges of the blocks of a run, as shares of its samples, (BLOCKS + 1,).
+
+    Blocks are equal if the robot does not rest for long; if it does, equal ones would leave all rows to a few.
+    """
+    at, awake = prepared.awake()
+    weight = np.ones(len(awake))
+    moving = np.concatenate([[-1], np.flatnonzero(awake), [len(awake)]]).tolist()
+    for before, after in pairwise(moving):
+        if at[after] - at[before + 1] > REST * at[-1] / BLOCKS:
+            weight[before + 1 : after] = ASLEEP
+    along = np.cumsum([0.0, *(np.diff(at) * weight)])
+    return np.asarray(np.interp(np.linspace(0.0, along[-1], BLOCKS + 1), along, at / at[-1]))
+
+
+def block_of(edges: np.ndarray, outputs: int) -> np.ndarray:
+    """List the number of the block of each of ``outputs`` rows, (outputs,), from the edges of the blocks."""
+    return np.asarray(np.searchsorted(np.round(edges[1:-1] * outputs, 6), np.arange(outputs), side="right"))
+
+
+@dataclass(frozen=True)
+class Place:
+    """Place of a run in the motion of its group: the ``group``'s number, and its ``begin`` and ``end``.
+
+    They are the instants (s), by the clock of the run, at which the first run of the group begins to move and the last
+    one ends. ``repeated`` says whether the group has more than one run.
+    """
+
+    group: int
+    begin: float
+    end: float
+    repeated: bool
+
+
+def aligned_edges(prepared: Sequence[PreparedRun], places: Sequence[Place]) -> tuple[np.ndarray, ...]:
+    """Cut runs into blocks, those that repeat a motion at the same positions; shares, (BLOCKS + 1,) each.
+
+    They are the blocks of the longest run of each group.
+    """
+    found = []
+    for each, place in zip(prepared, places, strict=True):
+        group = [k for k, other in enumerate(places) if other.group == place.group]
+        longest = max(group, key=lambda k: len(prepared[k]) / prepared[k].run.rate)
+        edges = block_edges(prepared[longest])
+        if prepared[longest] is not each:
+            time, begin = prepared[longest].time, places[longest].begin
+            since = time[0] + edges[1:-1] * (time[-1] - time[0]) - begin
+            edges[1:-1] = np.clip((place.begin + since - each.time[0]) / (each.time[-1] - each.time[0]), 0.0, 1.0)
+        found.append(edges)
+    return tuple(found)
+
+
+def find_places(prepared: Sequence[PreparedRun]) -> tuple[Place, ...]:
+    """Group the runs by their motions.
+
+    Runs belong together where the rms difference of their positions after a shift in time, over those of the motion,
+    is below ``REPEATED``, of ``REPEATED_PART`` of the longer one at least. Each is compared with the first of every
+    group. Runs in memory, which are synthetic, form groups of one.
+    """
+    if not all(isinstance(each, PreparedRun) for each in prepared):
+        return tuple(Place(k, 0.0, 0.0, False) for k in range(len(prepared)))
+    step, paths = _paths(prepared)
+    groups = list[list[tuple[int, float]]]()
+    for k, other in enumerate(prepared):
+        for members in groups:
+            one = members[0][0]
+            lag = _lag(paths[one], paths[k], prepared[one].moves | other.moves)
+            if lag is not None:
+                members.append((k, float(other.time[0] - prepared[one].time[0] - lag * step)))
+                break
+        else:
+            groups.append([(k, 0.0)])
+    found = {}
+    for number, members in enumerate(groups):
+        # an instant t of the first run is t + shift by the clock of another
+        first = min(float(prepared[k].time[0]) - shift for k, shift in members)
+        last = max(float(prepared[k].time[-1]) - shift for k, shift in members)
+        for k, shift in members:
+            found[k] = Place(number, first + shift, last + shift, len(members) > 1)
+    return tuple(found[k] for k in range(len(prepared)))
+
+
+def _paths(prepared: Sequence[PreparedRun]) -> tuple[float, list[np.ndarray]]:
+    """Sample the positions (N, n) of all runs at steps of one length (s), which comes first."""
+    samples = [np.arange(0, len(each), -(-len(each) // LONGEST)) for each in prepared]
+    step = max(int(at[1] if len(at) > 1 else 1) / each.run.rate for each, at in zip(prepared, samples, strict=True))
+    q = []
+    for each, at in zip(prepared, samples, strict=True):
+        time = each.time[at] - each.time[0]
+        position = each.run.position[each.kept.start + at]
+        instants = np.arange(0.0, time[-1] + step / 2, step)
+        q.append(np.column_stack([np.interp(instants, time, of_joint) for of_joint in position.T]))
+    return step, q
+
+
+def _lag(a: np.ndarray, b: np.ndarray, moves: np.ndarray) -> int | None:
+    """Find the steps by which path ``a`` lags behind ``b``, by the joints that move; None if the motions differ."""
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    least = REPEATED_PART * max(len(a), len(b))
+    if min(len(a), len(b)) < least or not moves.any():
+        return None
+    spread = np.maximum(a.std(axis=0), b.std(axis=0))[moves]
+    centre = a.mean(axis=0)[moves]
+    a, b = ((each[:, moves] - centre) / (spread * np.sqrt(moves.sum())) for each in (a, b))
+    # the mean square of a[i + lag] - b[i] at every lag
+    size = next_fast_len(len(a) + len(b) - 1)
+    products = (rfft(a, size, axis=0) * np.conj(rfft(b, size, axis=0))).sum(axis=1)
+    lags = np.arange(1 - len(b), len(a))
+    cross = irfft(products, size)[lags]
+    squares_a, squares_b = (np.concatenate([[0.0], np.cumsum(np.sum(each**2, axis=1))]) for each in (a, b))
+    low, high = np.maximum(lags, 0), np.minimum(len(a), len(b) + lags)
+    sums = squares_a[high] - squares_a[low] + squares_b[high - lags] - squares_b[low - lags] - 2 * cross
+    enough = high - low >= least
+    difference = np.where(enough, np.sqrt(np.maximum(sums, 0.0) / np.maximum(high - low, 1)), np.inf)
+    best = difference.min(initial=np.inf)
+    if best > REPEATED:
+        return None
+    # of a periodic motion, the shift at which most of both runs overlap
+    k = max(np.flatnonzero(difference <= 2 * best), key=lambda k: (high[k] - low[k], -difference[k]))
+    return int(lags[k])

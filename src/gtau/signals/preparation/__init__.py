@@ -1,0 +1,1 @@
+"""Preparation: bandwidth, filters and decimation; positions become velocities and accelerations."""

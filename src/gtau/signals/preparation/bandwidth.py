@@ -1,0 +1,203 @@
+"""Bandwidth of a motion, from the spectra of positions with noise of any colour.
+
+In the acceleration spectrum the motion falls with frequency while position noise rises: white noise, rounding and
+jitter with the fourth power. The valley between them is the end of the signal, whatever the noise level. Velocity power
+below the valley belongs to the motion, power above it is noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gtau.signals.preparation.filters import HIGHEST_CUTOFF
+from gtau.signals.reading.samples import extremes
+from gtau.signals.run import Run
+from gtau.signals.storage import block
+
+SPEED_POWER = 0.999  # share of a joint's speed power below its bandwidth
+SEGMENT = 1 << 17  # maximum samples per periodogram: periodograms of a longer log are averaged
+BANDS = 6  # an octave, each a third of an octave wide
+CLOSING = 5  # bands of a gap that is filled: one between two harmonics of a motion is an octave wide, less a band
+# A valley is real where the spectrum rises from it on both sides by a factor that the mean of few exponentially
+# distributed lines rarely does.
+PROMINENCE = 4.0
+# Polling jitter, beats and resonances make humps above the motion's valley. On a da Vinci arm polled at 200 Hz one
+# above 40 Hz holds 0.3 % of the speed's power; the weakest harmonic of the exciting motions in the shared logs, 4 %.
+HUMP = 0.02
+TOP = 0.45  # of the sampling rate: highest frequency evaluated
+NOISE = 0.25  # of the sampling rate: the noise of a position is measured above
+# Least range of a motion in standard deviations of the position's noise. In the shared logs joints at rest, shaken by
+# others, have 3 to 90, those that move 1900 (a da Vinci arm polled at 200 Hz) to 2e5.
+LEAST_RANGE = 150.0
+LEAST_SIGNAL = 100.0  # or least signal-to-noise ratio of its speed; rest has 40 and less
+FAR_ABOVE = 1e3  # density of a motion over that of such noise
+WHITE = -1.0  # noise is flat in the position's spectrum, or nearly so, where motions fall with f^-2 and faster
+ROUNDING = 1e-9  # of a position, by arithmetic: a range that is no motion
+SEGMENTS = 16  # of a long log, spread over it
+
+
+@dataclass(frozen=True, eq=False)
+class JointSpectrum:
+    """Spectra of one joint, averaged over thirds of an octave.
+
+    ``frequency`` (K,) in Hz; power densities of the ``speed`` and of the ``acceleration`` (K,), in the position's unit,
+    s and Hz. The signal ends at ``end`` (Hz), where the noise takes over, and has the ``bandwidth`` (Hz); both are NaN
+    for a joint that does not move. ``signal_to_noise`` is the ratio of their powers in the speed below ``end``.
+    """
+
+    frequency: np.ndarray
+    speed: np.ndarray
+    acceleration: np.ndarray
+    end: float
+    bandwidth: float
+    signal_to_noise: float
+
+    @property
+    def moves(self) -> bool:
+        """True where the joint's motion exceeds its position noise."""
+        return bool(np.isfinite(self.bandwidth))
+
+
+def spectra(run: Run) -> tuple[JointSpectrum, ...]:
+    """Estimate spectra, end of the signal and bandwidth of every joint.
+
+    Parameters
+    ----------
+    run : Run
+        One run; a long one is read in segments.
+
+    Returns
+    -------
+    tuple of JointSpectrum
+        One for each joint, in order.
+    """
+    frequency, density = _accelerations(run.position, run.rate)
+    gain = (2 * run.rate * np.sin(np.pi * frequency / run.rate)) ** 2  # power of a difference
+    high = frequency > NOISE * run.rate
+    # The mean of an exponential distribution is its median over ln 2; the median ignores single lines.
+    noise = np.sqrt(np.median(density[high] / gain[high, None] ** 2, axis=0) / np.log(2) * run.rate / 2)
+    low, most = extremes(run.position)
+    rounding = ROUNDING * np.maximum(np.abs(low), np.abs(most))
+    density[:, most - low <= rounding] = 0.0
+    moves = most - low > LEAST_RANGE * noise
+    return tuple(_judge(frequency, each, gain, moving) for each, moving in zip(density.T, moves.tolist(), strict=True))
+
+
+def position_noise(run: Run, cutoffs: Sequence[float | None]) -> np.ndarray:
+    """Bound the noise of positions (n,) by a white density, in the position's unit squared per Hz.
+
+    It is the largest density of a third of an octave above a joint's cut-off (Hz), where the torques show no motion.
+    """
+    found = []
+    for cutoff, (centre, density, gain) in zip(cutoffs, _banded(run), strict=True):
+        above = centre > cutoff if cutoff is not None else np.zeros(len(centre), dtype=bool)
+        found.append(float(np.max(density / gain**2, where=above, initial=0.0)))
+    return np.array(found)
+
+
+def widened(run: Run, cutoffs: Sequence[float | None], noise: Sequence[float]) -> tuple[float | None, ...]:
+    """Raise each joint's cut-off (Hz) where a run has faster motion than :func:`position_noise` explains.
+
+    The error of the accelerations, of lost motion above the cut-off and of noise that passes, is least.
+    """
+    found: list[float | None] = []
+    for cutoff, level, (centre, density, gain) in zip(cutoffs, noise, _banded(run), strict=True):
+        if cutoff is None or cutoff >= HIGHEST_CUTOFF * run.rate:
+            found.append(None)
+            continue
+        above = centre > cutoff
+        frequency, white = centre[above], (level * gain**2)[above]
+        motion = np.maximum(density[above] - white, 0.0)
+        tried = cutoff * 2 ** (np.arange(int(4 * np.log2(HIGHEST_CUTOFF * run.rate / cutoff)) + 1) / 4)
+        passed = 1 / (1 + (frequency / tried[:, None]) ** 8)  # of filters.low_pass
+        error = ((1 - passed) ** 2 * motion + passed**2 * white) @ frequency
+        found.append(float(tried[np.argmin(error)]))
+    return tuple(found)
+
+
+def _banded(run: Run) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """List of each joint frequencies, density of the accelerations, and the gain of two differences, in bands."""
+    frequency, density = _accelerations(run.position, run.rate)
+    gain = (2 * run.rate * np.sin(np.pi * frequency / run.rate)) ** 2
+    bands = [_in_bands(frequency, each) for each in density.T]
+    return [(centre, each, np.interp(centre, frequency, gain)) for centre, each in bands]
+
+
+def _accelerations(position: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
+    """Compute frequencies (K,) above zero, up to ``TOP``, and the power density of the second differences (K, n)."""
+    from scipy.signal.windows import tukey
+
+    count = len(position) - 2
+    segments = min(-(-count // SEGMENT), SEGMENTS)
+    length = min(count, SEGMENT)
+    # The window keeps a log that begins or ends in motion from looking like a jump.
+    window = tukey(length, 0.1)[:, None]
+    power = np.zeros((length // 2 + 1, position.shape[1]))
+    for start in np.linspace(0, count - length, segments).astype(int):
+        part = block(position, start, start + length + 2)
+        power += np.abs(np.fft.rfft((part[2:] - 2 * part[1:-1] + part[:-2]) * (rate**2 * window), axis=0)) ** 2
+    frequency = np.fft.rfftfreq(length, 1 / rate)
+    used = slice(1, int(np.searchsorted(frequency, TOP * rate, side="right")))
+    return frequency[used], power[used] * (2 / (segments * rate * (window**2).sum()))
+
+
+def _judge(frequency: np.ndarray, density: np.ndarray, gain: np.ndarray, moves: bool) -> JointSpectrum:
+    """Find the end of the signal and the bandwidth in the spectrum of one joint's accelerations."""
+    from scipy.ndimage import grey_closing
+    from scipy.signal import find_peaks
+
+    centre, of_band = _in_bands(frequency, density)
+    band_gain = np.interp(centre, frequency, gain)
+    if not density.any():
+        return JointSpectrum(centre, of_band, of_band, np.nan, np.nan, 0.0)
+    level = -np.log(np.maximum(grey_closing(of_band, size=CLOSING, mode="nearest"), 1e-30 * of_band.max()))
+    bottom = level.min() - 2 * np.log(PROMINENCE)  # a spectrum that falls throughout ends at its last frequency
+    valleys = find_peaks(np.r_[bottom, level, bottom], prominence=np.log(PROMINENCE))[0] - 1
+    speed = density / gain
+    held = np.cumsum(speed)
+    below = held[np.searchsorted(frequency, centre[valleys], side="right") - 1]
+    last = len(valleys) - 1
+    while last > 0:
+        small = below[last] - below[last - 1] < HUMP * below[last - 1]
+        if not (small or _is_white(centre, np.exp(-level) / band_gain**2, valleys[last - 1], valleys[last])):
+            break
+        last -= 1
+    end = int(valleys[last])
+    of_signal = int(np.searchsorted(frequency, centre[end], side="right"))
+    found = int(np.searchsorted(held[:of_signal], SPEED_POWER * held[of_signal - 1]))
+    noise = np.exp(-level[end]) / band_gain[end] ** 2 * gain[:of_signal].sum()  # white, of the level in the valley
+    ratio = float(held[of_signal - 1] / noise)
+    moves = moves or ratio > LEAST_SIGNAL
+    return JointSpectrum(
+        frequency=centre,
+        speed=of_band / band_gain,
+        acceleration=of_band,
+        end=float(centre[end]) if moves else np.nan,
+        bandwidth=float(frequency[found]) if moves else np.nan,
+        signal_to_noise=ratio,
+    )
+
+
+def _is_white(frequency: np.ndarray, position: np.ndarray, valley: int, end: int) -> bool:
+    """Decide whether the spectrum between a valley and the ``end`` is white noise of the position, low-passed.
+
+    Its level equals that of the valley and is far below the motion's ``position`` density.
+    """
+    hump = position[valley : end + 1]
+    top = int(np.argmax(hump * frequency[valley : end + 1] ** 4))
+    slope = np.log(hump[top] / hump[0]) / np.log(frequency[valley + top] / frequency[valley]) if top else 0.0
+    below = position[: valley + 1].max() > FAR_ABOVE * hump[0]
+    return bool(below and slope > WHITE and hump.max() < PROMINENCE * hump[0])
+
+
+def _in_bands(frequency: np.ndarray, density: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Average the density in bands a third of an octave wide: centres (B,) and means (B,); at least one line each."""
+    centre = frequency[0] * 2 ** (np.arange(int(BANDS * np.log2(frequency[-1] / frequency[0])) + 1) / BANDS)
+    half = 2 ** (1 / 6)
+    first = np.searchsorted(frequency, centre / half * (1 - 1e-9))
+    stop = np.maximum(np.searchsorted(frequency, centre * half * (1 + 1e-9), side="right"), first + 1)
+    held = np.concatenate([[0.0], np.cumsum(density)])
+    return centre, (held[stop] - held[first]) / (stop - first)

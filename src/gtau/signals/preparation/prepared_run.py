@@ -1,0 +1,358 @@
+"""Preparation of a run for model and estimators: q, qd, qdd, the command, and a mask."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from itertools import pairwise
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.signals.notes import Kind, Note
+from gtau.signals.preparation.bandwidth import JointSpectrum, spectra, widened
+from gtau.signals.preparation.filters import (
+    STENCIL,
+    Cutoff,
+    Decimator,
+    below_nyquist,
+    differentiate,
+    filter_edge,
+    position_filter,
+    smooth_path,
+)
+from gtau.signals.run import Run
+from gtau.signals.storage import block, spans, stored
+
+SPEED_FRACTION = 0.05  # of a joint's rms speed
+
+PARTS = 2000  # of a run, used to find rests
+CLOSE_TO_NYQUIST = 0.1  # of the sampling rate: bandwidths above are noted; speeds are then too small by 0.5 %
+NOISY = 1e3  # signal-to-noise ratios below are noted: noise then adds more than 0.1 % to the speed's power
+
+
+@dataclass(frozen=True)
+class Preparation:
+    """Preparation of the runs of an experiment.
+
+    Attributes
+    ----------
+    bandwidth, cutoff : float
+        Of the motion and of the position filter (None: no filter), Hz.
+    decimator : Decimator
+        Of runs with this ``rate``; others are decimated to the same row rate.
+    speed_fraction : float
+        A joint's row is left out where its speed is below this share of its rms speed.
+    rate : float
+        Sampling rate of the slowest run, Hz; 0 if unknown.
+    given : tuple of str
+        Names of settings made by hand, see :class:`gtau.signals.reading.statements.PreparationSettings`.
+    prediction_cutoffs : tuple
+        Of the position filter of each joint when torques are predicted, Hz; empty for that of identification. See
+        :func:`gtau.uses.prediction.with_prediction_cutoffs`.
+    position_noise : tuple of float
+        Of the same joints, see :func:`gtau.signals.preparation.bandwidth.position_noise`.
+    """
+
+    bandwidth: float
+    cutoff: float | None
+    decimator: Decimator
+    speed_fraction: float = SPEED_FRACTION
+    rate: float = 0.0
+    given: tuple[str, ...] = ()
+    prediction_cutoffs: tuple[float | None, ...] = ()
+    position_noise: tuple[float, ...] = ()
+
+    def at(self, rate: float) -> Preparation:
+        """Adapt the preparation to runs with another sampling ``rate`` (Hz): same filter, same row rate."""
+        if not self.rate or abs(rate / self.rate - 1) < 0.1:
+            return self
+        factor = max(1, round(self.decimator.factor * rate / self.rate))
+        cutoff = self.cutoff
+        if "position_filter" not in self.given:
+            cutoff = max(10 * self.bandwidth, 5.0) if cutoff is None else cutoff
+        cutoff = None if cutoff is None else below_nyquist(cutoff, rate)
+        return replace(self, cutoff=cutoff, decimator=replace(self.decimator, factor=factor), rate=rate)
+
+
+@dataclass(frozen=True, eq=False)
+class SampleWindow:
+    """Consecutive samples of a run, ready for the model; arrays share the sample axis M.
+
+    ``q``, ``qd``, ``qdd`` (M, n) in rad or m, s; ``command`` (M, c + 6 k), of the joints, then of the torque sensors,
+    then of k wrenches, and its time derivatives ``command_d``, ``command_dd``, the columns of a delay. ``usable``
+    (M, c) is False where a row
+    must not be used: around the joint's reversals and rests, at gaps, at the ends of the filter, and
+    always for a joint that does not move. ``time`` (M,) in s.
+    """
+
+    time: np.ndarray
+    q: np.ndarray
+    qd: np.ndarray
+    qdd: np.ndarray
+    command: np.ndarray
+    command_d: np.ndarray
+    command_dd: np.ndarray
+    usable: np.ndarray
+
+    def __getitem__(self, samples: slice) -> SampleWindow:
+        return SampleWindow(*(getattr(self, field.name)[samples] for field in fields(self)))
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedRun:
+    """Prepared run; :meth:`samples` returns any stretch of it ready for the model.
+
+    Attributes
+    ----------
+    run, preparation : Run, Preparation
+        The run and its preparation.
+    kept : range
+        Samples of the run that are used: those from the first motion to the last.
+    moves : ndarray
+        (n,) True for joints that move.
+    speeds : ndarray
+        (n, n) Mean of ``qd qd^T`` over these samples, the reference of the joints' speed thresholds.
+    motor_to_joint_speed : ndarray
+        (n_y, n) Joint speeds from motor speeds; nonzero where a joint's friction appears in the motor's row: for the
+        motor's own joint, and for others in coupled chains.
+    peaks : ndarray
+        (PARTS, n) Largest speeds in equal parts of the run.
+    notes : tuple of Note
+        On omitted parts.
+    cutoffs : tuple
+        Of the position filter of each joint, Hz; empty for that of the preparation.
+    """
+
+    run: Run
+    preparation: Preparation
+    kept: range
+    moves: np.ndarray
+    speeds: np.ndarray
+    motor_to_joint_speed: np.ndarray
+    peaks: np.ndarray
+    notes: tuple[Note, ...] = ()
+    cutoffs: tuple[float | None, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.kept)
+
+    @property
+    def time(self) -> np.ndarray:
+        """Instants of the samples that are used, (N,) in s."""
+        return self.run.time[self.kept.start : self.kept.stop]
+
+    def for_prediction(self) -> PreparedRun:
+        """Filter each joint's position only as far as its noise asks for, as predictions do."""
+        cutoffs, noise = self.preparation.prediction_cutoffs, self.preparation.position_noise
+        return replace(self, cutoffs=widened(self.run, cutoffs, noise)) if cutoffs else self
+
+    @property
+    def _cutoff(self) -> Cutoff:
+        return self.cutoffs or self.preparation.cutoff
+
+    def awake(self) -> tuple[np.ndarray, np.ndarray]:
+        """Split the used samples into parts at (parts + 1,) indices, and mark the parts in which a joint moves."""
+        limit = self.preparation.speed_fraction * np.sqrt(np.diag(self.speeds))
+        moving = ((self.peaks >= limit) & self.moves).any(axis=1)
+        at = np.clip(_parts(len(self.run.time)), self.kept.start, self.kept.stop) - self.kept.start
+        return at, moving
+
+    def valid(self, start: int = 0, stop: int | None = None) -> np.ndarray:
+        """Mark speeds and accelerations from valid samples only, (M, n), for the samples of :meth:`samples`."""
+        at = self.kept[start:stop]
+        return valid_samples(self.run, self.preparation, at.start, at.stop)
+
+    def path(self, time: np.ndarray) -> np.ndarray:
+        """Return positions (n, N) at consecutive samples, given by their times, without spurious reversals."""
+        start = int(np.searchsorted(self.run.time, time[0]))
+        return smooth_path(self.run.position, self.run.rate, self._cutoff, start, start + len(time)).T
+
+    def samples(self, start: int = 0, stop: int | None = None) -> SampleWindow:
+        """Prepare the used samples from ``start`` to before ``stop``, with their neighbours."""
+        at = self.kept[start:stop]
+        run, preparation, begin = self.run, self.preparation, max(0, at.start - STENCIL)
+        q, qd, qdd = position_filter(run.position, run.rate, self._cutoff, at.start, at.stop)
+        command = block(run.command, begin, min(len(run.time), at.stop + STENCIL))
+        modelled = [channel for channel in run.channels if channel.kind.modelled]
+        rows, c = [channel.row for channel in modelled], len(modelled)
+        mine = slice(at.start - begin, at.stop - begin)
+        command, command_d, command_dd = (each[mine] for each in (command, *differentiate(command, run.rate)))
+        wrenches = [(frame, slice(c + 6 * k, c + 6 * k + 6)) for k, frame in enumerate(run.wrenches)]
+        for frame, six in wrenches:
+            if frame.body in run.base:
+                continue
+            # noise of other wrenches is on the model's side of the equations, as that of the positions
+            along = position_filter(run.command[:, six], run.rate, preparation.cutoff, at.start, at.stop)
+            for each, filtered in zip((command, command_d, command_dd), along, strict=True):
+                each[:, six] = filtered
+        limit = preparation.speed_fraction * np.sqrt(
+            np.einsum("yi,ij,yj->y", self.motor_to_joint_speed, self.speeds, self.motor_to_joint_speed)
+        )
+        slow = np.abs(qd @ self.motor_to_joint_speed.T) < limit
+        rubbing = np.abs(self.motor_to_joint_speed) > 1e-9
+        # joints without friction may rest
+        moving = ~(slow @ rubbing) & (self.moves | ~rubbing.any(axis=0))
+        valid = self.valid(start, stop)
+        # a wrench acts on all joints, one on a floating base on its rows alone
+        usable, base = moving[:, rows] & valid[:, :c], np.array([not channel.kind.of_joint for channel in modelled])
+        for frame, six in wrenches:
+            usable &= valid[:, six].all(axis=1, keepdims=True) | (frame.body in run.base) & ~base
+        return SampleWindow(
+            block(run.time, at.start, at.stop), q, qd, qdd, command, command_d, command_dd, usable
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class InMemoryRun:
+    """In-memory run along a synthetic motion, ready for the model; interface of :class:`PreparedRun`.
+
+    It may be a window of another run, ``whole``, that begins with its sample ``first``.
+    """
+
+    run: Run
+    all: SampleWindow
+    whole: InMemoryRun | None = None
+    first: int = 0
+
+    def __len__(self) -> int:
+        return len(self.all.time)
+
+    def awake(self) -> tuple[np.ndarray, np.ndarray]:
+        """Split the samples into parts at (parts + 1,) indices, and mark the parts in which a row is usable."""
+        at = _parts(len(self))
+        moving = [bool(np.any(block(self.all.usable, *each))) for each in pairwise(at.tolist())]
+        return at, np.array(moving)
+
+    def samples(self, start: int = 0, stop: int | None = None) -> SampleWindow:
+        """Return samples from ``start`` to before ``stop``."""
+        stop = len(self) if stop is None else stop
+        if stored(self.all.q) is None:
+            return self.all[start:stop]
+        return SampleWindow(*(block(getattr(self.all, field.name), start, stop) for field in fields(SampleWindow)))
+
+
+def joined(windows: Sequence[SampleWindow]) -> SampleWindow:
+    """Concatenate stretches of samples."""
+    if len(windows) == 1:
+        return windows[0]
+    return SampleWindow(
+        *(np.concatenate([getattr(each, field.name) for each in windows]) for field in fields(windows[0]))
+    )
+
+
+def prepare(run: Run, preparation: Preparation, motor_to_joint_speed: np.ndarray | None = None) -> PreparedRun:
+    """Find the moving part of a run.
+
+    The rest at the beginning and the end, where no joint exceeds its speed threshold, is cut off.
+
+    Parameters
+    ----------
+    run : Run
+        One run.
+    preparation : Preparation
+        Of its experiment.
+    motor_to_joint_speed : ndarray, optional
+        See :class:`PreparedRun`; a joint of its own for each motor if left out.
+
+    Returns
+    -------
+    PreparedRun
+        Not decimated: decimation is applied to the columns of the model.
+
+    Raises
+    ------
+    GtauError
+        No joint moves, or the log is shorter than its filters.
+    """
+    samples, n = len(run.time), len(run.joints)
+    found = spectra(run)
+    moves = np.array([each.moves for each in found])
+
+    def speed(start: int, stop: int) -> np.ndarray:
+        return position_filter(run.position, run.rate, preparation.cutoff, start, stop)[1]
+
+    edges, peaks = _parts(samples), np.zeros((PARTS, n))
+
+    def gram(start: int, stop: int) -> np.ndarray:
+        qd = speed(start, stop)
+        part = np.searchsorted(edges, np.arange(start, stop), side="right") - 1
+        firsts = np.flatnonzero(np.diff(part, prepend=-1))
+        peaks[part[firsts]] = np.maximum(peaks[part[firsts]], np.maximum.reduceat(np.abs(qd), firsts))
+        return qd.T @ qd
+
+    pieces = list(spans(samples))
+    squares = [gram(*piece) for piece in pieces]
+    limit = preparation.speed_fraction * np.sqrt(np.diag(np.sum(squares, axis=0)) / samples)
+
+    def awake(start: int, stop: int) -> np.ndarray:
+        moving = (np.abs(speed(start, stop)) >= limit) & moves & valid_samples(run, preparation, start, stop)[:, :n]
+        return start + np.flatnonzero(moving.any(axis=1))
+
+    first = next((int(found[0]) for found in (awake(*piece) for piece in pieces) if found.size), None)
+    last = next((int(found[-1]) for found in (awake(*piece) for piece in reversed(pieces)) if found.size), None)
+    if first is None or last is None:
+        edge = filter_edge(run.rate, preparation.cutoff)
+        raise GtauError(
+            f"run '{run.name}': no joint moves between its filter margins ({edge} of {samples} samples at either "
+            "side); give a longer log of a moving robot."
+        )
+    kept = range(first, last + 1)
+    ratios = np.eye(n) if motor_to_joint_speed is None else motor_to_joint_speed
+    # Of the moving part alone, as rest lowers the rms speed that the threshold refers to.
+    within = [(max(start, kept.start), min(stop, kept.stop)) for start, stop in pieces]
+    moved = [
+        known if part == piece else gram(*part)
+        for piece, part, known in zip(pieces, within, squares, strict=True)
+        if part[0] < part[1]
+    ]
+    return PreparedRun(
+        run=run,
+        preparation=preparation,
+        kept=kept,
+        moves=moves,
+        speeds=np.sum(moved, axis=0) / len(kept),
+        motor_to_joint_speed=ratios,
+        peaks=peaks,
+        notes=tuple(_notes(run, found, preparation, np.any(ratios, axis=0))),
+    )
+
+
+def _parts(samples: int) -> np.ndarray:
+    """List the first samples of the parts of a run, and its end, (PARTS + 1,)."""
+    return np.asarray(np.arange(PARTS + 1) * samples // PARTS)
+
+
+def _notes(run: Run, found: Sequence[JointSpectrum], preparation: Preparation, rubbing: np.ndarray) -> Iterator[Note]:
+    """List notes on the motion and its noise."""
+    noisy = []
+    for joint, each, rubs in zip(run.joints, found, rubbing, strict=True):
+        if not each.moves and not rubs:
+            continue
+        if not each.moves:
+            yield Note(Kind.REST, f"joint '{joint}' hardly moves: its rows are left out", joint=joint)
+        elif each.signal_to_noise < NOISY:
+            noisy.append(f"'{joint}' ({100 / np.sqrt(max(each.signal_to_noise, 1)):.0f} %)")
+    if noisy:
+        what = (
+            f"position noise contributes much of the rms speed of joint{'s' * (len(noisy) > 1)} "
+            f"{', '.join(noisy)}: inertias are underestimated"
+        )
+        yield Note(Kind.NOISE, what, "move faster, or use --method iv or didim")
+    if preparation.bandwidth > CLOSE_TO_NYQUIST * run.rate:
+        what = (
+            f"the bandwidth of the motion, {preparation.bandwidth:.3g} Hz, is close to the Nyquist frequency, "
+            f"{run.rate / 2:.4g} Hz: speeds and accelerations are inaccurate"
+        )
+        yield Note(Kind.RATE, what, f"log at {10 * preparation.bandwidth:.0f} Hz or more, or move more slowly")
+
+
+def valid_samples(run: Run, preparation: Preparation, start: int, stop: int) -> np.ndarray:
+    """Mark where speeds and accelerations depend on valid samples only (stop - start, n)."""
+    samples, edge = len(run.time), filter_edge(run.rate, preparation.cutoff)
+    begin, end = max(0, start - STENCIL), min(samples, stop + STENCIL)
+    bad = ~block(run.valid, begin, end)
+    bad = np.pad(bad, ((STENCIL - start + begin, STENCIL - end + stop), (0, 0)))
+    near = np.any([bad[k : k + stop - start] for k in range(2 * STENCIL + 1)], axis=0)
+    number = np.arange(start, stop)
+    return ~near & ((number >= edge) & (number < samples - edge))[:, None]

@@ -1,0 +1,179 @@
+"""Column names: signal kind and joint of a name, and the column presets of common recorders.
+
+These are looked up in the recorders' sources: libfranka ``log.cpp`` (time in ms, ``state.q[0]`` ...), Universal Robots'
+RTDE client (``timestamp``, ``actual_q_0`` ...), PlotJuggler's parser of ``sensor_msgs/JointState``, and the manual of
+TwinCAT 3 Scope View (export to CSV: rows of channel properties, time in ms, channels named by the user). What drivers
+put into ``effort``: UR's ROS 2 driver (#1551: currents, or torques without gravity), franka_ros2 and ros2_kortex
+(sensors of the joints, with gravity). LeRobot's lists are those of its data sets; currents in them are a plugin's.
+"""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+WORDS: dict[str, frozenset[str]] = {
+    kind: frozenset(words.split())
+    for kind, words in {
+        "time": "t time timestamp stamp sec secs second seconds nanosec nsec nsecs nanosecond nanoseconds "
+        "zeit tiempo temps tempo",
+        "position": "q qm pos position positions angle angles theta qpos posn winkel lage posicion angulo posizione",
+        "velocity": "dq qd qdm vel velocity velocities velo speed omega qdot geschwindigkeit drehzahl velocidad "
+        "vitesse velocita",
+        "acceleration": "ddq qdd qddm acc accel acceleration beschleunigung aceleracion accelerazione",
+        "current": "current currents cur curr amp amps ampere iq i strom corriente courant corrente",
+        "torque": "tau torque torques jts effort moment trq tq force drehmoment kraft par couple coppia fuerza",
+        "motor": "motor",
+        "other": "ext external mocap grav gravity temp temperature err error latency voltage rate success filtered age",
+    }.items()
+}
+PRECEDENCE: tuple[str, ...] = ("other", "acceleration", "velocity", "current", "torque", "position", "motor", "time")
+REFERENCE = frozenset(["ref", "reference", "target", "desired", "des", "cmd", "setpoint", "goal", "d", "soll"])
+TEMPERATURE = frozenset(["temp", "temps", "temperature", "temperatures"])
+POSE = frozenset(["pose", "tcp", "mocap", "cartesian", "flange", "tracker", "quaternion", "quat"])
+TOOL = frozenset(["tcp", "tool", "flange", "cartesian", "ee"])  # bodies other than the base
+SENSOR = frozenset(["sensor", "sensors", "sensed", "jts"])  # of torque, between gear and link
+COMPOUND = re.compile("(ist|soll|motor|gelenk|achs)(?=strom|winkel|lage|position|drehmoment|moment|geschw)")  # German
+COMPONENTS = {  # words before the letter of an axis, and all axes
+    "position": ("p|pos|position", "xyz"),
+    "quaternion": ("q|quat|quaternion|orientation", "wxyz"),
+    "acceleration": ("a|acc|accel|acceleration", "xyz"),
+    "force": ("f|force", "xyz"),
+    "moment": ("m|t|moment|torque", "xyz"),
+}
+COMMAND = frozenset(["v", "u", "control", "action", "command"])  # currents or torques, unless they are velocities
+UNITS = {
+    "deg": "deg",
+    "°": "deg",
+    "rad": "rad",
+    "mm": "mm",
+    "m": "m",
+    "ma": "mA",
+    "a": "A",
+    "ms": "ms",
+    "s": "s",
+    "%": "%",
+}
+UNITS |= {"us": "us", "ns": "ns", "nm": "N m", "n m": "N m", "n": "N"}
+
+
+@dataclass(frozen=True)
+class ColumnName:
+    """A parsed column ``name``: its remainder without the joint, the joint's label, the kind and the unit.
+
+    ``kind`` is one of ``WORDS``, ``command`` (a current or a torque, or a velocity), ``sensor`` (of torque), or None;
+    ``motor`` is a motor torque, or a column merely named after a motor;
+    ``reference`` is True for a setpoint rather than a measurement.
+    """
+
+    name: str
+    stem: str
+    label: str
+    kind: str | None
+    reference: bool
+    unit: str | None
+
+
+def parse_column_name(name: str, joints: Sequence[str] = ()) -> ColumnName:
+    """Parse the name of a column; the names of ``joints`` are recognised in it."""
+    unit = re.search(r"[\[(]\s*([^\[\]()\d]+?)\s*[\])]\s*$", name)
+    bare = name[: unit.start()] if unit else name
+    label, stem = "", bare
+    for joint in sorted(joints, key=len, reverse=True):
+        before = r"(?<!\d)" if joint.isdigit() else r"(?<![A-Za-z0-9])[A-Za-z]{0,3}?"  # q11; qleft as well as q_left
+        found = re.search(rf"{before}({re.escape(joint)})(?![A-Za-z0-9])", bare, re.IGNORECASE)
+        if found:
+            label, stem = joint, bare[: found.start(1)] + "#" + bare[found.end(1) :]
+            break
+    if not label and bare.startswith("/") and re.search(r"/(stamp|received)$", bare):
+        words = ["timestamp"]  # of a topic of a bag
+    elif not label and (found := re.fullmatch(r"(observation\.state\[)(\d+)\]", bare)):  # LeRobot's positions
+        label, stem, words = found[2], f"{found[1]}#]", ["position"]
+    elif not label and re.fullmatch(r"/.*/[^/]+/[^/\]]+", bare):  # /joint_states/elbow/position
+        *topic, label, field = bare.split("/")
+        stem = "/".join([*topic, "#", field])
+        words = _words(field)
+    elif not label and (found := re.search(r"^(.*?)(\d+)(\D*)$", bare)):
+        label, stem = found[2], f"{found[1]}#{found[3]}"
+        words = _words(stem)
+    else:
+        words = _words(stem)
+    kinds = [kind for word in words for kind, known in WORDS.items() if word in known]
+    kind = next((each for each in PRECEDENCE if each in kinds), None)
+    if kind == "current" and {"as", "torque"} <= set(words):  # of UR: actual_current_as_torque
+        kind = "torque"
+    elif kind == "torque" and any(word in SENSOR for word in words):
+        kind = "sensor"
+    elif kind == "torque" and "motor" in words:
+        kind = "motor"
+    if kind is None and any(word in COMMAND for word in words):
+        kind = "command"
+    return ColumnName(
+        name, stem, label, kind, any(word in REFERENCE for word in words), UNITS.get(unit[1].lower()) if unit else None
+    )
+
+
+def parse_item(column: str, label: str, joints: Sequence[str] = ()) -> ColumnName:
+    """Parse the name of a list item, ``FEATURE/NAME`` as in LeRobot; goals (``action``) are references.
+
+    ``observation.state/elbow.pos`` is a position of ``elbow``, ``observation.effort/elbow`` an effort.
+    """
+    feature, _, name = label.partition("/")
+    joint, _, quantity = name.rpartition(".")
+    quantity = quantity if joint else feature.rpartition(".")[2]
+    field = "position" if quantity == "state" else quantity
+    found = parse_column_name(f"/{feature}/{joint or name}/{field}", joints)
+    return replace(found, name=column, reference=found.reference or feature == "action")
+
+
+def is_temperature(name: str) -> bool:
+    """Decide from its name whether a column is a temperature."""
+    return not TEMPERATURE.isdisjoint(_words(name))
+
+
+def is_pose(name: str) -> bool:
+    """Decide from its name whether a column looks like a component of a pose."""
+    return not POSE.isdisjoint(_words(name))
+
+
+def base_like(names: Sequence[str]) -> tuple[str, ...]:
+    """Select columns that may hold the motion of a base: orientation, accompanying position, and accelerations."""
+    names = [name for name in names if TOOL.isdisjoint(_words(name))]
+    quaternions, accelerations = _vectors(names, "quaternion"), _vectors(names, "acceleration")
+    places = [of for prefix, of in _vectors(names, "position").items() if prefix in quaternions]
+    return tuple(name for of in (*places, *quaternions.values(), *accelerations.values()) for name in of)
+
+
+def wrench_like(names: Sequence[str]) -> tuple[str, ...]:
+    """Select columns that may be forces and, about the same point, moments."""
+    moments = _vectors(names, "moment")
+    return tuple(
+        name for prefix, force in _vectors(names, "force").items() for name in (*force, *moments.get(prefix, ()))
+    )
+
+
+def _vectors(names: Sequence[str], kind: str) -> dict[str, tuple[str, ...]]:
+    """Collect the columns of each complete vector of a kind in ``COMPONENTS``, by the prefix of its components."""
+    words, axes = COMPONENTS[kind]
+    pattern = re.compile(rf"(.*?)(?<![a-z])(?:{words})[^a-z0-9]*([{axes}])(?:\s*[\[(].*)?", re.IGNORECASE)
+    found: dict[str, dict[str, str]] = {}
+    for name in names:
+        if component := pattern.fullmatch(name):
+            found.setdefault(component[1], {})[component[2].lower()] = name
+    return {prefix: tuple(of[axis] for axis in axes) for prefix, of in found.items() if len(of) == len(axes)}
+
+
+def _words(text: str) -> list[str]:
+    plain = "".join(each for each in unicodedata.normalize("NFD", text) if not unicodedata.combining(each))
+    words = [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|°", plain)]
+    return [part for word in words for part in COMPOUND.sub(r"\1 ", word).split()]
+
+
+def mass_in_name(name: str) -> float | None:
+    """Read a mass in kg from the name of a file, as in ``loaded_1983g``."""
+    found = re.search(r"(?<![\d.])(\d+(?:[.]\d+)?)[_ ]?(kg|g|grams?)(?![a-z])", name, re.IGNORECASE)
+    if not found:
+        return None
+    return round(float(found[1]) * (1.0 if found[2].lower() == "kg" else 1e-3), 6)

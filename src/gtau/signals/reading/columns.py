@@ -1,0 +1,321 @@
+"""Assignment of log columns to signals and units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from pydantic import Discriminator, Field, FiniteFloat, Tag, field_validator, model_validator
+
+from gtau.documents.validation import Keys, Positive
+from gtau.signals.channel import Channel, channels_of
+from gtau.signals.reading.body_columns import BaseColumns, BodyWrench, PoseColumns
+
+LEAST_RATE, LARGEST_RATE = 10.0, 5e4  # Hz; of drives that are logged
+
+
+@dataclass(frozen=True)
+class Preset:
+    """Time column with its unit, and patterns of the columns by joint: its number from 0 (``{k}``) or 1, or its name.
+
+    Without ``gravity``, the torques are gravity-compensated by the controller.
+    """
+
+    time: str
+    time_unit: str = "s"
+    position: str | None = None
+    current: str | None = None
+    torque: str | None = None
+    gravity: bool = True
+
+
+JOINT_STATES = ("/joint_states/header/stamp", "s", "/joint_states/{joint}/position")
+
+
+PRESETS: Mapping[str, Preset] = {
+    "ur_rtde": Preset("timestamp", position="actual_q_{k}", current="actual_current_{k}"),
+    "ur_rtde_torque": Preset(
+        "timestamp", position="actual_q_{k}", torque="actual_current_as_torque_{k}", gravity=False
+    ),
+    "ur-current": Preset(*JOINT_STATES, current="/joint_states/{joint}/effort"),
+    "ur-torque": Preset(*JOINT_STATES, torque="/joint_states/{joint}/effort", gravity=False),
+    "franka-ros": Preset(*JOINT_STATES, torque="/joint_states/{joint}/effort"),
+    "kinova": Preset(*JOINT_STATES, torque="/joint_states/{joint}/effort"),
+    "lerobot": Preset("timestamp", position="observation.state[{n}]", current="observation.current[{n}]"),
+    "franka": Preset("time", "ms", position="state.q[{k}]", torque="state.tau_J[{k}]"),
+    "plotjuggler": Preset("__time", position="/joint_states/{joint}/position", torque="/joint_states/{joint}/effort"),
+    "twincat_scope": Preset("time", "ms"),
+}
+
+
+def time_unit(preset: str | None) -> str:
+    """Return the unit of the time column where none is given."""
+    return "s" if preset is None else PRESETS[preset].time_unit
+
+
+def expanded(signals: Mapping[str, Any]) -> dict[str, Any]:
+    """Fill in the columns of a preset for the ``joints`` named, those given by hand first.
+
+    Raises
+    ------
+    ValueError
+        There is no such preset, or its joints are missing; the text gives the remedy.
+    """
+    given = {key: value for key, value in signals.items() if key != "joints"}
+    preset = PRESETS.get(str(signals["preset"]))
+    if preset is None:
+        raise ValueError(f"there is no preset '{signals['preset']}'; choose from {', '.join(PRESETS)}")
+    patterns = {"position": preset.position, "current": preset.current, "torque": preset.torque}
+    if given.keys() & {"current", "torque", "motor_torque"}:
+        patterns |= {"current": None, "torque": None}
+    wanted = {key: pattern for key, pattern in patterns.items() if pattern is not None and key not in given}
+    joints = signals.get("joints")
+    if wanted and (not isinstance(joints, Sequence) or isinstance(joints, str) or not joints):
+        raise ValueError(f"the preset '{signals['preset']}' needs the joints in their order; add 'joints: [..., ...]'")
+    columns = {
+        key: {str(joint): pattern.format(k=k, n=k + 1, joint=joint) for k, joint in enumerate(joints or ())}
+        for key, pattern in wanted.items()
+    }
+    return {"time": preset.time} | columns | given
+
+
+def text_or_group(value: Any) -> str:
+    """Discriminate, for pydantic, one text for all joints from a group of texts by joint."""
+    return "text" if isinstance(value, str) else "group"
+
+
+def _kind_of_time(value: Any) -> str:
+    if isinstance(value, StampsOfEach) or (isinstance(value, dict) and value.keys() & {"position", "command"}):
+        return "each"
+    return "text" if isinstance(value, str) else "pair" if isinstance(value, (list, tuple)) else "group"
+
+
+class SampleRate(Keys):
+    """Sampling rate of a log without time column, Hz."""
+
+    rate: Positive
+
+
+TwoColumns = tuple[str, str]
+"""Columns of the seconds and of the nanoseconds."""
+
+
+class StampsOfEach(Keys):
+    """Time columns of positions and commands logged with separate time stamps."""
+
+    position: Annotated[Annotated[str, Tag("text")] | Annotated[TwoColumns, Tag("pair")], Discriminator(_kind_of_time)]
+    command: Annotated[Annotated[str, Tag("text")] | Annotated[TwoColumns, Tag("pair")], Discriminator(_kind_of_time)]
+
+
+class Calibration(Keys):
+    """Relative standard deviations of readings: of each torque sensor, and of all wrenches together."""
+
+    joint_torque: Annotated[FiniteFloat, Field(gt=0, lt=0.5)] | None = None
+    wrenches: Annotated[FiniteFloat, Field(gt=0, lt=0.5)] | None = None
+
+    def of(self, channel: Channel) -> float:
+        """Return the relative standard deviation of a channel's readings, 0 where none is stated."""
+        return getattr(self, channel.kind.calibration) or 0.0
+
+
+EXACT = Calibration()
+"""Sensors that read without an error of scale."""
+
+
+class Signals(Keys):
+    """Columns of a log: time, and the position and the current (or torque) of every actuated joint.
+
+    ``motor_torque`` times ``gear_ratio`` is the joint torque. ``joint_torque`` are torque sensors on the link side of
+    the gears, of all joints or some. A ``pose`` tests the robot's geometry, friction may depend on a ``temperature``.
+    ``base`` is the pose of a floating base with its wrenches; ``wrenches`` are external wrenches on other bodies;
+    ``calibration`` is the accuracy of the sensors. A ``preset`` fills in the columns of a manufacturer's log.
+    """
+
+    time: Annotated[
+        Annotated[str, Tag("text")]
+        | Annotated[TwoColumns, Tag("pair")]
+        | Annotated[StampsOfEach, Tag("each")]
+        | Annotated[SampleRate, Tag("group")],
+        Discriminator(_kind_of_time),
+    ]
+    position: dict[str, str] = Field(min_length=1)
+    current: dict[str, str] | None = None
+    torque: dict[str, str] | None = None
+    motor_torque: dict[str, str] | None = None
+    gear_ratio: dict[str, FiniteFloat] | None = None
+    joint_torque: dict[str, str] | None = None
+    base: BaseColumns | None = None
+    wrenches: tuple[BodyWrench, ...] = ()
+    calibration: Calibration = EXACT
+    preset: str | None = None
+    pose: PoseColumns | None = None
+    temperature: (
+        Annotated[Annotated[str, Tag("text")] | Annotated[dict[str, str], Tag("group")], Discriminator(text_or_group)]
+        | None
+    ) = None
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints, in the order of the file, after those of a floating base."""
+        return (*(self.base.joints if self.base else ()), *self.position)
+
+    @property
+    def kind(self) -> Literal["current", "torque"]:
+        """Kind of the commands; motor torques count as torques."""
+        return "torque" if self.current is None else "current"
+
+    @property
+    def command(self) -> dict[str, str]:
+        """Columns of the currents or torques by joint."""
+        return self.current or self.torque or self.motor_torque or {}
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Joints with a torque sensor, in the order of the joints."""
+        return tuple(joint for joint in self.position if joint in (self.joint_torque or {}))
+
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """Columns of the commands, then of the sensors behind the drives, then of all wrenches."""
+        return (
+            *(self.command[joint] for joint in self.position),
+            *(getattr(self, each.kind.calibration)[each.joint] for each in self.channels if each.kind.behind_drive),
+            *(column for each in self.all_wrenches for column in each.columns),
+        )
+
+    @property
+    def all_wrenches(self) -> tuple[BodyWrench, ...]:
+        """Wrenches on all bodies, those on a floating base last."""
+        return (*self.wrenches, *(self.base.acting if self.base else ()))
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """Channels measured by these columns, the rows of a floating base among them."""
+        base = self.base.joints if self.base else ()
+        return channels_of(self.joints, base, self.sensors, [each.frame for each in self.all_wrenches])
+
+    @property
+    def temperature_columns(self) -> dict[str, str]:
+        """Columns of temperatures by joint, or of the time since start; empty where there are none."""
+        if isinstance(self.temperature, str):
+            return dict.fromkeys(self.position, self.temperature)
+        return self.temperature or {}
+
+    @property
+    def time_columns(self) -> tuple[str, ...]:
+        """Columns of the positions' time, one or two, or none."""
+        return _columns_of_time(self.time.position if isinstance(self.time, StampsOfEach) else self.time)
+
+    @property
+    def command_time_columns(self) -> tuple[str, ...]:
+        """Columns of the commands' time, one or two, if they have separate time stamps."""
+        return _columns_of_time(self.time.command) if isinstance(self.time, StampsOfEach) else ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _preset(cls, data: Any) -> Any:
+        return expanded(data) if isinstance(data, dict) and data.get("preset") else data
+
+    @field_validator("position", "current", "torque", "motor_torque", "joint_torque")
+    @classmethod
+    def _each_column_once(cls, columns: dict[str, str] | None) -> dict[str, str] | None:
+        owners: dict[str, str] = {}
+        for joint, column in (columns or {}).items():
+            if column in owners:
+                raise ValueError(
+                    f"the column '{column}' is given for joints '{owners[column]}' and '{joint}'; "
+                    "give every joint its own"
+                )
+            owners[column] = joint
+        return columns
+
+    @model_validator(mode="after")
+    def _one_command_per_joint(self) -> Signals:
+        if sum(each is not None for each in (self.current, self.torque, self.motor_torque)) != 1:
+            raise ValueError(
+                "give the columns of either 'current' or 'torque' (or of 'motor_torque', with a 'gear_ratio'), one of "
+                "them"
+            )
+        missing = [joint for joint in self.position if joint not in self.command]
+        extra = [joint for joint in self.command if joint not in self.position]
+        if missing and extra:
+            raise ValueError(
+                f"joint '{missing[0]}' has a position but no {self.kind}, and '{extra[0]}' a {self.kind} but no "
+                "position; give both the same joints, those of the robot's motors"
+            )
+        if missing:
+            raise ValueError(f"joint '{missing[0]}' has a position but no {self.kind}; add its {self.kind} column")
+        if extra:
+            raise ValueError(f"joint '{extra[0]}' has a {self.kind} but no position; add its position column")
+        return self
+
+    @model_validator(mode="after")
+    def _pose_of_a_fixed_base(self) -> Signals:
+        if self.pose is not None and self.base is not None:
+            raise ValueError(
+                "'pose' tests the geometry of a fixed-base robot, but 'base' describes a floating one; remove 'pose'"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _each_wrench_of_its_own(self) -> Signals:
+        others = [*self.command.values(), *(self.joint_torque or {}).values(), *(self.base.forces if self.base else ())]
+        columns = [column for each in self.wrenches for column in each.columns]
+        for column in columns:
+            if columns.count(column) > 1 or column in others:
+                raise ValueError(f"the column '{column}' under 'wrenches' is given twice; give each component its own")
+        if self.base is not None and any(each.body == self.base.body for each in self.wrenches):
+            raise ValueError(
+                f"'wrenches' names the floating base '{self.base.body}'; describe wrenches on it under 'wrenches' of "
+                f"'base'"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _calibration_of_sensors(self) -> Signals:
+        measured = {each.kind.calibration for each in self.channels[len(self.joints) :]}
+        for key, accuracy in self.calibration:
+            if accuracy is not None and key not in measured:
+                raise ValueError(f"'calibration' is given for '{key}', which the signals lack; remove it")
+        return self
+
+    @model_validator(mode="after")
+    def _sensors_of_joints(self) -> Signals:
+        for joint, column in (self.joint_torque or {}).items():
+            if joint not in self.position:
+                raise ValueError(
+                    f"'joint_torque' names the joint '{joint}', which has no position; correct the name, or remove the "
+                    "sensor of a joint without motor"
+                )
+            if column in self.command.values():
+                raise ValueError(
+                    f"the column '{column}' is given both as a {self.kind} and as a joint_torque; 'joint_torque' is "
+                    f"for sensors behind the gear, not for torques computed from motor currents"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _temperatures_and_ratios_of_joints(self) -> Signals:
+        ratios = self.gear_ratio or {}
+        for joint in self.temperature_columns:
+            if joint not in self.position:
+                raise ValueError(f"'temperature' names the joint '{joint}', which has no position; correct the name")
+        if self.motor_torque is None and ratios:
+            raise ValueError(
+                "'gear_ratio' is given without 'motor_torque'; remove it, or name the torques 'motor_torque'"
+            )
+        for joint in self.motor_torque or {}:
+            if not ratios.get(joint):
+                raise ValueError(
+                    f"joint '{joint}' has a motor torque but no gear ratio; add 'gear_ratio: {{{joint}: ...}}', motor "
+                    "turns (or rad) for one turn (or m) of the joint, negative where they turn against each other"
+                )
+        for joint in ratios:
+            if joint not in self.position:
+                raise ValueError(f"'gear_ratio' names the joint '{joint}', which has no position; correct the name")
+        return self
+
+
+def _columns_of_time(time: Any) -> tuple[str, ...]:
+    return () if isinstance(time, SampleRate) else (time,) if isinstance(time, str) else tuple(time)

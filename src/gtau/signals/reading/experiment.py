@@ -1,0 +1,278 @@
+"""The experiment file: robot, columns of the logs, and payloads."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from pydantic import Field, ValidationInfo, field_validator, model_validator
+
+from gtau.documents.files import EXPERIMENT, refuse_other_kind
+from gtau.documents.validation import PATH, Keys, Positive, takes, validate
+from gtau.documents.yaml_document import read_yaml
+from gtau.errors import GtauError
+from gtau.robots.parameter import Parameter
+from gtau.robots.readers.source import AnySource, RobotSource
+from gtau.robots.robot import Robot
+from gtau.signals.channel import BEHIND_DRIVE
+from gtau.signals.reading.columns import SampleRate, Signals
+from gtau.signals.reading.logged_run import Folders, LoggedRun, file_or_name
+from gtau.signals.reading.statements import (
+    CHOSEN,
+    Drive,
+    GainEntry,
+    Payload,
+    PreparationSettings,
+    Prior,
+    Requirements,
+    StatedGain,
+    check_drives,
+)
+from gtau.signals.reading.units import Units
+
+
+class Experiment(Keys):
+    """An experiment file; once read, its paths are absolute or relative to the working directory.
+
+    ``robot`` is a file or a name of the catalog, or a group that says also how its base stands and which joints move.
+    ``priors`` are those of standard parameters, by name, ``drives`` the data sheets of motors and gears,
+    by joint, ``prior_inertias`` the relative standard deviation with which the inertias of the robot's file are priors,
+    ``preparation`` what is set of it by hand, and ``require`` what the result is to meet.
+    """
+
+    robot: AnySource
+    signals: Signals
+    units: Units = Units()
+    prior_gains: dict[str, GainEntry] = Field(default_factory=dict)
+    priors: dict[str, Prior] = Field(default_factory=dict)
+    prior_inertias: Positive | None = None
+    drives: dict[str, Drive] = Field(default_factory=dict)
+    preparation: PreparationSettings = CHOSEN
+    require: Requirements = Requirements()
+    runs: tuple[LoggedRun, ...] = Field(min_length=1)
+    validation: tuple[LoggedRun, ...] = ()
+
+    def __repr__(self) -> str:
+        robot = self.robot if isinstance(self.robot, str) else self.robot.file
+        joints, runs = ", ".join(self.signals.joints), f"runs: {len(self.runs)}, validation: {len(self.validation)}"
+        return f"Experiment({robot!r}, joints {joints}, {runs})"
+
+    @field_validator("robot")
+    @classmethod
+    def _file_or_name(cls, robot: str | RobotSource, info: ValidationInfo) -> str | RobotSource:
+        if info.context is None:
+            return robot
+        if isinstance(robot, RobotSource):
+            return robot.model_copy(update={"file": file_or_name(robot.file, info.context.robot)})
+        return file_or_name(robot, info.context.robot)
+
+    @field_validator("units")
+    @classmethod
+    def _units_of_signals(cls, units: Units, info: ValidationInfo) -> Units:
+        signals: Signals | None = info.data.get("signals")
+        if signals is None:
+            return units
+        other = "torque" if signals.kind == "current" else "current"
+        if getattr(units, other) is not None:
+            raise ValueError(f"a unit of '{other}' is given, but the signals hold '{signals.kind}'; remove it")
+        if units.time is not None and isinstance(signals.time, SampleRate):
+            raise ValueError("a unit of 'time' is given, but the signals hold no time column; remove it")
+        for kind in BEHIND_DRIVE:
+            if getattr(units, kind.calibration) is not None and kind not in {each.kind for each in signals.channels}:
+                raise ValueError(
+                    f"a unit of '{kind.calibration}' is given, but the signals hold no {kind.name}; remove it"
+                )
+        if "pose" in units.model_fields_set and signals.pose is None:
+            raise ValueError("units of a 'pose' are given, but the signals hold none; remove them")
+        if "wrenches" in units.model_fields_set and not signals.all_wrenches:
+            raise ValueError("units of 'wrenches' are given, but the signals hold none; remove them")
+        if "temperature" in units.model_fields_set and signals.temperature is None:
+            raise ValueError("a unit of 'temperature' is given, but the signals hold none; remove it")
+        for by_joint in (signals.temperature, *vars(units).values()):
+            if isinstance(by_joint, dict):
+                _known_joints(by_joint, signals)
+        return units
+
+    @field_validator("prior_gains")
+    @classmethod
+    def _gains_of_signals(cls, gains: dict[str, StatedGain], info: ValidationInfo) -> dict[str, StatedGain]:
+        signals: Signals | None = info.data.get("signals")
+        if signals is None or not gains:
+            return gains
+        _known_joints(gains, signals)
+        missing = [joint for joint in signals.position if joint not in gains]
+        if missing:
+            raise ValueError(f"joint '{missing[0]}' has no gain; give one for every joint or for none")
+        zero = [joint for joint, gain in gains.items() if gain.value == 0]
+        if zero:
+            raise ValueError(f"the gain of joint '{zero[0]}' is zero; write the N m/A (or N/A) of its drive")
+        return gains
+
+    @field_validator("drives")
+    @classmethod
+    def _drives_of_signals(cls, drives: dict[str, Drive], info: ValidationInfo) -> dict[str, Drive]:
+        signals: Signals | None = info.data.get("signals")
+        if signals is None:
+            return drives
+        _known_joints(drives, signals)
+        for joint, drive in drives.items():
+            if drive.gain is not None and signals.kind == "torque":
+                raise ValueError(
+                    "the signals hold torques, which need no torque constant; remove the 'torque_constant' of "
+                    f"'{joint}'"
+                )
+            if drive.gain is not None and joint in info.data.get("prior_gains", {}):
+                raise ValueError(f"joint '{joint}' has a 'prior_gains' too; remove it, or its 'torque_constant' here")
+            if drive.inertia is not None and Parameter("ia", joint) in info.data.get("priors", {}):
+                raise ValueError(f"'priors' has 'ia_{joint}' too; remove it, or the 'rotor_inertia' of '{joint}' here")
+        return drives
+
+    @property
+    def expected_gains(self) -> dict[str, float]:
+        """Gains known beforehand, N m/A or N/A, of torques 1: ``prior_gains``, and those of data sheets."""
+        sheets = {joint: drive.gain[0] for joint, drive in self.drives.items() if drive.gain is not None}
+        return {joint: gain.value for joint, gain in self.prior_gains.items()} | sheets
+
+    @property
+    def gain_stds(self) -> dict[str, float]:
+        """Standard deviations of these gains, if known."""
+        sheets = {joint: drive.gain[1] for joint, drive in self.drives.items() if drive.gain is not None}
+        return {joint: gain.std for joint, gain in self.prior_gains.items() if gain.std is not None} | sheets
+
+    @property
+    def expected_parameters(self) -> dict[str, Prior]:
+        """Priors of standard parameters: ``priors``, and rotor inertias of data sheets."""
+        sheets = {Parameter("ia", joint): drive.inertia for joint, drive in self.drives.items()}
+        return self.priors | {
+            name: Prior(value=each[0], std=each[1]) for name, each in sheets.items() if each is not None
+        }
+
+    @field_validator("runs", "validation")
+    @classmethod
+    def _each_log_once(cls, runs: tuple[LoggedRun, ...], info: ValidationInfo) -> tuple[LoggedRun, ...]:
+        if info.context is not None:
+            runs = tuple(each for run in runs for each in run.each())
+        for k, run in enumerate(runs):
+            if any(run.overlaps(other) for other in runs[:k]):
+                raise ValueError(
+                    f"the log '{run.log[0]}' is listed twice; remove one of them, or give parts (from, to) that do not "
+                    "overlap"
+                )
+        return runs
+
+    @model_validator(mode="after")
+    def _validation_of_other_logs(self) -> Experiment:
+        for run in self.validation:
+            if any(run.overlaps(used) for used in self.runs):
+                raise ValueError(
+                    f"the log '{run.log[0]}' is listed under 'runs' and under 'validation'; remove one of them, as "
+                    "a run used for identification validates nothing"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _one_payload_per_name(self) -> Experiment:
+        payloads: dict[str, Payload] = {}
+        for run in (*self.runs, *self.validation):
+            if run.payload is not None and payloads.setdefault(run.payload.name, run.payload) != run.payload:
+                raise ValueError(
+                    f"the payload '{run.payload.name}' is described differently in two runs; "
+                    "write the same known values in both, or give the second payload another name"
+                )
+        return self
+
+
+def _known_joints(values: Mapping[str, object], signals: Signals) -> None:
+    for joint in values:
+        if joint not in signals.position:
+            raise ValueError(
+                f"the signals have no joint '{joint}', but {', '.join(signals.joints)}; add its columns under "
+                "'signals' if it has a motor, or correct the name here"
+            )
+
+
+@takes(path=PATH)
+def read_experiment(path: str | Path, logs: Path | None = None) -> Experiment:
+    """Read an experiment file.
+
+    Parameters
+    ----------
+    path : str or Path
+        A YAML file; the paths in it are relative to its folder. ``robot`` stays a text: the path of
+        a robot file where there is such a file, otherwise a name of the catalog.
+    logs : Path, optional
+        The folder to which the paths of the logs are relative, where it is another one.
+
+    Returns
+    -------
+    Experiment
+        All log files exist; nothing of them has been read.
+
+    Raises
+    ------
+    GtauError
+        The file cannot be read, or something in it is missing, misspelt or contradictory.
+    """
+    refuse_other_kind(path, EXPERIMENT)
+    folder = Path(path).parent
+    return validate(Experiment, read_yaml(path), context=Folders(folder, folder if logs is None else logs))
+
+
+def _check_base(signals: Signals, robot: Robot) -> None:
+    if robot.floating and signals.base is None:
+        raise GtauError(
+            f"the base '{robot.floating}' of robot '{robot.name}' floats, but 'signals' lack its motion; add "
+            "'base' with the columns of its 'position' and 'quaternion', and of the 'wrenches' on it."
+        )
+    if signals.base is not None and signals.base.body != robot.floating:
+        raise GtauError(
+            f"signals.base is of a floating base '{signals.base.body}', but "
+            + (
+                f"that of robot '{robot.name}' is called '{robot.floating}'; write 'body: {robot.floating}' there."
+                if robot.floating
+                else f"that of robot '{robot.name}' is fixed; write 'robot: {{file: ..., base: floating}}', or remove "
+                "'base'."
+            )
+        )
+
+
+def check_robot(experiment: Experiment, robot: Robot) -> None:
+    """Check that an experiment's signals, units and drives suit its robot.
+
+    Raises
+    ------
+    GtauError
+        The signals' joints are not the actuated ones, a position unit does not suit its joint, or a gear of ``drives``
+        is among the robot's couplings too.
+    """
+    signals = experiment.signals
+    _check_base(signals, robot)
+    if signals.pose is not None and robot.floating:
+        raise GtauError(
+            f"signals.pose is to test the geometry of robot '{robot.name}', whose base floats; remove it, or fix the "
+            "base by 'base: fixed' beside the robot's 'file'."
+        )
+    body = None if signals.pose is None else signals.pose.body
+    if body is not None and body not in robot.bodies:
+        raise GtauError(
+            f"signals.pose names the body '{body}', but those of robot '{robot.name}' are {', '.join(robot.bodies)}; "
+            "correct the name."
+        )
+    for joint in signals.joints:
+        if joint not in robot.actuated:
+            raise GtauError(
+                f"signals.position names the joint '{joint}', but the actuated joints of robot '{robot.name}' are "
+                f"{', '.join(robot.actuated)}; correct the name."
+            )
+    for joint in robot.motors:
+        if joint not in signals.position:
+            raise GtauError(
+                f"signals.position lacks the actuated joint '{joint}' of robot '{robot.name}'; add its column."
+            )
+        kind, units = robot.joint(joint).kind, experiment.units
+        if units.measures_angle(joint) not in (None, kind == "revolute"):
+            raise GtauError(
+                f"units.position is '{units.of_position(joint)}' for joint '{joint}', which is {kind}; write "
+                f"{'rad or deg' if kind == 'revolute' else 'm or mm'} (units may differ by joint: {{{joint}: ...}})."
+            )
+    check_drives(experiment.drives, robot)

@@ -1,0 +1,192 @@
+"""Files of named arrays: NumPy archives (``.npz``), MAT files, and HDF5 files (``.h5``, ``.hdf5``).
+
+MAT files are read up to version 7 by SciPy; those of version 7.3 are HDF5 files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gtau.errors import GtauError, missing_extra
+from gtau.signals.reading.formats import WIDEST, Table, common_length, readable
+from gtau.signals.storage import sizes
+
+if TYPE_CHECKING:
+    import polars as pl
+
+HDF5 = b"\x89HDF\r\n\x1a\n"  # after 512 bytes of MATLAB's own
+NUMERIC = ("double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)))
+
+
+def open_npz(path: Path) -> Table:
+    """Find the numeric arrays of an archive; pickled objects are refused, as reading them can run code.
+
+    Raises
+    ------
+    GtauError
+        The file is damaged, or holds pickled objects and no arrays.
+    """
+    with readable(path, "a NumPy archive"), np.load(path, allow_pickle=False) as archive:
+        headers = {name: header for name in archive.files if (header := _header(archive, name)) is not None}
+    pickled = [name for name, (_, dtype) in headers.items() if dtype.hasobject]
+    arrays = {name: shape for name, (shape, dtype) in headers.items() if dtype.kind in "biuf"}
+    if not arrays and pickled:
+        raise GtauError(
+            f"{path} holds pickled objects ('{pickled[0]}'), which are not read as they can run code; save plain "
+            "numeric arrays (np.savez(path, t=..., q=..., current=...))."
+        )
+
+    @contextmanager
+    def load(names: Collection[str]) -> Iterator[Mapping[str, Any]]:
+        with np.load(path, allow_pickle=False) as archive:
+            read = {name: archive[name] for name in names}
+        yield read
+
+    return _table(path, arrays, load)
+
+
+def _header(archive: Any, name: str) -> tuple[tuple[int, ...], np.dtype[Any]] | None:
+    """Read shape and type of an array, without its values; None for another member of the archive."""
+    members = archive.zip.namelist()
+    with archive.zip.open(name if name in members else f"{name}.npy") as member:
+        try:
+            version = np.lib.format.read_magic(member)
+        except ValueError:
+            return None
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read(member)
+    return shape, dtype
+
+
+def open_mat(path: Path) -> Table:
+    """Find the numeric arrays of a MAT file; those of a struct ``log`` are named ``log.q``.
+
+    Only requested variables are read, and each struct once, since its fields exist only in it.
+
+    Raises
+    ------
+    GtauError
+        The file is damaged, or of version 7.3 and h5py is not installed.
+    """
+    with path.open("rb") as file:
+        file.seek(512)
+        if file.read(len(HDF5)) == HDF5:
+            return open_hdf5(path, "a MAT file of version 7.3", between=".")
+    from scipy.io import loadmat, whosmat
+
+    def variables(*names: str) -> dict[str, np.ndarray]:
+        found = loadmat(path, simplify_cells=True, verify_compressed_data_integrity=True, variable_names=names)
+        return dict(_arrays({name: found[name] for name in names}, ""))
+
+    shapes: dict[str, tuple[int, ...]] = {}
+    with readable(path, "a MAT file"):
+        for name, shape, kind in whosmat(path):
+            if kind == "struct":
+                shapes |= {field: array.shape for field, array in variables(name).items()}
+            elif kind in NUMERIC:
+                shapes[name] = tuple(length for length in shape if length != 1)
+
+    @contextmanager
+    def load(names: Collection[str]) -> Iterator[Mapping[str, Any]]:
+        arrays = variables(*{name.partition(".")[0] for name in names})
+        if lost := set(names) - arrays.keys():
+            raise GtauError(f"{path}: '{min(lost)}' holds complex numbers; give a column of real ones.")
+        yield arrays
+
+    return _table(path, shapes, load)
+
+
+def _arrays(values: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, np.ndarray]]:
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _arrays(value, f"{prefix}{name}.")
+        elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
+            yield prefix + name, value
+
+
+def open_hdf5(path: Path, kind: str = "an HDF5 file", between: str = "/") -> Table:
+    """Find the numeric datasets of a file, of its groups too; their names are joined by ``between``.
+
+    Nothing is read before it is asked for, and then in blocks.
+
+    Raises
+    ------
+    GtauError
+        h5py is not installed, or the file is damaged.
+    """
+    try:
+        import h5py
+    except ImportError:
+        raise missing_extra(f"reading {path} ({kind})", "h5py", "hdf5") from None
+
+    datasets: dict[str, str] = {}
+    shapes: dict[str, tuple[int, ...]] = {}
+
+    def visit(name: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset) and item.dtype.kind in "biuf" and not name.startswith("#"):
+            column = name.replace("/", between)
+            datasets[column], shapes[column] = name, item.shape
+
+    with readable(path, kind), h5py.File(path, "r") as file:
+        file.visititems(visit)
+
+    @contextmanager
+    def load(names: Collection[str]) -> Iterator[Mapping[str, Any]]:
+        with h5py.File(path, "r") as file:
+            yield {column: file[datasets[column]] for column in names}
+
+    return _table(path, shapes, load)
+
+
+def _table(
+    path: Path,
+    shapes: Mapping[str, tuple[int, ...]],
+    load: Callable[[Collection[str]], AbstractContextManager[Mapping[str, Any]]],
+) -> Table:
+    """Make a table of named arrays, whose longer axis counts the samples; ``load`` opens some of them.
+
+    A two-dimensional array ``q`` of N samples by n gives the columns ``q[1]`` to ``q[n]``; what is wider than
+    ``WIDEST``, of more axes or a single number is left out.
+    """
+    found: dict[str, tuple[str, int | None, bool]] = {}  # column: array, its number in it, samples on the last axis
+    rows: dict[str, int] = {}
+    for name, shape in shapes.items():
+        size = int(np.prod(shape))
+        if size < 2 or len(shape) not in (1, 2):
+            continue
+        long = max(shape)
+        if size == long:
+            found[name], rows[name] = (name, None, len(shape) == 2 and shape[1] == long), long
+        elif min(shape) <= WIDEST:
+            for k in range(min(shape)):
+                column = f"{name}[{k + 1}]"
+                found[column], rows[column] = (name, k, shape[1] == long), long
+
+    def frames(names: Sequence[str], wanted: range) -> Iterator[tuple[pl.DataFrame, float]]:
+        import polars as pl
+
+        count = common_length(path, {name: rows[name] for name in names})
+        with readable(path, "a log"), load({found[name][0] for name in names}) as arrays:
+            end = min(wanted.stop, count)
+            for start in range(wanted.start, end, sizes().rows):
+                stop = min(start + sizes().rows, end)
+                frame = {name: _column(arrays, found[name], start, stop) for name in names}
+                yield pl.DataFrame(frame), stop / count
+
+    return Table(tuple(found), frames)
+
+
+def _column(arrays: Mapping[str, Any], where: tuple[str, int | None, bool], start: int, stop: int) -> np.ndarray:
+    name, k, last = where
+    array = arrays[name]
+    span = slice(start, stop)
+    part = array[span] if array.ndim == 1 else array[k or 0, span] if last else array[span, k or 0]
+    return np.asarray(part, dtype=float)
+
+
+LOG_FORMATS = {".npz": open_npz, ".mat": open_mat, ".h5": open_hdf5, ".hdf5": open_hdf5}

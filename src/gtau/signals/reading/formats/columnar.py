@@ -1,0 +1,175 @@
+"""Parquet files, folders of them, and Feather files (Arrow IPC), by Polars.
+
+A column of lists of numbers, such as ``observation.state`` of LeRobot, gives columns ``observation.state[1]`` and so
+on; rows of another ``episode_index`` are another episode. ``meta/info.json`` of its data set says which joints these
+are (https://huggingface.co/docs/lerobot): ``fps``, and by feature its ``names``, a list or lists by their kind
+(``{"motors": [...]}``). Frames are in ``data/chunk-000/file-000.parquet``.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gtau.documents.files import in_order
+from gtau.errors import GtauError
+from gtau.signals.reading.formats import WIDEST, Table
+from gtau.signals.storage import sizes
+
+if TYPE_CHECKING:
+    import polars as pl
+
+EPISODE = "episode_index"
+INFO = "meta/info.json"
+DEPTH = 3  # folders between a file of frames and the data set
+
+
+def open_parquet(path: Path) -> Table:
+    """Find the columns of a Parquet file, or of a folder of them as one log (``part_2`` before ``part_10``).
+
+    The folder may be that of a LeRobot data set.
+
+    Raises
+    ------
+    GtauError
+        There is no such file in the folder, or it is damaged.
+    """
+    import polars as pl
+
+    parts = [path]
+    if path.is_dir():
+        parts = in_order(path.glob("*.parquet")) or in_order(path.glob("data/*/*.parquet"))
+    if not parts:
+        raise GtauError(f"the folder {path} holds no .parquet files; give a log as CSV or as .parquet.")
+    return _table(path, parts, pl.scan_parquet, "Parquet")
+
+
+def open_feather(path: Path) -> Table:
+    """Find the columns of a Feather file, version 2 (Arrow IPC); raises GtauError where it is damaged."""
+    import polars as pl
+
+    return _table(path, [path], pl.scan_ipc, "Feather")
+
+
+def _table(path: Path, parts: Sequence[Path], scan: Callable[[Path], pl.LazyFrame], kind: str) -> Table:
+    import polars as pl
+
+    def refused(error: Exception) -> GtauError:
+        return GtauError(f"{path} is not a readable {kind} file ({str(error).splitlines()[0]}); export the log again.")
+
+    try:
+        schema = scan(parts[0]).collect_schema()
+        lengths = [scan(part).select(pl.len()).collect().item() for part in parts]
+        columns = _columns(schema, scan(parts[0]))
+        episodes = _episodes([scan(part) for part in parts], schema)
+    except pl.exceptions.PolarsError as error:
+        raise refused(error) from None
+
+    def frames(names: Sequence[str], rows: range) -> Iterator[tuple[pl.DataFrame, float]]:
+        first = 0  # row of the part
+        for part, length in zip(parts, lengths, strict=True):
+            begin, end = max(rows.start - first, 0), min(rows.stop - first, length)
+            for start in range(begin, end, sizes().rows):
+                stop = min(start + sizes().rows, end)
+                try:
+                    frame = scan(part).select([columns[name] for name in names]).slice(start, stop - start).collect()
+                except pl.exceptions.PolarsError as error:
+                    raise refused(error) from None
+                yield frame, (first + stop) / sum(lengths)
+            first += length
+
+    rate, features = _data_set(path)
+    labels = {
+        f"{feature}[{k + 1}]": f"{feature}/{name}"
+        for feature, names in features.items()
+        if f"{feature}[{len(names)}]" in columns and f"{feature}[{len(names) + 1}]" not in columns
+        for k, name in enumerate(names)
+    }
+    return Table(tuple(columns), frames, unusable=_unusable(schema), episodes=episodes, labels=labels, rate=rate)
+
+
+def _columns(schema: Mapping[str, pl.DataType], table: pl.LazyFrame) -> dict[str, pl.Expr]:
+    """Name the columns, and what selects them: one for each item of a column of lists, as many as the first row has."""
+    import polars as pl
+
+    found: dict[str, pl.Expr] = {}
+    for name, kind in schema.items():
+        width = 0
+        if isinstance(kind, pl.List | pl.Array) and kind.inner.is_numeric():
+            lists = pl.col(name).cast(pl.List(kind.inner))
+            first = table.select(lists.list.len()).head(1).collect()
+            width = int(first.item() or 0) if len(first) else 0
+        if 0 < width <= WIDEST:
+            items = {f"{name}[{k + 1}]": lists.list.get(k, null_on_oob=True) for k in range(width)}
+            found |= {item: value.alias(item) for item, value in items.items()}
+        else:
+            found[name] = pl.col(name)
+    return found
+
+
+def _episodes(parts: Sequence[pl.LazyFrame], schema: Mapping[str, pl.DataType]) -> dict[int, range]:
+    """Find the rows of each episode, where there are several."""
+    import polars as pl
+
+    if EPISODE not in schema or not schema[EPISODE].is_integer():
+        return {}
+    numbers = pl.concat([part.select(EPISODE).collect() for part in parts])[EPISODE]
+    if numbers.n_unique() < 2:
+        return {}
+    runs = numbers.rle().struct.unnest()
+    if runs["value"].n_unique() < len(runs):
+        return {}
+    ends = runs["len"].cum_sum()
+    of = zip(runs["value"], ends - runs["len"], ends, strict=True)
+    return {int(number): range(start, stop) for number, start, stop in of if number is not None}
+
+
+def _unusable(schema: Mapping[str, pl.DataType]) -> dict[str, str]:
+    import polars as pl
+
+    found = {}
+    for name, kind in schema.items():
+        if kind.is_temporal():
+            found[name] = f"holds dates or times ({kind}); write the seconds since the first sample, as numbers"
+        elif not (kind.is_numeric() or kind in (pl.String, pl.Boolean)):
+            found[name] = f"holds {kind} values; write it as numbers"
+    return found
+
+
+def _data_set(log: Path) -> tuple[float | None, Mapping[str, Sequence[str]]]:
+    """Read rate (Hz) and names of the items of each feature from the data set of a file of frames, or their folder.
+
+    None and no names where a log is of no data set.
+
+    Raises
+    ------
+    GtauError
+        Its description is damaged.
+    """
+    folders = [log, *log.absolute().parents[:DEPTH]]
+    file = next((folder / INFO for folder in folders if (folder / INFO).is_file()), None)
+    if file is None:
+        return None, {}
+    try:
+        info = json.loads(file.read_text(encoding="utf-8"))
+        features, rate = info.get("features", {}), info.get("fps")
+        names = {name: _flat(feature.get("names")) for name, feature in features.items()}
+        return None if rate is None else float(rate), names
+    except (OSError, ValueError, TypeError, AttributeError):
+        raise GtauError(
+            f"{file} is not a readable description of a LeRobot data set; correct it, or move {log.name} out of "
+            "its folder."
+        ) from None
+
+
+def _flat(names: Any) -> list[str]:
+    if isinstance(names, Mapping):
+        names = list(names.values())
+    if isinstance(names, list):
+        return [each for of in names for each in _flat(of)]
+    return [names] if isinstance(names, str) else []
+
+
+LOG_FORMATS = {".parquet": open_parquet, ".feather": open_feather, ".arrow": open_feather}

@@ -1,0 +1,305 @@
+"""Text logs: columns separated by commas, semicolons, tabs or spaces, in blocks of whole lines.
+
+Loggers write titles, settings and units before their table, and a log that was cut begins with half a row. The table
+begins with the first ``ROWS_ALIKE`` lines of mostly numbers that have as many fields.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gtau.documents.files import BINARY, LOG, kind_of, refuse_other_kind
+from gtau.errors import GtauError
+from gtau.signals.notes import Kind, Note
+from gtau.signals.reading.formats import Table
+from gtau.signals.storage import sizes
+
+if TYPE_CHECKING:
+    import polars as pl
+
+SEPARATORS = ";\t, "  # a semicolon or tab first: their files may hold decimal commas
+MISSING = ("", "na", "n/a", "null", "none", "nan")
+LOOK = 200  # lines at most that stand before a table
+ROWS_ALIKE = 4
+LONGEST = 1 << 20  # bytes of a line; in the shared logs 954 at most
+BOM = b"\xef\xbb\xbf"
+
+
+def open_text(path: Path) -> Table:
+    """Find the columns of a text log.
+
+    Decimal commas are allowed except between comma separated columns. What stands before the table is skipped, and a
+    note says so. Without a header the columns are named by their number from 1.
+
+    Raises
+    ------
+    GtauError
+        The file is empty or no text.
+    """
+    layout = layout_of(path)
+
+    def frames(names: Sequence[str], rows: range) -> Iterator[tuple[pl.DataFrame, float]]:
+        first = 0
+        wanted = [layout.columns.index(name) for name in names]
+        for text, done in _whole_lines(path, layout.first_byte):
+            frame = _frame(path, layout, text, wanted)
+            part = frame[max(rows.start - first, 0) : max(rows.stop - first, 0)]
+            first += len(frame)
+            if len(part):
+                yield part, done
+            if first >= rows.stop:
+                return
+
+    return Table(layout.columns, frames, layout.first_line, "line", layout.numbered, layout.notes)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Columns of a text log, and the line (from 1) and byte at which its rows begin.
+
+    ``numbered``: there is no header, and columns are named by their number. ``notes`` report what was skipped.
+    """
+
+    separator: str
+    columns: tuple[str, ...]
+    numbered: bool
+    first_line: int
+    first_byte: int
+    notes: tuple[Note, ...]
+
+
+@dataclass(frozen=True)
+class _Line:
+    number: int
+    end: int  # the byte after it
+    fields: tuple[str, ...]
+    separator: str
+    numeric: bool  # a row: most of the fields are numbers, the first of them among these
+
+
+def layout_of(path: Path) -> Layout:
+    """Find where the table begins in a text log.
+
+    Raises
+    ------
+    GtauError
+        The file is empty or no text, or its header has fewer columns than its rows.
+    """
+    _refuse_encoding(path)
+    lines = _first_lines(path)
+    written = [line for line in lines if any(line.fields)]
+    if not written:
+        raise GtauError(f"{path} is empty or begins with an empty line; give a log with one sample a line.")
+    start = _start(written)
+    if start is None or kind_of(path) is not BINARY:  # zero bytes may precede a table
+        refuse_other_kind(path, LOG)
+    first = None if start is None else written[start]
+    # Without rows, or with none of numbers, the first line names what the others lack.
+    header = written[0] if first is None else _header(lines, first)
+    width = len((first or written[0]).fields)
+    if "\ufffd" in "".join((header or first or written[0]).fields):
+        raise GtauError(f"{path} is not a text file; give a log as CSV or as .parquet.")
+    if header is not None and first is not None and any(first.fields[len(header.fields) :]):
+        raise GtauError(
+            f"{path}, line {first.number} has {width} columns where the header in line {header.number} has "
+            f"{len(header.fields)}; correct the line (a header must name every column)."
+        )
+    begin = first.number if first else header.number + 1 if header else 1
+    before = next((line.end for line in lines if line.number == begin - 1), len(BOM) if _has_bom(path) else 0)
+    names = _names(header.fields, width) if header else tuple(str(k + 1) for k in range(width))
+    skipped = [line.number for line in written if line.number < begin and (header is None or line != header)]
+    notes: tuple[Note, ...] = ()
+    if skipped:
+        where = f"lines {skipped[0]} to {skipped[-1]}" if len(skipped) > 1 else f"line {skipped[0]}"
+        named = f", took the names of its columns from line {header.number}" if header else ""
+        notes = (Note(Kind.READING, f"skipped {where} before the table{named}"),)
+    return Layout((first or header or written[0]).separator, names, header is None, begin, before, notes)
+
+
+def _refuse_encoding(path: Path) -> None:
+    """Refuse text whose lines could not be found."""
+    with path.open("rb") as file:
+        begin = file.read(1 << 12)
+    if begin.startswith((b"\xff\xfe", b"\xfe\xff")) and begin.count(0) > 0.3 * len(begin):
+        raise GtauError(f"{path} is text in UTF-16; save it as UTF-8 (in Excel: 'CSV UTF-8').")
+    if begin.count(b"\r") > ROWS_ALIKE and b"\n" not in begin:
+        raise GtauError(f"{path} ends its lines with carriage returns alone; save it with line feeds ('Unix' or 'PC').")
+
+
+def _has_bom(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(len(BOM)) == BOM
+
+
+def _first_lines(path: Path) -> list[_Line]:
+    lines: list[_Line] = []
+    with path.open("rb") as file:
+        while len(lines) < LOOK and (raw := file.readline(LONGEST + 1)):
+            _refuse_long_line(path, len(raw), len(lines) + 1)
+            text = _decoded(raw if lines else raw.removeprefix(BOM)).lstrip("# ").rstrip("\r\n")
+            outside = re.sub(r'"[^"]*"', "", text)
+            separator = next((each for of in (outside, text) for each in SEPARATORS if each in of), ",")
+            fields = tuple(_unquoted(field) for field in _split(text, separator))
+            numbers = sum(is_number(field) for field in fields)
+            rest = sum(field.lower() in MISSING for field in fields)
+            numeric = numbers > 0 and 2 * (numbers + rest) > len(fields)
+            numeric &= is_number(fields[0]) or fields[0].lower() in MISSING
+            lines.append(_Line(len(lines) + 1, file.tell(), fields, separator, numeric))
+    return lines
+
+
+def _start(lines: list[_Line]) -> int | None:
+    """Find the first of ``ROWS_ALIKE`` rows, or of those that there are."""
+    for i, line in enumerate(lines):
+        block = lines[i : i + ROWS_ALIKE]
+        if all(each.numeric and len(each.fields) == len(line.fields) for each in block):
+            return i
+    return next((i for i, line in enumerate(lines) if line.numeric), None)
+
+
+def _header(lines: list[_Line], first: _Line) -> _Line | None:
+    """Find the line that names the columns: the topmost of those just before the rows that have as many fields."""
+    header, nearest = None, None
+    for line in reversed(lines[: first.number - 1]):
+        names = any(line.fields) and not line.numeric
+        if names and nearest is None:
+            nearest = line
+        if names and len(line.fields) == len(first.fields):
+            header = line
+        elif header is not None:
+            break
+    if header is not None or nearest is None:
+        return header
+    names_most = nearest.separator == first.separator and 2 * len(nearest.fields) >= len(first.fields)
+    return nearest if names_most else None  # one that lacks names, which is refused, or a title
+
+
+def _names(fields: tuple[str, ...], width: int) -> tuple[str, ...]:
+    """Name the columns; TwinCAT Scope calls a column of times ``Name``, and the channels after it by theirs."""
+    fields = fields + ("",) * (width - len(fields))
+    if fields[0] != "Name":
+        return fields
+    return tuple(
+        name if name != "Name" else f"time of {fields[k + 1]}" if k else "time"
+        for k, name in enumerate((*fields[:width],))
+    )
+
+
+def _refuse_long_line(path: Path, length: int, number: int | None = None) -> None:
+    """Refuse a line that is no row of a table, before it fills the memory; raises GtauError."""
+    if length > LONGEST:
+        where = "a line" if number is None else f"line {number}"
+        raise GtauError(
+            f"{path}: {where} is longer than {LONGEST >> 20} MB, too long for a row of a log; write one sample per "
+            f"line."
+        )
+
+
+def _decoded(raw: bytes) -> str:
+    """Decode a line in UTF-8, or else in Windows-1252 where that gives printable characters alone."""
+    try:
+        return raw.decode()
+    except UnicodeDecodeError:
+        text = raw.decode("cp1252", errors="replace")
+        return text if text.replace("\t", "").rstrip("\r\n").isprintable() else raw.decode(errors="replace")
+
+
+def _unquoted(field: str) -> str:
+    """Take blanks and the quotes around a field away."""
+    field = field.strip()
+    quote = field[:1] if field[:1] in ("'", '"') else '"'
+    return field.strip(quote).strip()
+
+
+def _split(text: str, separator: str) -> list[str]:
+    """Split a line into fields; any number of spaces separates as one does, and none within quotes."""
+    if '"' in text:
+        try:
+            return next(csv.reader([text.strip(" ")], delimiter=separator, skipinitialspace=True))
+        except csv.Error:  # a field of rubble, longer than any name
+            pass
+    return text.split() if separator == " " and text.strip() else text.split(separator)
+
+
+def is_number(text: str) -> bool:
+    """Decide whether a field is a finite number or infinite, with a decimal point or comma."""
+    try:
+        return float(text.replace(",", ".")) == float(text.replace(",", "."))
+    except ValueError:
+        return False
+
+
+def _frame(path: Path, layout: Layout, text: bytes, wanted: list[int]) -> pl.DataFrame:
+    import polars as pl
+
+    columns = [f"column_{k + 1}" for k in range(len(layout.columns))]
+    if layout.separator == " ":
+        text = re.sub(rb"(?m)^ +| +(?=\r?$)", b"", re.sub(rb" {2,}", b" ", text))
+    end = text.find(b"\n") if b"\n" in text else len(text)
+    if lacking := len(columns) - 1 - text.count(layout.separator.encode(), 0, end):  # a cut row, which Polars takes
+        text = text[:end].rstrip(b"\r") + layout.separator.encode() * lacking + text[end:]  # for all there are
+
+    def read(text: bytes) -> pl.DataFrame:
+        return pl.read_csv(
+            text,
+            has_header=False,
+            separator=layout.separator,
+            schema=dict.fromkeys(columns, pl.String),
+            columns=sorted(columns[k] for k in wanted),
+            raise_if_empty=False,
+        )
+
+    try:
+        frame = read(text)
+    except pl.exceptions.PolarsError as error:
+        again = "".join(_decoded(line) for line in text.splitlines(keepends=True))
+        if "\ufffd" in again or again.encode() == text:
+            raise GtauError(_unreadable_line(path, layout, str(error))) from None
+        frame = read(again.encode())
+    entries = pl.col(pl.String).str.strip_chars()
+    if layout.separator != ",":
+        entries = entries.str.replace(",", ".", literal=True)
+    return frame.select(columns[k] for k in wanted).select(entries)
+
+
+def _whole_lines(path: Path, begin: int) -> Iterator[tuple[bytes, float]]:
+    """Read blocks of whole lines from the byte ``begin`` on, each with the part of the file that is then read."""
+    size, torn = path.stat().st_size, b""
+    with path.open("rb") as file:
+        file.seek(begin)
+        while read := file.read(sizes().text):
+            end = read.rfind(b"\n") + 1
+            if end:
+                text, torn = torn + read[:end], b""
+                yield text, file.tell() / size
+            torn += read[end:]
+            _refuse_long_line(path, len(torn))
+    if torn:
+        yield torn, 1.0
+
+
+def _unreadable_line(path: Path, layout: Layout, reason: str) -> str:
+    count = len(layout.columns)
+    with path.open("rb") as file:
+        for number, line in enumerate(map(_decoded, file), start=1):
+            found = len(_split(line, layout.separator))
+            if number >= layout.first_line and found > count:
+                where = f"line {layout.first_line}" if layout.numbered else "the header"
+                return (
+                    f"{path}, line {number} has {found} columns where {where} has {count}; correct or delete the line "
+                    "(a header must name every column)."
+                )
+            if number >= layout.first_line and "\ufffd" in line:
+                return (
+                    f"{path}, line {number} is not text: the log is damaged there; delete the line, or record the log "
+                    f"again."
+                )
+    return f"{path} is not a readable CSV file ({reason.splitlines()[0]})."
+
+
+LOG_FORMATS = {".csv": open_text}

@@ -1,0 +1,157 @@
+"""Run entries of an experiment file: logs, the part used, and the payload."""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+from glob import escape, has_magic
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    FiniteFloat,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+
+from gtau.documents.files import matching
+from gtau.documents.validation import Keys, Positive
+from gtau.errors import GtauError
+from gtau.signals.reading.log_file import find_columns, is_log_folder
+from gtau.signals.reading.samples import Part
+from gtau.signals.reading.statements import Payload
+
+
+class Folders(NamedTuple):
+    """Folders to which the paths in an experiment file are relative."""
+
+    robot: Path
+    logs: Path
+
+
+def file_or_name(robot: str, folder: Path) -> str:
+    """Return the path of a robot file beside an experiment file in ``folder``, or a name of the catalog.
+
+    Raises
+    ------
+    ValueError
+        The entry is the path of a file that does not exist.
+    """
+    file = folder / robot
+    if file.is_file() or (file / "robot.urdf").is_file():
+        return str(file)
+    if file.suffix or "/" in robot:
+        raise ValueError(f"there is no file '{file}'{_close_file(file)}")
+    return robot
+
+
+def _beside(robot: str, info: ValidationInfo) -> str:
+    return robot if info.context is None else file_or_name(robot, info.context)
+
+
+RobotName = Annotated[str, AfterValidator(_beside)]
+"""Name of the catalog or path of a file, in a file whose folder is the context of its validation."""
+
+
+class LoggedRun(Keys):
+    """One run: its log, or two logs with positions and commands, and the payload carried, if any.
+
+    In a file the logs may be patterns (``free_*.csv``): a run for each match, of two patterns the first match of one
+    with the first of the other. A folder of ``.parquet`` files is one log, and so is a rosbag2. Of a log the first rows
+    may be left out (``skip``), and what lies before ``from`` or after ``to``, in s from the first row that is left. Of
+    a log of several episodes a run is one ``episode``.
+    """
+
+    log: Annotated[
+        tuple[Path, ...],
+        BeforeValidator(lambda value: (value,) if isinstance(value, (str, Path)) else value),
+        Field(min_length=1, max_length=2),
+    ]
+    payload: Payload | None = None
+    skip: Annotated[int, Field(ge=0)] = 0
+    begin: Annotated[FiniteFloat, Field(ge=0, alias="from")] = 0.0
+    to: Positive | None = None
+    episode: Annotated[int, Field(ge=0)] | None = None
+
+    @model_validator(mode="after")
+    def _forwards(self) -> LoggedRun:
+        if self.to is not None and self.to <= self.begin:
+            raise ValueError(f"'from' is {self.begin:g} s and 'to' {self.to:g} s; write the earlier one as 'from'")
+        return self
+
+    @property
+    def part(self) -> Part:
+        """Part of the log to use."""
+        end = np.inf if self.to is None else self.to
+        if self.episode is None:
+            return Part(self.skip, self.begin, end)
+        episodes = find_columns(self.log[0]).episodes
+        if self.episode not in episodes:
+            there = f"{min(episodes)} to {max(episodes)}" if episodes else "not several ('episode_index')"
+            raise GtauError(f"{self.log[0]} has no episode {self.episode}; its episodes are {there}.")
+        rows = episodes[self.episode]
+        return Part(rows.start + self.skip, self.begin, end, rows.stop, self.episode)
+
+    def overlaps(self, other: LoggedRun) -> bool:
+        """Decide whether both runs share rows."""
+        if self.log != other.log or (None not in (self.episode, other.episode) and self.episode != other.episode):
+            return False
+        ends = (np.inf if each.to is None else each.to for each in (self, other))
+        return all(begin < end for begin, end in zip((other.begin, self.begin), ends, strict=True))
+
+    @field_validator("log")
+    @classmethod
+    def _existing(cls, log: tuple[Path, ...], info: ValidationInfo) -> tuple[Path, ...]:
+        if info.context is None:
+            return log
+        placed = tuple(_placed(info.context.logs, path) for path in log)
+        matches = [_logs_at(path) for path in placed]
+        for written, found in zip(log, matches, strict=True):
+            path = info.context.logs / written
+            if not found and has_magic(str(written)):
+                raise ValueError(f"no file matches '{path}'; paths are relative to the experiment file")
+            for each in found or [path]:
+                if not each.is_file() and not is_log_folder(each):
+                    if each.is_dir():
+                        raise ValueError(
+                            f"the folder '{each}' holds no .parquet files and is no rosbag2; give a file, or such a "
+                            "folder"
+                        )
+                    raise ValueError(f"there is no file '{each}'{_close_file(each)}")
+        if len({len(found) for found in matches}) > 1:
+            raise ValueError(
+                f"'{log[0]}' matches {len(matches[0])} files and '{log[1]}' {len(matches[1])}; they are paired in "
+                f"order, so both must match the same number"
+            )
+        return placed
+
+    def each(self) -> list[LoggedRun]:
+        """List the runs, one for each match of the patterns."""
+        pairs = zip(*(_logs_at(path) for path in self.log), strict=True)
+        return [self.model_copy(update={"log": logs}) for logs in pairs]
+
+
+def _placed(folder: Path, path: Path) -> Path:
+    """Join a path to a folder whose name is taken literally."""
+    return folder / path if (folder / path).exists() else Path(escape(str(folder))) / path
+
+
+def _logs_at(path: Path) -> list[Path]:
+    """List the files that a path or a pattern matches; patterns skip YAML files such as the experiment file."""
+    return [each for each in matching(path) if each == path or each.suffix not in (".yaml", ".yml")]
+
+
+def _close_file(path: Path) -> str:
+    if path.is_symlink():
+        return f"; it is a link to '{path.readlink()}', which does not exist"
+    if path.exists():
+        return "; it is a device or a pipe"
+    names = [each.name for each in path.parent.iterdir()] if path.parent.is_dir() else []
+    close = get_close_matches(path.name, names, n=1)
+    if close:
+        return f"; did you mean '{close[0]}'?"
+    return "; paths are relative to the file that names them"

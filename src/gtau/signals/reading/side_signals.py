@@ -1,0 +1,131 @@
+"""Signals beside positions and commands, in the rows of a log: poses, and temperatures or the time since the start."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gtau.errors import GtauError
+from gtau.signals.reading.columns import Signals
+from gtau.signals.reading.log_file import read_log
+from gtau.signals.reading.log_set import instants
+from gtau.signals.reading.samples import WHOLE, Part
+from gtau.signals.reading.units import Units
+from gtau.signals.storage import store
+
+FEWEST = 20  # rows of a run that hold a pose
+
+
+@dataclass(frozen=True, eq=False)
+class LoggedPoses:
+    """Complete rows of a log: ``time`` (N,) in s, ``q`` (N, n) in the order of the signals, ``values`` (N, columns).
+
+    The values are those of :attr:`gtau.signals.reading.body_columns.PoseColumns.columns`, SI units.
+    """
+
+    run: str
+    time: np.ndarray
+    q: np.ndarray
+    values: np.ndarray
+
+
+def read_poses(paths: Sequence[Path], signals: Signals, units: Units, part: Part = WHOLE) -> LoggedPoses:
+    """Read the poses of a run from the log of its positions.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Its log, or two.
+    signals, units : Signals
+        Of the experiment, with a pose.
+    part : Part
+        Which part of the log is used.
+
+    Raises
+    ------
+    GtauError
+        A column is missing, or hardly any row holds a pose.
+    """
+    pose, path = signals.pose, Path(paths[0])
+    assert pose is not None  # checked by the caller
+    n = len(signals.joints)
+    position_scale, _, _ = units.scale(signals)
+    columns, scale = [*signals.position.values(), *pose.columns], [*position_scale, *units.pose.scale(pose)]
+    table = _complete_rows(path, columns, signals, units, part, scale)
+    if len(table) < FEWEST:
+        raise GtauError(
+            f"{path}: {len(table)} rows hold all of the pose ({', '.join(pose.columns)}) and the positions; give the "
+            "columns that hold them, or remove 'pose' from the signals."
+        )
+    return LoggedPoses(path.stem + part.label, table[:, -1], table[:, :n], table[:, n:-1])
+
+
+KEPT = 2000  # instants of a run: its effects are slow
+
+
+@dataclass(frozen=True, eq=False)
+class Temperature:
+    """Temperatures in ``unit`` by joint, (K,) each, at instants ``time`` (K,) in s."""
+
+    time: np.ndarray
+    of_joint: Mapping[str, np.ndarray]
+    unit: str
+
+    def at(self, joint: str, time: np.ndarray) -> np.ndarray:
+        """Interpolate the temperatures of a joint linearly at other instants (N,)."""
+        return np.interp(time, self.time, self.of_joint[joint])
+
+
+def read_temperature(paths: Sequence[Path], signals: Signals, units: Units, part: Part = WHOLE) -> Temperature | None:
+    """Read the temperatures of a run from the log of its positions; None where the signals have none.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Its log, or two.
+    signals, units : Signals
+        Of the experiment.
+    part : Part
+        Which part of the log is used.
+
+    Raises
+    ------
+    GtauError
+        A column is missing, or holds no numbers.
+    """
+    if signals.temperature is None:
+        return None
+    of_joint = signals.temperature_columns
+    columns = list(dict.fromkeys(of_joint.values()))
+    table = _complete_rows(Path(paths[0]), columns, signals, units, part)
+    if not len(table):
+        raise GtauError(
+            f"{paths[0]}: no row holds a number in the temperature columns ({', '.join(columns)}); correct them, or "
+            "remove 'temperature' from the signals."
+        )
+    parts = np.array_split(table, min(KEPT, len(table)))
+    means = np.array([each.mean(axis=0) for each in parts])
+    found = {joint: means[:, columns.index(column)] for joint, column in of_joint.items()}
+    return Temperature(means[:, -1], found, units.temperature)
+
+
+def _complete_rows(
+    path: Path, columns: Sequence[str], signals: Signals, units: Units, part: Part, scale: ArrayLike = 1.0
+) -> np.ndarray:
+    """Read the rows of a log that hold a number in each of some columns: these, times ``scale``, and the time in s."""
+    times = signals.time_columns
+    file = read_log(path, (*times, *columns))
+    at, order = ([file.names.index(name) for name in names] for names in (times, columns))
+    _, _, time_scale = units.scale(signals)
+
+    def blocks() -> Iterator[np.ndarray]:
+        row = part.skip
+        for values, _ in file.blocks(part.rows):
+            yield np.column_stack([values[:, order] * scale, instants(signals, values[:, at], time_scale, row)])
+            row += len(values)
+
+    return store((each[np.isfinite(each).all(axis=1)] for _, each in part.of(blocks())), (len(columns) + 1,))

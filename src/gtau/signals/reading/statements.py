@@ -1,0 +1,265 @@
+"""What a user states in an experiment file besides columns and logs: payloads, gains, data sheets, settings, limits."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BeforeValidator, Field, FiniteFloat, field_validator, model_validator
+
+from gtau.documents.validation import MAPPING, Keys, Positive, expect, name_problem, read_group
+from gtau.errors import GtauError
+from gtau.robots.parameter import Parameter, torque_unit, unit_of
+from gtau.robots.robot import INERTIAL, Robot
+from gtau.signals.notes import Kind, Note
+
+FIRST_MOMENTS = ("mx", "my", "mz")
+PAYLOAD_KINDS = ("m", *FIRST_MOMENTS, *INERTIAL[:6])
+"""Kinds in the order in which they are shown: what people ask for first."""
+
+
+class Payload(Keys):
+    """A load on the robot's tool; without ``mass`` it is unknown and will be estimated.
+
+    ``mass`` and its standard deviation in kg; ``parameters`` are further known inertial parameters
+    (``xx xy xz yy yz zz`` in kg m2, ``mx my mz`` in kg m) in the frame of the body that carries it; ``center`` is the
+    centre of an unknown mass in that frame, m.
+    """
+
+    name: str
+    mass: Positive | None = None
+    mass_std: Annotated[FiniteFloat, Field(ge=0)] = 0.0
+    parameters: dict[str, FiniteFloat] = Field(default_factory=dict)
+    center: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
+
+    @field_validator("name")
+    @classmethod
+    def _printable(cls, name: str) -> str:
+        if problem := name_problem(name):
+            raise ValueError(problem)
+        return name
+
+    @field_validator("parameters")
+    @classmethod
+    def _inertial(cls, parameters: dict[str, float]) -> dict[str, float]:
+        for name in parameters:
+            if name == "m":
+                raise ValueError("write the mass as 'mass', not among the parameters")
+            if name not in INERTIAL:
+                raise ValueError(f"a payload has no parameter '{name}'; choose from {' '.join(INERTIAL[:-1])}")
+        return parameters
+
+    @model_validator(mode="after")
+    def _deviation_of_a_mass(self) -> Payload:
+        if self.mass is None and "mass_std" in self.model_fields_set:
+            raise ValueError("'mass_std' is given without 'mass'; add the mass or remove it")
+        return self
+
+    @model_validator(mode="after")
+    def _center_of_an_unknown_mass(self) -> Payload:
+        if self.center is None:
+            return self
+        if twice := [kind for kind in FIRST_MOMENTS if kind in self.parameters]:
+            raise ValueError(f"'center' and '{twice[0]}' of the parameters state the same; remove one of them")
+        if self.mass is not None:
+            moments = ", ".join(f"{k}: {self.mass * c:.6g}" for k, c in zip(FIRST_MOMENTS, self.center, strict=True))
+            raise ValueError(f"'center' is for an unknown mass; for a known one write 'parameters: {{{moments}}}'")
+        return self
+
+
+def as_payload(payload: Payload | Mapping[str, Any] | None) -> Payload | None:
+    """Read a payload from a mapping as in the experiment file; raises GtauError."""
+    return None if payload is None else read_group(Payload, "payload", payload)
+
+
+class Prior(Keys):
+    """Prior of a standard parameter, SI units: a value with its standard deviation, or bounds."""
+
+    value: FiniteFloat | None = None
+    std: Positive | None = None
+    min: FiniteFloat | None = None
+    max: FiniteFloat | None = None
+
+    @model_validator(mode="after")
+    def _complete(self) -> Prior:
+        if (self.value is None) != (self.std is None):
+            raise ValueError("give 'value' and 'std' (its standard deviation) together")
+        if self.min is not None and self.max is not None and self.min >= self.max:
+            raise ValueError(f"'min' is {self.min:g} and 'max' {self.max:g}; write the smaller one as 'min'")
+        return self
+
+
+class StatedGain(Keys):
+    """Drive gain of a joint, N m/A or N/A, with its standard deviation where that is known."""
+
+    value: FiniteFloat
+    std: Positive | None = None
+
+
+def _with_std(gain: Any) -> Any:
+    """Read a gain that is a number alone."""
+    return gain if isinstance(gain, dict | StatedGain) else {"value": gain}
+
+
+GainEntry = Annotated[StatedGain, BeforeValidator(_with_std)]
+"""A gain of an experiment file."""
+
+
+def as_priors(priors: Mapping[str, Prior | Mapping[str, Any]]) -> dict[str, Prior]:
+    """Read priors by parameter from mappings as in the experiment file; raises GtauError."""
+    expect("'priors'", priors, MAPPING)
+    return {str(name): read_group(Prior, f"prior of {name}", each) for name, each in priors.items()}
+
+
+TOLERANCE = 0.1  # standard deviation of a torque constant or rotor inertia: data sheets state tolerances of 10 %
+EFFICIENCY = 0.85  # of a gear without stated efficiency: 0.65 to 1 is within two standard deviations
+EFFICIENCY_STD = 0.1
+
+
+class Drive(Keys):
+    """A motor and its gear, from their data sheets.
+
+    ``gear_ratio`` is rad of the motor per rad (or m) of the joint, negative where they turn in opposite directions;
+    ``torque_constant`` N m/A and ``rotor_inertia`` kg m2 are those of the motor; ``uncertainty`` is the relative
+    standard deviation of the expected values.
+    """
+
+    gear_ratio: FiniteFloat = 1.0
+    torque_constant: Positive | None = None
+    efficiency: Annotated[FiniteFloat, Field(gt=0, le=1)] | None = None
+    rotor_inertia: Positive | None = None
+    uncertainty: Annotated[FiniteFloat, Field(gt=0, lt=1)] | None = None
+
+    @field_validator("gear_ratio")
+    @classmethod
+    def _turns(cls, ratio: float) -> float:
+        if ratio == 0:
+            raise ValueError("the gear ratio is zero; write rad of the motor per rad (or m) of the joint")
+        return ratio
+
+    @model_validator(mode="after")
+    def _says_something(self) -> Drive:
+        if self.torque_constant is None and self.rotor_inertia is None:
+            raise ValueError("neither 'torque_constant' nor 'rotor_inertia' is given; add one, or remove the drive")
+        if self.efficiency is not None and self.torque_constant is None:
+            raise ValueError("'efficiency' is given without 'torque_constant'; add it, or remove the efficiency")
+        return self
+
+    @property
+    def gain(self) -> tuple[float, float] | None:
+        """Gain expected at the joint, N m/A or N/A, and its standard deviation."""
+        if self.torque_constant is None:
+            return None
+        efficiency = EFFICIENCY if self.efficiency is None else self.efficiency
+        spread = 0.0 if self.efficiency is not None else EFFICIENCY_STD / EFFICIENCY
+        value = self.gear_ratio * self.torque_constant * efficiency
+        return value, abs(value) * (self.uncertainty or float(np.hypot(TOLERANCE, spread)))
+
+    @property
+    def inertia(self) -> tuple[float, float] | None:
+        """Rotor inertia ``ia`` expected at the joint, kg m2 or kg, and its standard deviation."""
+        if self.rotor_inertia is None:
+            return None
+        value = self.gear_ratio**2 * self.rotor_inertia
+        return value, value * (self.uncertainty or TOLERANCE)
+
+
+def check_drives(drives: Mapping[str, Drive], robot: Robot) -> None:
+    """Refuse data-sheet gears that the robot's couplings already contain; raises GtauError."""
+    for joint, drive in drives.items():
+        if robot.joint(joint).parameters == "drive" and drive.gear_ratio != 1.0:
+            raise GtauError(
+                f"drives.{joint}.gear_ratio is {drive.gear_ratio:g}, but '{joint}' is the shaft of a motor, whose "
+                f"gear ratio is in the couplings of robot '{robot.name}'; leave 'gear_ratio' out."
+            )
+
+
+def data_sheet_notes(
+    drives: Mapping[str, Drive], robot: Robot, found: Mapping[str, tuple[float | None, float | None]]
+) -> tuple[Note, ...]:
+    """Compare estimates (value and standard deviation) of gains and ``ia`` with data sheets, one note for each.
+
+    Parameters
+    ----------
+    drives : mapping
+        By joint.
+    robot : Robot
+    found : mapping
+        Identified values and standard deviations, of gains by ``gain_JOINT`` and of rotor inertias by ``ia_JOINT``.
+    """
+    said = []
+    for joint, drive in drives.items():
+        rows = (
+            ("gain", drive.gain, Parameter("gain", joint), f"{torque_unit(robot, joint)}/A"),
+            ("rotor inertia", drive.inertia, Parameter("ia", joint), unit_of("ia", robot, joint)),
+        )
+        for what, expected, name, unit in rows:
+            value, std = found.get(name, (None, None))
+            if expected is None or value is None:
+                continue
+            off = (value - expected[0]) / np.hypot(expected[1], std or 0.0)
+            words = (
+                f"{what} of '{joint}': {value:.4g} {unit} was identified, and {expected[0]:.4g} {unit} is by the "
+                f"data sheet (standard deviation {expected[1]:.2g}; apart by {abs(off):.1f} standard deviations)"
+            )
+            said.append(Note(Kind.DATA_SHEET, words, joint=joint))
+    return tuple(said)
+
+
+class PreparationSettings(Keys):
+    """The key ``preparation`` of an experiment file; missing entries are chosen from the logs.
+
+    Attributes
+    ----------
+    bandwidth : float, optional
+        Of the motion, Hz.
+    position_filter : float or "none", optional
+        Cut-off of the low-pass of the positions, Hz.
+    decimation : int, optional
+        Samples of the slowest log per row of the regression.
+    delay : float
+        Lag of the currents (or torques) behind the positions in the logs, s; it is compensated.
+    least_speed : float, optional
+        Share of a joint's rms speed below which its rows are left out.
+    clock : {"stamps", "regular"}, optional
+        Whether samples were taken at their time stamps, or at a regular rate and stamped late.
+    """
+
+    bandwidth: Positive | None = None
+    position_filter: Positive | Literal["none"] | None = None
+    decimation: Annotated[int, Field(ge=1, le=1000)] | None = None
+    delay: FiniteFloat = 0.0
+    least_speed: Annotated[FiniteFloat, Field(ge=0, lt=1)] | None = None
+    clock: Literal["stamps", "regular"] | None = None
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """Names of the settings made by hand, in the order of the class."""
+        return tuple(name for name in type(self).model_fields if name in self.model_fields_set)
+
+
+CHOSEN = PreparationSettings()
+
+
+def _per_cent(value: Any) -> Any:
+    """Read ``5 %`` as 5; a bare number could be a share."""
+    found = re.fullmatch(r"\s*([0-9.eE+-]+)\s*%\s*", value) if isinstance(value, str) else None
+    if found is None:
+        raise ValueError(f"write per cent, such as '{value} %', if that is what '{value}' means")
+    return found[1]
+
+
+Percent = Annotated[FiniteFloat, Field(gt=0), BeforeValidator(_per_cent)]
+
+
+class Requirements(Keys):
+    """Limits on the result, per cent.
+
+    ``torque_error`` holds for every joint over the rows used, and on each run kept for validation; ``gain_interval``
+    for half the 95 % interval of every drive gain.
+    """
+
+    torque_error: Percent | None = None
+    gain_interval: Percent | None = None

@@ -1,0 +1,222 @@
+"""Units of a log's columns, as factors to SI; units outside ``COMMON`` are converted by pint."""
+
+from __future__ import annotations
+
+import math
+import re
+from functools import lru_cache
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
+
+from gtau.documents.validation import Keys, Positive
+from gtau.documents.yaml_document import Document
+from gtau.signals.reading.body_columns import BaseColumns, PoseColumns, Wrench
+from gtau.signals.reading.columns import Signals, text_or_group, time_unit
+
+Kind = Literal["time", "position", "current", "torque", "force"]
+
+COMMON: dict[str, dict[str, float]] = {  # units of nearly all logs, without the half second that pint takes to import
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "angle": {"rad": 1.0, "deg": math.pi / 180},
+    "length": {"m": 1.0, "mm": 1e-3},
+    "current": {"A": 1.0, "mA": 1e-3},
+    "torque": {"N m": 1.0, "Nm": 1.0},
+    "force": {"N": 1.0},
+}
+SI_UNIT = {"time": "s", "angle": "rad", "length": "m", "current": "A", "torque": "N*m", "force": "N"}
+QUANTITIES: dict[Kind, tuple[str, ...]] = {
+    "time": ("time",),
+    "position": ("angle", "length"),
+    "current": ("current",),
+    "torque": ("torque", "force"),
+    "force": ("force",),
+}
+SHARES = {"%": 1e-2, "‰": 1e-3}  # of the rated current or torque
+NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d{1,2})?\s*", re.IGNORECASE)
+UNIT = re.compile(r"[^\W\d_][^\W\d_/*^· -]*|[/*^· -]+|\d\b|[()]|°")
+
+
+@lru_cache(maxsize=64)
+def si_factor(text: str, kind: Kind) -> float:
+    """Convert a unit, or a quantity such as ``0.0012 A`` (of one count), to the SI unit of its kind.
+
+    Raises
+    ------
+    ValueError
+        It is no unit of that kind; the text gives the remedy.
+    """
+    return _found(text, kind)[1]
+
+
+@lru_cache(maxsize=64)
+def is_angle(text: str) -> bool:
+    """Decide whether a unit of positions is an angle and not a length."""
+    return _found(text, "position")[0] == "angle"
+
+
+def checked_unit(
+    kind: Kind, quantity: Literal["angle", "length"] | None = None, shares: bool = False
+) -> AfterValidator:
+    """Make the validator of units of a kind and, for positions, of a ``quantity``; ``shares`` may be allowed."""
+
+    def checked(text: str) -> str:
+        if shares and text in SHARES:
+            return text
+        si_factor(text, kind)
+        if quantity is not None and is_angle(text) != (quantity == "angle"):
+            raise ValueError(f"'{text}' is not a unit of {quantity}; write {' or '.join(COMMON[quantity])}")
+        return text
+
+    return AfterValidator(checked)
+
+
+def _found(text: str, kind: Kind) -> tuple[str, float]:
+    """Find the quantity that a unit measures, and its factor to SI."""
+    for quantity in QUANTITIES[kind]:
+        if text in COMMON[quantity]:
+            return quantity, COMMON[quantity][text]
+    listed = [repr(name) for quantity in QUANTITIES[kind] for name in COMMON[quantity] if name != "Nm"]
+    choices = f"{', '.join(listed[:-1])} or {listed[-1]}" if len(listed) > 1 else listed[0]
+    unit = NUMBER.sub("", text, count=1) if NUMBER.match(text) else text
+    if not unit or len(text) > 40 or UNIT.sub("", unit) or unit.count("^") + unit.count("**") > 1:
+        raise ValueError(f"write {choices}, not '{text}'")  # nor does pint get powers of powers, which take for ever
+    import pint
+
+    try:
+        quantity_written = _registry().Quantity(text)
+        for quantity in QUANTITIES[kind]:
+            base = quantity_written.to_base_units()
+            if quantity == "angle" and str(base.units) != "radian":
+                continue  # pint counts per cents and revolutions a minute among the angles
+            if quantity_written.is_compatible_with(SI_UNIT[quantity]):
+                factor = float(quantity_written.to(SI_UNIT[quantity]).magnitude)
+                if factor and math.isfinite(factor):
+                    return quantity, factor
+    except (pint.PintError, ArithmeticError, AttributeError, TypeError, ValueError, SyntaxError):
+        pass
+    except Exception as error:
+        if type(error).__module__ not in ("tokenize", "builtins"):  # accepted by pint's parser
+            raise
+    raise ValueError(f"write {choices}, or another unit of {' or '.join(QUANTITIES[kind])}, not '{text}'")
+
+
+@lru_cache(maxsize=1)
+def _registry() -> Any:
+    import pint
+
+    return pint.UnitRegistry(cache_folder=None)
+
+
+class WrenchUnits(Keys):
+    """Units of measured wrenches."""
+
+    force: Annotated[str, checked_unit("force")] = "N"
+    moment: Annotated[str, checked_unit("torque")] = "N m"
+
+    def scale(self, wrench: Wrench) -> list[float]:
+        """Return the factors to SI units of a wrench's columns."""
+        return [si_factor(self.force, "force")] * 3 + [si_factor(self.moment, "torque")] * (3 if wrench.moment else 0)
+
+
+class BaseUnits(Keys):
+    """Unit of the position of a base."""
+
+    length: Annotated[str, checked_unit("position", "length")] = "m"
+
+    def scale(self, base: BaseColumns) -> list[float]:
+        """Return the factors to SI units of the pose's columns."""
+        lengths = [si_factor(self.length, "position")] * len(base.position or ())
+        return lengths + [1.0] * (len(base.pose) - len(lengths))
+
+
+class PoseUnits(Keys):
+    """Units of the lengths and the angles of a pose."""
+
+    length: Annotated[str, checked_unit("position", "length")] = "m"
+    angle: Annotated[str, checked_unit("position", "angle")] = "rad"
+
+    def scale(self, pose: PoseColumns) -> list[float]:
+        """Return the factors to SI units of the pose's columns."""
+        angles = 3 if pose.rotation_vector else 0 if pose.angles is None else len(pose.angles.columns)
+        length, angle = si_factor(self.length, "position"), si_factor(self.angle, "position")
+        return [length] * len(pose.position) + [angle] * angles + [1.0] * (4 if pose.quaternion else 0)
+
+
+def _one_or_by_joint(kind: Kind) -> Any:
+    text = Annotated[str, checked_unit(kind, shares=kind in ("current", "torque"))]
+    return Annotated[
+        Annotated[text, Tag("text")] | Annotated[dict[str, text], Tag("group")], Discriminator(text_or_group)
+    ]
+
+
+class Units(Keys):
+    """Units of the log's columns, or the quantity per logged count (``0.0012 A``); SI by default.
+
+    ``joint_torque`` is that of the torque sensors. ``rated`` are the rated currents (A) or torques (N m, N) of which
+    ``%`` and ``‰`` are shares.
+    """
+
+    time: Annotated[str, checked_unit("time")] | None = None
+    position: _one_or_by_joint("position") | None = None  # type: ignore[valid-type]
+    current: _one_or_by_joint("current") | None = None  # type: ignore[valid-type]
+    torque: _one_or_by_joint("torque") | None = None  # type: ignore[valid-type]
+    joint_torque: _one_or_by_joint("torque") | None = None  # type: ignore[valid-type]
+    rated: dict[str, Positive] = Field(default_factory=dict)
+    base: BaseUnits = BaseUnits()
+    pose: PoseUnits = PoseUnits()
+    wrenches: WrenchUnits = WrenchUnits()
+    temperature: Literal["degC", "K", "s", "min", "h"] = "degC"
+
+    @model_validator(mode="after")
+    def _rated_values_of_shares(self) -> Units:
+        of_command = self.current if self.torque is None else self.torque
+        units = of_command.values() if isinstance(of_command, dict) else [of_command]
+        if self.rated and not any(unit in SHARES for unit in units):
+            raise ValueError("'rated' is given, but no unit is '%' or '‰'; remove it, or give that unit")
+        if not self.rated and any(unit in SHARES for unit in units):
+            raise ValueError(
+                "a unit is relative to the rated value, which is missing; add 'rated: {JOINT: ...}' in A (N m, N)"
+            )
+        return self
+
+    def of_position(self, joint: str) -> str | None:
+        """Return the position unit of a joint; None where nothing is stated."""
+        return _of(self.position, joint)
+
+    def measures_angle(self, joint: str) -> bool | None:
+        """Decide whether a joint's position unit is an angle and not a length; None where nothing is stated."""
+        unit = self.of_position(joint)
+        return None if unit is None else is_angle(unit)
+
+    def scale(self, signals: Signals) -> tuple[list[float], list[float], float]:
+        """Compute factors to SI of the columns of positions and base pose, of all measured ones, and of the time.
+
+        Raises
+        ------
+        GtauError
+            A share of a rated value is logged, but the rated value is not given.
+        """
+        positions = [si_factor(self.of_position(joint) or "rad", "position") for joint in signals.position]
+        positions += self.base.scale(signals.base) if signals.base else []
+        commands = [self._of_command(joint, signals) for joint in signals.position]
+        commands += [si_factor(_of(self.joint_torque, joint) or "N m", "torque") for joint in signals.sensors]
+        commands += [factor for each in signals.all_wrenches for factor in self.wrenches.scale(each)]
+        return positions, commands, si_factor(self.time or time_unit(signals.preset), "time")
+
+    def _of_command(self, joint: str, signals: Signals) -> float:
+        unit = _of(self.current if signals.kind == "current" else self.torque, joint)
+        ratio = (signals.gear_ratio or {}).get(joint, 1.0)
+        if unit is None:
+            return ratio
+        if unit not in SHARES:
+            return ratio * si_factor(unit, signals.kind)
+        if joint not in self.rated:
+            raise Document.of("units", {}).error(
+                ("rated",), f"joint '{joint}' has no rated {signals.kind}, to which its column is relative; add it"
+            )
+        return ratio * SHARES[unit] * self.rated[joint]
+
+
+def _of(units: str | dict[str, str] | None, joint: str) -> str | None:
+    return units.get(joint) if isinstance(units, dict) else units

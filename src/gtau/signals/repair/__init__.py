@@ -1,0 +1,1 @@
+"""Clock and repair: the instants of samples, faults, and a uniform grid."""

@@ -1,0 +1,243 @@
+"""Log checks: report safe repairs, refuse other faults.
+
+Missing samples are interpolated, so that filters have a uniform grid, and marked as not valid, so that no
+regression row uses them. The log is read in blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.signals.notes import Kind, Note
+from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
+from gtau.signals.reading.samples import WHOLE, Part, Samples, Source, ahead, complete, counted, extremes, refuse_short
+from gtau.signals.reading.statements import CHOSEN, PreparationSettings
+from gtau.signals.repair.clock import Clock, clock_of
+from gtau.signals.repair.faults import (
+    clipped,
+    find_glitches,
+    glitch_note,
+    refuse_frozen,
+    refuse_magnitudes,
+    refuse_slips,
+    whole_numbers,
+    without_glitches,
+)
+from gtau.signals.repair.resampling import Resampling, UniformSamples, holds_of, uniform
+from gtau.signals.storage import block, spans, store
+
+FINER = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # units of time in a second
+# s; maximum lateness of the stamps of packets or messages. In the shared logs it is 5 ms (a polled Panda).
+LATEST = 0.25
+LARGEST_VALUE = 1e9  # of any logged value; even encoder and converter counts are smaller
+
+
+def check(
+    source: Source, blocks: Iterable[np.ndarray], settings: PreparationSettings = CHOSEN, part: Part = WHOLE
+) -> UniformSamples:
+    """Check a log, repair what is safe, and put it on a uniform grid.
+
+    Samples that are incomplete or repeated are dropped, angles that wrap around are unwrapped. Samples of a joint
+    whose command is clipped at a limit are masked, and outliers of positions are interpolated. Irregular
+    sampling is resampled at the mean rate: cubic splines for positions, lines for commands; see
+    :mod:`gtau.signals.repair.clock` for what the samples' instants are.
+
+    Parameters
+    ----------
+    source : Source
+        The log.
+    blocks : iterable of ndarray
+        Its samples (M, n + c + 1) in order: positions, commands, torque sensors and time in SI units.
+    settings : PreparationSettings
+        User-specified clock and command delay.
+    part : Part
+        Part of the log to use.
+
+    Returns
+    -------
+    UniformSamples
+        With a note on every repair.
+
+    Raises
+    ------
+    GtauError
+        The log has fewer than 100 samples, more than 5 % of them bad or missing, a gap of more than
+        0.1 s (or three steps), reversed time, a command that never changes or is clipped in more than a
+        tenth of the samples, a position that jumps or freezes, no moving joint, or values that cannot be right.
+    """
+    notes: list[Note] = []
+    samples = complete(source, blocks, notes, part)
+    _refuse_stuck(samples, notes)
+    _refuse_standing_time(samples)
+    samples = _without_repeated(samples, notes, settings.clock)
+    clock = clock_of(samples.time, samples.position, settings.clock)
+    _refuse_rates(samples, clock)
+    if settings.clock is None:
+        _refuse_late(samples, clock)
+    samples = _unwrapped(samples, _wraps(samples, notes))
+    instants, holds = clock.instants(samples.time), holds_of(samples)
+    if glitches := find_glitches(samples, instants, holds[0]):
+        notes.append(glitch_note(samples, glitches))
+        samples = without_glitches(samples, glitches)
+        clock = clock_of(samples.time, samples.position, settings.clock)
+        instants, holds = clock.instants(samples.time), holds_of(samples)
+    refuse_frozen(samples, instants, holds[0])
+    refuse_slips(samples, instants, holds[0])
+    refuse_magnitudes(samples)
+    clips = tuple(clipped(samples, notes))
+    grid = Resampling(clock, clips, holds, settings.delay)
+    whole = whole_numbers(samples.command, len(source.joints))  # resampled ones are between
+    return replace(uniform(samples, instants, grid, settings.clock is not None, notes), whole=whole)
+
+
+def _refuse_stuck(samples: Samples, notes: list[Note]) -> None:
+    source, n = samples.source, len(samples.source.joints)
+    low, high = (np.concatenate(pair) for pair in zip(*map(extremes, (samples.position, samples.command)), strict=True))
+    for column, least, most in zip(source.columns, low, high, strict=False):
+        if max(-least, most) > LARGEST_VALUE:
+            value = most if most > -least else least
+            raise GtauError(
+                f"{source.name}, column '{column}' reaches {value:.3g}, which is implausible for a joint or drive; "
+                f"correct the column, or give its unit."
+            )
+    still = (low == high)[:n]
+    if still.all():
+        raise GtauError(f"{source.name}: no position ever changes; give a log of a moving robot.")
+    for channel, column, least, most in zip(source.channels, source.columns[n:-1], low[n:], high[n:], strict=True):
+        if least < most or not channel.kind.of_joint:
+            continue
+        if channel.kind.behind_drive or not still[channel.row]:  # a locked joint may have no current
+            raise GtauError(
+                f"{source.name}, column '{column}' (joint '{channel.joint}') is stuck at {least + 0.0:g}; "
+                "give the column with the measured values, or record the log again."
+            )
+    if names := _quoted(
+        [each.joint for each, s in zip(source.channels, still, strict=False) if s and each.kind.of_joint]
+    ):
+        notes.append(Note(Kind.REST, f"the position of joint {names} never changes: it yields no rows"))
+
+
+def _refuse_standing_time(samples: Samples) -> None:
+    time, source = samples.time, samples.source
+    if not time[-1] > time[0]:
+        raise GtauError(
+            f"{source.name}, column '{source.columns[-1]}' is {time[-1]:.9g} s in the last row and {time[0]:.9g} s in "
+            "the first, so time does not advance; give the time column, or the rate instead (time: {rate: HZ})."
+        )
+
+
+def _quoted(names: Sequence[str]) -> str:
+    return ", ".join(f"'{name}'" for name in names)
+
+
+def _without_repeated(samples: Samples, notes: list[Note], clock: Literal["stamps", "regular"] | None) -> Samples:
+    """Drop samples with the time and values of the one before.
+
+    Samples with the same time but different values are all kept: their stamps are late.
+
+    Raises
+    ------
+    GtauError
+        Time goes back, or the stamps are given as true although some are the same.
+    """
+    source, time = samples.source, samples.time
+    repeated: list[int] = []
+    for start, stop in ahead(len(time)):
+        part = block(time, start, stop)
+        step = np.diff(part)
+        if (step < 0).any():
+            i = int(np.argmax(step < 0))
+            raise GtauError(
+                f"{source.name}, {samples.place(start + i + 1)}: time goes back from {part[i]:.9g} s to "
+                f"{part[i + 1]:.9g} s; cut the log there into two runs, or correct the time column."
+            )
+        again = np.flatnonzero(step == 0)
+        if again.size:
+            values = np.column_stack([block(each, start, stop) for each in (samples.position, samples.command)])
+            different = again[(values[again] != values[again + 1]).any(axis=1)]
+            if different.size:
+                if clock != "stamps":
+                    return samples
+                i = int(different[0])
+                raise GtauError(
+                    f"{source.name}, {samples.place(start + i + 1)}: the time {part[i]:.9g} s occurs in two rows with "
+                    "different values, so the time stamps are not the sampling instants; remove 'clock: stamps'."
+                )
+            repeated += (start + again + 1).tolist()
+    if not repeated:
+        return samples
+    places = source.places([samples.rows[i] for i in repeated[:5]], len(repeated))
+    what = f"dropped {counted(len(repeated), 'repeated row')} ({places})"
+    notes.append(Note(Kind.REPAIR, what, share=len(repeated) / len(time)))
+
+    def without(array: np.ndarray) -> np.ndarray:
+        parts = (
+            block(array, start, stop)[~np.isin(np.arange(start, stop), repeated)] for start, stop in spans(len(array))
+        )
+        return store(parts, array.shape[1:], array.dtype.type)
+
+    rest = (without(each) for each in (samples.rows, samples.time, samples.position, samples.command))
+    samples = Samples(source, *rest)
+    refuse_short(source, len(samples.time))
+    return samples
+
+
+def _wraps(samples: Samples, notes: list[Note]) -> np.ndarray:
+    """Decide for each joint whether its angle jumps by a full turn, (n,)."""
+    position, source = samples.position, samples.source
+    wraps = np.zeros(len(source.joints), dtype=bool)
+    for span in ahead(len(position)):
+        jump = np.abs(np.diff(block(position, *span), axis=0))
+        wraps |= np.any(np.abs(jump - 2 * np.pi) < 0.5, axis=0)  # no joint moves a turn, or 6 m, between two samples
+    if wraps.any():
+        names = _quoted([joint for joint, wrap in zip(source.joints, wraps, strict=True) if wrap])
+        notes.append(Note(Kind.READING, f"unwrapped the angle of joint {names}, which jumped by a turn"))
+    return wraps
+
+
+def _unwrapped(samples: Samples, wraps: np.ndarray) -> Samples:
+    """Unwrap the angles of the joints that have ``wraps`` (n,)."""
+    if not wraps.any():
+        return samples
+    position = samples.position
+
+    def parts() -> Iterator[np.ndarray]:
+        turns = np.zeros(len(wraps))  # as far as the sample before
+        for start, stop in ahead(len(position)):
+            part = block(position, start, stop)
+            more = np.where(wraps, np.unwrap(part, axis=0), part) + turns
+            turns = more[-1] - part[-1]
+            yield more[min(start, 1) :]
+
+    return replace(samples, position=store(parts(), wraps.shape))
+
+
+def _refuse_late(samples: Samples, clock: Clock) -> None:
+    """Refuse a time column that freezes or jumps, so that a regular clock drifts far from it."""
+    if clock.late > max(LATEST, 3 * clock.period):
+        raise GtauError(
+            f"{samples.source.name}, column '{samples.source.columns[-1]}': by a regular clock of {clock.rate:.4g} Hz "
+            f"the time stamps are up to {clock.late:.3g} s late, so they freeze or jump; correct the column"
+            ", or give the rate instead (time: {rate: HZ})."
+        )
+
+
+def _refuse_rates(samples: Samples, clock: Clock) -> None:
+    if not LEAST_RATE <= clock.rate <= LARGEST_RATE:
+        column = samples.source.columns[-1]
+        finer = (unit for unit, factor in FINER.items() if LEAST_RATE <= clock.rate * factor <= LARGEST_RATE)
+        repair = (
+            "write the controller's rate in Hz under signals.time"
+            if column == "rate"
+            else f"give the unit of that column (units: {{time: {' or '.join(finer) or 's'}}}, for all logs; convert "
+            "one that differs from the others)"
+        )
+        raise GtauError(
+            f"{samples.source.name}: by its '{column}' it is sampled at {clock.rate:.3g} Hz (steps of "
+            f"{clock.period:.3g} s), which is not a plausible sampling rate; {repair}."
+        )

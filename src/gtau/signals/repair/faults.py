@@ -1,0 +1,427 @@
+"""Faults of logged signals: outliers and jumps of positions, frozen encoders, commands clipped at a limit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.signals.notes import Kind, Note
+from gtau.signals.reading.samples import Samples, ahead, counted, extremes
+from gtau.signals.repair.clock import REACH, WHITE, cubic_residuals
+from gtau.signals.repair.resampling import FROZEN, MISSING_STEP, Held
+from gtau.signals.storage import block, spans, store, stride_of
+
+WIDEST = 3  # samples; positions that stay away longer are a slip, which is refused
+NEIGHBOURS = 6  # samples nearest to them, through which a cubic is fitted
+# A glitch is SCALES scales off that cubic. A scale is the largest of what 95 % of the samples are off a cubic through
+# four neighbours (white noise of standard deviation s: 2 s), of the smallest change of the position, and of what the
+# neighbours are off their own cubic.
+# And it is STEPS times as far off as the joint moves in a step there: less may be a wrong time of the sample.
+# In 47 shared logs of ten robots nothing is off by 4 scales and one step: what is off by more scales (a stale sample of
+# a Panda polled at 30 Hz, the begin of a motion without noise) is less than a step off, what is off by 1.25 steps less
+# than 4 scales. Nor is anything in 480 logs of benchmarks/preparation_study.py, up to 1 kHz. Of samples put off in
+# those all of 0.1 rad are found, and of 0.01 rad at 1 kHz; at 50 Hz, where a joint moves 0.02 rad in a step, one in
+# eight. What is missed does little: on the UR10e and Orthoglide logs a sample that is off by 1 % of the joint's range
+# moves no gain by more than 0.15 of its standard deviation.
+SCALES, STEPS = 6.0, 1.5
+SHARE = 0.95
+LARGEST_SPEED = 1e3  # rad/s or m/s; of a joint
+SLIP = 20.0  # times what 99.9 % of the samples show: a change of speed between two samples that is no motion
+SLIP_SPEED = 0.5  # and in shares of the joint's speed
+SLIP_QUANTA = 3.0  # and in smallest changes of its position: a joint at rest, shaken by others, moves by one
+SLIP_RANGE = 1e-3  # and of its range; a jump of 2e-4 rad in a log of an xMate7 does no harm
+# A position freezes where it is constant for longer than FROZEN samples and FROZEN_TIME (s) after or before a step
+# of FROZEN_QUANTA of its smallest changes and FROZEN_SPEED of its fastest steps, larger than 99.9 % of the changes of
+# its steps, while the current varies by FROZEN_CURRENT of its standard deviation. In the shared logs of ten robots the
+# steps beside a rest are at most 3 quanta, or 0.07 of the fastest in a log without rounding (a KUKA, whose current then
+# varies by 0.01). With a joint of a UR10e frozen in motion (three joints, 15 logs) they are 31 quanta and 0.3 or more,
+# and the current varies by 0.12 to 1.2.
+FROZEN_TIME, FROZEN_QUANTA, FROZEN_SPEED, FROZEN_CURRENT = 0.1, 10.0, 0.15, 0.1
+
+
+@dataclass(frozen=True)
+class Glitch:
+    """Outlier at a ``sample`` (number in the log) of a ``joint`` (by number), with the ``value`` expected there."""
+
+    sample: int
+    joint: int
+    value: float
+
+
+def find_glitches(samples: Samples, instants: np.ndarray, held: Held) -> tuple[Glitch, ...]:
+    """Find position outliers between mutually consistent neighbours, in two passes.
+
+    Parameters
+    ----------
+    samples : Samples
+        The log, its angles unwrapped.
+    instants : ndarray
+        (N,) Sampling instants, s.
+    held : Held
+        Sample-and-hold of the positions: stale samples are ignored.
+
+    Returns
+    -------
+    tuple of Glitch
+        In order.
+    """
+    stride = stride_of(len(samples.time))
+    usual: list[np.ndarray] = []
+    steps: list[np.ndarray] = []
+    for numbers, time, position, mine in _blocks(samples, instants, held):
+        if len(numbers) > 2 * REACH:
+            off = np.abs(cubic_residuals(time, position, float(np.diff(time).mean())))
+            usual.append(off[mine[REACH:-REACH]][::stride].copy())  # a view would keep all of it
+            steps.append(np.diff(time)[mine[1:]][::stride].copy())
+    if not any(map(len, usual)):
+        return ()
+    period = float(np.median(np.concatenate(steps)))
+    scale = np.maximum(np.quantile(np.concatenate(usual), SHARE, axis=0) / WHITE, held.quanta)
+    found: list[Glitch] = []
+    for numbers, time, position, mine in _blocks(samples, instants, held):
+        if len(numbers) < NEIGHBOURS + WIDEST:
+            continue
+        off = np.abs(cubic_residuals(time, position, period))
+        for j, column in enumerate(position.T):
+            for k, value in _of_joint(time, column, off[:, j], float(scale[j]), period):
+                if mine[k]:
+                    until = numbers[k + 1] if k + 1 < len(numbers) else numbers[k] + 1
+                    # Samples that repeat a glitch are as wrong.
+                    found += [Glitch(number, j, value) for number in range(int(numbers[k]), int(until))]
+    return tuple(sorted(found, key=lambda each: (each.sample, each.joint)))
+
+
+def _blocks(
+    samples: Samples, instants: np.ndarray, held: Held
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    """Yield numbers, instants and positions of fresh samples in blocks, with those around, and which are inside."""
+    margin = 2 * (NEIGHBOURS + WIDEST) * (1 if held.by_chance else held.longest)
+    for start, stop in spans(len(samples.time)):
+        begin, end = max(0, start - margin), min(len(samples.time), stop + margin)
+        position = block(samples.position, begin, end)
+        fresh = held.fresh(position)
+        numbers = begin + np.flatnonzero(fresh)
+        yield numbers, block(instants, begin, end)[fresh], position[fresh], (numbers >= start) & (numbers < stop)
+
+
+def _of_joint(
+    time: np.ndarray, position: np.ndarray, off: np.ndarray, scale: float, period: float
+) -> list[tuple[int, float]]:
+    """List the outliers of one joint (M,), by sample number, with the values expected there."""
+    near = np.flatnonzero(off > SCALES / 2 * scale) + REACH  # of two and three samples every one is off by half
+    ends = [*range(REACH), *range(len(time) - REACH, len(time))]
+    found: list[tuple[float, int, np.ndarray]] = []  # significance, first sample, values
+    for width in range(1, WIDEST + 1):
+        first = np.unique((np.r_[near, ends][:, None] - np.arange(width)).ravel())
+        first = first[(first >= 0) & (first <= len(time) - width)]
+        excess, clarity, values = _judge(time, position, first, width, scale, period)
+        for k in np.flatnonzero(excess >= SCALES).tolist():
+            found.append((float(clarity[k]), int(first[k]), values[k]))
+    chosen: dict[int, float] = {}
+    for _, at, value in sorted(found, key=lambda each: -each[0]):
+        taken = range(at, at + len(value))
+        if not chosen.keys() & set(taken):
+            chosen |= dict(zip(taken, value.tolist(), strict=True))
+    return sorted(chosen.items())
+
+
+def _judge(
+    time: np.ndarray, position: np.ndarray, first: np.ndarray, width: int, scale: float, period: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Compare ``width`` samples from each of ``first`` (C,) with the cubic through their neighbours.
+
+    Returns how many scales the first and the last of them are off (C,), 0 where that is a matter of time; the same in
+    residuals of the neighbours; and the cubic's values (C, width).
+    """
+    count = NEIGHBOURS + width
+    lowest = np.clip(first - NEIGHBOURS // 2, 0, len(time) - count)
+    window = lowest[:, None] + np.arange(count)
+    inside = (window >= first[:, None]) & (window < first[:, None] + width)
+    others, own = window[~inside].reshape(-1, NEIGHBOURS), window[inside].reshape(-1, width)
+    centre = time[own].mean(axis=1, keepdims=True)
+    reach = np.abs(time[others] - centre).max(axis=1, keepdims=True)
+
+    def powers(at: np.ndarray) -> np.ndarray:
+        return ((time[at] - centre) / reach)[..., None] ** np.arange(4)
+
+    fit = np.linalg.pinv(powers(others))  # (C, 4, NEIGHBOURS)
+    weights = powers(own) @ fit  # (C, width, NEIGHBOURS)
+    around = position[others]
+    values = (weights @ around[..., None])[..., 0]
+    # The smaller of both ends, in the units of the noise of one sample.
+    ends = (position[own] - values)[:, [0, -1]]
+    distance = (np.abs(ends) / np.sqrt(1 + (weights[:, [0, -1]] ** 2).sum(axis=2))).min(axis=1)
+    misfit = np.abs(around - (powers(others) @ (fit @ around[..., None]))[..., 0]).max(axis=1)
+    clean = position[window]
+    clean[inside] = values.ravel()
+    moved = np.abs(np.diff(clean, axis=1)).max(axis=1)
+    whole = time[window[:, -1]] - time[window[:, 0]] < 2 * (count - 1) * period  # where none are missing
+    of_its_own = whole & (np.abs(ends).min(axis=1) > STEPS * moved)
+    excess = np.where(of_its_own, distance / np.maximum(misfit, scale), 0.0)
+    return excess, distance / np.maximum(misfit, 1e-3 * scale), values
+
+
+def without_glitches(samples: Samples, glitches: Sequence[Glitch]) -> Samples:
+    """Replace glitches by the expected values, as up to three missing samples are interpolated."""
+    if not glitches:
+        return samples
+
+    def parts() -> Iterator[np.ndarray]:
+        for start, stop in spans(len(samples.position)):
+            part = block(samples.position, start, stop)
+            for each in glitches:
+                if start <= each.sample < stop:
+                    part[each.sample - start, each.joint] = each.value
+            yield part
+
+    return replace(samples, position=store(parts(), samples.position.shape[1:]))
+
+
+def glitch_note(samples: Samples, glitches: Sequence[Glitch]) -> Note:
+    """Report number and joints of the glitches, and the first one; ``samples`` still hold them."""
+    names, first = samples.source.joints, glitches[0]
+    counts = {names[j]: sum(each.joint == j for each in glitches) for j in sorted({each.joint for each in glitches})}
+    time, logged = float(samples.time[first.sample]), float(samples.position[first.sample, first.joint])
+    at = f"at {time:.9g} s ({samples.place(first.sample)})"
+    if len(glitches) == 1:
+        what = f"interpolated 1 position of joint '{names[first.joint]}' that is an outlier: {at} it is"
+    elif len(counts) == 1:
+        what = f"interpolated {len(glitches)} positions of joint '{names[first.joint]}' that are outliers: "
+        what += f"the first, {at}, is"
+    else:
+        listed = ", ".join(f"'{joint}' ({count})" for joint, count in counts.items())
+        what = f"interpolated {len(glitches)} positions of joints {listed} that are outliers: "
+        what += f"the first, of '{names[first.joint]}' {at}, is"
+    return Note(
+        Kind.REPAIR,
+        f"{what} {logged:.4g} instead of {first.value:.4g} (rad or m)",
+        "check the encoder and its cable, and how missing values are written",
+        joint=names[first.joint] if len(counts) == 1 else "",
+        time=time,
+        share=len(glitches) / len(samples.time),
+    )
+
+
+def refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:
+    """Refuse positions with a permanent jump between two samples, as after a slipped coupling or lost counts.
+
+    The catch-up after a stale position is no jump.
+    """
+    source, n = samples.source, len(samples.source.joints)
+    stride = stride_of(len(samples.time))
+    usual: list[np.ndarray] = []
+    fast: list[np.ndarray] = []
+    largest, places, jumps = np.zeros(n), np.zeros(n, dtype=int), np.zeros(n)
+    median = None
+    for start, stop in spans(len(samples.time)):
+        begin = max(0, start - 7 - held.longest)
+        time, position = block(instants, begin, stop), block(samples.position, begin, stop)
+        step = np.diff(time)
+        median = np.median(step[step > 0]) if median is None else median
+        # Stamps that are the same, of a sample that repeats another, are no step.
+        moving = _moving(time, position, held.fresh(position))
+        speed = np.diff(moving, axis=0) / np.maximum(step, 0.1 * median)[:, None]
+        fast.append(np.abs(speed[max(start - 1, 0) - begin :: stride]))
+        if len(step) < 7:
+            continue
+        # The way of three steps against the steps around them: what was stale or a glitch is made up for there.
+        over = (moving[4:-1] - moving[1:-4]) - (time[4:-1] - time[1:-4])[:, None] * (speed[:-4] + speed[4:]) / 2
+        change = over / median
+        whole = (step <= MISSING_STEP * median) & (step >= 0.5 * median)
+        change[~np.all([whole[k : len(whole) - 4 + k] for k in range(5)], axis=0)] = 0.0
+        three = np.stack([change[:-2], change[1:-1], change[2:]])
+        change = np.where((np.sign(three) == np.sign(three[1])).all(axis=0), np.abs(three).min(axis=0), 0.0)
+        usual.append(change[::stride].copy())
+        at = np.argmax(change, axis=0)
+        for j, k in enumerate(at):
+            if change[k, j] > largest[j]:
+                jump = speed[k + 3, j] - (speed[k + 2, j] + speed[k + 4, j]) / 2
+                largest[j], places[j], jumps[j] = change[k, j], begin + k + 4, jump * step[k + 3]
+    usually, speeds = (np.quantile(np.concatenate(each), 0.999, axis=0) for each in (usual, fast))
+    for j in np.flatnonzero(speeds > LARGEST_SPEED).tolist():
+        raise GtauError(
+            f"{source.name}: joint '{source.joints[j]}' moves at {speeds[j]:.2g} (rad or m)/s, faster than any joint; "
+            "give the units of its position and of the time (units: {position: ..., time: ...})."
+        )
+    low, high = extremes(samples.position)
+    far = np.abs(jumps) > np.maximum(SLIP_RANGE * (high - low), SLIP_QUANTA * np.array(held.quanta))
+    for j in np.flatnonzero((largest > SLIP * usually) & (largest > SLIP_SPEED * speeds) & far).tolist():
+        k = int(places[j])
+        raise GtauError(
+            f"{source.name}, {samples.place(k)}: the position of joint '{source.joints[j]}' jumps by "
+            f"{jumps[j]:.3g} (rad or m) at {samples.time[k]:.9g} s, which is not a motion; check "
+            "the coupling and the counter of its encoder, or cut the log there into two runs."
+        )
+
+
+def refuse_frozen(samples: Samples, instants: np.ndarray, held: Held) -> None:
+    """Refuse a position that freezes in full motion while the command goes on, as of an encoder that is not read.
+
+    A joint that comes to rest slows down: its last step is small.
+
+    Raises
+    ------
+    GtauError
+        Where a joint is constant to the last digit after or before a step of its usual size.
+    """
+    source, n, count = samples.source, len(samples.source.joints), len(samples.time)
+    stride, fast, usual = stride_of(count), [], []
+    since, into = np.zeros(n, dtype=int), np.zeros(n)  # the first sample of the present value, and the step to it
+    edges, spells = np.zeros(n), np.zeros((n, 2), dtype=int)
+    for start, stop in ahead(count):
+        position = block(samples.position, start, stop)
+        fresh = held.fresh(position)
+        at, steps = start + np.flatnonzero(fresh), np.diff(position[fresh], axis=0)
+        fast.append(np.abs(steps[::stride]))
+        usual.append(np.abs(np.diff(steps, axis=0)[::stride]))
+        for j, moved in enumerate(map(np.flatnonzero, steps.T)):
+            changes, sizes = at[moved + 1], np.abs(steps[moved, j])
+            begin, end = np.r_[since[j], changes], np.r_[changes, stop]
+            edge = np.maximum(np.r_[into[j], sizes], np.r_[sizes, 0.0]) * (end - begin > FROZEN)
+            k = int(np.argmax(edge))
+            if edge[k] >= edges[j]:
+                edges[j], spells[j] = edge[k], (begin[k], end[k])
+            since[j], into[j] = begin[-1], np.r_[into[j], sizes][-1]
+    speeds, changes = (np.quantile(np.concatenate(each), 0.999, axis=0) for each in (fast, usual))
+    sudden = (edges > FROZEN_QUANTA * np.array(held.quanta)) & (edges > FROZEN_SPEED * speeds) & (edges > changes)
+    for j in np.flatnonzero(sudden).tolist():
+        begin, end = spells[j].tolist()
+        lasts = float(instants[end - 1] - instants[begin])
+        if lasts > FROZEN_TIME and _std(samples, j, begin, end) > FROZEN_CURRENT * _std(samples, j, 0, count):
+            raise GtauError(
+                f"{source.name}, {samples.place(begin)}: the position of joint '{source.joints[j]}' stays at "
+                f"{samples.position[begin, j]:.6g} (rad or m) for {lasts:.3g} s from {samples.time[begin]:.9g} s, "
+                f"with a step of {edges[j]:.2g} (rad or m) between two samples, while its "
+                f"{source.channels[j].kind.name} varies: its encoder was not read; log again, or leave out that part "
+                "('from' and 'to' of the run)."
+            )
+
+
+def _std(samples: Samples, j: int, begin: int, end: int) -> float:
+    """Compute the standard deviation of a command between two samples."""
+    total, squares, origin = 0.0, 0.0, float(samples.command[begin, j])
+    for start, stop in spans(end - begin):
+        off = block(samples.command, begin + start, begin + stop)[:, j] - origin
+        total, squares = total + float(off.sum()), squares + float(off @ off)
+    return float(np.sqrt(max(squares / (end - begin) - (total / (end - begin)) ** 2, 0.0)))
+
+
+def _moving(time: np.ndarray, position: np.ndarray, fresh: np.ndarray) -> np.ndarray:
+    """Interpolate the positions (M, n) that are not fresh."""
+    if fresh.all():
+        return position
+    return np.column_stack([np.interp(time, time[fresh], each[fresh]) for each in position.T])
+
+
+REVERSING = 1.5  # travel of a joint over its range; a motion in one direction has 1
+NEAR_ZERO = 0.02  # smallest over largest magnitude; no joint of nine robots is unsigned in 23 shared logs
+TOUCHING = 0.5  # of the joints: others hold against gravity
+UNSIGNED = (
+    "never negative although joints reverse, so the columns hold magnitudes; log signed values (some drives store the "
+    "sign in a separate bit or column)"
+)
+
+
+def refuse_magnitudes(samples: Samples) -> None:
+    """Refuse commands without sign.
+
+    A joint that holds against gravity may need one sign only, but it then stays away from zero; not all joints do.
+
+    Raises
+    ------
+    GtauError
+        Where no command of a joint that moves is ever negative, half of them come near zero, and these joints reverse.
+    """
+    source, n = samples.source, len(samples.source.joints)
+    low, high = (each[:n] for each in extremes(samples.command))
+    steps = [np.abs(np.diff(block(samples.position, *span), axis=0)).sum(axis=0) for span in ahead(len(samples.time))]
+    first, last = extremes(samples.position)
+    acting = (high > low) & (last > first)
+    reversing = np.sum(steps, axis=0) > REVERSING * (last - first)
+    unsigned, touching = ((low >= 0) & reversing)[acting], (low <= NEAR_ZERO * high)[acting]
+    if acting.any() and unsigned.all() and touching.mean() >= TOUCHING:
+        raise GtauError(f"{source.name}: its commands are {UNSIGNED}.")
+
+
+def whole_numbers(command: np.ndarray, joints: int) -> float:
+    """Compute the share of the commands (N, c) of the first ``joints`` that are whole numbers."""
+    parts = [block(command, *span)[:, :joints] for span in ahead(len(command))]
+    return sum(int(np.sum(part == np.round(part))) for part in parts) / sum(part.size for part in parts)
+
+
+CLIPPED_RUN = 3  # samples in a row at the extreme value
+PILE_UP = 5.0  # times as many samples at the extreme value as at the one next to it
+MAX_CLIPPED = 0.1
+
+
+def clipped(samples: Samples, notes: list[Note]) -> list[tuple[int, float]]:
+    """Find joints whose commands saturate while they move, as at a drive limit, with the levels.
+
+    Raises
+    ------
+    GtauError
+        More than a tenth of the samples are clipped, or a command has no sign.
+    """
+    source, count = samples.source, len(samples.time)
+    found = []
+    low, high = extremes(samples.command)
+    for j, channel in enumerate(source.channels):
+        if low[j] == high[j] or not channel.kind.of_joint:
+            continue
+        what = f"the {channel.kind.name} of joint '{channel.joint}'"
+        for level in (float(high[j]), float(low[j])):
+            at = _count_at(samples.command, j, level)
+            if at < CLIPPED_RUN or at < PILE_UP * _count_beside(samples.command, j, level):
+                continue
+            if _longest_at(samples, j, channel.row, level) < CLIPPED_RUN:
+                continue
+            if at > MAX_CLIPPED * count and level == low[j] == 0.0:
+                raise GtauError(f"{source.name}: {what} is {UNSIGNED}.")
+            if at > MAX_CLIPPED * count:
+                raise GtauError(
+                    f"{source.name}: {what} is clipped at {level:.4g} in {at} of {count} samples; record it again "
+                    f"with slower motions or a higher limit of the drive."
+                )
+            masked = f"{what} is clipped at {level:.4g}: masked {counted(at, 'sample')}"
+            action = "log again with smaller accelerations, or a higher limit of the drive"
+            notes.append(Note(Kind.CLIPPED, masked, action, joint=channel.joint, share=at / count))
+            found.append((j, level))
+    return found
+
+
+def _count_at(command: np.ndarray, j: int, level: float) -> int:
+    return sum(int(np.count_nonzero(block(command, *span)[:, j] == level)) for span in spans(len(command)))
+
+
+def _count_beside(command: np.ndarray, j: int, level: float) -> int:
+    """Count samples at the value next to an extreme one."""
+    nearest, count = np.inf, 0
+    for span in spans(len(command)):
+        away = np.abs(block(command, *span)[:, j] - level)
+        away = away[away > 0]
+        least = away.min(initial=np.inf)
+        if least < nearest:
+            nearest, count = least, 0
+        count += int(np.count_nonzero(away == nearest))
+    return count
+
+
+def _longest_at(samples: Samples, j: int, mover: int, level: float) -> int:
+    """Find the longest run of samples in which joint j moves and its command stays at ``level``."""
+    position, command, count = samples.position, samples.command, len(samples.time)
+    steps = [np.sum(np.diff(block(position, *span)[:, mover]) ** 2) for span in ahead(count)]
+    least = 0.05 * np.sqrt(sum(steps) / count)
+    longest = now = 0
+    for start, stop in ahead(count):
+        speed = np.abs(np.diff(block(position, start, stop)[:, mover]))
+        at = (block(command, start, stop)[1:, j] == level) & (speed > least)
+        edges = np.flatnonzero(np.diff(np.r_[False, at, False]))
+        runs = edges[1::2] - edges[::2]
+        if runs.size and edges[0] == 0:
+            runs[0] += now
+        longest = max(longest, int(runs.max(initial=0)))
+        now = int(runs[-1]) if runs.size and at[-1] else 0
+    return longest
