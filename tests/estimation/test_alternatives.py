@@ -13,18 +13,18 @@ from stated_arm import plant, robot
 
 from gtau.estimation.diagnostics.alternatives import (
     Alternative,
+    Candidates,
+    Hypothesis,
     compete,
-    find_alternatives,
     model_covariance,
-    same_effects,
     support,
 )
 from gtau.estimation.diagnostics.examine import Examination
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.hypotheses import HYPOTHESES, description, drives
-from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Hypothesis
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, LinearisedWindow
 from gtau.estimation.diagnostics.repeating_residuals import PositionRipple
+from gtau.estimation.diagnostics.score_test import find_alternatives, same_effects
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Fit, Given
 from gtau.estimation.estimators.maximum_likelihood import ML
@@ -53,7 +53,7 @@ def fit_of(runs: list[Run]) -> Fit:
 
 
 def found(runs: list[Run], kind: str, joint: str) -> Alternative:
-    return next(each for each in find_alternatives(fit_of(runs)) if Finding(kind, (joint,)) in each.causes)
+    return next(each for each in find_alternatives(fit_of(runs), HYPOTHESES) if Finding(kind, (joint,)) in each.causes)
 
 
 def currents(runs: list[Run], change: Callable[[Run], np.ndarray]) -> list[Run]:
@@ -104,7 +104,7 @@ def test_a_wrong_gear_ratio_is_named(tmp_path: Path, joint: str, scale: float) -
 
 
 def test_clean_logs_support_no_alternative(runs: list[Run]) -> None:
-    alternatives = compete(find_alternatives(fit_of(runs)))
+    alternatives = compete(find_alternatives(fit_of(runs), HYPOTHESES))
     assert alternatives
     assert all(each.unit for each in alternatives)
     assert max(each.share for each in alternatives) < 0.02
@@ -137,7 +137,7 @@ def test_effects_that_are_offered_twice_count_once(runs: list[Run], fall: float)
     """Neither a hypothesis listed twice nor its copy in other words changes the intervals, asked for or not."""
     rms = np.sqrt(np.mean([np.mean(run.command**2, axis=0) for run in runs], axis=0))
     fit = fit_of(currents(runs, lambda run: run.command * (1 + fall * np.abs(run.command) / (2 * rms))))
-    once = compete(find_alternatives(fit))
+    once = compete(find_alternatives(fit, HYPOTHESES))
     expected = model_covariance(once, len(fit.solution.stacked))
     assert (max(each.t for each in once if each.hypothesis == "saturation") > 6) == (fall > 0)
     for more in (HYPOTHESES, [under_another_name(each) for each in HYPOTHESES]):

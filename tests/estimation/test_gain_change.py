@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.gain_change import gain_changes
+from gtau.estimation.diagnostics.hypotheses.drives import gain_changes
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Given
 from gtau.estimation.estimators.maximum_likelihood import ML

@@ -163,10 +163,10 @@ def test_known_parameters_that_the_motions_do_not_show_are_the_reason_of_the_ref
     everything = np.column_stack([np.eye(fast.n_theta), np.ones(fast.n_theta)])
     assert own_share(replace(fast, known=everything)) == 1.0
 
-    def unsettled(*given: object, **options: object) -> Solution:
-        return replace(solve(*given, **options), settled=False)
+    def diverged(*given: object, **options: object) -> Solution:
+        return replace(solve(*given, **options), converged=False)
 
-    monkeypatch.setattr(maximum_likelihood, "solve", unsettled)
+    monkeypatch.setattr(maximum_likelihood, "solve", diverged)
     with pytest.raises(GtauError, match="the data do not determine the drive gains"):
         ml(fast)
     with pytest.raises(GtauError, match=r"hardly fix the scale .* explain all but \d.* % of their torque"):

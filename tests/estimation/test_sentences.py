@@ -9,7 +9,7 @@ from pydantic import TypeAdapter
 
 from gtau.estimation.diagnostics.finding import Finding, finding_document
 from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.hypotheses import description, drives, wrenches
+from gtau.estimation.diagnostics.hypotheses import description, drives
 from gtau.estimation.diagnostics.sentences import SENTENCES as SENTENCES_BY_KIND
 from gtau.estimation.diagnostics.sentences import WRENCHES, advice, named, note, reason
 from gtau.signals.notes import Kind
@@ -413,16 +413,16 @@ SENTENCES = [  # finding, reason, advice
      "gravity along (0, -0.6, -0.8) of the world, which leaves 1 % of 'left' unexplained instead of 5 %,",
      "check how the world axes lie, and write 'gravity: [0, -5.88, -7.85]' in the robot file, in axes of the logged "
      "poses, or turn the poses so that their z axis points up"),
-    (Finding(wrenches.OFFSET.kind, (), "foot", values={"component": "force x"}),
+    (Finding(description.OFFSET.kind, (), "foot", values={"component": "force x"}),
      "an offset in the force x of the wrench on 'foot'",
      "tare the unloaded force sensor before each run, or subtract its unloaded reading"),
-    (Finding(wrenches.OFFSET.kind, (), "foot", values={"force": [5.0, 0.0, -1.23], "moment": [0.1, 0.0, 0.0]}),
+    (Finding(description.OFFSET.kind, (), "foot", values={"force": [5.0, 0.0, -1.23], "moment": [0.1, 0.0, 0.0]}),
      "an offset of (5, 0, -1.2) N and (0.1, 0, 0) N m in the wrench on 'foot'",
      "tare the unloaded force sensor before each run, or subtract its unloaded reading"),
-    (Finding(wrenches.POINT.kind, (), "foot", values={"axis": "x"}),
+    (Finding(description.POINT.kind, (), "foot", values={"axis": "x"}),
      "the reference point of the moment on 'foot', off in x",
      "measure the position of the sensor, and correct 'at' of that wrench"),
-    (Finding(wrenches.POINT.kind, (), "foot", values={"shift": [0.02, 0.0, -0.001]}),
+    (Finding(description.POINT.kind, (), "foot", values={"shift": [0.02, 0.0, -0.001]}),
      "the reference point of the moment on 'foot', off by (20, 0, -1) mm",
      "measure the position of the sensor, and correct 'at' of that wrench"),
     (Finding(description.CLOCK.kind, values={"factor": 1.4, "rate": 125.0}),
@@ -498,7 +498,9 @@ def test_measured_wrenches_come_first_in_the_advice() -> None:
 
 def test_a_wrench_that_is_the_cause_is_all_that_is_to_be_checked() -> None:
     values = {"size": 1.0, "unit": "", "share": 0.6, "move": 0.1, "wrenches": True}
-    found = Finding(F.REFUTED, ("left",), values=values, causes=(Finding(wrenches.POINT.kind, (), "3", {"axis": "x"}),))
+    found = Finding(
+        F.REFUTED, ("left",), values=values, causes=(Finding(description.POINT.kind, (), "3", {"axis": "x"}),)
+    )
     assert advice(found) == "measure the position of the sensor, and correct 'at' of that wrench"
 
 

@@ -11,7 +11,7 @@ from stated_arm import plant, robot
 
 from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.tool_bodies import other_loads
+from gtau.estimation.diagnostics.other_robots import other_loads
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Given
 from gtau.estimation.estimators.maximum_likelihood import ML

@@ -31,7 +31,7 @@ from gtau.estimation.diagnostics.sentences import percent_text
 from gtau.estimation.diagnostics.verdict import GOOD, OUTCOMES, Outcome, Verdict, decide, verdict_of, worst
 from gtau.estimation.grades import Grade, by_grade
 from gtau.estimation.identify import identify
-from gtau.estimation.regression.equations import STRETCHES
+from gtau.estimation.regression.equations import BLOCKS
 from gtau.estimation.results.conclusions import Reason, headline, reasons
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
@@ -116,7 +116,7 @@ def test_intervals_rest_on_the_blocks_and_are_saved(result: Result, tmp_path: Pa
         assert each.freedom is not None
         assert each.random_std is not None
         # the model part counts as known (Satterthwaite), so that only the random part rests on the blocks
-        assert 1 <= each.freedom * (each.random_std / each.std) ** 4 <= 2 * STRETCHES - 1 + 1e-9
+        assert 1 <= each.freedom * (each.random_std / each.std) ** 4 <= 2 * BLOCKS - 1 + 1e-9
     result.save(tmp_path / "model.json")
     document = json.loads((tmp_path / "model.json").read_text())
     for entry in (*document["drive_gains"], *document["parameters"], *document["delays"]):

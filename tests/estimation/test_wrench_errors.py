@@ -10,7 +10,7 @@ import pytest
 from floating_logs import AT_HOOK, AT_SOLE, GAINS, HOOK, POSE, SOLE, Truth, experiment, simulated
 
 from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.hypotheses import wrenches
+from gtau.estimation.diagnostics.hypotheses import description
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
@@ -88,7 +88,10 @@ def test_errors_of_wrenches_are_named(case: str, fault: str, tmp_path: Path, req
         assert not any(each.verdict.outcome == Outcome.CONTRADICTORY for each in result.drive_gains.values())
         return
     cause = max(of_wrenches, key=lambda each: each.share).causes[0]
-    assert (cause.kind, cause.subject) == (wrenches.POINT.kind if fault == "point" else wrenches.OFFSET.kind, body)
+    assert (cause.kind, cause.subject) == (
+        description.POINT.kind if fault == "point" else description.OFFSET.kind,
+        body,
+    )
     if fault == "point":  # the file's point is too far along x
         np.testing.assert_allclose(cause.values["shift"], [-0.02, 0.0, 0.0], atol=0.004)
     for joint, gain in GAINS.items():

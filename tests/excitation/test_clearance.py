@@ -13,7 +13,7 @@ from gtau.excitation.design import check, design
 from gtau.excitation.design_file import read_design
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.random_states import random_motion
+from gtau.model.singularities import random_motion
 from gtau.robots.readers.native import parse_native
 from gtau.robots.robot import Pose
 

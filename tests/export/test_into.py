@@ -14,7 +14,7 @@ from models_to_export import model_of
 
 import gtau
 from gtau.model.home import load_robot
-from gtau.model.random_states import random_motion
+from gtau.model.singularities import random_motion
 
 URDF = """<?xml version="1.0"?>
 <!-- the arm of the tests -->

@@ -17,7 +17,7 @@ from gtau.export import mjcf
 from gtau.export.mjcf import export
 from gtau.model.home import load_robot
 from gtau.model.loops import Motion
-from gtau.model.random_states import random_motion
+from gtau.model.singularities import random_motion
 from gtau.robots.robot import Coupling, Joint, Pose, Robot
 from gtau.simulation.mujoco_plant import platform_coordinates
 

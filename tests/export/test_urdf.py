@@ -16,7 +16,7 @@ from gtau.errors import GtauError
 from gtau.export.urdf import export
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.random_states import random_motion
+from gtau.model.singularities import random_motion
 from gtau.robots.robot import ROTATIONS, TRANSLATIONS, Robot
 
 QUICK = ("sprung", "seven-r", "tree", "slider-crank", "five-bar")

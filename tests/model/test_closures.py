@@ -32,7 +32,7 @@ from gtau.model.kinematics import coordinates
 from gtau.model.loop_closure import loop_errors
 from gtau.model.loop_paths import advance, follow
 from gtau.model.loops import CONDITION
-from gtau.model.random_states import random_motion
+from gtau.model.singularities import random_motion
 from gtau.robots.robot import Coupling, Limits, Pose, Robot
 
 every_robot = pytest.mark.parametrize("robot", CLOSED, ids=lambda robot: robot.name)

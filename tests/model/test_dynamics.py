@@ -17,7 +17,7 @@ from gtau.errors import GtauError
 from gtau.model.base_parameters import BaseParameters, base_parameters, symmetric_order
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.random_states import random_motion
+from gtau.model.singularities import random_motion
 from gtau.robots.robot import DRIVE, INERTIAL, Coupling, Robot
 
 every_robot = pytest.mark.parametrize("robot", ROBOTS, ids=lambda robot: robot.name)

@@ -22,8 +22,7 @@ from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import Motion
-from gtau.model.random_states import random_motion
-from gtau.model.singularities import singularities
+from gtau.model.singularities import random_motion, singularities
 from gtau.robots.geometry import attached
 from gtau.robots.readers.native import parse_native
 from gtau.robots.readers.read import CATALOG

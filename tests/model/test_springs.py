@@ -13,7 +13,7 @@ from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import poses
-from gtau.model.random_states import random_motion
+from gtau.model.singularities import random_motion
 from gtau.robots.geometry import attached, identical_legs
 from gtau.robots.parts import select_joints
 from gtau.robots.readers.native import parse_native

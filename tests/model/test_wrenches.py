@@ -14,7 +14,7 @@ from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import poses
 from gtau.model.loops import Motion
-from gtau.model.random_states import random_motion
+from gtau.model.singularities import random_motion
 from gtau.robots.floating import WrenchFrame, float_base
 from gtau.robots.robot import Robot
 

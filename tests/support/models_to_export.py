@@ -16,8 +16,8 @@ from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.results.result import Result, result_of
 from gtau.model.base_parameters import base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.parameter import torque_unit, unit_of
 from gtau.robots.robot import SPRING, Attachment, Pose, Robot, Spring
-from gtau.robots.units import torque_unit, unit_of
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import Preparation
 

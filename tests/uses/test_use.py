@@ -16,7 +16,7 @@ import gtau
 from gtau.cli.commands import app
 from gtau.estimation.experiment_runs import carrying
 from gtau.model.home import load_robot
-from gtau.robots.readers.urdf import frame_on
+from gtau.robots.readers.read import frame_on
 from gtau.signals.reading.statements import Payload
 from gtau.uses.external_torques import torques_along_log, write_table
 

@@ -285,9 +285,7 @@ def experiment_of(
 def _is_log(path: Path) -> bool:
     from gtau.signals.reading.log_file import FORMATS, is_log_folder
 
-    if path.is_dir():
-        return is_log_folder(path)
-    return path.suffix.lower().removeprefix(".") in FORMATS.names or kind_of(path) == LOG
+    return path.suffix.lower() in FORMATS.names or (is_log_folder(path) if path.is_dir() else kind_of(path) == LOG)
 
 
 def _masses(payloads: list[str]) -> dict[str, float]:

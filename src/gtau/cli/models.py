@@ -134,7 +134,7 @@ def payload(
             from gtau.report.evidence import settings_of
             from gtau.report.validation import bodies_document, weighing_page, weighing_report
             from gtau.report.write import inputs_of, write_report
-            from gtau.robots.readers.urdf import links_on
+            from gtau.robots.readers.read import links_on
             from gtau.signals.reading.experiment import read_experiment
             from gtau.uses.weigh import exact_gains, weigh
 
@@ -312,7 +312,7 @@ def use(
 
 def _frame(result: Result, frame: str, experiment: Path | None) -> tuple[str, Placement]:
     """Find a frame on the body that carries the payload, as for 'gtau payload'."""
-    from gtau.robots.readers.urdf import frame_on
+    from gtau.robots.readers.read import frame_on
     from gtau.signals.reading.experiment import read_experiment
 
     robot = None if experiment is None else read_experiment(experiment).robot

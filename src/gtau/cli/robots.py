@@ -61,7 +61,7 @@ def robot(
             found = load_robot(source, base=base_choice(base), joints=joints or ())
         if save is not None:
             from gtau.robots.readers.native_text import write_native
-            from gtau.robots.readers.urdf import is_loops_file
+            from gtau.robots.readers.read import is_loops_file
 
             if save.exists() and (
                 (Path(source).exists() and save.samefile(source))

@@ -21,10 +21,10 @@ from gtau.estimation.gate import choose_estimator, require_identifiable, require
 from gtau.estimation.pipeline import estimate
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
-from gtau.model.interpreter.threads import single_threaded_blas
+from gtau.model.interpreter.program import single_threaded_blas
 from gtau.progress import Progress, silent
+from gtau.robots.parameter import gain_unit
 from gtau.robots.robot import Robot
-from gtau.robots.units import gain_unit
 from gtau.signals.reading.experiment import Experiment
 from gtau.signals.reading.statements import Prior
 from gtau.signals.run import Run

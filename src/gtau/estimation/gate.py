@@ -96,7 +96,7 @@ def require_identifiable(
 def tests_torques(system: System) -> bool:
     """Decide whether a known payload, a torque sensor or a wrench tests the scale of logged torques."""
     problem, known = system.problem, (each for each in system.payloads if each.payload.mass is not None)
-    return any(each.acts for each in known) or bool(problem.wrenches) or not problem.free.all()
+    return any(each.acts for each in known) or bool(problem.wrenches) or not problem.unknown_gains.all()
 
 
 def _refuse_priors(

@@ -10,8 +10,8 @@ import numpy as np
 from gtau.estimation.diagnostics.diagnose import diagnose
 from gtau.estimation.diagnostics.examine import estimates_of, examine
 from gtau.estimation.diagnostics.inertia_audit import audit_inertias, without_file_inertias
+from gtau.estimation.diagnostics.other_robots import TOOL_BODIES
 from gtau.estimation.diagnostics.stated_constants import weigh_known
-from gtau.estimation.diagnostics.tool_bodies import TOOL_BODIES
 from gtau.estimation.estimators.essential import essential_fit, select_friction
 from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Estimator, Given

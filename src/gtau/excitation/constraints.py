@@ -14,7 +14,7 @@ from gtau.excitation.evaluation import Grid, Point
 from gtau.excitation.gradients import Slopes
 from gtau.excitation.task import DesignProblem, close
 from gtau.excitation.trajectory import approach_duration, quintic
-from gtau.robots.units import torque_unit
+from gtau.robots.parameter import torque_unit
 from gtau.signals.reading.statements import Payload
 
 ORDERS = ("position", "velocity", "acceleration", "jerk")

@@ -14,7 +14,7 @@ from gtau.excitation.constraints import ConstraintUsage, constraint_usages, whol
 from gtau.excitation.evaluation import Grid, Point, design_grid, evaluate
 from gtau.excitation.nlp import ITERATIONS, Programme, promising_start, solve
 from gtau.excitation.task import SPEED_FRACTION, DesignProblem, close
-from gtau.model.interpreter.threads import single_threaded_blas
+from gtau.model.interpreter.program import single_threaded_blas
 from gtau.progress import Progress, silent
 
 START = 0.6  # part of the limits that a start uses, so that it is feasible

@@ -18,7 +18,7 @@ from gtau.excitation.design import Design
 from gtau.excitation.evaluation import PER_HARMONIC, Grid, Point, design_grid, evaluate, information
 from gtau.excitation.information import root_covariance
 from gtau.excitation.task import DesignProblem, close
-from gtau.model.interpreter.threads import single_threaded_blas
+from gtau.model.interpreter.program import single_threaded_blas
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter
 from gtau.signals.preparation.choice import choose_preparation

@@ -22,7 +22,7 @@ from gtau.excitation.clearance import (
     clearance,
 )
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.random_states import random_motion
+from gtau.model.singularities import random_motion
 from gtau.robots.readers.shapes import urdf_shapes
 from gtau.robots.robot import GROUND, Robot
 

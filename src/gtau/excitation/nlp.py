@@ -14,7 +14,7 @@ from gtau.excitation.evaluation import Grid, Point, design_grid, evaluate, evalu
 from gtau.excitation.information import criterion
 from gtau.excitation.task import DesignProblem, close
 from gtau.excitation.trajectory import quintic
-from gtau.model.interpreter.threads import single_threaded_blas
+from gtau.model.interpreter.program import single_threaded_blas
 
 ITERATIONS = 100
 TOLERANCE = 1e-3  # of the logarithm of the criterion: a tenth of a per cent

@@ -13,7 +13,7 @@ from gtau.estimation.diagnostics.finding import Outcome
 from gtau.estimation.results.result import Result
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.random_states import random_motion
+from gtau.model.singularities import random_motion
 from gtau.robots.geometry import places_on
 from gtau.robots.parameter import Parameter
 

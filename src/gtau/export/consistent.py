@@ -18,10 +18,9 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.results.result import Result
-from gtau.model.random_states import random_motion
-from gtau.robots.parameter import Parameter
+from gtau.model.singularities import random_motion
+from gtau.robots.parameter import Parameter, torque_unit
 from gtau.robots.robot import Robot
-from gtau.robots.units import torque_unit
 from gtau.uses.identified import identified, torques_of
 
 STATES = 500

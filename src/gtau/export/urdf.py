@@ -27,6 +27,7 @@ from gtau.export.consistent import (
 from gtau.export.exported import Export, Exported, written
 from gtau.export.input_file import InputFile, input_file
 from gtau.robots.geometry import compose, pose_of, turn
+from gtau.robots.parameter import gain_unit, torque_unit, unit_of
 from gtau.robots.rigid_body import RigidBody, rigid_body
 from gtau.robots.robot import (
     DAMPING,
@@ -43,7 +44,6 @@ from gtau.robots.robot import (
     Robot,
     Spring,
 )
-from gtau.robots.units import gain_unit, torque_unit, unit_of
 
 ROOT = "base"
 UNLIMITED = 1e6  # rad, m: the format requires limits of prismatic joints

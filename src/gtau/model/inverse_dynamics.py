@@ -13,8 +13,7 @@ import numpy as np
 from gtau.documents.validation import TEXT, takes
 from gtau.errors import GtauError
 from gtau.model.dynamics import parameter_names, torques, wrench_torques
-from gtau.model.interpreter.program import NONE, Program, compile_program
-from gtau.model.interpreter.threads import share
+from gtau.model.interpreter.program import NONE, Program, compile_program, share
 from gtau.model.kinematics import Coordinates, coordinates
 from gtau.model.loop_paths import follow
 from gtau.model.loops import Labels, Loops, Motion, Numbers, close_loops, differentiate

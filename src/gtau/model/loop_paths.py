@@ -15,8 +15,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.model.interpreter.compiled import loops as compiled
 from gtau.model.interpreter.instructions import FOLLOWER, LANES, TILE
-from gtau.model.interpreter.program import Bound, address, addresses, aligned
-from gtau.model.interpreter.threads import share
+from gtau.model.interpreter.program import Bound, address, addresses, aligned, share
 from gtau.model.loops import Labels, Loops, Numbers, pose_words
 
 RESIDUAL = 1e-12  # of a closed loop: rad, or lengths over the characteristic length

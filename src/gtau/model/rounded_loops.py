@@ -20,8 +20,7 @@ import numpy as np
 
 from gtau.model.kinematics import Coordinates, constant, coordinates, frames
 from gtau.model.loop_closure import CLOSED, LoopErrors, closed, loop_errors
-from gtau.robots.digits import digits_of, is_written
-from gtau.robots.geometry import angles_of, euler_angles
+from gtau.robots.geometry import angles_of, digits_of, euler_angles, is_written
 from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Closure, Joint, Mdh, Placement, Pose, Robot
 
 # Lengths are in characteristic lengths of the robot, angles in rad.
@@ -191,7 +190,7 @@ def _bounds(robot: Robot, places: list[_Place], joints: list[Joint]) -> tuple[np
         turns = unit * np.vectorize(angles.half_unit)(numbers / unit)
         half = np.where(angular, turns, np.vectorize(lengths.half_unit)(numbers))
         return np.where(written | ~nonzero, half, 0.0), nonzero
-    lengths, turn = robot.rounding.lengths, robot.rounding.turn
+    lengths, turn = robot.rounding, robot.rounding.turn
     half = np.vectorize(lengths.half_unit)(numbers)
     arms = np.array([[np.linalg.norm(place.at.placement.position)] for place in places])
     return np.where(angular, turn, np.where(written, half, 2 * half + turn * arms)), nonzero

@@ -33,8 +33,8 @@ from gtau.report.page import (
     table,
     table_of,
 )
+from gtau.robots.parameter import command_unit, position_unit
 from gtau.robots.robot import Robot
-from gtau.robots.units import command_unit, position_unit
 from gtau.signals.notes import Kind as NoteKind
 from gtau.signals.notes import Note
 from gtau.signals.reading.samples import counted

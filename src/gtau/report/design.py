@@ -18,8 +18,7 @@ from gtau.excitation.task import DesignProblem, close
 from gtau.report.chart import Chart
 from gtau.report.motion import joint_panels
 from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text, joint_label, page, section, table
-from gtau.robots.parameter import Parameter, parameter_of
-from gtau.robots.units import torque_unit, unit_of
+from gtau.robots.parameter import Parameter, parameter_of, torque_unit, unit_of
 
 ORDERS = (("position", ""), ("velocity", "/s"), ("acceleration", "/s²"))
 DIGITS = 9

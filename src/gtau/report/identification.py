@@ -9,7 +9,7 @@ import numpy as np
 
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.physical_consistency import Consistency
-from gtau.estimation.estimators.registry import ESTIMATORS
+from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.results.conclusions import VISIBLE, findings, headline, missed, remarks, required
 from gtau.estimation.results.result import Result
 from gtau.report.evidence import RunEvidence, preparation_words, worst_joint
@@ -105,7 +105,7 @@ def report_page(result: Result, runs: Sequence[RunEvidence], prior: Mapping[str,
         logs_section([each.run for each in runs], result.robot, result.preparation),
         alternatives_section(result),
         findings_section(findings(result)),
-        lead=[f"Estimator: {ESTIMATORS[result.method].description}. Runs: {', '.join(result.runs)}."],
+        lead=[f"Estimator: {estimator_of(result.method).description}. Runs: {', '.join(result.runs)}."],
     )
 
 
@@ -164,7 +164,7 @@ def _settings(result: Result) -> Facts:
     given = f"; by hand: {', '.join(result.preparation.given)}" if result.preparation.given else ""
     return Facts(
         {
-            "Method": ESTIMATORS[result.method].description,
+            "Method": estimator_of(result.method).description,
             "Runs": ", ".join(result.runs),
             **({"Payload": f"on '{result.robot.tool}'"} if result.payloads else {}),
             "Signals": f"bandwidth {bandwidth}, position filter {cutoff}, decimation {decimation}{given}",

@@ -10,8 +10,8 @@ import numpy as np
 from gtau.report.chart import Axis, Chart, Panel, Rule, Series, colour
 from gtau.report.motion import TIME
 from gtau.report.page import Column, Kind, Section, joint_label, section, table_of
+from gtau.robots.parameter import command_unit, position_unit
 from gtau.robots.robot import Robot
-from gtau.robots.units import command_unit, position_unit
 from gtau.signals.preparation.bandwidth import spectra
 from gtau.signals.preparation.prepared_run import Preparation
 from gtau.signals.reading.log_set import find_logs

@@ -14,8 +14,8 @@ from gtau.estimation.thresholds.logs import NEAR_SINGULAR
 from gtau.report.chart import Axis, Chart, Panel, Series, colour
 from gtau.report.evidence import RunEvidence
 from gtau.report.page import Column, Kind, Section, Text, joint_label, section, table_of
+from gtau.robots.parameter import position_unit
 from gtau.robots.robot import Robot
-from gtau.robots.units import position_unit
 from gtau.signals.run import Run, arrange
 from gtau.signals.storage import rows_at
 

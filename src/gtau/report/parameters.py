@@ -15,8 +15,7 @@ from gtau.report.chart import Axis, Chart, Panel, Series
 from gtau.report.evidence import RunEvidence
 from gtau.report.gains import VALUE, regroups, value_cells
 from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, section, table
-from gtau.robots.parameter import Parameter
-from gtau.robots.units import position_unit, torque_unit
+from gtau.robots.parameter import Parameter, position_unit, torque_unit
 from gtau.signals.channel import BEHIND_DRIVE
 from gtau.signals.preparation.filters import position_filter
 from gtau.signals.run import arrange

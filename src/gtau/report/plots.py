@@ -19,7 +19,7 @@ from gtau.report.render.charts import figure_of
 from gtau.report.residuals import residual_panels
 from gtau.report.torques import part_of, stretch_title, torques_chart, units_of
 from gtau.report.uncertainty import correlation_chart, correlation_of, singular_values_chart
-from gtau.robots.units import torque_unit
+from gtau.robots.parameter import torque_unit
 from gtau.signals.run import Run
 from gtau.uses.prediction import predict
 

@@ -10,7 +10,7 @@ from gtau.estimation.results.result import Result
 from gtau.report.chart import Axis, Chart, Panel, Series, colour
 from gtau.report.evidence import RunEvidence
 from gtau.report.page import Column, Kind, Section, Text, joint_label, section, table
-from gtau.robots.units import torque_unit
+from gtau.robots.parameter import torque_unit
 
 SEGMENT = 256  # samples of a segment of the spectrum, at most
 FEWEST = 16  # samples that a statistic needs

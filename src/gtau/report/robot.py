@@ -12,10 +12,9 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import TYPES, singularities
 from gtau.progress import Progress, silent
 from gtau.report.page import Column, Facts, Kind, Page, Table, Text, page, section, table, table_of
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import Parameter, position_unit, unit_of
 from gtau.robots.plausibility import oddities, tool_note
 from gtau.robots.robot import DAMPING, PRELOAD, STIFFNESS, Robot, base_rows
-from gtau.robots.units import position_unit, unit_of
 
 TERMS = {PRELOAD: "preload", STIFFNESS: "stiffness", DAMPING: "damping"}
 

@@ -15,7 +15,7 @@ from gtau.report.evidence import RunEvidence
 from gtau.report.logs import payload_words
 from gtau.report.motion import TIME
 from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, section, table
-from gtau.robots.units import torque_unit
+from gtau.robots.parameter import torque_unit
 
 REVERSALS = (
     "Raw: against the torque as it was measured, at all samples. In band: both torques behind the low-pass of the "

@@ -6,17 +6,16 @@ Everything here is frozen data. The mathematics lives in :mod:`gtau.model`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
-from math import cos, sin
+from math import cos, floor, log10, sin
 from typing import Literal
 
 import numpy as np
 
 from gtau.documents.validation import name_problem
 from gtau.errors import GtauError
-from gtau.robots.digits import Rounding
-from gtau.robots.gripper import palm
 
 GROUND = "ground"
 STANDARD_GRAVITY = 9.80665  # m/s2
@@ -210,6 +209,31 @@ class Spring:
     parameters: tuple[str, ...] = (PRELOAD, STIFFNESS)
 
 
+PRINTED = 6  # significant digits that programs write, MuJoCo and others that print by %g
+
+
+@dataclass(frozen=True)
+class Digits:
+    """The digits of the numbers in a file: so many ``decimals``, or so many ``significant`` ones where those are many.
+
+    Trailing zeros are often left out, so a single number does not show them; the longest of all numbers does. ``turn``
+    is the largest turn about an axis by rounding, rad, where a reader computes placements from the numbers.
+    """
+
+    decimals: int
+    significant: int
+    turn: float = 0.0
+
+    def half_unit(self, number: float) -> float:
+        """Return half a unit of the last digit with which a number is written; of numbers of no such file, 0."""
+        if not self.significant:
+            return 0.0
+        last = -self.decimals
+        if number and self.significant >= PRINTED:
+            last = max(last, floor(log10(abs(number))) + 1 - self.significant)
+        return 0.5 * 10.0**last
+
+
 @dataclass(frozen=True, repr=False)
 class Robot:
     """A spanning tree of joints, platforms and closures, and springs between its bodies.
@@ -238,7 +262,7 @@ class Robot:
     springs: tuple[Spring, ...] = ()
     constants: tuple[tuple[str, float], ...] = field(default=(), compare=False)
     inertias: tuple[tuple[str, float], ...] = field(default=(), compare=False)
-    rounding: Rounding | None = field(default=None, compare=False)
+    rounding: Digits | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         if problem := name_problem(self.name):
@@ -284,7 +308,7 @@ class Robot:
             return self.platforms[-1].name
         links = [joint.name for joint in self.joints if joint.has_mass]
         carriers = {joint.name: joint.antecedent for joint in self.joints}
-        return palm(carriers, links[-1], links, self.base) if links else self.joints[-1].name
+        return _palm(carriers, links[-1], links, self.base) if links else self.joints[-1].name
 
     @property
     def ends(self) -> tuple[Attachment, ...]:
@@ -403,3 +427,35 @@ def _limit_problems(joint: Joint) -> Iterator[str]:
         value = getattr(limits, quantity)
         if value is not None and not value > 0.0:
             yield f"the {quantity} limit of joint '{joint.name}' is {value:g}; write a positive number, or leave it out"
+
+
+def _palm(carriers: Mapping[str, str], last: str, links: Collection[str], base: Collection[str]) -> str:
+    """Find the link that carries the fingers if ``last`` is one of them; else ``last`` itself.
+
+    Fingers are branches of an arm: another has as many joints, or three others are alike as beside a thumb, and none
+    has more joints than there are before them. So the arms of a torso, and legs, are none.
+
+    Parameters
+    ----------
+    carriers : mapping
+        Carrier of each joint; every carrier precedes its followers.
+    last : str
+        A joint.
+    links : collection of str
+        Joints whose link has a mass.
+    base : collection of str
+        Joints of a floating base, which do not belong to an arm.
+    """
+    before: dict[str, tuple[str, ...]] = {}  # from the ground to each joint
+    for joint, carrier in carriers.items():
+        before[joint] = (*before.get(carrier, ()), joint)
+    for depth, carrying in enumerate(before[last][:-1], start=1):
+        lengths: dict[str, int] = {}
+        for chain in before.values():
+            if len(chain) > depth and chain[depth - 1] == carrying:
+                lengths[chain[depth]] = max(lengths.get(chain[depth], 0), len(chain) - depth)
+        alike = Counter(lengths.values())
+        fingers = alike[lengths[before[last][depth]]] > 1 or max(alike.values()) > 2
+        if carrying in links and fingers and max(lengths.values()) <= depth - len(base):
+            return carrying
+    return last

@@ -30,8 +30,8 @@ from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.predicted import Prediction, torque_errors
 from gtau.estimation.results.result import Result
 from gtau.robots.floating import refuse_floating
+from gtau.robots.parameter import torque_unit
 from gtau.robots.robot import Placement
-from gtau.robots.units import torque_unit
 from gtau.signals.run import Run
 from gtau.uses.identified import OBSERVED, functions, identified
 from gtau.uses.prediction import loaded_parameters, predict, suited

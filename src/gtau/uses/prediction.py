@@ -13,7 +13,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.friction.law import SHAPES, carried
+from gtau.estimation.friction.law import SHAPES, transmitted
 from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.regression.dataset import at_rate_of, check_wrenches, motor_to_joint_speed
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
@@ -70,7 +70,7 @@ def predict(result: Result, run: Run, external: np.ndarray | None = None) -> Pre
     run, decimator, time = prepared.run, prepared.preparation.decimator, np.asarray(prepared.time)
     chi = loaded_parameters(result, run.payload, f"run '{run.name}'")
     check_temperature_unit(result, run)
-    made, rubbing, measured = joint_torques(result, prepared.for_prediction(), chi, external)
+    made, friction_torque, measured = joint_torques(result, prepared.for_prediction(), chi, external)
     n = len(made)
     keep = np.concatenate([prepared.samples(*span).usable[:, :n] for span in spans(len(prepared))])
     valid = np.concatenate([prepared.valid(*span)[:, :n] for span in spans(len(prepared))])
@@ -80,7 +80,7 @@ def predict(result: Result, run: Run, external: np.ndarray | None = None) -> Pre
     keep, valid = (decimator.near(each & ~resting) for each in (keep, valid))
     if not keep.any():
         raise GtauError(f"run '{run.name}' has no usable rows, away from its reversals and gaps; give a longer run.")
-    return Prediction(result.idm.actuated, time, made.T, measured.T, keep, valid, rubbing.T, decimator)
+    return Prediction(result.idm.actuated, time, made.T, measured.T, keep, valid, friction_torque.T, decimator)
 
 
 def joint_torques(
@@ -93,7 +93,7 @@ def joint_torques(
     at 30 Hz such delays raise the raw error of a joint on unused samples from 2.5 to 3.1 %.
     """
     model, standard, time = result.idm, result.base.standard, np.asarray(prepared.time)
-    load, friction = np.array(carried(np, standard, chi)), friction_along(result, prepared, chi, external)
+    load, friction = np.array(transmitted(np, standard, chi)), friction_along(result, prepared, chi, external)
     found = np.concatenate([*stream_torques(model, model.columns(standard), prepared, load, friction)], axis=2)
     for torque in found[:2]:
         for row, joint in zip(torque, model.actuated, strict=True):
@@ -164,7 +164,9 @@ def torques_along(
     slide without them.
     """
     model, base = result.idm, result.base
-    load = model.columns(base.standard).torques_along(model.layout, motion, np.array(carried(np, base.standard, chi)))
+    load = model.columns(base.standard).torques_along(
+        model.layout, motion, np.array(transmitted(np, base.standard, chi))
+    )
     return load + result.friction_law.torques(motion, friction_values(result, chi) | dict(terms or {}), load, z)
 
 

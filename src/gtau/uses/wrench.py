@@ -117,7 +117,7 @@ def wrench_along_log(
     result, run, prediction : Result, Run, Prediction
         The model, the run, and :meth:`gtau.Result.predict` of it.
     frame : tuple
-        Name and placement on the body, by :func:`gtau.robots.readers.urdf.frame_on`.
+        Name and placement on the body, by :func:`gtau.robots.readers.read.frame_on`.
     force_only : bool
         True if the contact exerts no moment about the frame's origin, so that three motors suffice for the force.
 

@@ -16,7 +16,7 @@ from gtau.documents.validation import NUMBER, TEXT, WHOLE, takes
 from gtau.errors import GtauError
 from gtau.estimation.results.model_document import to_document
 from gtau.estimation.results.result import Result
-from gtau.model.interpreter.threads import single_threaded_blas
+from gtau.model.interpreter.program import single_threaded_blas
 from gtau.robots.robot import PLAIN_FRICTION
 from gtau.signals.run import Run
 from gtau.watch.alarms import alarm_of

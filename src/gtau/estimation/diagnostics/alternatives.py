@@ -12,34 +12,26 @@ they support it, its full shift counts. Alternatives that would explain the resi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from functools import lru_cache
 
 import numpy as np
 
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.hypotheses import HYPOTHESES
-from gtau.estimation.diagnostics.hypotheses.hypothesis import Candidates, Hypothesis
+from gtau.estimation.diagnostics.finding import Finding, Words
 from gtau.estimation.diagnostics.linearisation import (
-    LinearisedWindow,
-    Windows,
-    central_windows,
-    in_step,
-    known_rows,
-    least_squares_step,
-    linearise,
-    on_channels,
-    side_by_side,
-    stack,
+    CandidateColumns,
+    Offer,
+    at_full_rate,
 )
-from gtau.estimation.diagnostics.score_test import ScoreTests, score_tests
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.estimators.newton import to_gains
-from gtau.estimation.thresholds.estimates import ALTERNATIVE_PRIOR, REFUTED_STD, SAME_EFFECT, TOGETHER_SHARE
+from gtau.estimation.regression.rows import Labels, configurations
+from gtau.estimation.thresholds.estimates import ALTERNATIVE_PRIOR, REFUTED_STD
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.loops import Motion
+from gtau.signals.preparation.prepared_run import InMemoryRun
 
 CERTAIN = 1e9  # log factor that stands for certainty
-WINDOWS = 10  # of a run, within which residuals may be autocorrelated
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,127 +128,6 @@ def compete(alternatives: Sequence[Alternative]) -> tuple[Alternative, ...]:
     return tuple(found)
 
 
-def find_alternatives(
-    fit: Fit, hypotheses: Sequence[Hypothesis] = HYPOTHESES, windows: Windows | None = None
-) -> tuple[Alternative, ...]:
-    """Try all hypotheses on a fit, in one pass over windows of its runs.
-
-    Parameters
-    ----------
-    fit : Fit
-        What was estimated.
-    hypotheses : sequence of Hypothesis
-        What is tried.
-    windows : sequence, optional
-        Where: the :func:`central_windows` of the runs, ``WINDOWS`` of each, unless others are given.
-    """
-    tried = [(each, made) for each in hypotheses if (made := each.candidates(fit)) is not None]
-    windows = central_windows(fit.dataset, WINDOWS) if windows is None else windows
-    if not windows:
-        return ()
-    offers = [on_channels(candidates.offer, hypothesis.shared) for hypothesis, candidates in tried]
-    linear, known = linearise(fit, side_by_side(offers), windows), known_rows(fit, windows)
-    found: list[Alternative] = []
-    ends = np.cumsum([0, *(len(candidates.columns) for _, candidates in tried)])
-    columns = [slice(*pair) for pair in pairwise(ends.tolist())]
-    shared = [hypothesis.shared for hypothesis, _ in tried]
-    tests = score_tests(
-        lambda: linear, list(zip(columns, shared, strict=True)), in_step(fit.dataset, windows), known[1]
-    )
-    alone: list[Tried] = []
-    for (hypothesis, candidates), of_columns, mine in zip(tried, tests, columns, strict=True):
-        alone += _alternatives(fit, hypothesis, candidates, of_columns, mine.start)
-    once = _counted_once(alone, linear)
-    for (hypothesis, candidates), mine in zip(tried, columns, strict=True):
-        kept = [each for column, _, each in once if mine.start <= column < mine.stop]
-        together = []
-        if candidates.describe is not None and kept:
-            windows_of = [replace(each, offered=each.offered[..., mine]) for each in linear]
-            together = _together(fit, hypothesis, candidates.describe, windows_of, known)
-        found += together or kept  # what they explain together counts once
-    return tuple(found)
-
-
-Tried = tuple[int, int | None, Alternative]
-"""An alternative, after the numbers of its column in the windows and of its joint, None where it acts on all."""
-
-
-def _alternatives(
-    fit: Fit, hypothesis: Hypothesis, candidates: Candidates, tests: ScoreTests, first: int
-) -> list[Tried]:
-    problem, joints = fit.system.problem, fit.dataset.model.actuated
-    T = to_gains(fit.solution.iterate, problem.n_theta, fit.free_gains)
-    gains = problem.gain_rows
-    found: list[Tried] = []
-    for m, column in enumerate(candidates.columns):
-        for j in range(1 if hypothesis.shared else len(joints)):
-            if not (hypothesis.shared or problem.free[j]):
-                continue  # a base that floats has no current and no friction
-            slopes = T @ tests.slopes[m, j]
-            size, std = float(tests.size[m, j]), float(tests.std[m, j])
-            plausible, cause = float(column.plausible), column.finding
-            alternative = Alternative(
-                hypothesis.name,
-                (cause if hypothesis.shared else replace(cause, joints=(joints[j],)),),
-                size,
-                std,
-                column.unit,
-                plausible,
-                ("all", hypothesis.name, str(m)) if hypothesis.shared else (joints[j],),
-                *support(size, std, plausible),
-                float(tests.share[m, j]),
-                slopes,
-                slopes[gains] * size / fit.gains,
-                hypothesis.description,
-            )
-            found.append((first + m, None if hypothesis.shared else j, alternative))
-    return found
-
-
-def _counted_once(alone: Sequence[Tried], windows: Sequence[LinearisedWindow]) -> list[Tried]:
-    """Keep the alternative with the largest plausible effect among those of the same effect, and name the others."""
-    kept = {}
-    for group in same_effects(alone, windows):
-        column, joint, first = alone[group[0]]
-        causes = tuple(cause for position in group for cause in alone[position][-1].causes)
-        kept[group[0]] = column, joint, replace(first, causes=causes)
-    return [kept[position] for position in sorted(kept)]
-
-
-def _together(
-    fit: Fit,
-    hypothesis: Hypothesis,
-    describe: Callable[[np.ndarray, np.ndarray], Finding],
-    windows: Sequence[LinearisedWindow],
-    known: tuple[np.ndarray, np.ndarray],
-) -> list[Alternative]:
-    """Fit all candidates of a hypothesis jointly, since they may explain much together and little alone."""
-    e, J, columns = stack(windows)
-    e, J = np.concatenate([e, known[0]]), np.concatenate([J, known[1]])
-    columns = np.pad(columns, ((0, len(known[0])), (0, 0)))
-
-    def fitted(more: np.ndarray) -> tuple[np.ndarray, float]:
-        wide = np.hstack([J, more])
-        step = least_squares_step(wide, e)
-        return step, float(np.sum((e + wide @ step) ** 2))
-
-    (before, rest), (step, left) = fitted(columns[:, :0]), fitted(columns)
-    share = 1 - left / rest
-    if share < TOGETHER_SHARE:
-        return []
-    alone = np.array([1 - fitted(columns[:, [k]])[1] / rest for k in range(columns.shape[1])])
-    T = to_gains(fit.solution.iterate, fit.system.problem.n_theta, fit.free_gains)
-    slopes = T @ (step[: J.shape[1]] - before)
-    cause = describe(step[J.shape[1] :], alone / share)
-    moves = slopes[fit.system.problem.gain_rows] / fit.gains
-    return [
-        Alternative(
-            hypothesis.name, (cause,), 1.0, np.nan, "", 1.0, ("together", hypothesis.name), np.inf, 1.0, share, slopes,
-            moves, hypothesis.description,
-        )
-    ]  # fmt: skip
-
-
 def established(
     fit: Fit,
     hypothesis: str,
@@ -284,45 +155,162 @@ def model_covariance(alternatives: Sequence[Alternative], size: int) -> np.ndarr
     return total
 
 
-def same_effects(tried: Sequence[Tried], windows: Sequence[LinearisedWindow]) -> list[list[int]]:
-    """Group candidates whose torques are proportional to each other, those without effect each by itself.
+@dataclass(frozen=True)
+class Candidate:
+    """A column of candidate torques.
 
-    Only candidates which contradict the description, or only those which do not, can stand for each other.
-
-    Parameters
+    Attributes
     ----------
-    tried : sequence of Tried
-        All candidates.
-    windows : sequence of LinearisedWindow
-        Their columns.
-
-    Returns
-    -------
-    list of list of int
-        Positions in ``tried``, those with the largest plausible effect first.
+    finding : Finding
+        What it is; one that is tried joint by joint is given its joint later.
+    unit : str
+        Of its size.
+    plausible : float
+        Standard deviation of the size that experience allows before the data.
     """
-    products = np.sum([np.einsum("jpm,jpn->jmn", each.offered, each.offered) for each in windows], axis=0)
-    of_all = products.sum(axis=0)
 
-    def product(joint: int | None, one: int, other: int) -> float:
-        return float((of_all if joint is None else products[joint])[one, other])
+    finding: Finding
+    unit: str
+    plausible: float
 
-    def effect(k: int) -> float:
-        column, joint, each = tried[k]
-        return product(joint, column, column) * each.plausible**2
 
-    def same(one: Tried, other: Tried) -> bool:
-        (column, joint, first), (another, of_another, second) = one, other
-        if (joint, first.description) != (of_another, second.description):
-            return False
-        squares = product(joint, column, column) * product(joint, another, another)
-        return squares > 0 and 1 - product(joint, column, another) ** 2 / squares < SAME_EFFECT
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Candidate torques of a hypothesis.
 
-    groups: list[list[int]] = []
-    for k in sorted(range(len(tried)), key=effect, reverse=True):
-        group = next((each for each in groups if same(tried[each[0]], tried[k])), None)
-        if group is None:
-            groups.append([k])
-        else:
-            group.append(k)
-    return groups
+    Attributes
+    ----------
+    columns : sequence of Candidate
+        What each of the m columns is.
+    offer : callable
+        Makes them, in this order.
+    describe : callable, optional
+        Finds what sizes (m,) of all columns together mean, where they are to be tried together too; its second argument
+        are the shares (m,) of what they explain together that each column explains alone.
+    """
+
+    columns: Sequence[Candidate]
+    offer: Offer
+    describe: Callable[[np.ndarray, np.ndarray], Finding] | None = None
+
+
+@dataclass(frozen=True)
+class Cause:
+    """An effect that a hypothesis names as the cause of a finding.
+
+    Attributes
+    ----------
+    kind : str
+        Of the findings on it.
+    words : tuple of str or callable
+        Its name and advice.
+    plausible : Threshold or float
+        Standard deviation of the sizes that experience allows before the data; 0 where it is named, not tried.
+    unit : str
+        Of its size, where all its columns have the same.
+    """
+
+    kind: str
+    words: Words
+    plausible: float = 0.0
+    unit: str = ""
+
+    @property
+    def candidate(self) -> Candidate:
+        """Its column, tried joint by joint."""
+        return Candidate(Finding(self.kind), self.unit, self.plausible)
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One way in which the model may be wrong.
+
+    Attributes
+    ----------
+    name : str
+        In ``model.json``.
+    shared : bool
+        Whether a candidate acts on all joints with one size, or on each joint with a size of its own. Common effects
+        are of the links, and reach torque sensors too; those of a single joint are of its drive.
+    candidates : callable
+        From a fit to its candidates; None where the hypothesis does not apply to this robot. What it adds is its
+        docstring.
+    causes : tuple of Cause
+        What its candidates are, and what they may mean together.
+    description : bool
+        Whether it contradicts the user's description of robot and logs; otherwise it is physics that the model lacks,
+        which widens the intervals.
+    """
+
+    name: str
+    shared: bool
+    candidates: Callable[[Fit], Candidates | None]
+    causes: tuple[Cause, ...]
+    description: bool = False
+
+
+def joint_by_joint(
+    fit: Fit, causes: Sequence[Cause], torques: Callable[[InMemoryRun, np.ndarray], Mapping[Cause, np.ndarray]]
+) -> Candidates:
+    """Make candidates that are tried joint by joint, from the ``torques`` (n, M) of each cause along a window."""
+
+    def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
+        of = torques(window, values)
+        return at_full_rate(window, fit.dataset, np.stack([of[each] for each in causes]))
+
+    return Candidates([each.candidate for each in causes], offer)
+
+
+def friction_levels(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
+    """Return viscous coefficients and Coulomb torques of the actuated joints, (n,) each; 0 where not estimated."""
+    estimates = zip(fit.system.problem.parameters, fit.solution.theta, strict=True)
+    values = {(name.kind, name.body): abs(value) for name, value in estimates if name.run is None}
+
+    def of(kind: str) -> np.ndarray:
+        joints = fit.dataset.model.actuated
+        return np.array([values.get((kind, joint), 0.0) for joint in joints])
+
+    return of("fv"), of("fs")
+
+
+def rms_torques(fit: Fit) -> np.ndarray:
+    """Compute rms torques of the joints, (n,), N m or N."""
+    return np.asarray(np.abs(fit.gains) * fit.system.problem.balance(fit.solution.theta)[: len(fit.gains)])
+
+
+def rms_speeds(fit: Fit) -> np.ndarray:
+    """Find the largest rms speed of each joint in a run, (n,), rad/s or m/s."""
+    return np.sqrt(np.max([np.diag(run.speeds) for run in fit.dataset.prepared], axis=0))
+
+
+@lru_cache(maxsize=2)  # hypotheses are tried window by window
+def window_motion(model: InverseDynamics, window: InMemoryRun) -> Motion:
+    """Compute configurations, velocities and accelerations of a ``model`` along a window.
+
+    Raises
+    ------
+    GtauError
+        Where the loops cannot be closed at a sample, or a pose is too close to a singularity.
+    """
+    return _motion(model, window, configurations(model, window))
+
+
+def moved(window: InMemoryRun, factor: np.ndarray, shift: np.ndarray) -> InMemoryRun:
+    """Scale the positions of a window by a ``factor`` (n,), and shift them by ``shift`` (n,)."""
+    of = window.samples()
+    return InMemoryRun(window.run, replace(of, q=of.q * factor + shift, qd=of.qd * factor, qdd=of.qdd * factor))
+
+
+def moved_motion(model: InverseDynamics, window: InMemoryRun, start: np.ndarray) -> Motion:
+    """Compute the motion along a window whose positions were :func:`moved`, from a configuration ``start`` (n_c,).
+
+    That is near the first one, so that loops are closed as before.
+    """
+    of = window.samples()
+    return _motion(model, window, model.path(np.ascontiguousarray(of.q.T), Labels(window.run.name, of.time), start))
+
+
+def _motion(model: InverseDynamics, window: InMemoryRun, c: np.ndarray) -> Motion:
+    of = window.samples()
+    qd, qdd = (np.ascontiguousarray(each.T) for each in (of.qd, of.qdd))
+    return model.rates(np.ascontiguousarray(c), qd, qdd, Labels(window.run.name, of.time))

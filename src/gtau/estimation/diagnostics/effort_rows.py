@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gtau.estimation.diagnostics.hypotheses.hypothesis import window_motion
+from gtau.estimation.diagnostics.alternatives import window_motion
 from gtau.estimation.diagnostics.linearisation import central_windows
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.equations import triangle

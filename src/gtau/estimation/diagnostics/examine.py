@@ -7,39 +7,33 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gtau.estimation.diagnostics.alternatives import (
-    WINDOWS,
-    Alternative,
-    compete,
-    find_alternatives,
-    model_covariance,
-)
+from gtau.estimation.diagnostics.alternatives import Alternative, compete, model_covariance
 from gtau.estimation.diagnostics.effort import UNRANKED, Ranking, rank_meanings
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.gain_change import gain_changes
-from gtau.estimation.diagnostics.hypotheses.description import GRAVITY
-from gtau.estimation.diagnostics.hypotheses.wrenches import WRENCH_OFFSETS, WRENCH_POINTS
-from gtau.estimation.diagnostics.lengths import other_length
+from gtau.estimation.diagnostics.hypotheses import HYPOTHESES
+from gtau.estimation.diagnostics.hypotheses.description import GRAVITY, WRENCH_OFFSETS, WRENCH_POINTS
+from gtau.estimation.diagnostics.hypotheses.drives import gain_changes
 from gtau.estimation.diagnostics.linearisation import central_windows, usable_rows
-from gtau.estimation.diagnostics.log_checks import lack_of_fit
+from gtau.estimation.diagnostics.log_checks import frozen_encoders, lack_of_fit
 from gtau.estimation.diagnostics.other_estimators import (
     alternatives_of,
     other_estimators,
     two_stage_difference,
 )
-from gtau.estimation.diagnostics.other_gravity import (
+from gtau.estimation.diagnostics.other_robots import (
     gravity_asked_for,
     gravity_not_shown,
     likelier_gravity,
     missing_gravity,
     other_gravity,
+    other_length,
+    other_loads,
 )
 from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
 from gtau.estimation.diagnostics.repeating_residuals import PositionRipple, position_ripple
+from gtau.estimation.diagnostics.score_test import WINDOWS, find_alternatives
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
-from gtau.estimation.diagnostics.still_joints import frozen_encoders
-from gtau.estimation.diagnostics.tool_bodies import other_loads
 from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import degrees_of_freedom
@@ -125,7 +119,7 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
     if rows < FEWEST_FOR_TESTS * unknowns:
         few = Finding(F.FEW_ROWS, values={"rows": rows, "unknowns": unknowns})
         return Examination(lack, (), PositionRipple.none(fit), (), (few,))
-    alternatives = list(find_alternatives(fit, windows=windows))
+    alternatives = list(find_alternatives(fit, HYPOTHESES, windows))
     scaled = False
     (*differences,), untested = other_estimators(fit, windows)
     if fit.free_gains:

@@ -19,10 +19,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from gtau.estimation.diagnostics.alternatives import friction_levels, rms_speeds, rms_torques
 from gtau.estimation.diagnostics.examine import Examination
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.hypotheses.hypothesis import friction_levels, rms_speeds, rms_torques
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
 from gtau.estimation.diagnostics.parameter_checks import judge_parameter, unexplained_shares
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
@@ -40,8 +40,7 @@ from gtau.estimation.thresholds.estimates import (
 )
 from gtau.estimation.thresholds.logs import ALIKE, BEYOND_GEARS, FRICTIONLESS, GEARED, MODEL_RESIDUAL
 from gtau.model.base_parameters import whole_mass
-from gtau.robots.parameter import Parameter
-from gtau.robots.units import unit_of
+from gtau.robots.parameter import Parameter, unit_of
 
 
 def estimated_gains(
@@ -64,11 +63,11 @@ def estimated_gains(
     random_halves = halves * stds / (np.sqrt(np.diag(estimates.covariance)[problem.gain_rows]) / np.abs(gains))
     misfits = unexplained_shares(problem, solution)
     yield from examined.against
-    free = problem.free[: len(gains)]
+    free = problem.unknown_gains[: len(gains)]
     turned = any(np.all(each.moves[: len(gains)][free] < -1) for each in examined.refuted)  # by another gravity
     if min(prior_gains.values(), default=1.0) > 0 and np.all(gains[free] < 0) and not turned:
         yield Finding(F.ALL_NEGATIVE, motors(fit))
-    if not solution.settled:
+    if not solution.converged:
         yield Finding(F.UNSETTLED, motors(fit))
     for j, joint in enumerate(problem.joints):
         if not problem.channels[j].kind.of_joint:
@@ -147,7 +146,7 @@ def given_gains(fit: Fit, examined: Examination, payloads: Mapping[str, Verdict]
 
 def motors(fit: Fit) -> tuple[str, ...]:
     """List the joints whose gains are judged: all but those of a floating base."""
-    return tuple(each.joint for each in fit.system.problem.channels if each.kind.free)
+    return tuple(each.joint for each in fit.system.problem.channels if each.kind.unknown_gain)
 
 
 def in_context(fit: Fit, finding: Finding) -> Finding:

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.estimation.diagnostics.geometry_findings import ConstantChange, GeometryTest, PoseResidual, PoseTrace
-from gtau.estimation.diagnostics.pose_fit import PoseFit, fit_frames, fit_poses
-from gtau.estimation.diagnostics.poses import component_names
+from gtau.estimation.diagnostics.pose_fit import PoseFit, component_names, fit_frames, fit_poses
 from gtau.estimation.thresholds.logs import (
     GEOMETRY_ALIKE,
     GEOMETRY_CHANGE,

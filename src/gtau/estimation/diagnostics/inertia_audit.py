@@ -23,9 +23,8 @@ from gtau.estimation.regression.priors import inertia_priors, sizes_of, stated_i
 from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import INERTIA_CHANCE, INERTIA_EXPLAINED
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import Parameter, unit_of
 from gtau.robots.robot import DRIVE, INERTIAL
-from gtau.robots.units import unit_of
 
 ROTORS = "the rotor inertias"
 Standing = Literal["agrees", "contradicted", "not identifiable", "not stated"]

@@ -19,12 +19,12 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.estimators.estimator import Solution
+from gtau.estimation.estimators.estimator import Fit, Solution
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.equations import SIGNAL, SIGNALS
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
-from gtau.estimation.thresholds.estimates import UNFELT_PAYLOAD
+from gtau.estimation.thresholds.estimates import MISFIT, UNFELT_PAYLOAD
 from gtau.estimation.thresholds.logs import (
     DELAY_MOTION,
     LAG_LEAST,
@@ -33,9 +33,12 @@ from gtau.estimation.thresholds.logs import (
     LAG_STD,
     LIMIT_SHARE,
     STEPS,
+    UNSEEN_MISFIT,
+    UNSEEN_RATIO,
     WHOLE,
 )
 from gtau.robots.robot import Robot
+from gtau.signals.reading.samples import extremes
 from gtau.signals.repair.faults import whole_numbers
 from gtau.signals.run import Run
 from gtau.signals.storage import block, spans
@@ -149,3 +152,37 @@ def lack_of_fit(problem: Problem, solution: Solution) -> float:
     known = np.diag(solution.covariance)[: problem.n_theta]
     ratio = np.diag(solution.jackknife)[: problem.n_theta][known > 0] / known[known > 0]
     return float(np.sqrt(np.median(ratio))) if ratio.size else 1.0
+
+
+def frozen_encoders(fit: Fit) -> tuple[Finding, ...]:
+    """Find the joints that never move in a run, by their positions, but whose motion its other joints feel."""
+    runs, n = fit.dataset.runs, len(fit.gains)
+    moving = np.array([np.subtract(*extremes(run.position)[::-1]) > 0 for run in runs])
+    acting = np.array([np.subtract(*extremes(run.command)[::-1])[:n] > 0 for run in runs])
+    return tuple(_frozen(fit, moving, acting)) if np.any(acting & ~moving) else ()
+
+
+def _frozen(fit: Fit, moving: np.ndarray, acting: np.ndarray) -> Iterator[Finding]:
+    joints, runs = fit.system.problem.joints, fit.dataset.runs
+    shares = unexplained_by_run(fit)
+    for run, joint in np.argwhere(acting & ~moving).tolist():
+        usual = shares[moving[:, joint]].max(axis=0, initial=0.0)
+        least = np.where(usual > 0, np.maximum(UNSEEN_RATIO * usual, UNSEEN_MISFIT), MISFIT)
+        worst = int(np.argmax(shares[run] / least))
+        if shares[run, worst] > least[worst]:
+            share, named = float(shares[run, worst]), (joints[joint], joints[worst])
+            values = {"run": runs[run].name, "kind": runs[run].kind, "share": share, "usual": float(usual[worst])}
+            yield Finding(F.FROZEN, named, values=values, severity=share)
+
+
+def unexplained_by_run(fit: Fit) -> np.ndarray:
+    """Compute the share of each joint's current that its own equations leave unexplained in each run, (runs, n)."""
+    problem, unit_runs = fit.system.problem, fit.system.block_positions[:, 0]
+    found = np.zeros((len(fit.dataset.runs), len(problem.joints)))
+    for run, joint in np.ndindex(*found.shape):
+        rows = problem.blocks[unit_runs == run, joint].reshape(-1, problem.blocks.shape[-1])
+        W, v = rows[:, problem.own_columns[joint]], rows[:, SIGNAL]
+        W = W / np.maximum(np.linalg.norm(W, axis=0), 1e-300)
+        rest = v - W @ np.linalg.lstsq(W, v, rcond=1e-9)[0]
+        found[run, joint] = np.linalg.norm(rest) / max(float(np.linalg.norm(v)), 1e-300)
+    return found

@@ -82,7 +82,7 @@ def alternatives_of(fit: Fit, differences: Sequence[Difference]) -> list[Alterna
     n_theta = problem.n_theta
     plausible = np.sqrt(np.diag(solution.jackknife))
     estimates = [((), name) for name in problem.parameters] + [((joint,), "") for joint in problem.joints]
-    estimated = np.concatenate([np.ones(n_theta, dtype=bool), problem.free[: len(problem.joints)]])
+    estimated = np.concatenate([np.ones(n_theta, dtype=bool), problem.unknown_gains[: len(problem.joints)]])
     found = []
     for each in differences:
         for k, (joints, parameter) in enumerate(estimates):

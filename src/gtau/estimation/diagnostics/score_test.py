@@ -3,12 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
-from gtau.estimation.diagnostics.linearisation import LinearisedWindow
-from gtau.estimation.estimators.newton import whitening
+from gtau.estimation.diagnostics.alternatives import Alternative, Candidates, Hypothesis, support
+from gtau.estimation.diagnostics.finding import Finding
+from gtau.estimation.diagnostics.linearisation import (
+    LinearisedWindow,
+    Windows,
+    central_windows,
+    in_step,
+    known_rows,
+    least_squares_step,
+    linearise,
+    on_channels,
+    side_by_side,
+    stack,
+)
+from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.estimators.newton import to_gains, whitening
+from gtau.estimation.thresholds.estimates import SAME_EFFECT, TOGETHER_SHARE
 
 SPANNED = 1e-6  # of the square of a column: less is left by the other unknowns, so it could be any of them
 
@@ -121,3 +137,171 @@ def _products(W: np.ndarray, c: np.ndarray, e: np.ndarray) -> list[np.ndarray]:
         np.einsum("jpm,jpm->mj", c, c),
         (of_joint @ e[..., None])[..., 0].T,
     ]
+
+
+WINDOWS = 10  # of a run, within which residuals may be autocorrelated
+
+
+def find_alternatives(
+    fit: Fit, hypotheses: Sequence[Hypothesis], windows: Windows | None = None
+) -> tuple[Alternative, ...]:
+    """Try all hypotheses on a fit, in one pass over windows of its runs.
+
+    Parameters
+    ----------
+    fit : Fit
+        What was estimated.
+    hypotheses : sequence of Hypothesis
+        What is tried.
+    windows : sequence, optional
+        Where: the :func:`central_windows` of the runs, ``WINDOWS`` of each, unless others are given.
+    """
+    tried = [(each, made) for each in hypotheses if (made := each.candidates(fit)) is not None]
+    windows = central_windows(fit.dataset, WINDOWS) if windows is None else windows
+    if not windows:
+        return ()
+    offers = [on_channels(candidates.offer, hypothesis.shared) for hypothesis, candidates in tried]
+    linear, known = linearise(fit, side_by_side(offers), windows), known_rows(fit, windows)
+    found: list[Alternative] = []
+    ends = np.cumsum([0, *(len(candidates.columns) for _, candidates in tried)])
+    columns = [slice(*pair) for pair in pairwise(ends.tolist())]
+    shared = [hypothesis.shared for hypothesis, _ in tried]
+    tests = score_tests(
+        lambda: linear, list(zip(columns, shared, strict=True)), in_step(fit.dataset, windows), known[1]
+    )
+    alone: list[Tried] = []
+    for (hypothesis, candidates), of_columns, mine in zip(tried, tests, columns, strict=True):
+        alone += _alternatives(fit, hypothesis, candidates, of_columns, mine.start)
+    once = _counted_once(alone, linear)
+    for (hypothesis, candidates), mine in zip(tried, columns, strict=True):
+        kept = [each for column, _, each in once if mine.start <= column < mine.stop]
+        together = []
+        if candidates.describe is not None and kept:
+            windows_of = [replace(each, offered=each.offered[..., mine]) for each in linear]
+            together = _together(fit, hypothesis, candidates.describe, windows_of, known)
+        found += together or kept  # what they explain together counts once
+    return tuple(found)
+
+
+Tried = tuple[int, int | None, Alternative]
+"""An alternative, after the numbers of its column in the windows and of its joint, None where it acts on all."""
+
+
+def _alternatives(
+    fit: Fit, hypothesis: Hypothesis, candidates: Candidates, tests: ScoreTests, first: int
+) -> list[Tried]:
+    problem, joints = fit.system.problem, fit.dataset.model.actuated
+    T = to_gains(fit.solution.iterate, problem.n_theta, fit.free_gains)
+    gains = problem.gain_rows
+    found: list[Tried] = []
+    for m, column in enumerate(candidates.columns):
+        for j in range(1 if hypothesis.shared else len(joints)):
+            if not (hypothesis.shared or problem.unknown_gains[j]):
+                continue  # a base that floats has no current and no friction
+            slopes = T @ tests.slopes[m, j]
+            size, std = float(tests.size[m, j]), float(tests.std[m, j])
+            plausible, cause = float(column.plausible), column.finding
+            alternative = Alternative(
+                hypothesis.name,
+                (cause if hypothesis.shared else replace(cause, joints=(joints[j],)),),
+                size,
+                std,
+                column.unit,
+                plausible,
+                ("all", hypothesis.name, str(m)) if hypothesis.shared else (joints[j],),
+                *support(size, std, plausible),
+                float(tests.share[m, j]),
+                slopes,
+                slopes[gains] * size / fit.gains,
+                hypothesis.description,
+            )
+            found.append((first + m, None if hypothesis.shared else j, alternative))
+    return found
+
+
+def _counted_once(alone: Sequence[Tried], windows: Sequence[LinearisedWindow]) -> list[Tried]:
+    """Keep the alternative with the largest plausible effect among those of the same effect, and name the others."""
+    kept = {}
+    for group in same_effects(alone, windows):
+        column, joint, first = alone[group[0]]
+        causes = tuple(cause for position in group for cause in alone[position][-1].causes)
+        kept[group[0]] = column, joint, replace(first, causes=causes)
+    return [kept[position] for position in sorted(kept)]
+
+
+def _together(
+    fit: Fit,
+    hypothesis: Hypothesis,
+    describe: Callable[[np.ndarray, np.ndarray], Finding],
+    windows: Sequence[LinearisedWindow],
+    known: tuple[np.ndarray, np.ndarray],
+) -> list[Alternative]:
+    """Fit all candidates of a hypothesis jointly, since they may explain much together and little alone."""
+    e, J, columns = stack(windows)
+    e, J = np.concatenate([e, known[0]]), np.concatenate([J, known[1]])
+    columns = np.pad(columns, ((0, len(known[0])), (0, 0)))
+
+    def fitted(more: np.ndarray) -> tuple[np.ndarray, float]:
+        wide = np.hstack([J, more])
+        step = least_squares_step(wide, e)
+        return step, float(np.sum((e + wide @ step) ** 2))
+
+    (before, rest), (step, left) = fitted(columns[:, :0]), fitted(columns)
+    share = 1 - left / rest
+    if share < TOGETHER_SHARE:
+        return []
+    alone = np.array([1 - fitted(columns[:, [k]])[1] / rest for k in range(columns.shape[1])])
+    T = to_gains(fit.solution.iterate, fit.system.problem.n_theta, fit.free_gains)
+    slopes = T @ (step[: J.shape[1]] - before)
+    cause = describe(step[J.shape[1] :], alone / share)
+    moves = slopes[fit.system.problem.gain_rows] / fit.gains
+    return [
+        Alternative(
+            hypothesis.name, (cause,), 1.0, np.nan, "", 1.0, ("together", hypothesis.name), np.inf, 1.0, share, slopes,
+            moves, hypothesis.description,
+        )
+    ]  # fmt: skip
+
+
+def same_effects(tried: Sequence[Tried], windows: Sequence[LinearisedWindow]) -> list[list[int]]:
+    """Group candidates whose torques are proportional to each other, those without effect each by itself.
+
+    Only candidates which contradict the description, or only those which do not, can stand for each other.
+
+    Parameters
+    ----------
+    tried : sequence of Tried
+        All candidates.
+    windows : sequence of LinearisedWindow
+        Their columns.
+
+    Returns
+    -------
+    list of list of int
+        Positions in ``tried``, those with the largest plausible effect first.
+    """
+    products = np.sum([np.einsum("jpm,jpn->jmn", each.offered, each.offered) for each in windows], axis=0)
+    of_all = products.sum(axis=0)
+
+    def product(joint: int | None, one: int, other: int) -> float:
+        return float((of_all if joint is None else products[joint])[one, other])
+
+    def effect(k: int) -> float:
+        column, joint, each = tried[k]
+        return product(joint, column, column) * each.plausible**2
+
+    def same(one: Tried, other: Tried) -> bool:
+        (column, joint, first), (another, of_another, second) = one, other
+        if (joint, first.description) != (of_another, second.description):
+            return False
+        squares = product(joint, column, column) * product(joint, another, another)
+        return squares > 0 and 1 - product(joint, column, another) ** 2 / squares < SAME_EFFECT
+
+    groups: list[list[int]] = []
+    for k in sorted(range(len(tried)), key=effect, reverse=True):
+        group = next((each for each in groups if same(tried[each[0]], tried[k])), None)
+        if group is None:
+            groups.append([k])
+        else:
+            group.append(k)
+    return groups

@@ -9,7 +9,7 @@ from typing import Any
 
 from gtau.estimation.diagnostics.finding import RELATIVE, Finding, Sentence, Values, Words, which_payload
 from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.hypotheses import HYPOTHESES, wrenches
+from gtau.estimation.diagnostics.hypotheses import HYPOTHESES, description
 from gtau.estimation.diagnostics.note_sentences import IMPOSSIBLE, LISTED, NOTED, PRIOR, SCALE, TESTED
 from gtau.estimation.regression.plausibility import clock_advice, write_limits
 from gtau.estimation.thresholds.estimates import LOST_GAIN
@@ -37,7 +37,7 @@ def reason(finding: Finding) -> str:
 def advice(finding: Finding) -> str:
     """Say what to do about it, wrenches first where they may be the cause and none of them is."""
     found = _sentence(finding)[1]
-    of_wrenches = {wrenches.OFFSET.kind, wrenches.POINT.kind} & {each.kind for each in finding.causes}
+    of_wrenches = {description.OFFSET.kind, description.POINT.kind} & {each.kind for each in finding.causes}
     first = finding.values.get("wrenches") and finding.kind in MAY_BE_WRENCHES and not of_wrenches
     return f"{WRENCHES}; otherwise {found}" if first else found
 

@@ -39,7 +39,7 @@ from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import APART, MISFIT_GIVEN, PAYLOAD_MOVES
 from gtau.model.base_parameters import independent_columns
-from gtau.robots.units import unit_of
+from gtau.robots.parameter import unit_of
 from gtau.signals.channel import Channel
 from gtau.signals.reading.statements import Payload
 

@@ -28,9 +28,8 @@ from gtau.estimation.thresholds.estimates import (
     PRIOR_FACTOR,
 )
 from gtau.estimation.thresholds.logs import CURRENTS_APART, LARGEST_CURRENT, PAYLOAD_DENSITY
-from gtau.robots.parameter import parameter_of
+from gtau.robots.parameter import gain_unit, parameter_of, torque_unit
 from gtau.robots.robot import GROUND, Robot
-from gtau.robots.units import gain_unit, torque_unit
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
 from gtau.signals.run import Run
 from gtau.signals.storage import block, spans

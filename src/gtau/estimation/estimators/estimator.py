@@ -47,7 +47,7 @@ class Solution:
         Further figures that the method offers, such as ``singular_ratio``.
     of_prior : ndarray or float
         Contribution of priors to the covariance, which no unit of the data contains.
-    settled : bool
+    converged : bool
         Whether the iteration converged.
     """
 
@@ -59,7 +59,7 @@ class Solution:
     replicates: Callable[[], np.ndarray]
     statistics: Mapping[str, float] = field(default_factory=dict)
     of_prior: np.ndarray | float = 0.0
-    settled: bool = True
+    converged: bool = True
 
     @cached_property
     def jackknife(self) -> np.ndarray:

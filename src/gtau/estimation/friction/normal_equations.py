@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.friction.law import Follower, FrictionLaw
+from gtau.estimation.friction.law import FrictionLaw, PreslidingState
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.rows import Law, stream_rows
 from gtau.model.loops import Motion
@@ -25,7 +25,7 @@ from gtau.signals.storage import block, spans
 # sign at 0.003 to 0.03 of it.
 WIDTHS = 10.0 ** np.arange(-5.25, -1.99, 0.25)
 SPEEDS = 10.0 ** np.arange(-2.5, 0.51, 0.5)
-BLOCKS = 20  # of a run, as many as the stretches of identification
+BLOCKS = 20  # of a run, as many as the blocks of identification
 MOST_BLOCKS = 60  # of all runs
 # Rows for one of identification: a reversal is short. With 1, 2, 3 and 4, errors over all samples of runs not used are
 # 5.26, 5.17, 5.21 and 5.20 % (geometric mean of UR10e, TX40, Panda, xMate7, xMate3 and da Vinci), those of the TX40's
@@ -35,7 +35,7 @@ RESTING = 0.01  # of the rms speed: a joint whose mean speed behind the filter i
 
 
 @dataclass(frozen=True, eq=False)
-class Site:
+class JointFriction:
     """A joint whose friction is identified on all samples.
 
     Attributes
@@ -84,7 +84,7 @@ class Site:
         )
 
 
-def sites_of(dataset: Dataset, law: FrictionLaw) -> tuple[Site, ...]:
+def sites_of(dataset: Dataset, law: FrictionLaw) -> tuple[JointFriction, ...]:
     """List the joints with friction that moves with the motors at constant ratios."""
     model, standard = dataset.model, dataset.base.standard
     lowest, highest, squares, samples = [], [], np.zeros((len(model.actuated),) * 2), 0
@@ -105,18 +105,27 @@ def sites_of(dataset: Dataset, law: FrictionLaw) -> tuple[Site, ...]:
         motor = law.motor(row)
         heated = warm is not None and motor is not None and model.actuated[motor] in warm.reference
         sites.append(
-            Site(joint.name, row, law.ratios[row], motor, travel[row] * WIDTHS, rms[row] * SPEEDS, float(rms[row]),
-                 plain, heated)
-        )  # fmt: skip
+            JointFriction(
+                joint.name,
+                row,
+                law.ratios[row],
+                motor,
+                travel[row] * WIDTHS,
+                rms[row] * SPEEDS,
+                float(rms[row]),
+                plain,
+                heated,
+            )
+        )
     return tuple(sites)
 
 
-def columns_along(sites: Sequence[Site], dataset: Dataset, run: int) -> Law:
+def columns_along(sites: Sequence[JointFriction], dataset: Dataset, run: int) -> Law:
     """Make the columns (., N) of all sites along a run in blocks, and then their |speeds| (sites, N)."""
     prepared, warm = dataset.prepared[run], dataset.temperatures
-    followers = [Follower(site.widths) for site in sites]
+    followers = [PreslidingState(site.widths) for site in sites]
 
-    def above(site: Site, time: np.ndarray) -> np.ndarray | float:
+    def above(site: JointFriction, time: np.ndarray) -> np.ndarray | float:
         if warm is None or not site.warm or prepared.run.temperature is None or site.motor is None:
             return 0.0
         joint = dataset.model.actuated[site.motor]
@@ -135,7 +144,7 @@ def columns_along(sites: Sequence[Site], dataset: Dataset, run: int) -> Law:
     return columns
 
 
-def groups_of(sites: Sequence[Site]) -> list[tuple[list[int], list[int]]]:
+def groups_of(sites: Sequence[JointFriction]) -> list[tuple[list[int], list[int]]]:
     """Split sites into those that share motors: their numbers, and the motors' numbers."""
     from scipy.sparse.csgraph import connected_components
 
@@ -151,7 +160,7 @@ def groups_of(sites: Sequence[Site]) -> list[tuple[list[int], list[int]]]:
 
 
 @dataclass(frozen=True, eq=False)
-class Group:
+class FrictionGroup:
     """Joints that share motors: the products of their columns, by block and motor.
 
     ``columns`` name (site, column) of (p,); ``G`` (K, m, p + 1, p + 1) are the products of the columns and of the
@@ -161,7 +170,7 @@ class Group:
     add up the squares of its measured torque.
     """
 
-    sites: tuple[Site, ...]
+    sites: tuple[JointFriction, ...]
     columns: tuple[tuple[int, str], ...]
     G: np.ndarray
     cross: np.ndarray
@@ -170,7 +179,9 @@ class Group:
     signals: np.ndarray
 
 
-def normal_equations(fit: Fit, law: FrictionLaw, sites: Sequence[Site], finer: int = 1) -> tuple[Group, ...]:
+def normal_equations(
+    fit: Fit, law: FrictionLaw, sites: Sequence[JointFriction], finer: int = 1
+) -> tuple[FrictionGroup, ...]:
     """Stream all runs and reduce the torque that friction has to explain, to ``finer`` rows for one of identification.
 
     The torque that is left is ``g_tau v(t + d)``, less what the inertial parameters give at their estimates, less the
@@ -196,7 +207,9 @@ def normal_equations(fit: Fit, law: FrictionLaw, sites: Sequence[Site], finer: i
         p, m = len(columns), len(motors)
         sums = np.zeros((runs * each, m, p + 1, p + 1)), np.zeros((p, n + base.count))
         own_sites = tuple(sites[k] for k in members)
-        groups.append((members, Group(own_sites, columns, *sums, tuple(motors), weights[motors], np.zeros((m, 2)))))
+        groups.append(
+            (members, FrictionGroup(own_sites, columns, *sums, tuple(motors), weights[motors], np.zeros((m, 2))))
+        )
     for run, prepared in enumerate(dataset.prepared):
         decimator = dataset.preparation.at(prepared.run.rate).decimator
         decimator = replace(decimator, factor=max(decimator.factor // finer, 1))

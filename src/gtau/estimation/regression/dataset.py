@@ -15,7 +15,7 @@ from gtau.estimation.regression.factors import Factors, reduce_run
 from gtau.estimation.regression.friction import PAPER, Friction, Temperatures, temperatures_of
 from gtau.estimation.regression.plausibility import within_limits
 from gtau.estimation.regression.priors import inertia_priors
-from gtau.estimation.regression.stretches import Place, edges_in_step, find_places
+from gtau.estimation.regression.run_blocks import Place, aligned_edges, find_places
 from gtau.estimation.regression.system import System, assemble_system
 from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -75,8 +75,8 @@ class Dataset:
 
     @cached_property
     def edges(self) -> tuple[np.ndarray, ...]:
-        """Edges of the stretches of each run, as shares of its samples, (STRETCHES + 1,)."""
-        return edges_in_step(self.prepared, self.places)
+        """Edges of the blocks of each run, as shares of its samples, (BLOCKS + 1,)."""
+        return aligned_edges(self.prepared, self.places)
 
     @property
     def notes(self) -> tuple[Note, ...]:
@@ -100,7 +100,7 @@ class Dataset:
             friction,
             self.runs[0].channels,
             self.priors,
-            None if self.temperatures is None else self.temperatures.of_stretches,
+            None if self.temperatures is None else self.temperatures.of_blocks,
             [each.group for each in self.places],
         )
 

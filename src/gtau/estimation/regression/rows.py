@@ -123,8 +123,8 @@ def stream_torques(
     for _, of, c in _along(idm, prepared, _every_sample(prepared)):
         motion, measured, external = _measured(idm, prepared.run, of, c)
         effort = regressor.torques(regressor(idm.layout, motion), values, joints) - external[0]
-        rubbing = friction(of.time, motion, effort)
-        yield np.stack([effort + rubbing, rubbing, measured[0, :joints]])
+        friction_torque = friction(of.time, motion, effort)
+        yield np.stack([effort + friction_torque, friction_torque, measured[0, :joints]])
 
 
 def _every_sample(prepared: PreparedRun) -> Iterator[Block]:

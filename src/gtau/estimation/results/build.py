@@ -35,9 +35,8 @@ from gtau.estimation.results.friction_curves import FrictionStep, friction_unit,
 from gtau.estimation.results.groups import Evidence, FitRecord, Model, ModelEstimates
 from gtau.estimation.results.payload import payload_estimates
 from gtau.estimation.results.result import Result
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import Parameter, gain_unit, torque_unit, unit_of
 from gtau.robots.robot import Robot
-from gtau.robots.units import gain_unit, torque_unit, unit_of
 
 
 def build_result(

@@ -10,11 +10,11 @@ import numpy as np
 from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Fit, jackknife
 from gtau.estimation.friction.law import FrictionLaw
-from gtau.estimation.friction.normal_equations import FINER, Group, normal_equations, sites_of
+from gtau.estimation.friction.normal_equations import FINER, FrictionGroup, normal_equations, sites_of
 from gtau.estimation.friction.selection import (
     KINDS,
     WORDS,
-    Trial,
+    Candidate,
     choose,
     parameter_columns,
     shape_values,
@@ -22,9 +22,8 @@ from gtau.estimation.friction.selection import (
 )
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS, UNITS
 from gtau.estimation.results.estimate import FrictionCurve, ReferenceTemperatures
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import Parameter, position_unit, unit_of
 from gtau.robots.robot import PLAIN_FRICTION, Robot
-from gtau.robots.units import position_unit, unit_of
 
 # Standard deviation of the logarithm of a width or speed between those tried, whose columns are interpolated: over 18
 # widths and 9 speeds of a simulated UR10e and Puma 560 the rms was this where noise gave a fifth of it.
@@ -71,15 +70,15 @@ def friction_step(fit: Fit, estimates: Estimates) -> FrictionStep:
     fixed = _fixed(fit, estimates, {site.joint for site in sites})
     for group, rows in zip(normal_equations(fit, law, sites, FINER), of_rows, strict=True):
         if len(group.G):
-            trial, plain, evidence = choose(group)
-            names, values, slopes, scatter = group_estimates(group, trial)
+            candidate, plain, evidence = choose(group)
+            names, values, slopes, scatter = group_estimates(group, candidate)
             unknowns = [name_of.get(name, name) for name in names]
             freedom = float(len(group.G) - 1)
             estimates = estimates.updated(unknowns, values, _widened(slopes @ fixed, estimates), scatter, freedom)
             listed += unknowns
-            curves |= _curves(group, trial, plain, evidence)
+            curves |= _curves(group, candidate, plain, evidence)
             motors = (fit.dataset.model.actuated[j] for j in group.motors)
-            errors |= dict(zip(motors, _errors(rows, trial), strict=True))
+            errors |= dict(zip(motors, _errors(rows, candidate), strict=True))
     curves = {site.joint: curves[site.joint] for site in sites if site.joint in curves}
     return FrictionStep(estimates, tuple(listed), curves, errors)
 
@@ -100,9 +99,9 @@ def friction_unit(kind: str, joint: str, robot: Robot, temperatures: ReferenceTe
     return of_terms[kind] + (f"/{temperatures.per}" if temperatures and kind in TEMPERATURE_TERMS else "")
 
 
-def _errors(group: Group, trial: Trial) -> list[tuple[float, float]]:
+def _errors(group: FrictionGroup, candidate: Candidate) -> list[tuple[float, float]]:
     """Compute the rms of error and torque of each motor over all its rows."""
-    left = np.append(-trial.M @ trial.x, 1.0)
+    left = np.append(-candidate.M @ candidate.x, 1.0)
     squares = np.einsum("p,bmpq,q->m", left, group.G, left) / group.weights**2
     counts = np.maximum(group.signals[:, 0], 1)
     rms, signal = np.sqrt(np.maximum(squares, 0.0) / counts), np.sqrt(group.signals[:, 1] / counts)
@@ -130,7 +129,7 @@ def _widened(slopes: np.ndarray, estimates: Estimates) -> np.ndarray:
     return np.pad(slopes, ((0, 0), (0, len(estimates.unknowns) - slopes.shape[1])))
 
 
-def _between_values(group: Group, whole: Trial, A: np.ndarray) -> np.ndarray:
+def _between_values(group: FrictionGroup, whole: Candidate, A: np.ndarray) -> np.ndarray:
     """Compute the covariance (k, k) due to the grid of widths and speeds, to which other parameters adapt.
 
     One that is tried stands for all up to half the way to the next.
@@ -147,7 +146,9 @@ def _between_values(group: Group, whole: Trial, A: np.ndarray) -> np.ndarray:
     return found
 
 
-def group_estimates(group: Group, trial: Trial) -> tuple[list[Parameter], np.ndarray, np.ndarray, np.ndarray]:
+def group_estimates(
+    group: FrictionGroup, candidate: Candidate
+) -> tuple[list[Parameter], np.ndarray, np.ndarray, np.ndarray]:
     """Estimate the friction of the joints of a group.
 
     Returns
@@ -162,7 +163,7 @@ def group_estimates(group: Group, trial: Trial) -> tuple[list[Parameter], np.nda
     scatter : ndarray
         (m, m) covariance at given gains and base parameters.
     """
-    whole = with_shapes(group, trial)
+    whole = with_shapes(group, candidate)
     A = np.einsum("pa,pq,qc->ac", whole.M, group.G.sum(axis=(0, 1))[:-1, :-1], whole.M)
     size = np.sqrt(np.maximum(np.diag(A), 1e-300))[:, None]
     S = np.linalg.pinv(A / size / size.T, rcond=1e-9, hermitian=True) @ (whole.M.T @ group.cross / size) / size
@@ -181,8 +182,8 @@ def group_estimates(group: Group, trial: Trial) -> tuple[list[Parameter], np.nda
         values.append(value)
         rows.append(row)
 
-    x = dict(zip(trial.names, map(float, trial.x), strict=True))
-    for s, (site, structure) in enumerate(zip(group.sites, trial.structures, strict=True)):
+    x = dict(zip(candidate.names, map(float, candidate.x), strict=True))
+    for s, (site, structure) in enumerate(zip(group.sites, candidate.structures, strict=True)):
         for kind in parameter_columns(structure, site):
             if kind == "fr":  # friction at rest: fb is what of it is gone in sliding
                 excess = x.get((s, "fr"), 0.0) - x.get((s, "fs"), 0.0)
@@ -199,11 +200,11 @@ def group_estimates(group: Group, trial: Trial) -> tuple[list[Parameter], np.nda
 
 
 def _curves(
-    group: Group, trial: Trial, plain: Trial, evidence: Mapping[tuple[int, str], float]
+    group: FrictionGroup, candidate: Candidate, plain: Candidate, evidence: Mapping[tuple[int, str], float]
 ) -> dict[str, FrictionCurve]:
     """Collect what the data say of the friction of each joint of a group, by its name."""
     signal = max(float(group.G[..., -1, -1].sum()), 1e-300)
-    error, plain_error = (100 * float(np.sqrt(max(each.errors.sum(), 0.0) / signal)) for each in (trial, plain))
+    error, plain_error = (100 * float(np.sqrt(max(each.errors.sum(), 0.0) / signal)) for each in (candidate, plain))
     return {
         site.joint: FrictionCurve(
             site.joint,

@@ -13,10 +13,9 @@ from gtau.estimation.grades import to_document as note_document
 from gtau.estimation.results.estimate import Estimate, TorqueError
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.results.result import Result
-from gtau.robots.parameter import parameter_of
+from gtau.robots.parameter import parameter_of, unit_of
 from gtau.robots.readers.native_text import native_text
 from gtau.robots.robot import Robot
-from gtau.robots.units import unit_of
 
 SCHEMA = "gtau-model/4"
 OLDER = ("gtau-model/2", "gtau-model/3")

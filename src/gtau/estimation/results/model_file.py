@@ -32,7 +32,7 @@ from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.diagnostics.sentences import advice, reason
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.estimators.physical_consistency import Consistency, Move
-from gtau.estimation.estimators.registry import PLACES
+from gtau.estimation.estimators.registry import GROUP, NAMES
 from gtau.estimation.friction.law import SHAPES
 from gtau.estimation.results.estimate import (
     AlternativeMoves,
@@ -48,6 +48,7 @@ from gtau.estimation.results.groups import Model
 from gtau.estimation.results.model_document import OLDER, SCHEMA, to_document
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.results.result import Result, result_of
+from gtau.extensions import registered
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.readers.native import parse_native
 from gtau.signals.channel import SENSOR, ChannelKind, sensor_kind
@@ -87,8 +88,8 @@ def _by_parameter(estimates: dict[str, Estimate]) -> dict[Parameter, Estimate]:
 
 
 def _method(name: str) -> str:
-    if name not in PLACES:
-        raise ValueError(unknown(f"method '{name}'", name, PLACES))
+    if name not in NAMES and name not in registered(GROUP):
+        raise ValueError(unknown(f"method '{name}'", name, NAMES))
     return name
 
 

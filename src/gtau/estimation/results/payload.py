@@ -28,11 +28,10 @@ from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
 from gtau.estimation.results.estimate import Estimate
 from gtau.robots.geometry import longest_placement
-from gtau.robots.parameter import Parameter
-from gtau.robots.readers.urdf import frame_on
+from gtau.robots.parameter import Parameter, unit_of
+from gtau.robots.readers.read import frame_on
 from gtau.robots.rigid_body import RigidBody, inertial_parameters
 from gtau.robots.robot import INERTIAL, Placement, Pose
-from gtau.robots.units import unit_of
 from gtau.signals.reading.statements import FIRST_MOMENTS, PAYLOAD_KINDS
 
 QUANTITIES = ("m", "cx", "cy", "cz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")

@@ -10,8 +10,8 @@ import numpy as np
 
 from gtau.display import views
 from gtau.estimation.results.estimate import BandError, TorqueError
+from gtau.robots.parameter import torque_unit
 from gtau.robots.robot import Robot
-from gtau.robots.units import torque_unit
 from gtau.signals.preparation.filters import Decimator
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Evaluate CasADi functions for many samples: a small batched interpreter.
+"""Evaluate CasADi functions for many samples, shared among threads: a small batched interpreter.
 
 A symbolic function is turned into a list of instructions on rows; each instruction is carried out for a
 whole lane of samples before the next, so the interpreter's own cost is shared by the lane and the
@@ -7,15 +7,20 @@ registers stay in the cache. One compiled loop (:mod:`gtau.model.interpreter.com
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cache
 
 import casadi as ca
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from gtau.model.interpreter.compiled import loops
 from gtau.model.interpreter.instructions import LANES, ROW, WIDE, instructions
-from gtau.model.interpreter.threads import share
 
 NONE = np.zeros(0)
 
@@ -181,3 +186,49 @@ def compile_program(inputs: list[ca.SX], outputs: list[ca.SX], parameters: Seque
     function = ca.Function("program", [ca.vertcat(x, p)], [ca.cse(y)])
     code, constants, registers, fixed = instructions(function, p.numel())
     return Program(code, constants, p.numel(), registers, x.numel(), y.numel(), fixed)
+
+
+_inside = threading.local()
+SHARE = 16 * LANES  # minimum number of samples per thread
+
+
+def threads() -> int:
+    """Return the number of threads: ``GTAU_THREADS``, or one for each core."""
+    try:
+        return max(int(os.environ["GTAU_THREADS"]), 1)
+    except (KeyError, ValueError):
+        return _cores()
+
+
+_cores = cache(lambda: os.cpu_count() or 1)
+
+
+def share(work: Callable[[int, int], None], samples: int, worth: int = SHARE) -> None:
+    """Call ``work(start, stop)`` for stretches of whole lanes that together are ``samples``.
+
+    In threads, where each gets at least ``worth`` samples; the results do not depend on their number. Work that
+    is itself done by one of them is not shared again.
+    """
+    parts = 1 if hasattr(_inside, "pool") else min(threads(), samples // worth)
+    if parts < 2:
+        work(0, samples)
+        return
+    lanes = samples // LANES
+    cuts = [LANES * (lanes * k // parts) for k in range(parts)] + [samples]
+    list(_pool(os.getpid(), parts).map(work, cuts[:-1], cuts[1:]))
+
+
+@cache
+def _pool(process: int, workers: int) -> ThreadPoolExecutor:
+    """Return the thread pool, created once per process; a forked process needs its own."""
+    return ThreadPoolExecutor(workers, "gtau", lambda: setattr(_inside, "pool", True))
+
+
+@contextmanager
+def single_threaded_blas() -> Iterator[None]:
+    """Run BLAS and OpenMP in one thread, as a context or a decorator.
+
+    On small matrices and busy cores, threads mainly wait for each other (a QR takes 100 times longer).
+    """
+    with threadpool_limits(limits=1):
+        yield

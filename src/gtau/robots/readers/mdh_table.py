@@ -11,10 +11,9 @@ from typing import Literal, TypeVar
 
 from gtau.documents.files import read_at_most
 from gtau.errors import GtauError
-from gtau.robots.geometry import compose, exact_angle, largest_change, short_angles_note
+from gtau.robots.geometry import DEGREES_ADVICE, compose, exact_angle, in_degrees, largest_change, short_angles_note
 from gtau.robots.readers.expressions import RESERVED, AffineInQ, evaluate, linear
 from gtau.robots.robot import GROUND, Attachment, Joint, Mdh, Robot
-from gtau.robots.units import DEGREES_ADVICE, in_degrees
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,12 +12,13 @@ import numpy as np
 
 from gtau.documents.validation import some_of
 from gtau.errors import GtauError, missing_extra
-from gtau.robots.digits import Rounding, digits_of
 from gtau.robots.geometry import (
     MEANT,
     SHORT,
+    digits_of,
     exact_angle,
     exact_rotation,
+    in_degrees,
     largest_change,
     pose_of,
     short_angles_note,
@@ -26,8 +27,7 @@ from gtau.robots.geometry import (
 from gtau.robots.readers.inertias import mjcf_bodies
 from gtau.robots.readers.xml_document import LARGEST, all_numbers, decimals, line_of, read_xml
 from gtau.robots.rigid_body import RigidBody
-from gtau.robots.robot import DAMPING, PRELOAD, SPRING, STIFFNESS, Pose
-from gtau.robots.units import in_degrees
+from gtau.robots.robot import DAMPING, PRELOAD, SPRING, STIFFNESS, Digits, Pose
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -333,7 +333,7 @@ PLACED = ("body", "frame", "site", "joint", "connect", "weld")
 ORIENTATIONS = ("quat", "axisangle", "axis", "xyaxes", "zaxis")
 
 
-def mjcf_rounding(roots: list[Element]) -> Rounding:
+def mjcf_rounding(roots: list[Element]) -> Digits:
     """Find the digits of the placements in a file."""
     placed = [element for root in roots for element in root.iter() if element.tag in PLACED]
     radian = any(compiler.get("angle") == "radian" for root in roots for compiler in root.iter("compiler"))
@@ -341,7 +341,7 @@ def mjcf_rounding(roots: list[Element]) -> Rounding:
     directions = digits_of(all_numbers(placed, ORIENTATIONS) + angles * radian)
     # twice the change of a quaternion's four numbers is a turn
     turn = 4 * directions.half_unit(0.5) or 4 * unit * digits_of(angles).half_unit(1 / unit)
-    return Rounding(digits_of(all_numbers(placed, ["pos", "anchor"])), turn)
+    return replace(digits_of(all_numbers(placed, ["pos", "anchor"])), turn=turn)
 
 
 SHOWN = 4

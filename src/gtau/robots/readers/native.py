@@ -12,7 +12,7 @@ from gtau.documents.validation import validate
 from gtau.documents.yaml_document import Document, parse_yaml, read_yaml
 from gtau.errors import GtauError
 from gtau.robots.floating import base_joints
-from gtau.robots.geometry import with_exact_angles
+from gtau.robots.geometry import DEGREES_ADVICE, in_degrees, with_exact_angles
 from gtau.robots.readers.expressions import RESERVED, AffineInQ, evaluate, linear
 from gtau.robots.robot import (
     DAMPING,
@@ -33,7 +33,6 @@ from gtau.robots.robot import (
     Robot,
     Spring,
 )
-from gtau.robots.units import DEGREES_ADVICE, in_degrees
 
 
 def _number(text: str, info: ValidationInfo) -> float:

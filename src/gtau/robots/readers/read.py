@@ -1,39 +1,41 @@
-"""Read any robot: catalog names, all kinds of robot files, and robots of the package robot_descriptions.
-
-Importing a module of that package may clone a repository. So they are parsed as data instead: the paths that they join,
-below the folder in which the package keeps its repositories. Nothing is executed, and nothing is fetched.
-"""
+"""Read any robot: catalog names and all kinds of robot files; and find frames fixed to its bodies."""
 
 from __future__ import annotations
 
-import ast
-import os
 from collections.abc import Mapping
 from dataclasses import replace
 from difflib import get_close_matches
-from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 
 from gtau.documents.files import ROBOT, refuse_other_kind
+from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
+from gtau.extensions import added, registered
 from gtau.robots.floating import drawn_base, float_base
 from gtau.robots.geometry import rounded
 from gtau.robots.parts import hold_joints, listed, lock_joints, select_joints
 from gtau.robots.readers.source import BASE_ADVICE, FLOATING, Base, BaseChoice, GivenLimits, RobotSource
-from gtau.robots.robot import Pose, Robot
+from gtau.robots.robot import Placement, Pose, Robot
 
 CATALOG = Path(__file__).parents[1] / "catalog"
-PACKAGE = "robot_descriptions"
-FILES = ("URDF_PATH", "MJCF_PATH")
-Value = Path | str | None
+GROUP = "gtau.robots"  # of the entry points that name packages with robot files
+LOOPS = ("closed_loop", "name_mot")  # keys that distinguish a file of loops from a robot file
 ENDINGS = ".yaml, .urdf, .xml (MJCF), .par or .csv"
 
 
 def catalog_names() -> tuple[str, ...]:
-    """List the robots that come with the package."""
-    return tuple(sorted(file.stem for file in CATALOG.glob("*.yaml")))
+    """List the robots that come with the package, and those of other distributions' catalogs."""
+    return (*sorted(file.stem for file in CATALOG.glob("*.yaml")), *_added_robots())
+
+
+def _added_robots() -> dict[str, Path]:
+    """Find the robot files of other distributions by name: those in the folders of the packages that they register."""
+    packages = [added(GROUP, name, ModuleType) for name in registered(GROUP)]
+    folders = [Path(folder) for package in packages for folder in package.__path__]
+    return {file.stem: file for folder in folders for file in sorted(folder.glob("*.yaml"))}
 
 
 def read_robot(source: str | Path | RobotSource) -> Robot:
@@ -107,9 +109,11 @@ def _mounted(robot: Robot, rpy: tuple[float, float, float]) -> Robot:
 
 
 def _read(source: str | Path, base: BaseChoice) -> Robot:
-    if source in catalog_names():
+    if source in {file.stem for file in CATALOG.glob("*.yaml")}:
         source = CATALOG / f"{source}.yaml"
     path = Path(source)
+    if not path.exists():
+        path = _added_robots().get(str(source), path)
     if (path / "robot.urdf").is_file():
         path = path / "robot.urdf"
     refuse_other_kind(path, ROBOT)
@@ -139,7 +143,9 @@ def _read(source: str | Path, base: BaseChoice) -> Robot:
             raise GtauError(f"{path} is a xacro file; expand it with 'xacro {path.name} > {path.stem}.urdf' first.")
         case _ if path.is_file():
             raise GtauError(f"{path} ends in none of {ENDINGS}; give it the ending of its format.")
-    if (described := _described_file(str(source))) is not None:
+    from gtau.robots.readers.described import described_file
+
+    if (described := described_file(str(source))) is not None:
         return _read(described, base)
     close = get_close_matches(str(source), catalog_names(), n=1)
     hint = f" (did you mean '{close[0]}'?)" if close else ""
@@ -149,10 +155,15 @@ def _read(source: str | Path, base: BaseChoice) -> Robot:
     )
 
 
-def _from_yaml(path: Path) -> Robot:
-    from gtau.robots.readers.urdf import is_loops_file, read_urdf_with_loops
+def is_loops_file(path: Path) -> bool:
+    """Decide whether the file at `path` exists and defines loops beside a URDF."""
+    return path.is_file() and any(key in read_yaml(path).data for key in LOOPS)
 
+
+def _from_yaml(path: Path) -> Robot:
     if is_loops_file(path):
+        from gtau.robots.readers.urdf import read_urdf_with_loops
+
         return read_urdf_with_loops(path.with_suffix(".urdf"), path)
     from gtau.robots.readers.native import read_native
 
@@ -160,7 +171,7 @@ def _from_yaml(path: Path) -> Robot:
 
 
 def _from_urdf(path: Path, base: BaseChoice) -> Robot:
-    from gtau.robots.readers.urdf import is_loops_file, read_urdf, read_urdf_with_loops
+    from gtau.robots.readers.urdf import read_urdf, read_urdf_with_loops
 
     for loops in (path.with_suffix(".yaml"), path.with_suffix(".yml")):
         if is_loops_file(loops):
@@ -168,70 +179,68 @@ def _from_urdf(path: Path, base: BaseChoice) -> Robot:
     return read_urdf(path, base)
 
 
-def _described_file(name: str) -> Path | None:
-    """Find the file of a robot by its name there, such as ``panda_description`` or ``panda``; None if unknown.
+def frame_on(body: str, frame: str | Pose, file: str | Path | None) -> tuple[str, Placement]:
+    """Find a frame fixed to a ``body``: its name, and its pose in the body's own frame.
+
+    Parameters
+    ----------
+    body : str
+        The joint or platform that has the body's name.
+    frame : str or Pose
+        Empty for the body's own frame; a link of the URDF ``file``, or the six numbers ``x y z roll pitch yaw``
+        (m, rad) from the body's frame, or these as a pose.
+    file : path, optional
+        The robot's file.
 
     Raises
     ------
     GtauError
-        The package knows the robot, but its file is not on disk, or is made by xacro.
+        The frame does not exist, or is on another body.
     """
-    spec = find_spec(PACKAGE) if name.isidentifier() else None
-    folders = [Path(each) for each in (spec.submodule_search_locations or ())] if spec else []
-    modules = [folder / f"{each}.py" for folder in folders for each in (name, f"{name}_description")]
-    module = next((each for each in modules if each.stem.endswith("_description") and each.is_file()), None)
-    if module is None:
-        return None
-    known: dict[str, Value] = {}
-    repositories = _repositories(module.with_name("_repositories.py"))
-    for statement in _parsed(module).body:
-        if isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name) and statement.value:
-            known[statement.target.id] = _value(statement.value, known, repositories)
-    file = next((known[each] for each in FILES if known.get(each)), None)
-    if file is None:
-        raise GtauError(
-            f"the URDF of '{module.stem}' of the package {PACKAGE} is made by xacro; write it to a file, and give that "
-            "file."
-        )
-    if not Path(file).is_file():
-        raise GtauError(
-            f"the package {PACKAGE} has '{module.stem}', but not its file on disk ({file}); fetch it ('{PACKAGE} pull "
-            f"{module.stem}'), or give the robot's file."
-        )
-    return Path(file)
-
-
-def _parsed(module: Path) -> ast.Module:
+    own = f"the frame of '{body}'"
+    if isinstance(frame, Pose):
+        return f"a frame on '{body}'", frame
+    if not frame:
+        return own, Pose()
+    words = frame.replace(",", " ").split()
     try:
-        return ast.parse(module.read_text(encoding="utf-8"))
-    except (OSError, SyntaxError, ValueError):
-        raise GtauError(f"{module} cannot be read; install the package {PACKAGE} again, or give a file.") from None
+        numbers = [float(word) for word in words]
+    except ValueError:
+        return frame, _link(body, frame, file)
+    if len(numbers) != 6:
+        raise GtauError(
+            f"frame '{frame}' has {len(numbers)} numbers; write 'x y z roll pitch yaw' (m, rad) from {own}."
+        )
+    x, y, z, roll, pitch, yaw = numbers
+    return f"{x:g} {y:g} {z:g} m, {roll:g} {pitch:g} {yaw:g} rad from {own}", Pose((x, y, z), (roll, pitch, yaw))
 
 
-def _repositories(module: Path) -> dict[str, str]:
-    """Find the folder of each repository, below that of all."""
-    found: dict[str, str] = {}
-    for each in ast.walk(_parsed(module)):
-        for key, value in zip(each.keys, each.values, strict=True) if isinstance(each, ast.Dict) else ():
-            if isinstance(key, ast.Constant) and isinstance(value, ast.Call):
-                folders = [word.value for word in value.keywords if word.arg == "cache_path"]
-                found |= {str(key.value): str(each.value) for each in folders if isinstance(each, ast.Constant)}
-    return found
+def links_on(body: str, file: str | Path) -> list[str]:
+    """List the links of the robot's ``file`` that are fixed to a ``body``; none where it is no URDF."""
+    if Path(file).suffix.lower() != ".urdf":
+        return []
+    from gtau.robots.readers.urdf_tree import read_urdf_tree
+
+    tree = read_urdf_tree(Path(file), {}, Base())
+    links = (link.get("name", "") for link in tree.root.findall("link"))
+    return [link for link in links if link in tree.frames and tree.frames[link].body == body]
 
 
-def _value(node: ast.expr, known: Mapping[str, Value], repositories: Mapping[str, str]) -> Value:
-    """Evaluate a name, a text, a join of paths or the folder of a repository; None for anything else."""
-    if isinstance(node, ast.Constant):
-        return str(node.value)
-    if isinstance(node, ast.Name):
-        return known.get(node.id)
-    if not isinstance(node, ast.Call) or not node.args:
-        return None
-    called = ast.unparse(node.func).lstrip("_")
-    parts = [_value(each, known, repositories) for each in node.args]
-    if called == "path.join" and None not in parts:
-        return Path(*(part for part in parts if part is not None))
-    if called == "clone_to_cache" and parts[0] in repositories:
-        folder = os.environ.get("ROBOT_DESCRIPTIONS_CACHE", f"~/.cache/{PACKAGE}")
-        return Path(folder).expanduser() / repositories[str(parts[0])]
-    return None
+def _link(body: str, link: str, file: str | Path | None) -> Placement:
+    if file is None or Path(file).suffix.lower() != ".urdf":
+        raise GtauError(
+            f"frame '{link}' is the name of a link, which only a URDF has; give the URDF, or the frame as 'x y z roll "
+            f"pitch yaw' (m, rad) from the frame of '{body}'."
+        )
+    from gtau.robots.readers.urdf_tree import read_urdf_tree
+
+    tree = read_urdf_tree(Path(file), {}, Base())
+    on_body = [name for name, each in tree.frames.items() if each.body == body]
+    if link not in tree.frames:
+        raise GtauError(f"{file} has no link '{link}'; on '{body}' are {', '.join(on_body) or 'none'}.")
+    if link not in on_body:
+        raise GtauError(
+            f"link '{link}' of {file} is not fixed to '{body}', which carries the payload; choose from "
+            f"{', '.join(on_body) or 'none, and write the pose'}."
+        )
+    return tree.frames[link].placement

@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, FiniteFloat, Tag, field_validator
 
+from gtau.robots.geometry import DEGREES_ADVICE, in_degrees
 from gtau.robots.readers.expressions import evaluate
-from gtau.robots.units import DEGREES_ADVICE, in_degrees
 
 FLOATING: Literal["floating"] = "floating"
 BASE_ADVICE = (

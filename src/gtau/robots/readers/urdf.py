@@ -21,13 +21,10 @@ from gtau.documents.yaml_document import Document, read_yaml
 from gtau.errors import GtauError
 from gtau.robots.floating import drawn_base
 from gtau.robots.parts import without_idle_pins
-from gtau.robots.readers.source import Base, BaseChoice
+from gtau.robots.readers.source import BaseChoice
 from gtau.robots.readers.urdf_tree import UrdfTree, read_urdf_tree
 from gtau.robots.readers.xml_document import decimals
-from gtau.robots.robot import GROUND, Attachment, Closure, Placement, Pose, Robot
-
-KEYS = ("closed_loop", "name_mot")
-"""Keys that distinguish a file of loops from a robot file."""
+from gtau.robots.robot import GROUND, Attachment, Closure, Robot
 
 
 def read_urdf(path: str | Path, base: BaseChoice = None) -> Robot:
@@ -131,11 +128,6 @@ class _Loops(BaseModel):
         return [kind.lower() if isinstance(kind, str) else kind for kind in types] if isinstance(types, list) else types
 
 
-def is_loops_file(path: Path) -> bool:
-    """Decide whether the file at `path` exists and defines loops beside a URDF."""
-    return path.is_file() and any(key in read_yaml(path).data for key in KEYS)
-
-
 def read_urdf_with_loops(urdf: str | Path, loops: str | Path) -> Robot:
     """Read a robot from a URDF file and the YAML file beside it.
 
@@ -193,69 +185,3 @@ def _closure(document: Document, tree: UrdfTree, k: int, kind: str, pair: tuple[
             raise document.error(("closed_loop", k, position), unknown(f"frame '{name}'", name, tree.frames))
         ends.append(tree.frames[name])
     return Closure("connect" if kind == "3d" else "weld", *ends)
-
-
-def frame_on(body: str, frame: str | Pose, file: str | Path | None) -> tuple[str, Placement]:
-    """Find a frame fixed to a ``body``: its name, and its pose in the body's own frame.
-
-    Parameters
-    ----------
-    body : str
-        The joint or platform that has the body's name.
-    frame : str or Pose
-        Empty for the body's own frame; a link of the URDF ``file``, or the six numbers ``x y z roll pitch yaw``
-        (m, rad) from the body's frame, or these as a pose.
-    file : path, optional
-        The robot's file.
-
-    Raises
-    ------
-    GtauError
-        The frame does not exist, or is on another body.
-    """
-    own = f"the frame of '{body}'"
-    if isinstance(frame, Pose):
-        return f"a frame on '{body}'", frame
-    if not frame:
-        return own, Pose()
-    words = frame.replace(",", " ").split()
-    try:
-        numbers = [float(word) for word in words]
-    except ValueError:
-        return frame, _link(body, frame, file)
-    if len(numbers) != 6:
-        raise GtauError(
-            f"frame '{frame}' has {len(numbers)} numbers; write 'x y z roll pitch yaw' (m, rad) from {own}."
-        )
-    x, y, z, roll, pitch, yaw = numbers
-    return f"{x:g} {y:g} {z:g} m, {roll:g} {pitch:g} {yaw:g} rad from {own}", Pose((x, y, z), (roll, pitch, yaw))
-
-
-def links_on(body: str, file: str | Path) -> list[str]:
-    """List the links of the robot's ``file`` that are fixed to a ``body``; none where it is no URDF."""
-    if Path(file).suffix.lower() != ".urdf":
-        return []
-    tree = read_urdf_tree(Path(file), {}, Base())
-    return [link for link in (each.get("name", "") for each in tree.root.findall("link")) if _is_on(tree, link, body)]
-
-
-def _is_on(tree: UrdfTree, link: str, body: str) -> bool:
-    return link in tree.frames and tree.frames[link].body == body
-
-
-def _link(body: str, link: str, file: str | Path | None) -> Placement:
-    if file is None or Path(file).suffix.lower() != ".urdf":
-        raise GtauError(
-            f"frame '{link}' is the name of a link, which only a URDF has; give the URDF, or the frame as 'x y z roll "
-            f"pitch yaw' (m, rad) from the frame of '{body}'."
-        )
-    tree = read_urdf_tree(Path(file), {}, Base())
-    on_body = [name for name, each in tree.frames.items() if each.body == body]
-    if link not in tree.frames:
-        raise GtauError(f"{file} has no link '{link}'; on '{body}' are {', '.join(on_body) or 'none'}.")
-    if link not in on_body:
-        raise GtauError(
-            f"link '{link}' of {file} is not fixed to '{body}', which carries the payload; choose from "
-            f"{', '.join(on_body) or 'none, and write the pose'}."
-        )
-    return tree.frames[link].placement

@@ -12,8 +12,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.robots.digits import Rounding, digits_of
-from gtau.robots.geometry import ROUNDING, compose, rounded, short_angles_note, written_pose
+from gtau.robots.geometry import ROUNDING, compose, digits_of, in_degrees, rounded, short_angles_note, written_pose
 from gtau.robots.readers.inertias import urdf_inertias, urdf_masses
 from gtau.robots.readers.source import BASE_ADVICE, FLOATING, BaseChoice
 from gtau.robots.readers.xml_document import (
@@ -26,8 +25,7 @@ from gtau.robots.readers.xml_document import (
     position_limits,
     read_xml,
 )
-from gtau.robots.robot import GROUND, Attachment, Coupling, Joint, Limits, Placement, Pose
-from gtau.robots.units import in_degrees
+from gtau.robots.robot import GROUND, Attachment, Coupling, Digits, Joint, Limits, Placement, Pose
 
 Kind = Literal["revolute", "prismatic"]
 LOOSE = ("floating", "planar")
@@ -72,7 +70,7 @@ class UrdfTree:
     root: Element
     carried: Mapping[str, str]
     inertias: tuple[tuple[str, float], ...]
-    rounding: Rounding
+    rounding: Digits
 
 
 def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None) -> UrdfTree:
@@ -110,12 +108,12 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
         raise GtauError(f"{path}: {error}") from None
 
 
-def _rounding(root: Element) -> Rounding:
+def _rounding(root: Element) -> Digits:
     parts = [part for joint in root.findall("joint") for part in joint]
     lengths, angles = (all_numbers((part for part in parts if part.tag == "origin"), [key]) for key in ("xyz", "rpy"))
     angles += all_numbers((part for part in parts if part.tag == "axis"), ["xyz"])
     # roll, pitch, yaw and the direction of the axis turn a joint
-    return Rounding(digits_of(lengths), 4 * digits_of(angles).half_unit(1.0))
+    return replace(digits_of(lengths), turn=4 * digits_of(angles).half_unit(1.0))
 
 
 def _parse(path: Path) -> Element:

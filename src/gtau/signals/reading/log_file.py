@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import FunctionType
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,7 @@ from gtau.signals.reading.formats.columnar import INFO
 from gtau.signals.reading.formats.rosbag import LOG_FORMATS as BAGS
 from gtau.signals.reading.formats.text import open_text
 
-FORMATS = Extensions("gtau.log_formats", "gtau.signals.reading.formats", FunctionType)
+FORMATS: Extensions[Callable[[Path], Table]] = Extensions("gtau.log_formats", "gtau.signals.reading.formats", Callable)
 """Readers by the ending of the file's name; anything else is text."""
 
 
@@ -50,8 +49,8 @@ def find_columns(path: Path) -> Table:
 def _ending(path: Path) -> str:
     """Return the ending of a file's name, or that of the files in a folder."""
     if path.is_dir():
-        return "db3" if (path / "metadata.yaml").is_file() else "parquet"
-    return path.suffix.lower().removeprefix(".")
+        return ".db3" if (path / "metadata.yaml").is_file() else ".parquet"
+    return path.suffix.lower()
 
 
 def is_log_folder(path: Path) -> bool:
@@ -61,7 +60,7 @@ def is_log_folder(path: Path) -> bool:
 
 def is_rosbag(path: Path) -> bool:
     """Decide by its name whether a path is a bag."""
-    return path.suffix.lower().removeprefix(".") in BAGS or (path / "metadata.yaml").is_file()
+    return path.suffix.lower() in BAGS or (path / "metadata.yaml").is_file()
 
 
 def _refuse_missing(names: Iterable[str], table: Table) -> None:

@@ -11,9 +11,8 @@ from pydantic import BeforeValidator, Field, FiniteFloat, field_validator, model
 
 from gtau.documents.validation import MAPPING, Keys, Positive, expect, name_problem, read_group
 from gtau.errors import GtauError
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import Parameter, torque_unit, unit_of
 from gtau.robots.robot import INERTIAL, Robot
-from gtau.robots.units import torque_unit, unit_of
 from gtau.signals.notes import Kind, Note
 
 FIRST_MOMENTS = ("mx", "my", "mz")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from gtau.estimation.diagnostics.hypotheses import description, drives, wrenches
-from gtau.estimation.diagnostics.hypotheses.hypothesis import Hypothesis
+from gtau.estimation.diagnostics.alternatives import Hypothesis
+from gtau.estimation.diagnostics.hypotheses import description, drives
 
 HYPOTHESES: tuple[Hypothesis, ...] = (
     drives.FRICTION_SHAPE,
@@ -14,6 +14,6 @@ HYPOTHESES: tuple[Hypothesis, ...] = (
     description.ENCODER_ZEROS,
     description.POSITION_SCALES,
     description.GRAVITY,
-    wrenches.WRENCH_OFFSETS,
-    wrenches.WRENCH_POINTS,
+    description.WRENCH_OFFSETS,
+    description.WRENCH_POINTS,
 )

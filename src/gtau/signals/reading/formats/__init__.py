@@ -1,6 +1,6 @@
 """Readers of log formats, one module per family of formats, and what each returns: a :class:`Table`, not yet read.
 
-A module names its readers in a constant ``LOG_FORMATS``, by the endings of the files (``{"npz": open_npz}``).
+A module names its readers in a constant ``LOG_FORMATS``, by the endings of the files (``{".npz": open_npz}``).
 """
 
 from __future__ import annotations

@@ -189,4 +189,4 @@ def _column(arrays: Mapping[str, Any], where: tuple[str, int | None, bool], star
     return np.asarray(part, dtype=float)
 
 
-LOG_FORMATS = {"npz": open_npz, "mat": open_mat, "h5": open_hdf5, "hdf5": open_hdf5}
+LOG_FORMATS = {".npz": open_npz, ".mat": open_mat, ".h5": open_hdf5, ".hdf5": open_hdf5}

@@ -172,4 +172,4 @@ def _flat(names: Any) -> list[str]:
     return [names] if isinstance(names, str) else []
 
 
-LOG_FORMATS = {"parquet": open_parquet, "feather": open_feather, "arrow": open_feather}
+LOG_FORMATS = {".parquet": open_parquet, ".feather": open_feather, ".arrow": open_feather}

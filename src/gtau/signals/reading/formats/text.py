@@ -284,5 +284,5 @@ def _unreadable_line(table: Table, separator: str, reason: str) -> str:
     return f"{path} is not a readable CSV file ({reason.splitlines()[0]})."
 
 
-LOG_FORMATS = {"csv": open_text}
+LOG_FORMATS = {".csv": open_text}
 """It reads any other ending too."""

@@ -1,0 +1,430 @@
+"""Fit the data with another robot than described: other bodies at the tool, another length, another gravity.
+
+Parameters adapt to a wrong description, so that torques computed with them do not have the shape of the residuals, and
+a linear test points anywhere: the robot is fitted again.
+
+- A body at the tool adds its ten inertial columns in its run (eq. 18), so the data are fitted again with the load of
+  one run unknown, then of a second one, as long as that explains much more. An unknown load explains part of any fault
+  that is in one run alone; only a mass far from the declared one is a body.
+- A wrong length leaves residuals that depend on the motion, as unmodelled friction does; the two differ in shape, not
+  in size. With each length a little longer and a little shorter, a parabola through the three sums of squares gives the
+  length that fits best, and the share of the residual variance that goes with it.
+- An arm on a wall or a ceiling, or a tracker whose vertical is y, has gravity where the robot file has none. The robot
+  is fitted again with gravity along each axis of the base, and from the best of them freely (Gauss-Newton over
+  directions). Whether torques exclude gravity, as with a driver that compensates it,
+  :mod:`gtau.estimation.diagnostics.effort` finds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.diagnostics.alternatives import Alternative, established, rms_torques, window_motion
+from gtau.estimation.diagnostics.finding import RELATIVE, Finding
+from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.hypotheses.description import DEGREE, GRAVITY, OTHER_GRAVITY
+from gtau.estimation.diagnostics.linearisation import (
+    Windows,
+    central_windows,
+    known_rows,
+    least_squares_step,
+    linearise,
+    on_channels,
+    stack,
+)
+from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
+from gtau.estimation.estimators.estimator import Fit, Given, Solution
+from gtau.estimation.estimators.least_squares import fit_by
+from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
+from gtau.estimation.estimators.newton import degrees_of_freedom
+from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.friction import Friction
+from gtau.estimation.regression.scale_source import require_scale
+from gtau.estimation.regression.system import System
+from gtau.estimation.thresholds.estimates import (
+    GRAVITY_ALIKE,
+    GRAVITY_LEAST,
+    GRAVITY_MISFIT,
+    GRAVITY_SHARE,
+    LOAD_ALIKE,
+    LOAD_LEFT,
+    MASS_ABSENT,
+    REFUTED_SHARE,
+    REFUTED_STD,
+)
+from gtau.estimation.thresholds.logs import (
+    GRAVITY_FELT,
+    LENGTH_ALIKE,
+    LENGTH_CHANGE,
+    LENGTH_MOST,
+    LENGTH_SHARE,
+    LENGTH_TRIED,
+    UNFELT,
+)
+from gtau.model.base_parameters import base_parameters
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.lengths import SAME, models_alike
+from gtau.progress import Progress, silent
+from gtau.robots.robot import Attachment, Closure, Mdh, Placement, Robot, Spring
+from gtau.signals.preparation.prepared_run import InMemoryRun
+from gtau.signals.reading.statements import Payload
+
+TOOL_BODIES = "tool bodies"
+
+
+@dataclass(frozen=True, eq=False)
+class _Loaded:
+    """The data fitted with the loads of ``runs`` unknown, which leaves a part ``left`` of the residual variance.
+
+    ``masses`` (runs,) are those beyond what is declared, kg.
+    """
+
+    runs: tuple[int, ...]
+    system: System
+    solution: Solution
+    left: float
+    masses: np.ndarray
+
+    @property
+    def places(self) -> list[int]:
+        """Numbers of the masses among the parameters."""
+        return [self.system.problem.parameters.index(f"m_L{run + 1}") for run in self.runs]
+
+    @property
+    def std(self) -> np.ndarray:
+        """Standard deviations of the masses by the jackknife."""
+        return np.asarray(np.sqrt(np.diag(self.solution.jackknife)[self.places]))
+
+
+def other_loads(fit: Fit) -> Alternative | None:
+    """Find the runs whose bodies at the tool are other than declared, with their masses; None without any."""
+    best: _Loaded | None = None
+    count = len(fit.dataset.runs)
+    while best is None or len(best.runs) < count - 1:
+        taken = () if best is None else best.runs
+        tried = [_loaded(fit, (*taken, run)) for run in range(count) if run not in taken]
+        found = [each for each in tried if each is not None]
+        least = min((each.left for each in found), default=1.0)
+        if least > LOAD_LEFT * (1.0 if best is None else best.left):
+            break
+        # a body in some runs is one that the others lack: more is forgotten than taken away
+        best = max((each for each in found if each.left < LOAD_ALIKE * least), key=lambda each: each.masses[-1])
+    if best is None:
+        return None
+    declared = [_mass(fit, run) for run in best.runs]
+    if np.any(np.abs(best.masses) < np.maximum(REFUTED_STD * best.std, MASS_ABSENT * np.array(declared))):
+        return None
+    return _alternative(fit, best)
+
+
+def _loaded(fit: Fit, runs: tuple[int, ...]) -> _Loaded | None:
+    """Fit with unknown loads in ``runs``; None where a mass is then not identifiable."""
+    dataset, system = fit.dataset, fit.system
+    declared = [run.payload for run in dataset.runs]
+    loads = [Payload(name=f"of run {k}") if k in runs else each for k, each in enumerate(declared)]
+    other = dataset.system(system.friction, system.problem.slowest > 0, loads)
+    masses = {f"m_L{run + 1}" for run in runs}
+    if not masses <= set(other.problem.parameters) or not set(other.unexcited) <= set(system.unexcited):
+        return None
+    try:
+        if fit.free_gains:
+            require_scale(dataset.robot, other, loads, "ml")
+        solution = fit.solve(other.problem)
+    except GtauError:
+        return None
+    rows = system.problem.total_rows
+    left = float(np.exp(2 * rows @ np.log(solution.sigma / fit.unrefined.sigma) / rows.sum()))
+    found = _Loaded(runs, other, solution, left, np.zeros(len(runs)))
+    return replace(found, masses=solution.theta[found.places] - [_mass(fit, run) for run in runs])
+
+
+def _mass(fit: Fit, run: int) -> float:
+    """Return the declared mass of a run's payload, kg; 0 without one."""
+    payload = fit.dataset.runs[run].payload
+    return 0.0 if payload is None else payload.mass or 0.0
+
+
+def _alternative(fit: Fit, found: _Loaded) -> Alternative:
+    from scipy.special import stdtrit
+
+    problem, runs = fit.system.problem, fit.dataset.runs
+    freedom = degrees_of_freedom(found.system.problem, found.solution, fit.free_gains)[found.places]
+    halves = found.std * stdtrit(freedom, 0.975)
+    ratio = found.solution.sigma / fit.unrefined.sigma
+    bodies = [
+        {
+            "run": runs[run].name,
+            "more": float(more),
+            "half": float(half),
+            "declared": "" if (load := runs[run].payload) is None or load.mass is None else load.name,
+        }
+        for run, more, half in zip(found.runs, found.masses, halves, strict=True)
+    ]
+    n, rows = len(fit.gains), problem.total_rows
+    joints = tuple(joint for joint, each in zip(problem.joints, ratio, strict=False) if each**2 < LOAD_LEFT)
+    cause = Finding(F.TOOL_BODY, joints, values={"bodies": bodies, "remains": found.left})
+    moves = found.solution.gains[:n] / fit.gains - 1 if fit.free_gains else np.zeros(n)
+    return established(fit, TOOL_BODIES, cause, moves, 1 - float(rows @ ratio**2 / rows.sum()))
+
+
+Tie = TypeVar("Tie", Closure, Spring)
+
+STEP = 0.01  # relative change of a length
+MOST = 12  # lengths that are tried, the longest first: the effort of the search
+
+
+def other_length(fit: Fit, progress: Progress = silent) -> Alternative | None:
+    """Find the length that explains most of the residuals, of similar ones that with the smallest change; or None."""
+    found = list(_explaining(fit, progress))
+    most = max((each.share for each in found), default=0.0)
+    likely = (each for each in found if each.share > LENGTH_ALIKE * most)
+    return min(likely, key=lambda each: abs(each.size), default=None)
+
+
+def _explaining(fit: Fit, progress: Progress) -> Iterator[Alternative]:
+    """Try all lengths, and iterate over those that explain a part of the residuals."""
+    robot = fit.dataset.robot
+    windows = central_windows(fit.dataset)
+    longer, shorter = list(_longer(robot, STEP)), list(_longer(robot, -STEP))
+    if not longer:
+        return
+    before, _ = _left(fit, windows, fit.dataset.model)
+    models = models_alike([other for _, other in (*longer, *shorter)], fit.dataset.base.standard)
+    lengths = list(zip((cause for cause, _ in longer), models, models[len(longer) :], strict=False))
+    for k, (cause, *pair) in enumerate(lengths):
+        progress("other lengths", k, len(lengths))
+        try:
+            (above, gains_above), (below, gains_below) = (_left(fit, windows, model) for model in pair)
+        except GtauError:
+            continue  # the robot cannot be assembled or follow its motion with another length
+        slope, curvature = (above - below) / 2, (above + below) / 2 - before
+        if curvature <= 0:
+            continue
+        change = -STEP * slope / (2 * curvature)
+        share = slope**2 / (4 * curvature * before)
+        if share <= LENGTH_SHARE or not LENGTH_CHANGE < abs(change) < LENGTH_MOST:
+            continue
+        moves = (gains_above - gains_below) / (2 * STEP) * change / fit.gains
+        yield established(fit, "lengths", cause, moves, share, change, unit=RELATIVE)
+    progress("other lengths", len(lengths), len(lengths))
+
+
+def _left(fit: Fit, windows: Windows, model: InverseDynamics) -> tuple[float, np.ndarray]:
+    """Fit another ``model`` to first order: sum of its squared residuals, and its gains (n,)."""
+    e, J, _ = stack(linearise(fit, None, windows, model))
+    errors, known = known_rows(fit, windows)
+    e, J = np.concatenate([e, errors]), np.concatenate([J, known])
+    step, gains = least_squares_step(J, e), fit.gains
+    change = step[fit.system.problem.gain_rows] if fit.free_gains else np.zeros(len(gains))
+    return float(np.sum((e + J @ step) ** 2)), gains - gains**2 * change
+
+
+def _longer(robot: Robot, step: float) -> Iterator[tuple[Finding, Robot]]:
+    """Lengthen each length of the robot by a share ``step``, those that are equal together."""
+    places = [(joint.name, joint.placement) for joint in robot.joints]
+    sides = [(end.body, end.placement) for end in robot.ends]
+    lengths: dict[float, list[str]] = {}
+    for name, placement in places + sides:
+        for length in _lengths(placement):
+            same = next((known for known in lengths if abs(known - length) < SAME * known), length)
+            if name not in lengths.setdefault(same, []):
+                lengths[same].append(name)
+    longest = sorted((length for length in lengths if length > LENGTH_TRIED * max(lengths)), reverse=True)[:MOST]
+    for length in longest:
+        joints = tuple(replace(joint, placement=_scaled(joint.placement, length, step)) for joint in robot.joints)
+        closures, springs = _moved(robot.closures, length, step), _moved(robot.springs, length, step)
+        longer = replace(robot, joints=joints, closures=closures, springs=springs)
+        yield Finding(F.LENGTH, values={"length": length, "bodies": lengths[length]}), longer
+
+
+def _lengths(placement: Placement) -> list[float]:
+    found = (
+        [abs(placement.d), abs(placement.r), abs(placement.b)]
+        if isinstance(placement, Mdh)
+        else [float(np.linalg.norm(placement.xyz))]
+    )
+    return [length for length in found if length > 0]
+
+
+def _moved(ties: tuple[Tie, ...], length: float, step: float) -> tuple[Tie, ...]:
+    """Place the ends of closures or springs at lengths longer by a share ``step``."""
+
+    def moved(end: Attachment) -> Attachment:
+        return replace(end, placement=_scaled(end.placement, length, step))
+
+    return tuple(replace(tie, a=moved(tie.a), b=moved(tie.b)) for tie in ties)
+
+
+def _scaled(placement: Placement, length: float, step: float) -> Placement:
+    """Lengthen the lengths of this size in a placement by a share ``step``."""
+    if isinstance(placement, Mdh):
+        values = {name: getattr(placement, name) for name in ("d", "r", "b")}
+        return replace(
+            placement, **{k: v * (1 + step) for k, v in values.items() if abs(abs(v) - length) < SAME * length}
+        )
+    if abs(float(np.linalg.norm(placement.xyz)) - length) < SAME * length:
+        x, y, z = placement.xyz
+        return replace(placement, xyz=(x * (1 + step), y * (1 + step), z * (1 + step)))
+    return placement
+
+
+STEPS = 4  # of Gauss-Newton, from an axis at most 55 degrees off
+
+
+def gravity_asked_for(fit: Fit, alternatives: Sequence[Alternative]) -> bool:
+    """Decide whether another gravity is worth fitting (seconds per fit): a tilt helps, or the residual is large."""
+    of_gravity = [each.share for each in alternatives if each.hypothesis == GRAVITY.name]
+    misfit = float(unexplained_shares(fit.system.problem, fit.solution).max())
+    return max(of_gravity, default=0.0) > REFUTED_SHARE or misfit > GRAVITY_MISFIT
+
+
+def other_gravity(fit: Fit, progress: Progress = silent) -> Alternative | None:
+    """Find the gravity of the same strength, along an axis or free, that explains most of the residuals, if any does.
+
+    Nothing is found where gravity is not seen, nor within the few degrees of which the linear test speaks.
+    """
+    declared = np.array(fit.dataset.robot.gravity)
+    size = float(np.linalg.norm(declared))
+    windows = [window for _, window in central_windows(fit.dataset)]  # the middle of the runs bounds the time
+    middle = replace(fit.dataset, prepared=tuple(windows))  # type: ignore[arg-type]  # used as prepared runs
+    own = fitted(fit, middle, declared) if size and windows else None
+    if own is None:
+        return None
+    found = []
+    for k, axis in enumerate(np.vstack([np.eye(3), -np.eye(3)])):
+        progress("gravity along other axes", k, 6)
+        other = own if _degrees(axis, declared) < GRAVITY_LEAST else fitted(fit, own.dataset, size * axis)
+        if other is not None:
+            found.append((left_of(other, own), other))
+    progress("gravity along other axes", 6, 6)
+    left, best = min([(1.0, own), *found], key=lambda each: each[0])
+    alike = [other for rest, other in found if rest <= GRAVITY_ALIKE * left]
+    for better in _freely(fit, best, list(enumerate(windows))):
+        if left_of(better, own) < (1 - REFUTED_SHARE) * left:
+            left, best, alike = left_of(better, own), better, []
+    gravity = np.array(best.dataset.robot.gravity)
+    moves = np.zeros(len(fit.gains)) if not fit.free_gains else best.gains / own.gains - 1
+    if 1 - left < GRAVITY_SHARE or _degrees(gravity, declared) < GRAVITY_LEAST:
+        return None
+    before, after = own.solution.sigma, best.solution.sigma
+    shares = before / own.system.problem.balance(own.solution.theta)
+    helped = [j for j in range(len(moves)) if after[j] ** 2 < (1 - GRAVITY_SHARE) * before[j] ** 2]
+    joints = tuple(fit.system.problem.joints[j] for j in helped)
+    values = {
+        "gravity": gravity.tolist(),
+        "also": [list(each.dataset.robot.gravity) for each in alike if each is not best],
+        "left": {
+            joint: [float(shares[j]), float(shares[j] * after[j] / before[j])]
+            for joint, j in zip(joints, helped, strict=True)
+        },
+        "remains": left,
+        "floating": bool(fit.dataset.robot.floating),
+    }
+    rows = own.system.problem.total_rows
+    share = 1 - float(rows @ (after / before) ** 2 / rows.sum())
+    return established(fit, GRAVITY.name, Finding(OTHER_GRAVITY.kind, joints, values=values), moves, share)
+
+
+def fitted(fit: Fit, dataset: Dataset, gravity: np.ndarray) -> Fit | None:
+    """Fit with another gravity; None where the data do not determine the gains with it."""
+    model, base = dataset.model, dataset.base
+    if not np.array_equal(gravity, dataset.robot.gravity):
+        model = model.with_gravity(gravity)
+        base = base_parameters(model, sensors=dataset.runs[0].sensed)
+    friction, given = fit.system.friction, Given(None if fit.free_gains else fit.gains)
+    friction = Friction(tuple(each for each in friction.terms if each.kind != "fl"), friction.per_run)
+    try:
+        other = replace(dataset, robot=model.robot, model=model, base=base, factors=()).reduced()
+        system = other.system(friction, fit.system.problem.slowest > 0)
+        return fit_by(ml_or_wls(given), other, system, given)
+    except GtauError:
+        return None
+
+
+def _freely(fit: Fit, start: Fit, windows: Sequence[tuple[int, InMemoryRun]]) -> Iterator[Fit]:
+    """Rotate gravity to the direction that the residuals favour."""
+    at: Fit | None = start
+    for _ in range(STEPS):
+        if at is None or (candidates := GRAVITY.candidates(at)) is None:
+            return
+        e, J, offered = stack(linearise(at, on_channels(candidates.offer, GRAVITY.shared), windows))
+        errors, known = known_rows(at, windows)
+        wide = np.hstack([np.concatenate([J, known]), np.pad(offered[:, :2], ((0, len(known)), (0, 0)))])
+        tilt = DEGREE * least_squares_step(wide, np.concatenate([e, errors]))[-2:]
+        gravity = np.array(at.dataset.robot.gravity)
+        size = float(np.linalg.norm(gravity))
+        turned = gravity + size * tilt @ [each.finding.values["towards"] for each in candidates.columns[:2]]
+        if not np.isfinite(turned).all() or np.allclose(turned, gravity, rtol=0, atol=1e-4 * size):
+            return
+        at = fitted(fit, at.dataset, size * turned / np.linalg.norm(turned))
+        if at is not None:
+            yield at
+
+
+def left_of(fit: Fit, own: Fit) -> float:
+    """Compute the residual variance relative to ``own``, the geometric mean over all channels (the likelihood's).
+
+    So a single joint that feels gravity counts among many that do not.
+    """
+    rows = own.system.problem.total_rows
+    return float(np.exp(2 * rows @ np.log(fit.solution.sigma / own.solution.sigma) / rows.sum()))
+
+
+def _degrees(one: np.ndarray, other: np.ndarray) -> float:
+    cosine = one @ other / (np.linalg.norm(one) * np.linalg.norm(other))
+    return float(np.arccos(np.clip(cosine, -1.0, 1.0)) / DEGREE)
+
+
+def missing_gravity(fit: Fit) -> Alternative | None:
+    """Fit without gravity, for what that explains of each joint and how it moves the gains; None where it cannot be."""
+    windows = [window for _, window in central_windows(fit.dataset)]
+    middle = replace(fit.dataset, prepared=tuple(windows))  # type: ignore[arg-type]  # used as prepared runs
+    own, other = (fitted(fit, middle, gravity) for gravity in (np.array(fit.dataset.robot.gravity), np.zeros(3)))
+    if own is None or other is None:
+        return None
+    n, before, after = len(fit.gains), own.solution.sigma, other.solution.sigma
+    shares, ratio = before / own.system.problem.balance(own.solution.theta), after / before
+    joints, left = fit.system.problem.joints, left_of(other, own)
+    helped = [j for j in range(n) if ratio[j] <= max(np.sqrt(left), ratio[:n].min())]
+    explained = {joints[j]: [float(shares[j]), float(shares[j] * ratio[j])] for j in helped}
+    moves = other.gains / own.gains - 1 if fit.free_gains else np.zeros(n)
+    rows = own.system.problem.total_rows
+    cause = Finding(F.WITHOUT_GRAVITY, tuple(explained), values={"left": explained, "remains": left})
+    return established(fit, GRAVITY.name, cause, moves, 1 - float(rows @ ratio**2 / rows.sum()))
+
+
+def gravity_not_shown(fit: Fit) -> Iterator[Finding]:
+    """Find that hardly any torque of a robot that gravity could move is due to it."""
+    felt = float(gravity_shares(fit).max(initial=0.0))
+    if UNFELT <= felt < GRAVITY_FELT:
+        yield Finding(F.NO_GRAVITY_SHOWN, values={"felt": felt})
+
+
+def likelier_gravity(fit: Fit, missing: Alternative | None, other: Alternative | None) -> Alternative | None:
+    """Choose between no gravity and another one by residual variance; if similar, only logged torques lack it."""
+    if missing is None or other is None:
+        return missing or other
+    alike = 1 / GRAVITY_ALIKE if fit.dataset.runs[0].kind == "torque" else GRAVITY_ALIKE
+    left, without = (each.causes[0].values["remains"] for each in (other, missing))
+    return other if left < alike * without else missing
+
+
+def gravity_shares(fit: Fit) -> np.ndarray:
+    """Compute the ratio of rms gravity torque (about its mean) to rms total torque of each joint, (n,)."""
+    dataset, n = fit.dataset, len(fit.gains)
+    gravity = np.array(dataset.robot.gravity)
+    if not gravity.any():
+        return np.zeros(n)
+    regressor, found = dataset.model.gravity_torques(dataset.base.standard), np.zeros(n)
+    for run, window in central_windows(dataset):
+        entries = regressor(
+            dataset.model.layout, window_motion(dataset.model, window), fit.system.motion(run, fit.solution.theta)
+        )
+        torques = np.reshape(regressor.torques(entries, gravity, n), (n, -1))
+        found = np.maximum(found, torques.std(axis=1))
+    return np.asarray(found / np.maximum(rms_torques(fit), 1e-300))
