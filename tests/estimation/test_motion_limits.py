@@ -12,7 +12,6 @@ from five_bar_logs import Plant, write_experiment
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.finding import FindingKind
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.experiment_runs import experiment_of
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import prepare_runs
 from gtau.model.home import load_robot
@@ -21,6 +20,7 @@ from gtau.robots.robot import Limits, Robot
 from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.preparation.prepared_run import PreparedRun
 from gtau.signals.run import Run
+from gtau.uses.runs import experiment_of
 
 
 def limited(limits: Limits) -> Robot:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,12 +16,10 @@ from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.log_checks import command_lag, doubtful_commands, require_felt_payload
 from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.diagnostics.unit_checks import doubtful_currents, doubtful_payloads
-from gtau.estimation.estimators.estimator import Estimator
-from gtau.estimation.estimators.registry import estimator_of
-from gtau.estimation.experiment_runs import describe, geometry_of, read_runs
-from gtau.estimation.gate import choose_estimator, require_identifiable, require_inputs, usable
+from gtau.estimation.experiment_runs import Subject, describe, geometry_of, options_of, read_runs
 from gtau.estimation.grades import Grade, by_grade, grade_of
-from gtau.estimation.regression.dataset import Dataset, model_of, prepare_runs, reduce_runs, robot_notes
+from gtau.estimation.preconditions import estimator_for, plan, reduced, require_inputs
+from gtau.estimation.regression.dataset import Dataset, model_of, prepare_runs, robot_notes
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.rows import Labels
 from gtau.estimation.regression.system import FEWEST_ROWS
@@ -146,9 +144,8 @@ def check_logs(
     GtauError
         Where the experiment file or the robot's file is wrong.
     """
-    if method is not None:
-        estimator_of(method)  # before logs are read
-    subject = describe(source, runs, prior_gains, priors, prior_inertias)
+    options = options_of(prior_gains, priors, method=method, prior_inertias=prior_inertias)
+    subject = describe(source, runs, options)
     robot, experiment = subject.robot, subject.experiment
     listed: tuple[LoggedRun | Run, ...] = tuple(subject.runs) if experiment is None else experiment.runs
     count = len(listed)
@@ -159,9 +156,9 @@ def check_logs(
     used = [run for run in read[:count] if run is not None]
     if not used:
         return ExperimentCheck(robot, None, (), (*of_robot, *notes))
-    estimator, gains, chosen = choose_estimator(method, used), None, method is not None
+    subject = replace(subject, runs=used)
     try:
-        gains = require_inputs(estimator, robot, used, subject.prior_gains, subject.stated)
+        require_inputs(subject)
     except GtauError as error:
         notes.append(refusal(error))
     notes += [
@@ -196,15 +193,8 @@ def check_logs(
         notes.append(refusal(error, Kind.REFUSED))
     notes += few_rows([log for log in checked if not log.validation])
     if not any(grade_of(note) == Grade.ERROR for note in notes):
-        dataset = reduce_runs(
-            robot,
-            [each.run for each in prepared_runs],
-            preparation,
-            progress=progress,
-            priors=usable(estimator, subject.priors),
-            prior_inertias=subject.prior_inertias,
-        )
-        notes += _together(dataset, estimator, gains, chosen)
+        subject = replace(subject, runs=[prepared.run for prepared in prepared_runs])
+        notes += _together(subject, reduced(subject, estimator_for(options, used), progress, preparation))
     return ExperimentCheck(robot, preparation, tuple(checked), (*of_robot, *notes), geometry)
 
 
@@ -261,12 +251,12 @@ def few_rows(logs: Sequence[LogCheck]) -> list[Note]:
     return notes
 
 
-def _together(dataset: Dataset, estimator: Estimator, gains: np.ndarray | None, chosen: bool) -> list[Note]:
+def _together(subject: Subject, dataset: Dataset) -> list[Note]:
     """Note findings that need all runs: the scale of the gains, the payload's effect, inseparable parameters."""
     system = dataset.system(Friction())
     notes = [*map(note, command_lag(dataset, system)), *not_separated(system.unexcited)]
     try:
-        _, gains = require_identifiable(estimator, gains, dataset, system, chosen)
+        planned = plan(subject, dataset, system)
     except GtauError as error:
         payloads = [run.payload for run in dataset.runs if run.payload is not None]
         if system.problem.scaled or not payloads or any(each.mass is not None for each in payloads):
@@ -274,7 +264,7 @@ def _together(dataset: Dataset, estimator: Estimator, gains: np.ndarray | None, 
         weighed = f"they can weigh '{payloads[0].name}'"
         what = f"no payload has a known mass, so these logs cannot give the drive gains; {weighed}"
         return [*notes, Note(Kind.WEIGHING, what, "run 'gtau payload MODEL.json' with them")]
-    if gains is not None:
+    if planned.gains is not None:
         return notes
     try:
         require_felt_payload(system)
