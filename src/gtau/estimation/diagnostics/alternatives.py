@@ -17,10 +17,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gtau.estimation.diagnostics.finding import Finding, Words
 from gtau.estimation.diagnostics.linearisation import Offer
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.thresholds.estimates import ALTERNATIVE_PRIOR, REFUTED_STD
+from gtau.findings import Finding
+from gtau.findings.finding import named_causes
+from gtau.findings.words import Words
 
 CERTAIN = 1e9  # log factor that stands for certainty
 SHOWN = float("inf")
@@ -69,9 +71,7 @@ class Alternative:
     @property
     def subject(self) -> str:
         """The causes by name."""
-        from gtau.estimation.diagnostics.sentences import named
-
-        return named(self.causes)
+        return named_causes(self.causes)
 
     @property
     def t(self) -> float:
@@ -130,7 +130,7 @@ def compete(
 def established(
     fit: Fit, hypothesis: str, cause: Finding, moves: np.ndarray, share: float, size: float = 1.0, unit: str = ""
 ) -> Alternative:
-    """Make an alternative of what a test of its own showed to be significant, where the gains move by ``moves`` (n,)."""
+    """Make an alternative of what a test of its own showed to be significant; ``moves`` (n,) are the gains'."""
     slopes = np.zeros(len(fit.solution.stacked))
     slopes[fit.system.problem.gain_rows] = moves * fit.gains / size
     return Alternative(hypothesis, (cause,), size, None, unit, share=share).moving(fit, slopes)
@@ -214,7 +214,9 @@ def friction_levels(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
     """Return viscous coefficients and Coulomb torques of the actuated joints, (n,) each; 0 where not estimated."""
     estimates = zip(fit.system.problem.parameters, fit.solution.theta, strict=True)
     values = {(name.kind, name.body): abs(value) for name, value in estimates if name.run is None}
-    fv, fs = (np.array([values.get((kind, joint), 0.0) for joint in fit.dataset.model.actuated]) for kind in ("fv", "fs"))
+    fv, fs = (
+        np.array([values.get((kind, joint), 0.0) for joint in fit.dataset.model.actuated]) for kind in ("fv", "fs")
+    )
     return fv, fs
 
 

@@ -125,7 +125,9 @@ class Linearised:
         return ScoreTests(size, np.where(spanned, np.inf, std), share, -along @ self.back.T)
 
 
-def linearise(fit: Fit, windows: Windows, offer: Offer | None = None, model: InverseDynamics | None = None) -> Linearised:
+def linearise(
+    fit: Fit, windows: Windows, offer: Offer | None = None, model: InverseDynamics | None = None
+) -> Linearised:
     """Linearise the residuals of a fit along windows of its runs.
 
     Parameters

@@ -21,8 +21,6 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.alternatives import Alternative
-from gtau.estimation.diagnostics.finding import RELATIVE, Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.linearisation import (
     errors_and_jacobian,
     known_rows,
@@ -39,6 +37,9 @@ from gtau.estimation.regression.equations import SIGNALS, triangle
 from gtau.estimation.regression.friction import TERMS
 from gtau.estimation.regression.windows import WINDOWS, Windows, central_windows, moving_stretches, window_clusters
 from gtau.estimation.thresholds.estimates import DIFFERENT_STD, NOISE_STD, WEAK_INSTRUMENTS
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
+from gtau.findings.words import RELATIVE
 from gtau.signals.preparation.filters import below_nyquist
 from gtau.signals.preparation.prepared_run import Preparation
 
@@ -64,13 +65,13 @@ def _alternatives(fit: Fit, estimator: Finding, moves: np.ndarray, stds: np.ndar
     plausible = np.sqrt(np.diag(fit.solution.jackknife))
     for k, name in enumerate(problem.unknowns[: problem.n_theta + len(problem.joints)]):
         gain = k >= problem.n_theta
-        estimated = problem.free[k - problem.n_theta] if gain else abs(moves[k]) >= DIFFERENT_STD * stds[k]
+        estimated = problem.unknown_gains[k - problem.n_theta] if gain else abs(moves[k]) >= DIFFERENT_STD * stds[k]
         if not (estimated and stds[k] > 0 and plausible[k] > 0 and values[k]):
             continue
-        scale = abs(values[k])
+        scale, joints = abs(values[k]), (problem.joints[k - problem.n_theta],) if gain else ()
         yield Alternative(
             estimator.kind,
-            (replace(estimator, joints=(problem.joints[k - problem.n_theta],) if gain else (), subject="" if gain else name),),
+            (replace(estimator, joints=joints, subject="" if gain else name),),
             float(moves[k] / values[k]),
             float(stds[k] / scale),
             RELATIVE,
@@ -124,6 +125,12 @@ def two_stage_difference(fit: Fit) -> Iterator[Alternative | Finding]:
 
 def other_estimators(fit: Fit) -> Iterator[Alternative | Finding]:
     """Compare estimates with other preparations and instrumental variables, and find the estimators that refuse."""
+    for each in differences(fit):
+        yield from (each,) if isinstance(each, Finding) else _alternatives(fit, *each)
+
+
+def differences(fit: Fit) -> Iterator[tuple[Finding, np.ndarray, np.ndarray] | Finding]:
+    """Compare with each other estimator: differences of (theta, gains, delays) and their stds, (k,), or a refusal."""
     dataset, windows = fit.dataset, fit.dataset.windows(WINDOWS)
     cut = moving_stretches(dataset.prepared, WINDOWS)
     further, preparations = _filtered_further(dataset.preparation), _preparations(dataset.preparation)
@@ -143,7 +150,7 @@ def other_estimators(fit: Fit) -> Iterator[Alternative | Finding]:
     if further is not None and not fit.noise_free:
         weighed = [(Z.T @ J, Z.T @ e) for Z, J, e in pairs]
         difference = _difference(usual, weighed, clusters, known, back, T)
-        yield from _alternatives(fit, Finding(F.INSTRUMENTS), *difference)
+        yield Finding(F.INSTRUMENTS), *difference
     for changed, preparation in preparations:
         other = replace(fit, dataset=_prepared_as(dataset, preparation))
         others = central_windows(other.dataset.prepared, WINDOWS, cut)
@@ -156,7 +163,7 @@ def other_estimators(fit: Fit) -> Iterator[Alternative | Finding]:
             continue
         moments = zip(linear.jacobian.reshape(len(others), -1, len(back)), linear.errors, strict=True)
         weighed = [(J.T @ J, J.T @ e.ravel()) for J, e in moments]
-        yield from _alternatives(fit, changed, *_difference(usual, weighed, clusters, known, back, T))
+        yield changed, *_difference(usual, weighed, clusters, known, back, T)
 
 
 def _untested(refusal: GtauError, *estimators: Finding) -> Finding:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gtau.estimation.regression.stretches import Place
+from gtau.estimation.regression.run_blocks import Place
 from gtau.signals.preparation.filters import STENCIL
 from gtau.signals.preparation.prepared_run import InMemoryRun, PreparedRun, joined
 
@@ -86,6 +86,4 @@ def window_clusters(windows: Windows, places: Sequence[Place]) -> np.ndarray:
 
 def usable_rows(windows: Windows, prepared: Sequence[PreparedRun]) -> int:
     """Count the decimated rows of all channels in windows that are kept."""
-    return sum(
-        int(prepared[run].preparation.decimator.keep(window.all.usable).sum()) for run, window in windows
-    )
+    return sum(int(prepared[run].preparation.decimator.keep(window.all.usable).sum()) for run, window in windows)

@@ -34,7 +34,6 @@ from gtau.estimation.results.groups import Evidence, FitRecord, Model, ModelEsti
 from gtau.estimation.results.payload import payload_estimates
 from gtau.estimation.results.result import Result
 from gtau.robots.parameter import Parameter, gain_unit, torque_unit, unit_of
-from gtau.robots.robot import Robot
 
 
 def build_result(

@@ -13,8 +13,6 @@ import numpy as np
 from gtau import display
 from gtau.documents.files import write_table
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.sentences import named
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict
 from gtau.model.singularities import TYPES
 from gtau.robots.parameter import Parameter

@@ -9,13 +9,13 @@ from itertools import pairwise
 import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import Alternative, Hypothesis, compete
-from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.hypotheses import description, drives
 from gtau.estimation.diagnostics.linearisation import Linearised, linearise, on_channels, side_by_side
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import to_gains
 from gtau.estimation.regression.windows import WINDOWS
 from gtau.estimation.thresholds.estimates import SAME_EFFECT, TOGETHER_SHARE
+from gtau.findings import Finding
 
 HYPOTHESES: tuple[Hypothesis, ...] = (
     drives.FRICTION_SHAPE,
@@ -63,7 +63,9 @@ def find_alternatives(fit: Fit, hypotheses: Sequence[Hypothesis] = HYPOTHESES) -
     return alternatives
 
 
-def ranked(alternatives: Sequence[Alternative], hypotheses: Sequence[Hypothesis] = HYPOTHESES) -> tuple[Alternative, ...]:
+def ranked(
+    alternatives: Sequence[Alternative], hypotheses: Sequence[Hypothesis] = HYPOTHESES
+) -> tuple[Alternative, ...]:
     """Weigh alternatives: those of one joint's drive would explain the same residuals and compete."""
     of_drives = {hypothesis.name for hypothesis in hypotheses if not hypothesis.shared}
     return compete(alternatives, lambda each: each.causes[0].joints if each.hypothesis in of_drives else None)
@@ -83,7 +85,7 @@ def _other_causes(
     causes: dict[tuple[int, int], tuple[Finding, ...]] = {}
     for shared in (False, True):
         # a base that floats has no current and no friction
-        acting = [0] if shared else np.flatnonzero(fit.system.problem.free[: len(joints)]).tolist()
+        acting = [0] if shared else np.flatnonzero(fit.system.problem.unknown_gains[: len(joints)]).tolist()
         for joint in acting:
             gram = grams.sum(axis=0) if shared else grams[joint]
             for description_ in (False, True):

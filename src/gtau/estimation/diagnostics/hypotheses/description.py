@@ -16,12 +16,13 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.alternatives import Alternative, Cause, Hypothesis
-from gtau.estimation.diagnostics.finding import Finding, Sentence, Values, which_payload
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, Offer, at_full_rate, motion_along
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.plausibility import stated_rate
 from gtau.estimation.regression.rows import Labels, external_torques
 from gtau.estimation.thresholds import Threshold
+from gtau.findings import Finding
+from gtau.findings.words import Sentence, Values, which_payload
 from gtau.model.loops import Motion
 from gtau.robots.floating import WRENCH
 from gtau.signals.preparation.prepared_run import InMemoryRun
@@ -231,9 +232,7 @@ def _gravity_found(fit: Fit, sizes: np.ndarray, shares: np.ndarray) -> Finding:
     reversed_ = factor < CLOCK_REVERSED or bool(np.any(fit.gains < 0))
     if shares[-1] > CLOCK_SIZE and not reversed_:
         return Finding(CLOCK.kind, values={"factor": float(factor), "rate": stated_rate(fit.dataset.runs[0])})
-    return Finding(
-        OTHER_GRAVITY.kind, values={"gravity": (fit.dataset.robot.gravity + sizes @ _changes(fit)).tolist()}
-    )
+    return Finding(OTHER_GRAVITY.kind, values={"gravity": (fit.dataset.robot.gravity + sizes @ _changes(fit)).tolist()})
 
 
 GRAVITY = Hypothesis(

@@ -29,16 +29,17 @@ from gtau.estimation.diagnostics.alternatives import (
     rms_speeds,
     rms_torques,
 )
-from gtau.estimation.diagnostics.finding import RELATIVE, Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, Linearised, Offer, at_full_rate, weighted
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import jacobian_of_known, to_gains
 from gtau.estimation.regression.equations import KNOWN, modelled
-from gtau.estimation.regression.friction import transmitted
+from gtau.estimation.regression.friction import is_transmitted
 from gtau.estimation.regression.rows import Rows
 from gtau.estimation.thresholds import Threshold
 from gtau.estimation.thresholds.estimates import ALTERNATIVE_PRIOR, DOMINANT, PLAUSIBLE_GAIN_CHANGE, SCALED, TIE
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
+from gtau.findings.words import RELATIVE
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter
 from gtau.signals.preparation.filters import differentiate
@@ -74,7 +75,7 @@ def _friction_shape(fit: Fit) -> Offer:
     fv, fs = friction_levels(fit)
     level = np.maximum(fv * speeds + fs, 0.02 * rms_torques(fit))
     model, base = fit.dataset.model, fit.dataset.base
-    regressor, acting = model.columns(base.standard), transmitted(base.names)
+    regressor, acting = model.columns(base.standard), is_transmitted(base.names)
     absent = {
         term: np.array([Parameter(term, j) not in fit.system.friction.terms for j in joints]) for term in ("f3", "fl")
     }
