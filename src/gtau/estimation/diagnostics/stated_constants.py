@@ -342,7 +342,7 @@ def _freed(fit: Fit, method: str, payload: Payload, kind: str, accuracy: float) 
     )
     rows = system.problem.total_rows
     remains = float(np.exp(2 * (left - rows @ np.log(fit.solution.sigma)) / rows.sum()))
-    values = {
+    tested = {
         "parameter": kind,
         "declared": declared,
         "found": value,
@@ -351,4 +351,4 @@ def _freed(fit: Fit, method: str, payload: Payload, kind: str, accuracy: float) 
         "remains": remains,
         "given": "" if fit.free_gains else dataset.runs[0].kind,
     }
-    return left, known_verdict(values, explained)
+    return left, known_verdict(tested, explained)
