@@ -16,6 +16,7 @@ from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
+from gtau.robots.file import RobotFile
 from gtau.robots.robot import Limits, Robot
 from gtau.signals.reading.experiment import Experiment, check_robot, read_experiment
 from gtau.signals.reading.logged_run import LoggedRun
@@ -237,4 +238,4 @@ def require_same(model: Result, robot: Robot, kind: str, where: str) -> None:
 def _mechanism(robot: Robot) -> Robot:
     """Reduce a robot to its mechanism: drop the parts that do not enter its equations of motion."""
     joints = tuple(replace(joint, limits=Limits()) for joint in robot.joints)
-    return replace(robot, name="", source="", notes=(), joints=joints)
+    return replace(robot, name="", joints=joints, file=RobotFile())

@@ -64,8 +64,8 @@ def robot_document(robot: Robot, progress: Progress = silent) -> dict[str, Any]:
                 {"joint": coupling.joint, "ratios": dict(coupling.ratios), "offset": coupling.offset}
                 for coupling in robot.couplings
             ],
-            "rows": 0 if loops is None else loops.equations.rows,
-            "rank": 0 if loops is None else loops.rank,
+            "rows": 0 if loops is None else loops.rows,
+            "rank": 0 if loops is None else len(loops.layout.passive),
         },
         "distances_at_home": {
             f"type_{kind}": None if np.isnan(d) else float(d) for kind, d in zip(TYPES, near, strict=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import replace
 from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -244,7 +243,7 @@ class _Model(_Group):
         """Assemble the result."""
         rest = dict(self)
         del rest["robot_file"], rest["standard"], rest["stated_inertias"]
-        robot = replace(parse_native(self.robot_file, path), inertias=tuple(self.stated_inertias.items()))
+        robot = parse_native(self.robot_file, path).with_file(inertias=tuple(self.stated_inertias.items()))
         return result_of(
             Model(robot, tuple(sensor.joint for sensor in self.sensors)),
             **rest
