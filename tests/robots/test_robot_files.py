@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from gtau.documents.yaml_document import read_yaml
@@ -209,6 +209,7 @@ placements = st.builds(Mdh, *6 * [numbers]) | st.builds(Pose, triples, triples)
 positive = st.none() | st.floats(1e-3, 1e3)
 
 
+@settings(suppress_health_check=[HealthCheck.too_slow])  # on a machine that others use too
 @given(
     robot=names,
     name=names,
