@@ -35,8 +35,8 @@ from gtau.estimation.estimators.estimator import Fit, Given
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.friction.law import stop
-from gtau.estimation.friction.normal_equations import PLAIN, SPEEDS, WIDTHS, Group, Site
-from gtau.estimation.friction.selection import Trial, choose
+from gtau.estimation.friction.normal_equations import FrictionGroup, FrictionJoint
+from gtau.estimation.friction.selection import Candidate, choose
 from gtau.estimation.identify import identify
 from gtau.estimation.pipeline import DEFAULT, estimate
 from gtau.estimation.regression.dataset import reduce_runs
@@ -44,6 +44,7 @@ from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.friction_curves import curves_of
 from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
+from gtau.robots.robot import PLAIN_FRICTION
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.reading.statements import Payload
@@ -131,9 +132,9 @@ def simulated(count: int) -> None:
             inside: list[bool] = []
             for seed in range(count):
                 group = experiment(truth, error, seed)
-                trial, plain, evidence = choose(group)
+                candidate, plain, evidence = choose(group)
                 kinds = {kind for _, kind in evidence}
-                inside += covered(group, trial, plain, truth) if kinds == right[truth] else []
+                inside += covered(group, candidate, plain, truth) if kinds == right[truth] else []
                 found.update(kinds)
                 found["false"] += bool(kinds - right[truth])
             shares = " | ".join(f"{100 * found[kind] / count:.0f}" for kind in ("width", "speed", "load", "false"))
@@ -141,9 +142,9 @@ def simulated(count: int) -> None:
             print(f"| {truth} | {error} | {shares} | {share} |", flush=True)
 
 
-def covered(group: Group, trial: Trial, plain: Trial, truth: str) -> list[bool]:
+def covered(group: FrictionGroup, candidate: Candidate, plain: Candidate, truth: str) -> list[bool]:
     """Whether each parameter is in its interval."""
-    (found,) = curves_of(group, trial, plain, {}, np.zeros((0, 0)), lambda *_: "").values()
+    (found,) = curves_of(group, candidate, plain, {}, np.zeros((0, 0)), lambda *_: "").values()
     true = {"off": 0.3, "fv": 0.8, "fs": 2.0} | ({"fb": 1.0} if truth == "Stribeck" else {})
     true |= {"fl": 0.1} if truth == "load" else {}
 
@@ -152,12 +153,12 @@ def covered(group: Group, trial: Trial, plain: Trial, truth: str) -> list[bool]:
 
     inside = [near(found.parameters[f"{kind}_j"], value) for kind, value in true.items()]
     if truth == "Maxwell slip":
-        width = group.sites[0].widths[0] / WIDTHS[0] * 10**-3.5
+        width = group.joints[0].travel * 10**-3.5
         inside.append(found.width is not None and near(found.width, width))
     return inside
 
 
-def experiment(truth: str, error: str, seed: int) -> Group:
+def experiment(truth: str, error: str, seed: int) -> FrictionGroup:
     """A joint's log of 30 s, reduced."""
     rng = np.random.default_rng(seed)
     t, h = np.arange(int(30 * RATE)) / RATE, np.arange(1, 6)
@@ -167,15 +168,15 @@ def experiment(truth: str, error: str, seed: int) -> Group:
     v = np.gradient(q, t)
     rms, travel = float(np.sqrt(np.mean(v**2))), float(np.ptp(q))
     load = 10 * np.sin(q + rng.uniform(0, 6)) + 3 * np.gradient(v, t)
-    site = Site("j", 0, np.ones(1), 0, travel * WIDTHS, rms * SPEEDS, rms, PLAIN, False)
+    joint = FrictionJoint("j", 0, np.ones(1), 0, travel, rms, PLAIN_FRICTION, False)
     y = 0.3 + 0.8 * v + friction(truth, q, v, load, travel, rms)
     e = disturbance(error, q, load, rng) * NOISE * np.std(y)
-    z = np.vstack([np.sign(v), stop(q, site.widths, np.full(len(site.widths), np.sign(v[0])))])
-    rows = Decimator(20).apply(np.vstack([site.columns(v, z, load, 0.0), y + e]))
+    z = np.vstack([np.sign(v), stop(q, joint.widths, np.full(len(joint.widths), np.sign(v[0])))])
+    rows = Decimator(20).apply(np.vstack([joint.columns(v, z, load, 0.0), y + e]))
     place = np.arange(rows.shape[1]) * BLOCKS // rows.shape[1]
     G = np.array([[rows[:, place == b] @ rows[:, place == b].T] for b in range(BLOCKS)])
-    columns, none = tuple((0, name) for name in site.names), np.zeros((0, 0))
-    return Group((site,), columns, G, np.zeros((len(columns), 0)), (0,), none, none)
+    none = np.zeros((0, 0))
+    return FrictionGroup((joint,), (0,), none, G, np.zeros((joint.count, 0)), none)
 
 
 def friction(truth: str, q: np.ndarray, v: np.ndarray, load: np.ndarray, travel: float, rms: float) -> np.ndarray:

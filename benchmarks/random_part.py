@@ -7,7 +7,7 @@ Four runs of a robot of the catalog (or of a robot file), two of them with a kno
 with new errors, and identified with the default estimator. The motions stay the same: errors of the currents change
 no regressor, so its rows are computed once and factorised; errors of positions and clocks take the whole way each time.
 With ``--repeat`` runs with the payload repeat the motions of those without, and a second line has the intervals of a
-jackknife that leaves out stretches of one run at a time.
+jackknife that leaves out blocks of one run at a time.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
-from gtau.estimation.regression.equations import SIGNALS, STRETCHES, triangle
+from gtau.estimation.regression.equations import BLOCKS, SIGNALS, triangle
 from gtau.estimation.regression.factors import EXTRA, Factors
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.rows import stream_rows
-from gtau.estimation.regression.stretches import stretch_of
+from gtau.estimation.regression.run_blocks import block_of
 from gtau.estimation.regression.system import System
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -157,7 +157,7 @@ def _coloured(rng: np.random.Generator, samples: int, n: int) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Fixed:
-    """Factorised regressor rows of a run: for each stretch and joint the rows meant, Q (k, m) and R (m, columns)."""
+    """Factorised regressor rows of a run: for each block and joint the rows meant, Q (k, m) and R (m, columns)."""
 
     rows: list[list[tuple[np.ndarray, np.ndarray, np.ndarray]]]
     samples: slice
@@ -170,13 +170,13 @@ def fix(data: Dataset, k: int) -> Fixed:
     regressor = data.model.columns(data.base.standard)
     parts = list(stream_rows(data.model, regressor, prepared, decimator))
     entries, keep = np.hstack([p.entries for p in parts]), np.hstack([p.keep for p in parts])
-    stretch = stretch_of(data.edges[k], entries.shape[1])
+    block = block_of(data.edges[k], entries.shape[1])
     rows = []
-    for s in range(STRETCHES):
+    for s in range(BLOCKS):
         of_joints = []
         for j in range(len(data.model.actuated)):
             mine = np.flatnonzero(regressor.rows == j)
-            at = np.flatnonzero((stretch == s) & keep[j])
+            at = np.flatnonzero((block == s) & keep[j])
             W = np.zeros((len(at), data.base.count))
             W[:, regressor.columns[mine]] = entries[mine][:, at].T
             of_joints.append((at, *np.linalg.qr(W)))
@@ -192,7 +192,7 @@ def refactor(data: Dataset, fixed: Fixed, run: Run) -> Factors:
     signals = np.stack([x[fixed.samples].T for x in (run.command, d, dd)])
     V = decimator.apply(signals)  # (3, n, K)
     p = data.base.count + EXTRA
-    R, rows = np.zeros((STRETCHES, n, p, p)), np.zeros((STRETCHES, n), dtype=int)
+    R, rows = np.zeros((BLOCKS, n, p, p)), np.zeros((BLOCKS, n), dtype=int)
     for s, of_joints in enumerate(fixed.rows):
         for j, (at, Q, upper) in enumerate(of_joints):
             if not len(at):
@@ -212,7 +212,7 @@ class Repetition:
     """Errors, random standard deviations and their degrees of freedom.
 
     ``told`` says which delays have a standard deviation, (n,); ``apart`` are the standard deviations of a jackknife
-    that leaves out stretches of one run at a time, and ``apart_freedom`` their degrees of freedom.
+    that leaves out blocks of one run at a time, and ``apart_freedom`` their degrees of freedom.
     """
 
     names: tuple[str, ...]
@@ -258,7 +258,7 @@ def judge(case: Case, system: System, solution: Solution) -> Repetition:
         *(f"{what}_{joint}" for what in ("gain", "delay") for joint in problem.joints),
     )
     which = np.concatenate([np.array(index, dtype=int), gains, gains + n])
-    apart = replace(problem, in_step=None)
+    apart = replace(problem, clusters=None)
     alone = ml(apart)
     delays = delay_verdicts(problem, solution, std[gains + n], 0.0)
     return Repetition(

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from pkgutil import iter_modules
@@ -34,7 +34,7 @@ class Extensions(Generic[T]):
 
     group: str
     package: str
-    type: type[T]
+    type: Any
 
     @cached_property
     def built_in(self) -> Mapping[str, T]:
@@ -50,36 +50,32 @@ class Extensions(Generic[T]):
         return tuple(dict.fromkeys((*self.built_in, *registered(self.group))))
 
     def find(self, name: str) -> T | None:
-        """Return the object of a name, loaded now where it is not built in; None where there is none.
-
-        Raises
-        ------
-        GtauError
-            Where it cannot be loaded, or is of another type.
-        """
-        if name in self.built_in or (point := registered(self.group).get(name)) is None:
-            return self.built_in.get(name)
-        found = load(point)
-        if not isinstance(found, self.type):
-            raise GtauError(f"{_called(point)} is no {self.type.__name__} but a {type(found).__name__}; mend it.")
-        return found
+        """Return the object of a name, None where there is none; raises GtauError where it cannot be loaded."""
+        return self.built_in[name] if name in self.built_in else added(self.group, name, self.type)
 
 
-def registered(group: str) -> dict[str, EntryPoint]:
+@cache
+def registered(group: str) -> Mapping[str, EntryPoint]:
     """Find the entry points of a group by name; nothing is imported."""
     return {point.name: point for point in entry_points(group=group)}
 
 
-def load(point: EntryPoint) -> Any:
-    """Import what an entry point names; raises GtauError where that fails."""
-    try:
-        return point.load()
-    except Exception as error:  # whatever another distribution does
-        raise GtauError(
-            f"{_called(point)} cannot be loaded ({type(error).__name__}: {error}); mend or uninstall it."
-        ) from None
+def added(group: str, name: str, kind: Any) -> Any:
+    """Load what another distribution registers under a name; None where none does.
 
-
-def _called(point: EntryPoint) -> str:
+    Raises
+    ------
+    GtauError
+        Where it cannot be loaded, or is not of the type ``kind``.
+    """
+    if (point := registered(group).get(name)) is None:
+        return None
     distribution = "" if point.dist is None else f" of the distribution {point.dist.name}"
-    return f"the entry point '{point.name}' of {point.group} ({point.value}){distribution}"
+    called = f"the entry point '{name}' of {group}{distribution} ({point.value})"
+    try:
+        found = point.load()
+    except Exception as error:  # whatever another distribution does
+        raise GtauError(f"{called} cannot be loaded ({type(error).__name__}: {error}); mend or uninstall it.") from None
+    if not isinstance(found, kind):
+        raise GtauError(f"{called} is no {kind.__name__} but of type {type(found).__name__}; mend or uninstall it.")
+    return found

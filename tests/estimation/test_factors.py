@@ -16,7 +16,7 @@ from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.total_least_squares import tls
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
-from gtau.estimation.regression.equations import STRETCHES
+from gtau.estimation.regression.equations import BLOCKS
 from gtau.estimation.regression.factors import Factors, reduce_run
 from gtau.estimation.regression.friction import Friction, all_terms
 from gtau.estimation.regression.problem import Problem
@@ -61,7 +61,7 @@ def result(runs: list[Run]) -> Result:
 
 
 def all_rows(data: Dataset, run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Every decimated row [W terms push v v' v''] of a run (n, K, p), which are kept (n, K), and their stretches (K,).
+    """Every decimated row [W terms push v v' v''] of a run (n, K, p), which are kept (n, K), and their blocks (K,).
 
     Evaluated, filtered and decimated as one block, standard column by standard column.
     """
@@ -75,17 +75,17 @@ def all_rows(data: Dataset, run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarra
     rows = np.concatenate([W[:, :, columns], terms, known, currents], axis=-1)
     rows = decimator.apply(np.ascontiguousarray(np.moveaxis(rows, 0, -1))).swapaxes(1, 2)
     instants = rows.shape[1]
-    return rows, decimator.keep(prepared.usable).T, np.arange(instants) * STRETCHES // instants
+    return rows, decimator.keep(prepared.usable).T, np.arange(instants) * BLOCKS // instants
 
 
 def unreduced(data: Dataset, run: Run) -> Factors:
     """The rows themselves in the place of their factors, masked ones zero."""
-    rows, keep, stretch = all_rows(data, run)
-    blocks = np.zeros((STRETCHES, len(rows), 50, rows.shape[-1]))
-    for s in range(STRETCHES):
-        chosen = np.where(keep[:, stretch == s, None], rows[:, stretch == s], 0.0)
+    rows, keep, block = all_rows(data, run)
+    blocks = np.zeros((BLOCKS, len(rows), 50, rows.shape[-1]))
+    for s in range(BLOCKS):
+        chosen = np.where(keep[:, block == s, None], rows[:, block == s], 0.0)
         blocks[s, :, : chosen.shape[1]] = chosen
-    return Factors(blocks, np.array([keep[:, stretch == s].sum(axis=1) for s in range(STRETCHES)]))
+    return Factors(blocks, np.array([keep[:, block == s].sum(axis=1) for s in range(BLOCKS)]))
 
 
 METHODS: dict[str, Callable[[Problem], Solution]] = {
@@ -152,7 +152,7 @@ def test_payload_columns_are_those_of_a_body_on_the_tool(data: Dataset) -> None:
     W = data.preparation.decimator.apply(np.ascontiguousarray(np.moveaxis(W, 0, -1))).swapaxes(1, 2)
     problem = system.problem
     unknown = [problem.parameters.index(f"{kind}_L2") for kind in ("zz", "mx", "my")]
-    mine = slice(STRETCHES, 2 * STRETCHES)
+    mine = slice(BLOCKS, 2 * BLOCKS)
     for j in range(len(JOINTS)):
         ours = problem.blocks[mine, j].reshape(-1, problem.blocks.shape[-1])
         expected = np.column_stack([rows[j, keep[j], :n_b], W[j, keep[j], 1:], KNOWN.mass * W[j, keep[j], 0]])

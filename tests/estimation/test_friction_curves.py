@@ -12,8 +12,8 @@ from friction_logs import PLAIN, experiment, robot, run
 from models_to_export import of_equations
 
 import gtau
-from gtau.estimation.friction.law import Follower, FrictionLaw, Shape, stop
-from gtau.estimation.friction.normal_equations import SPEEDS, WIDTHS, Site
+from gtau.estimation.friction.law import FrictionLaw, PreslidingState, Shape, stop
+from gtau.estimation.friction.normal_equations import WIDTHS, FrictionJoint
 from gtau.estimation.friction.selection import parameter_columns
 from gtau.estimation.results.friction_curves import FrictionStep
 from gtau.robots.robot import PLAIN_FRICTION
@@ -49,7 +49,7 @@ def test_the_stop_operator_gives_no_energy(rng: np.random.Generator) -> None:
 def test_blocks_that_overlap_go_on_where_the_last_one_was(rng: np.random.Generator) -> None:
     q, widths = walk(rng, 300), np.array([0.4])
     time = np.arange(300) / 100
-    follow, found = Follower(widths), np.zeros((1, 300))
+    follow, found = PreslidingState(widths), np.zeros((1, 300))
     for begin in range(0, 300, 60):
         part = slice(max(begin - 20, 0), begin + 60)
         found[:, part] = follow(time[part], q[part])
@@ -176,8 +176,10 @@ def test_friction_of_curves_takes_energy_at_every_speed_and_load(result: gtau.Re
 
 def test_the_first_width_is_a_width() -> None:
     """Its number is 0, which is not none."""
-    site = Site("j", 0, np.ones(1), 0, WIDTHS, SPEEDS, 1.0, ("off", "fv", "fs"), False)
-    assert parameter_columns({"width": 0}, site)["fs"] == {"1:1": 1.0}
-    assert parameter_columns({}, site)["fs"] == {"0:1": 1.0}
-    assert "fl" not in parameter_columns({}, site)
-    assert "fl" in parameter_columns({"load": 0}, site)
+    joint = FrictionJoint("j", 0, np.ones(1), 0, 1.0, 1.0, ("off", "fv", "fs"), False)
+    v, states = np.array([0.4]), np.arange(2.0, 3.0 + len(WIDTHS))[:, None]
+    columns = joint.columns(v, states, 5.0, 0.0)[:, 0]
+    assert parameter_columns({"width": 0}, joint)["fs"] @ columns == states[1]
+    assert parameter_columns({}, joint)["fs"] @ columns == states[0]
+    assert "fl" not in parameter_columns({}, joint)
+    assert parameter_columns({"load": 0}, joint)["fl"] @ columns == 5.0 * states[0]

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from five_bar_logs import CHI, GAINS, STEEL, Plant, five_bar
 
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings, residual_correlations
 from gtau.estimation.estimators.estimator import Fit, Given
 from gtau.estimation.estimators.maximum_likelihood import ML, ml
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
-from gtau.estimation.regression.equations import STRETCHES
+from gtau.estimation.regression.equations import BLOCKS
 from gtau.estimation.regression.friction import Friction
+from gtau.findings import FindingKind as F
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
@@ -56,9 +56,9 @@ def fitted(runs: list[Run]) -> Fit:
     return ML.fit(data, data.system(Friction(per_run=True)), Given())
 
 
-def gain_std(fit: Fit, in_step: bool) -> np.ndarray:
+def gain_std(fit: Fit, together: bool) -> np.ndarray:
     problem = fit.system.problem
-    solution = fit.solution if in_step else ml(replace(problem, in_step=None))
+    solution = fit.solution if together else ml(replace(problem, clusters=None))
     return np.sqrt(np.diag(solution.jackknife))[problem.gain_rows]
 
 
@@ -90,14 +90,14 @@ def test_stretches_of_a_repeated_motion_begin_at_the_same_positions() -> None:
         starts.append([prepared.samples(k, k + 1).q[0] for k in at])
     assert np.abs(np.subtract(*starts)).max() < 0.02  # rad, 1 % of the range and less
     units = data.system(Friction(per_run=True)).problem.units
-    assert len(units) == STRETCHES
+    assert len(units) == BLOCKS
 
 
 @pytest.mark.parametrize("seeds", [(3, 4), (5, 6)])
 def test_runs_of_other_motions_are_left_out_one_at_a_time(seeds: tuple[int, int]) -> None:
     data: Dataset = reduce_runs(five_bar().robot, experiment(seeds, 0))
     assert not any(place.repeated for place in data.places)
-    assert len(data.system(Friction(per_run=True)).problem.units) == 2 * STRETCHES
+    assert len(data.system(Friction(per_run=True)).problem.units) == 2 * BLOCKS
 
 
 def test_what_repeats_cancels_in_the_gains_and_leaves_their_intervals(rippled: Fit) -> None:
@@ -105,15 +105,15 @@ def test_what_repeats_cancels_in_the_gains_and_leaves_their_intervals(rippled: F
     z, ratio = [], []
     for phase in range(8):
         fit = rippled if phase == 0 else fitted(experiment((20 + phase, 20 + phase), phase, ripple=0.05))
-        std = gain_std(fit, in_step=True)
+        std = gain_std(fit, together=True)
         z.append((fit.gains - GAINS) / std)
-        ratio.append(gain_std(fit, in_step=False) / std)
+        ratio.append(gain_std(fit, together=False) / std)
     assert np.median(ratio) > 1.5
     assert 0.4 < np.sqrt(np.mean(np.square(z))) < 1.6
 
 
 def test_noise_of_each_run_makes_the_same_intervals_in_step(noisy: list[Fit]) -> None:
-    ratio = [gain_std(fit, in_step=False) / gain_std(fit, in_step=True) for fit in noisy]
+    ratio = [gain_std(fit, together=False) / gain_std(fit, together=True) for fit in noisy]
     assert np.exp(np.mean(np.log(ratio))) == pytest.approx(1.0, abs=0.15)
 
 
@@ -139,7 +139,7 @@ def test_what_changes_sign_with_the_load_is_said_with_its_cause() -> None:
         wave = 0.03 * np.sin(9.0 * run.position)
         spoilt.append(replace(run, command=run.command + sign * wave))
     result = identify(five_bar().robot, spoilt)
-    (note,) = [note for note in result.notes if note.finding == F.OPPOSED_RESIDUALS]
+    (note,) = [note for note in result.notes if note.kind == F.OPPOSED_RESIDUALS]
     assert "changes sign with the load" in str(note)
     assert "load-dependent friction" in str(note) or "torque constant" in str(note)
 

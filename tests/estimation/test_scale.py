@@ -16,7 +16,6 @@ from typer.testing import CliRunner
 from gtau import Result, read_run
 from gtau.cli.commands import app
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.stated_constants import (
     estimate_slopes,
     scale_shares,
@@ -36,6 +35,7 @@ from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.thresholds.estimates import HIDDEN_KNOWN
+from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import base_parameters, seen_by_sensor
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent
@@ -163,10 +163,10 @@ def test_known_parameters_that_the_motions_do_not_show_are_the_reason_of_the_ref
     everything = np.column_stack([np.eye(fast.n_theta), np.ones(fast.n_theta)])
     assert own_share(replace(fast, known=everything)) == 1.0
 
-    def unsettled(*given: object, **options: object) -> Solution:
-        return replace(solve(*given, **options), settled=False)
+    def diverged(*given: object, **options: object) -> Solution:
+        return replace(solve(*given, **options), converged=False)
 
-    monkeypatch.setattr(maximum_likelihood, "solve", unsettled)
+    monkeypatch.setattr(maximum_likelihood, "solve", diverged)
     with pytest.raises(GtauError, match="the data do not determine the drive gains"):
         ml(fast)
     with pytest.raises(GtauError, match=r"hardly fix the scale .* explain all but \d.* % of their torque"):

@@ -11,16 +11,16 @@ import pytest
 from five_bar_logs import STEEL, Plant
 
 from gtau.estimation.diagnostics.examine import examine
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.linearisation import central_windows, usable_rows
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Given
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
-from gtau.estimation.regression.equations import STRETCHES
-from gtau.estimation.regression.stretches import stretch_edges, stretch_of
+from gtau.estimation.regression.equations import BLOCKS
+from gtau.estimation.regression.run_blocks import block_edges, block_of
 from gtau.estimation.thresholds.estimates import FEWEST_FOR_TESTS
+from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
@@ -78,7 +78,7 @@ def test_gains_of_robots_that_rest_are_good_and_right(shared: Path, robot: str) 
 
 
 def test_a_long_rest_widens_no_interval() -> None:
-    """The jackknife leaves out stretches of as many rows each, however long the robot stood still."""
+    """The jackknife leaves out blocks of as many rows each, however long the robot stood still."""
     moving, at_rest = dataset(0.0), dataset(150.0)
     for factors in at_rest.factors:
         rows = factors.rows.sum(axis=1)
@@ -90,6 +90,6 @@ def test_a_long_rest_widens_no_interval() -> None:
 
 def test_stretches_are_equal_where_the_robot_does_not_rest() -> None:
     for each in dataset(0.0).prepared:
-        assert stretch_edges(each) == pytest.approx(np.linspace(0, 1, STRETCHES + 1), abs=1e-12)
+        assert block_edges(each) == pytest.approx(np.linspace(0, 1, BLOCKS + 1), abs=1e-12)
         outputs = 997
-        assert stretch_of(stretch_edges(each), outputs).tolist() == (np.arange(outputs) * STRETCHES // outputs).tolist()
+        assert block_of(block_edges(each), outputs).tolist() == (np.arange(outputs) * BLOCKS // outputs).tolist()

@@ -17,7 +17,7 @@ from gtau.documents.files import EXPERIMENT, LOG, folder_of, kind_of, refuse_as_
 from gtau.errors import GtauError
 
 if TYPE_CHECKING:
-    from gtau.signals.notes import Note
+    from gtau.findings import Finding
     from gtau.signals.reading.discovery import Draft
 
 WIDTH = 80
@@ -219,7 +219,6 @@ def check(
         )
         with progress_bar() as progress:
             from gtau.estimation.check_logs import check_logs
-            from gtau.estimation.grades import EXIT_CODES
             from gtau.report.check import check_document, check_page, write_check, write_preparation
             from gtau.report.write import inputs_of, write_report
 
@@ -235,7 +234,7 @@ def check(
             print_json(check_document(checked))
         else:
             show(page, written)
-        if code := EXIT_CODES[checked.worst]:
+        if code := checked.worst.exit_code:
             raise typer.Exit(code)
 
 
@@ -246,7 +245,7 @@ def experiment_of(
     kind: Commands | None,
     preset: str | None,
     folder: Path,
-) -> tuple[Path, tuple[Note, ...]]:
+) -> tuple[Path, tuple[Finding, ...]]:
     """Take an experiment file as it is; draft one from logs to ``folder``, with a note on every guess in it.
 
     Raises
@@ -283,9 +282,9 @@ def experiment_of(
 
 
 def _is_log(path: Path) -> bool:
-    from gtau.signals.reading.log_file import READERS, is_log_folder
+    from gtau.signals.reading.log_file import FORMATS, is_log_folder
 
-    return path.suffix.lower() in (*READERS, ".csv") or (is_log_folder(path) if path.is_dir() else kind_of(path) == LOG)
+    return path.suffix.lower() in FORMATS.names or (is_log_folder(path) if path.is_dir() else kind_of(path) == LOG)
 
 
 def _masses(payloads: list[str]) -> dict[str, float]:

@@ -82,10 +82,10 @@ def watch(
     with refusals(json_):
         refuse_as_folder(out)
         start = perf_counter()
-        from gtau.estimation.experiment_runs import carrying, read_log
         from gtau.estimation.results.result import Result
         from gtau.report.watch import watch_page, watch_report
         from gtau.report.write import write_report
+        from gtau.uses.runs import carrying, read_log
         from gtau.watch.follow import follow as follow_source
         from gtau.watch.state import HISTORY, date_of, digest_of, logs_of, open_history
         from gtau.watch.watch import Status, Watch

@@ -12,7 +12,7 @@ from gtau.export.exported import Export, Exported, refuse_unknown, written
 from gtau.extensions import Extensions
 from gtau.robots.floating import refuse_floating
 
-KINDS = Extensions("gtau.exports", "gtau.export", Export)
+KINDS: Extensions[Export] = Extensions("gtau.exports", "gtau.export", Export)
 MODELS = 16
 """Draws that are written as models where nobody says how many."""
 

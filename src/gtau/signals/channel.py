@@ -41,7 +41,7 @@ class ChannelKind:
     behind_drive: bool = False
 
     @property
-    def free(self) -> bool:
+    def unknown_gain(self) -> bool:
         """True where the gain may be unknown; signals in N m or N have gain 1."""
         return not self.calibration
 

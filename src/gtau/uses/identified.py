@@ -19,7 +19,7 @@ import numpy as np
 
 from gtau.documents.files import identifier
 from gtau.errors import GtauError
-from gtau.estimation.friction.law import SHAPES, carried
+from gtau.estimation.friction.law import SHAPES, transmitted
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
@@ -220,20 +220,20 @@ def functions(model: Identified) -> Functions:
         step, last_step = _function("step", [start], stepped[:2]), _function("last_step", [start], stepped)
     p = ca.SX.sym("p", len(model.parameters))
     base, chi = model.result.base, ca.vertsplit(p[: model.result.base.count])
-    load = dynamics.torques(layout, c, yd, ydd, J, _standard(model, carried(ca, base.standard, chi)))
+    load = dynamics.torques(layout, c, yd, ydd, J, _standard(model, transmitted(ca, base.standard, chi)))
     law = model.result.friction_law
     z = ca.SX.sym("z", len(law.states))
     friction = _Friction(model, p, yd, J, z)
-    rubbing = friction(load)
+    friction_torque = friction(load)
     coasting = ca.substitute(load, qdd, ca.SX.zeros(n))
     still = ca.substitute(coasting, qd, ca.SX.zeros(n))
     # dp/dt = M qdd + M' qd, and M' qd - C qd = C^T qd = d(qd^T M qd / 2)/dq: M' is exact along the closed loops too
     momentum = ca.jtimes(load, qdd, qd)
     turning = ca.jtimes(momentum, c, cd)
     made = {
-        "torques": load + rubbing,
+        "torques": load + friction_torque,
         "gravity": still,
-        "friction": rubbing,
+        "friction": friction_torque,
         "inertia": ca.jacobian(load, qdd),
         "regressor": friction.regressor(load),
         "momentum": momentum,

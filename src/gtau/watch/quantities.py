@@ -24,12 +24,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.friction.law import carried
+from gtau.estimation.friction.law import transmitted
 from gtau.estimation.regression.column_blocks import carried_payload
 from gtau.estimation.regression.dataset import at_rate_of, check_wrenches, prepare_runs
-from gtau.estimation.regression.equations import STRETCHES, delayed
+from gtau.estimation.regression.equations import BLOCKS, delayed
 from gtau.estimation.regression.rows import Labels, Rows, stream_rows
-from gtau.estimation.regression.stretches import stretch_edges, stretch_of
+from gtau.estimation.regression.run_blocks import block_edges, block_of
 from gtau.estimation.results.result import Result
 from gtau.robots.parameter import Parameter, unit_of
 from gtau.robots.robot import PLAIN_FRICTION
@@ -65,8 +65,8 @@ class Quantity:
 class NormalEquations:
     """Normal equations of a log, ``A^T A`` with ``A = [columns | y]``, rows divided by the model's own residual.
 
-    ``G`` (stretches, n, p + 1, p + 1) of the equations of each joint in each stretch that the jackknife leaves out;
-    ``rows`` (stretches, n) behind them; ``tau`` (n,) rms torque of each joint, and ``sigma`` (n,) the residual by which
+    ``G`` (blocks, n, p + 1, p + 1) of the equations of each joint in each block that the jackknife leaves out;
+    ``rows`` (blocks, n) behind them; ``tau`` (n,) rms torque of each joint, and ``sigma`` (n,) the residual by which
     its rows are divided, N m or N.
     """
 
@@ -88,13 +88,13 @@ def quantities_of(model: Result, of_load: Iterable[str]) -> tuple[Quantity, ...]
         *(Quantity("delay", joint, "s") for joint in motors),
     ]
     names = model.base.standard
-    rubbing = [
+    of_friction = [
         Quantity(kind, joint, unit_of(kind, robot, joint))
         for kind in PLAIN_FRICTION
         for joint in motors
         if Parameter(kind, joint) in names
     ]
-    return (*load, *drives, *rubbing)
+    return (*load, *drives, *of_friction)
 
 
 def normal_equations(model: Result, run: Run) -> NormalEquations:
@@ -120,20 +120,20 @@ def normal_equations(model: Result, run: Run) -> NormalEquations:
     (prepared,) = prepare_runs(idm, [run], preparation)
     decimator, n = preparation.at(run.rate).decimator, len(idm.actuated)
     chi = loaded_parameters(model, run.payload, f"run '{run.name}'")
-    load, friction = np.array(carried(np, base.standard, chi)), friction_along(model, prepared, chi)
+    load, friction = np.array(transmitted(np, base.standard, chi)), friction_along(model, prepared, chi)
     payload = carried_payload(idm, base, 0, Payload(name="load"))
     quantities, sigma = quantities_of(model, payload.unknown.values()), _sigma(model)
     p = len(quantities)
-    G, rows = np.zeros((STRETCHES, n, p + 1, p + 1)), np.zeros((STRETCHES, n), dtype=int)
+    G, rows = np.zeros((BLOCKS, n, p + 1, p + 1)), np.zeros((BLOCKS, n), dtype=int)
     power = np.zeros(n)
-    stretches = stretch_of(stretch_edges(prepared), decimator.outputs(len(prepared)))
+    blocks = block_of(block_edges(prepared), decimator.outputs(len(prepared)))
     regressor = idm.columns(base.standard)
     for part in stream_rows(idm, regressor, prepared, decimator, load, friction=friction):
         A, tau = _columns(model, part, load, payload.columns, quantities, run.name)
-        stretch = stretches[part.outputs]
-        for s in range(stretch[0], stretch[-1] + 1):
+        block = blocks[part.outputs]
+        for s in range(block[0], block[-1] + 1):
             for j in range(n):
-                kept = (stretch == s) & part.keep[j]
+                kept = (block == s) & part.keep[j]
                 of = A[j, kept] / sigma[j]
                 G[s, j] += of.T @ of
                 rows[s, j] += len(of)

@@ -5,7 +5,7 @@ one change is estimated at a time: a drive gain at fixed inertia, an encoder zer
 of Frisch and Waugh each is a fixed linear combination ``x = C A^T y`` of the log's residual; the same combinations of
 the columns, ``C A^T A``, are the signature of each kind of change in all of them, by which explanations are compared.
 
-Standard deviations are those of the block jackknife over stretches of the log, as residuals are autocorrelated.
+Standard deviations are those of the block jackknife over blocks of the log, as residuals are autocorrelated.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class LogStatistics:
     formula : ndarray
         (k, k) covariance for independent residuals of unit variance, which has the full rank that the jackknife lacks.
     uneven : ndarray
-        (n,) largest rms residual of a stretch over the median one, of each joint: contacts are brief.
+        (n,) largest rms residual of a block over the median one, of each joint: contacts are brief.
     joints : tuple of str
         Names of the n joints.
     information : ndarray

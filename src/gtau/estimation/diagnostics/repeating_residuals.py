@@ -19,8 +19,6 @@ from itertools import combinations
 import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import Alternative
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.hypotheses.drives import FALLING_CONSTANT, LOAD_FRICTION
 from gtau.estimation.diagnostics.linearisation import (
     SAMPLES,
@@ -38,8 +36,10 @@ from gtau.estimation.diagnostics.linearisation import (
 )
 from gtau.estimation.estimators.estimator import Fit, jackknife
 from gtau.estimation.estimators.newton import to_gains
-from gtau.estimation.regression.equations import STRETCHES, triangle
+from gtau.estimation.regression.equations import BLOCKS, triangle
 from gtau.estimation.thresholds.estimates import CORRELATED, CORRELATED_STD, PROBABLE, RIPPLE_SHARE
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.signals.preparation.prepared_run import InMemoryRun
 
 KNOTS = 24  # of the piecewise linear function, over a joint's range in all runs
@@ -179,11 +179,11 @@ def residual_correlations(fit: Fit) -> tuple[np.ndarray, np.ndarray] | None:
     if not pairs:
         return None
     series = {k: _residuals(fit, k) for k in sorted({k for pair in pairs for k in pair})}
-    sums = np.zeros((3, STRETCHES, n))
+    sums = np.zeros((3, BLOCKS, n))
     for k, m in pairs:
         (t, e), (t_m, e_m) = series[k], series[m]
         again = t + places[m].begin - places[k].begin
-        stretch = np.clip((STRETCHES * (t - t[0]) / (t[-1] - t[0])).astype(int), 0, STRETCHES - 1)
+        stretch = np.clip((BLOCKS * (t - t[0]) / (t[-1] - t[0])).astype(int), 0, BLOCKS - 1)
         for j in range(n):
             one, other = e[j], np.interp(again, t_m, e_m[j], left=np.nan, right=np.nan)
             both = np.isfinite(one) & np.isfinite(other)

@@ -23,7 +23,7 @@ from gtau.estimation.regression.system import System
 from gtau.progress import Progress
 
 PASSES = 10
-SETTLED = 0.1  # standard deviations: convergence of every gain and delay
+CONVERGED = 0.1  # standard deviations: convergence of every gain and delay
 SWITCHING = 1.0  # and of every parameter: Coulomb friction of a passive joint switches with the sign of single samples
 
 
@@ -45,7 +45,7 @@ def along_simulated_motion(
         system = along.system(system.friction, system.problem.slowest > 0)
         before, solution = solution, solve(system.problem)
         std = np.sqrt(np.diag(solution.covariance))
-        limits = np.where(np.arange(len(std)) < len(solution.theta), SWITCHING, SETTLED) * std
+        limits = np.where(np.arange(len(std)) < len(solution.theta), SWITCHING, CONVERGED) * std
         if len(before.stacked) == len(std) and np.all(np.abs(solution.stacked - before.stacked) <= limits):
             progress("simulation", PASSES, PASSES)
             return along, system

@@ -15,7 +15,7 @@ from gtau.progress import Progress
 from gtau.robots.parameter import Parameter
 
 LOAD_PASSES = 6  # at most, over the logs, for load-dependent friction
-LOAD_SETTLED = 1e-4  # relative change of the gains at convergence
+LOAD_CONVERGED = 1e-4  # relative change of the gains at convergence
 
 
 def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> tuple[Dataset, System]:
@@ -42,7 +42,7 @@ def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> tuple
         system, gains = dataset.system(Friction(terms, per_run)), None
         for _ in range(LOAD_PASSES):
             solution = solve(system.problem)
-            if gains is not None and np.allclose(solution.gains, gains, rtol=LOAD_SETTLED, atol=0):
+            if gains is not None and np.allclose(solution.gains, gains, rtol=LOAD_CONVERGED, atol=0):
                 break
             first, gains = gains is None, solution.gains
             dataset = dataset.reduced([system.load(k, solution.theta) for k in range(len(dataset.runs))], progress)
@@ -66,7 +66,7 @@ def select_friction_terms(problem: Problem) -> tuple[tuple[Parameter, ...], floa
     total = 0.0
     for j, channel in enumerate(problem.channels):
         position = {name: k for k, name in enumerate(problem.parameters)}
-        kinds = (*TERMS, *TEMPERATURE_TERMS) if channel.kind.free else BEARING
+        kinds = (*TERMS, *TEMPERATURE_TERMS) if channel.kind.unknown_gain else BEARING
         offered = [Parameter(term, channel.name) for term in kinds if Parameter(term, channel.name) in position]
         rest = [k for k in problem.own_columns[j] if k not in {position[name] for name in offered}]
         current = delayed_signal(problem.triangles[j], problem.own_delays[j])

@@ -24,7 +24,7 @@ from gtau.signals.storage import block, rows_at, spans, stride_of
 
 TUNING = 1.345  # standard deviations: 95 % efficient without outliers
 PASSES = 10
-SETTLED = 1e-4  # relative change of the gains
+CONVERGED = 1e-4  # relative change of the gains
 MAD = 1.4826  # median absolute deviation to standard deviation
 
 
@@ -35,7 +35,7 @@ def reweighted(
     sigma, gains = None, None
     for _ in range(PASSES):
         solution = solve(system.problem)
-        if gains is not None and np.allclose(solution.gains, gains, rtol=SETTLED, atol=0):
+        if gains is not None and np.allclose(solution.gains, gains, rtol=CONVERGED, atol=0):
             break
         gains, sigma = solution.gains, solution.sigma if sigma is None else sigma
         of_row = np.hstack([-system.full(solution.theta) / gains[:, None], delayed(solution.delays)])

@@ -24,12 +24,12 @@ from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.estimators.newton import jacobian, moved, one_step, residuals, to_gains
 from gtau.estimation.estimators.simulated_motion import resimulated_runs
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.equations import FIXED, SIGNALS, STRETCHES, triangle
+from gtau.estimation.regression.equations import BLOCKS, FIXED, SIGNALS, triangle
 from gtau.estimation.regression.factors import EXTRA, Factors, Triangles
 from gtau.estimation.regression.friction import TERMS
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.rows import stream_rows
-from gtau.estimation.regression.stretches import stretch_of
+from gtau.estimation.regression.run_blocks import block_of
 from gtau.estimation.regression.system import System
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress
@@ -40,7 +40,7 @@ from gtau.signals.preparation.prepared_run import InMemoryRun, PreparedRun
 PASSES = 6  # simulations
 SAME = 0.01  # standard deviations: a smaller change ends them
 STEPS = 50
-SETTLED = 1e-8  # of a standard deviation
+CONVERGED = 1e-8  # of a standard deviation
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +121,7 @@ def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
         A = Q.T @ J @ back  # not Z^T J, in which half of the digits would be lost
         step = -np.linalg.solve(A, Q.T @ e)
         state = moved(state, back @ step, n_theta, free)
-        if k > 0 and np.linalg.norm(step) < SETTLED * np.sqrt(len(step)):
+        if k > 0 and np.linalg.norm(step) < CONVERGED * np.sqrt(len(step)):
             break
     else:
         raise GtauError(
@@ -179,7 +179,7 @@ def _reduced(
     columns.
     """
     regressor = idm.columns(columns)
-    stretches = stretch_of(edges, decimator.outputs(len(measured)))
+    blocks = block_of(edges, decimator.outputs(len(measured)))
     n, b = len(idm.actuated), len(columns) + EXTRA - 3
     dry = np.array([k for k, name in enumerate(columns) if name.startswith("fs_")] + [len(columns) + TERMS.index("fl")])
     collected = Triangles([np.arange(2 * b + 3)] * n)
@@ -191,8 +191,8 @@ def _reduced(
             A[:, :, k * b + len(columns) : k * b + len(columns) + len(TERMS)] = each.terms.transpose(1, 2, 0)
         A[:, :, b + dry] = A[:, :, dry]
         A[:, :, SIGNALS] = other.currents.transpose(1, 2, 0)
-        collected.add(A, part.keep & other.keep, stretches[part.outputs])
-    R = np.zeros((2, STRETCHES, n, 2 * b + 3, b + 3))
+        collected.add(A, part.keep & other.keep, blocks[part.outputs])
+    R = np.zeros((2, BLOCKS, n, 2 * b + 3, b + 3))
     for s, of_stretch in enumerate(collected.merged()):
         for j, of in enumerate(of_stretch):
             for k in range(2):

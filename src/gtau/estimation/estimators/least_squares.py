@@ -51,7 +51,7 @@ def _with_given(
     delays = problem.own_delays if delays is None else delays
     start = Iterate(np.zeros(problem.n_theta), 1 / np.asarray(gains, dtype=float), delays)
     solution = solve(problem, start, weigh, free_gains=False)
-    if not solution.settled:
+    if not solution.converged:
         raise GtauError(
             f"{name} least squares did not converge, so the data do not determine the delays of the currents: "
             f"{scarcity(problem)}check that position and current columns belong together, and add runs that move "

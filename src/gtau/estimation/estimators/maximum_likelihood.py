@@ -44,9 +44,9 @@ def ml(problem: Problem) -> Solution:
         return 1 / np.maximum(np.sqrt(errors / problem.total_rows), problem.smallest_sigma)
 
     solution = solve(problem, start, weights, True)
-    if not solution.settled:
+    if not solution.converged:
         loaded = bool(problem.blocks[..., KNOWN].any())
-        alone = len(problem.known) and problem.free.all() and not (loaded or problem.wrenches)
+        alone = len(problem.known) and problem.unknown_gains.all() and not (loaded or problem.wrenches)
         if alone and (share := own_share(problem)) < HIDDEN_KNOWN:
             raise GtauError(
                 "the maximum-likelihood iteration did not converge, as the known parameters hardly fix the scale of "
@@ -54,7 +54,7 @@ def ml(problem: Problem) -> Solution:
                 "these motions; give priors of those too (friction and offsets among them), log faster motions, add a "
                 "payload or torque sensors, or use --method wls with prior_gains."
             )
-    if not solution.settled and np.all(solution.sigma < MISFIT * problem.balance(solution.theta)):
+    if not solution.converged and np.all(solution.sigma < MISFIT * problem.balance(solution.theta)):
         scale = "a heavier payload" if loaded else "a payload, torque sensors or more known parameters"
         if problem.wrenches:  # what a body that is always carried does to its sensor is what its own inertia would do
             scale = f"one in which another wrench acts on {', '.join(problem.wrenches)} (without the tool, say)"

@@ -15,7 +15,7 @@ from gtau.estimation.regression.equations import FIXED, MODEL, SIGNAL, SIGNALS, 
 from gtau.estimation.regression.problem import Problem
 
 STEPS = 200
-SETTLED = 1e-9  # of a standard deviation: a smaller step ends the iteration
+CONVERGED = 1e-9  # of a standard deviation: a smaller step ends the iteration
 ROUNDING = 1e-14  # of the terms that make up the residuals: steps below this are rounding
 RANK = 1e-13  # of the largest singular value: less is rounding
 FLATTEST = 0.05  # least curvature accepted, as a share of the Gauss-Newton curvature
@@ -39,7 +39,7 @@ def jacobian(blocks: np.ndarray, state: Iterate, problem: Problem, free_gains: b
     eye = np.eye(len(state.b))[:, None, :]
     parts = [-state.b[:, None, None] * blocks[..., MODEL]]
     if free_gains:
-        parts.append(-modelled(blocks, state.theta)[..., None] * (eye * problem.free))
+        parts.append(-modelled(blocks, state.theta)[..., None] * (eye * problem.unknown_gains))
     _, rate, change = np.moveaxis(blocks[..., SIGNALS], -1, 0)
     shift = (state.delays[:, None] * change - rate) * (problem.slowest > 0)
     parts.append(shift[..., None] * eye)
@@ -70,7 +70,7 @@ def solve(
 ) -> Solution:
     """Iterate Newton's method with re-estimated weights, then compute the covariances.
 
-    ``settled`` of the solution is whether it converged within ``steps``.
+    ``converged`` of the solution is whether it converged within ``steps``.
     """
     n, n_theta = len(problem.channels), problem.n_theta
     triangles = stacked(problem)
@@ -103,14 +103,14 @@ def solve(
         while share > 1e-6 and cost(moved(state, share * step, n_theta, free_gains)) > highest:
             share /= 2
         state = moved(state, share * step, n_theta, free_gains)
-        smallest = max(SETTLED * np.sqrt(before / problem.total_rows.sum()), rounding)
+        smallest = max(CONVERGED * np.sqrt(before / problem.total_rows.sum()), rounding)
         if np.linalg.norm(J @ step) < smallest * np.sqrt(J.shape[1]):
-            settled = True
+            converged = True
             break
     else:
-        settled = False
+        converged = False
     solution = finish(problem, triangles, state, weigh(state, errors(state)), errors(state), free_gains)
-    return replace(solution, settled=settled)
+    return replace(solution, converged=converged)
 
 
 def curvature_of_delays(blocks: np.ndarray, state: Iterate, problem: Problem, weights: np.ndarray) -> np.ndarray:

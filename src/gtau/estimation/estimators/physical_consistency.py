@@ -36,7 +36,7 @@ from gtau.robots.robot import INERTIAL
 from gtau.signals.reading.statements import Prior
 
 STEPS = 40
-SETTLED = 1e-3  # of a standard deviation
+CONVERGED = 1e-3  # of a standard deviation
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def consistent(
         step = np.concatenate([unknowns.S @ x - state.theta, rest])
         state = moved(state, step, n_theta, free_gains)
         J = jacobian(triangles, state, problem, free_gains) * weights[:, None, None]
-        if np.linalg.norm(J.reshape(-1, step.size) @ step) < SETTLED * np.sqrt(step.size):
+        if np.linalg.norm(J.reshape(-1, step.size) @ step) < CONVERGED * np.sqrt(step.size):
             break
     else:
         raise GtauError(

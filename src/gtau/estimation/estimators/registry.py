@@ -1,4 +1,4 @@
-"""The estimators by name; a new one is a file and a line here.
+"""The estimators by name; a new one is a file and a line here, in another distribution an entry point.
 
 Names are cheap to import, for the help of the command line; the estimators themselves are imported on first use.
 """
@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from functools import cache
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from gtau.errors import GtauError
+from gtau.extensions import added, registered
 
 if TYPE_CHECKING:
     from gtau.estimation.estimators.estimator import Estimator
@@ -30,13 +31,19 @@ PLACES = {
 """Where each estimator stands, in this folder."""
 
 NAMES = tuple(PLACES)
+GROUP = "gtau.estimators"
+"""Of the entry points of other distributions."""
 
 
 def estimator_of(name: str) -> Estimator:
     """Find an estimator by name; raises GtauError for one that does not exist."""
-    if name not in PLACES:
-        raise GtauError(f"there is no method '{name}'; choose from {', '.join(NAMES)}.")
-    return _all()[name]
+    if name in PLACES:
+        return _all()[name]
+    if name not in registered(GROUP):
+        raise GtauError(f"there is no method '{name}'; choose from {', '.join((*NAMES, *registered(GROUP)))}.")
+    from gtau.estimation.estimators.estimator import Estimator
+
+    return cast(Estimator, added(GROUP, name, Estimator))
 
 
 @cache

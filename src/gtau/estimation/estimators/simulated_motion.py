@@ -41,7 +41,7 @@ SMOOTH = 4.0  # cut-off of the reference over the bandwidth of the motion, at le
 ROWS = 2.0
 POLE = 20.0  # of the loop, over the bandwidth of the motion
 PASSES = 20
-SETTLED = 1e-6  # change of the accelerations, of their rms
+CONVERGED = 1e-6  # change of the accelerations, of their rms
 MEASURED = ("command", "command_d", "command_dd", "usable")
 
 
@@ -101,7 +101,7 @@ def resimulated(
             change += float(np.sum((following[2] - before[2]) ** 2))
             size += float(np.sum(reference[2] ** 2))
         motion = [each.array() for each in stores]
-        if change < SETTLED**2 * size:
+        if change < CONVERGED**2 * size:
             break
     else:
         raise GtauError(

@@ -46,7 +46,7 @@ def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
         scale = 1 / (problem.own_sigma * np.abs(gains))
         A = np.concatenate([*(block * weight for block, weight in zip(blocks, scale, strict=True)), known])
         x = least_squares(A[:, :-1], -A[:, -1])
-        gains = np.where(problem.free, x[n_theta:], 1.0)
+        gains = np.where(problem.unknown_gains, x[n_theta:], 1.0)
         if not np.all(np.abs(gains) > 0):
             raise GtauError(
                 "the currents of some joint are unrelated to its motion; check the columns of the current references."
@@ -97,7 +97,7 @@ def first_stage(problem: Problem, solution: Solution, lack: float) -> tuple[floa
     bias : ndarray
         (n,) Relative bias of the joints' gains to first order (Nagar 1959).
     """
-    n_theta, free = problem.n_theta, problem.free
+    n_theta, free = problem.n_theta, problem.unknown_gains
     parts = []
     for j, (R, columns, d) in enumerate(zip(problem.triangles, problem.own_columns, solution.delays, strict=True)):
         coefficients = least_squares(R[:, columns], delayed_signal(R, d))

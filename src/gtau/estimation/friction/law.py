@@ -82,7 +82,7 @@ def stop(q: np.ndarray, widths: np.ndarray, start: np.ndarray) -> np.ndarray:
     return np.clip(states[stretch].T + way, -1.0, 1.0)
 
 
-class Follower:
+class PreslidingState:
     """Elements of some widths along a path in blocks, which may overlap: states continue from block to block.
 
     They begin at 0: where a joint rests, nothing says which way it came, and one that moves slips after its width.
@@ -150,7 +150,7 @@ class FrictionLaw:
     def followers(self, path: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
         """Make the followers of a run in blocks: from times (N,) to states z (s, N), by actuated positions."""
         rows = self.states
-        elements = [Follower(np.array([width])) for width in self.widths]
+        elements = [PreslidingState(np.array([width])) for width in self.widths]
 
         def follow(time: np.ndarray) -> np.ndarray:
             paths = self.ratios[list(rows)] @ path(time)
@@ -309,7 +309,7 @@ class FrictionLaw:
         return sum(values.get(Parameter("fv", joint.name), 0.0) * ratio**2 for joint, ratio in of_joints if ratio)
 
 
-def carried(math: ModuleType, standard: tuple[Parameter, ...], chi: Any) -> list[Any]:
+def transmitted(math: ModuleType, standard: tuple[Parameter, ...], chi: Any) -> list[Any]:
     """Return the base parameters (n_b) of the torques that joints transmit: 0 for friction and offsets.
 
     Dampers of springs that propel do not count.

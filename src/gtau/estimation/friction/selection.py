@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gtau.estimation.friction.normal_equations import Group, Site
+from gtau.estimation.friction.normal_equations import PLAIN, SPEEDS, WIDTHS, FrictionGroup, FrictionJoint
 from gtau.estimation.thresholds.estimates import TERM_SHARE, TERM_T
 
 FEWEST_BLOCKS = 6
@@ -27,48 +27,56 @@ widths at once; no friction has it in the end, but terms are to pay beyond it.
 """
 
 
-def options(site: Site, kind: str) -> range:
-    """List the numbers that a term of a kind may have at a site."""
-    numbers = {"width": len(site.widths), "speed": len(site.speeds), "load": site.motor is not None, "warm": site.warm}
+def options(joint: FrictionJoint, kind: str) -> range:
+    """List the numbers that a term of a kind may have at a joint."""
+    numbers = {"width": len(WIDTHS), "speed": len(SPEEDS), "load": joint.motor is not None, "warm": joint.warm}
     return range(numbers[kind])
 
 
-def parameter_columns(structure: Structure, site: Site) -> dict[str, dict[str, float]]:
-    """Combine a site's columns to those of the parameters of a structure, of which all but some are not negative.
+def parameter_columns(structure: Structure, joint: FrictionJoint) -> dict[str, np.ndarray]:
+    """Combine a joint's columns (p,) to those of the parameters of a structure, of which all but some are not negative.
 
     ``fr`` is friction at rest, ``fs + fb``.
     """
-    z = between(structure["width"], len(site.widths), first=1) if "width" in structure else {0: 1.0}
+    constant, load, warm = 0, 1 + len(SPEEDS), 2 + len(SPEEDS)  # what weighs a direction
+    width = structure.get("width")
+    z = np.eye(1 + len(WIDTHS))[0] if width is None else np.append(0.0, between(width, len(WIDTHS)))
+    weights = np.eye(3 + len(SPEEDS))
 
-    def sliding(what: str) -> dict[str, float]:
-        return {f"{k}:{what}": share for k, share in z.items()}
+    def sliding(weight: np.ndarray, direction: np.ndarray = z) -> np.ndarray:
+        return np.concatenate([np.zeros(len(PLAIN)), np.outer(direction, weight).ravel()])
 
-    made: dict[str, dict[str, float]] = {kind: {kind: 1.0} for kind in ("off", "fv") if kind in site.plain}
-    if "fs" in site.plain:
-        made["fs"] = sliding("1")
+    alone = dict(zip(PLAIN, np.eye(len(PLAIN), joint.count), strict=True))
+    made: dict[str, np.ndarray] = {kind: alone[kind] for kind in ("off", "fv") if kind in joint.plain}
+    if "fs" in joint.plain:
+        made["fs"] = sliding(weights[constant])
         if "speed" in structure:
-            shares = between(structure["speed"], len(site.speeds)).items()
-            made["fr"] = {each: a * b for k, b in shares for each, a in sliding(f"s{k}").items()}
-            made["fs"] = made["fs"] | {each: -share for each, share in made["fr"].items()}
+            made["fr"] = sliding(np.pad(between(structure["speed"], len(SPEEDS)), (1, 2)))
+            made["fs"] = made["fs"] - made["fr"]
         if "gradual" in structure:
-            made |= {f"z{k}": {f"{k}:1": 1.0} for k in range(1, len(site.widths) + 1) if k not in z}
+            states = np.eye(1 + len(WIDTHS))
+            made |= {f"z{k}": sliding(weights[constant], states[k]) for k in range(1, len(states)) if not z[k]}
         if "load" in structure:
-            made["fl"] = sliding("fl")
+            made["fl"] = sliding(weights[load])
     if "warm" in structure:
-        made |= {"fvt": {"fvt": 1.0}, "fst": sliding("fst")}
+        made |= {"fvt": alone["fvt"], "fst": sliding(weights[warm])}
     return made
 
 
-def between(number: float, count: int, first: int = 0) -> dict[int, float]:
-    """Interpolate between ``count`` columns by a cubic through four: the share of each, by number from ``first``.
+def between(number: float, count: int) -> np.ndarray:
+    """Interpolate between ``count`` columns by a cubic through four: the share of each.
 
     With half a decade between two speeds ``exp(-|v| / v_s)`` is off by at most 0.02.
     """
+    shares = np.zeros(count)
     if number == round(number):
-        return {first + int(number): 1.0}
+        shares[int(number)] = 1.0
+        return shares
     begin = min(max(int(number) - 1, 0), count - 4)
     nodes = range(begin, begin + 4)
-    return {first + k: float(np.prod([(number - other) / (k - other) for other in nodes if other != k])) for k in nodes}
+    for k in nodes:
+        shares[k] = np.prod([(number - other) / (k - other) for other in nodes if other != k])
+    return shares
 
 
 FREE = ("off", "fvt", "fst")
@@ -76,10 +84,10 @@ FREE = ("off", "fvt", "fst")
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
-    """A fit of a group by a structure for each site.
+class Candidate:
+    """A fit of a group by a structure for each joint.
 
-    ``names`` (site, kind) of the parameters that are not zero, ``x`` (k,) their values, ``left`` (K, k) those without
+    ``names`` (joint, kind) of the parameters that are not zero, ``x`` (k,) their values, ``left`` (K, k) those without
     each block, ``errors`` (K, m) the squared errors of each block and motor by the fit to all others; ``M`` (p, k)
     maps parameters to columns.
     """
@@ -92,7 +100,7 @@ class Trial:
     M: np.ndarray
 
 
-def attempt(group: Group, structures: tuple[Structure, ...]) -> Trial:
+def fit(group: FrictionGroup, structures: tuple[Structure, ...]) -> Candidate:
     """Fit a group by these structures, also without each block; parameters that would be negative stay at zero."""
     from scipy.optimize import nnls
 
@@ -111,25 +119,21 @@ def attempt(group: Group, structures: tuple[Structure, ...]) -> Trial:
     active = (found[: len(listed)] > 0) | np.isin(np.arange(len(listed)), free)
     index = np.append(np.flatnonzero(active), len(listed))
     x, left, errors = left_out(G[..., index[:, None], index])
-    return Trial(structures, tuple(listed[a] for a in np.flatnonzero(active)), x, left, errors, M[:, active])
+    return Candidate(structures, tuple(listed[a] for a in np.flatnonzero(active)), x, left, errors, M[:, active])
 
 
-def columns_of(group: Group, structures: tuple[Structure, ...]) -> tuple[list[tuple[int, str]], np.ndarray]:
-    """List the parameters (site, kind) of structures, and the matrix M (p, k) that maps them to columns."""
-    place = {column: k for k, column in enumerate(group.columns)}
-    listed = [
-        ((s, kind), made)
-        for s, (structure, site) in enumerate(zip(structures, group.sites, strict=True))
-        for kind, made in parameter_columns(structure, site).items()
-    ]
-    M = np.zeros((len(group.columns), len(listed)))
-    for k, ((s, _), made) in enumerate(listed):
-        for column, factor in made.items():
-            M[place[s, column], k] = factor
-    return [name for name, _ in listed], M
+def columns_of(group: FrictionGroup, structures: tuple[Structure, ...]) -> tuple[list[tuple[int, str]], np.ndarray]:
+    """List the parameters (joint, kind) of structures, and the matrix M (p, k) that maps them to columns."""
+    made = [parameter_columns(structure, joint) for structure, joint in zip(structures, group.joints, strict=True)]
+    names = [(s, kind) for s, of_joint in enumerate(made) for kind in of_joint]
+    starts = np.cumsum([0, *(joint.count for joint in group.joints)])
+    M = np.zeros((starts[-1], len(names)))
+    for k, (s, kind) in enumerate(names):
+        M[starts[s] : starts[s + 1], k] = made[s][kind]
+    return names, M
 
 
-def reduced(group: Group, M: np.ndarray) -> np.ndarray:
+def reduced(group: FrictionGroup, M: np.ndarray) -> np.ndarray:
     """Compute the products (K, m, k + 1, k + 1) of the columns that M (p, k) makes, and of the torque."""
     used = np.append(np.flatnonzero(M.any(axis=1)), len(M))  # a few of very many columns
     T = np.zeros((len(used), M.shape[1] + 1))
@@ -154,8 +158,8 @@ def _solved(G: np.ndarray, k: int) -> np.ndarray:
     return np.linalg.solve(G[:, :k, :k] + ridge, G[:, :k, k, None])[..., 0]
 
 
-def gained(before: Trial, after: Trial) -> tuple[float, float]:
-    """Compute the improvement of a trial on left-out blocks: in standard errors, and as a share of the error.
+def gained(before: Candidate, after: Candidate) -> tuple[float, float]:
+    """Compute the improvement of a candidate on left-out blocks: in standard errors, and as a share of the error.
 
     Reversals are few, and the squared errors of blocks too unequal for a reliable standard error of their mean. The
     difference of each block and motor counts in units of the errors there, with the mean added, which bounds it.
@@ -167,37 +171,37 @@ def gained(before: Trial, after: Trial) -> tuple[float, float]:
     return float(relative.sum() / max(spread, 1e-300)), float(share)
 
 
-def choose(group: Group) -> tuple[Trial, Trial, dict[tuple[int, str], float]]:
+def choose(group: FrictionGroup) -> tuple[Candidate, Candidate, dict[tuple[int, str], float]]:
     """Add one term after another while the errors on left-out blocks decrease.
 
-    Returns the trial chosen, the plain one, and the gain of each term taken, in standard errors, by (site, kind).
+    Returns the candidate chosen, the plain one, and the gain of each term taken, in standard errors, by (joint, kind).
 
     A term enters where it takes the squared error of blocks left out down by a share that the eye sees and by more
     standard errors, over the blocks, than the best of many widths and speeds does by chance.
     """
-    plain = attempt(group, ({},) * len(group.sites))
+    plain = fit(group, ({},) * len(group.joints))
     best = plain
     evidence: dict[tuple[int, str], float] = {}
     if len(group.G) < FEWEST_BLOCKS:
         return best, plain, evidence
     while True:
         offers = []
-        for s, kind in ((s, kind) for s in range(len(group.sites)) for kind in KINDS):
+        for s, kind in ((s, kind) for s in range(len(group.joints)) for kind in KINDS):
             if kind not in best.structures[s]:
-                trials = _with(group, best, s, kind)
-                if trials:
-                    least = min(trials, key=lambda trial: trial.errors.sum())
+                candidates = _with(group, best, s, kind)
+                if candidates:
+                    least = min(candidates, key=lambda candidate: candidate.errors.sum())
                     t, share = gained(best, least)
                     if t > TERM_T and share > TERM_SHARE and (kind != "speed" or _beyond(group, least, s)):
                         offers.append((share, t, (s, kind), least))
         if not offers:
-            return polished(group, best), plain, evidence
+            return refine(group, best), plain, evidence
         _, t, key, best = max(offers, key=lambda offer: offer[0])
         evidence[key] = t
         best = _refined(group, best)
 
 
-def _beyond(group: Group, after: Trial, s: int) -> bool:
+def _beyond(group: FrictionGroup, after: Candidate, s: int) -> bool:
     """Decide whether friction nonlinear in the speed improves the fit beyond any presliding.
 
     Presliding of real joints, of LuGre's and of generalized Maxwell slip, turns into sliding gradually, while the joint
@@ -208,35 +212,35 @@ def _beyond(group: Group, after: Trial, s: int) -> bool:
     if own["speed"] > SLOW:
         return True
     bare = {kind: number for kind, number in own.items() if kind != "speed"}
-    t, share = gained(*(attempt(group, _changed(after, s, each)) for each in (bare, own)))
+    t, share = gained(*(fit(group, _changed(after, s, each)) for each in (bare, own)))
     return t > TERM_T and share > TERM_SHARE
 
 
-def _with(group: Group, trial: Trial, s: int, kind: str) -> list[Trial]:
-    numbers = options(group.sites[s], kind)
-    return [attempt(group, _changed(trial, s, {**trial.structures[s], kind: number})) for number in numbers]
+def _with(group: FrictionGroup, candidate: Candidate, s: int, kind: str) -> list[Candidate]:
+    numbers = options(group.joints[s], kind)
+    return [fit(group, _changed(candidate, s, {**candidate.structures[s], kind: number})) for number in numbers]
 
 
-def _changed(trial: Trial, s: int, structure: Structure) -> tuple[Structure, ...]:
-    """Return the structures of a trial, with another one of site ``s``."""
-    return (*trial.structures[:s], structure, *trial.structures[s + 1 :])
+def _changed(candidate: Candidate, s: int, structure: Structure) -> tuple[Structure, ...]:
+    """Return the structures of a candidate, with another one of joint ``s``."""
+    return (*candidate.structures[:s], structure, *candidate.structures[s + 1 :])
 
 
-def _refined(group: Group, trial: Trial) -> Trial:
+def _refined(group: FrictionGroup, candidate: Candidate) -> Candidate:
     """Choose widths and speeds again, given the terms added since."""
-    for s, kind in ((s, kind) for s in range(len(group.sites)) for kind in ("width", "speed")):
-        if kind in trial.structures[s]:
-            trial = min([trial, *_with(group, trial, s, kind)], key=lambda each: float(each.errors.sum()))
-    return trial
+    for s, kind in ((s, kind) for s in range(len(group.joints)) for kind in ("width", "speed")):
+        if kind in candidate.structures[s]:
+            candidate = min([candidate, *_with(group, candidate, s, kind)], key=lambda each: float(each.errors.sum()))
+    return candidate
 
 
-def polished(group: Group, trial: Trial) -> Trial:
+def refine(group: FrictionGroup, candidate: Candidate) -> Candidate:
     """Refine widths and speeds between those tried by Gauss-Newton steps, where errors on left-out blocks decrease.
 
     Better by as much as for a term. The speed of friction that saturates stays: it says more of speeds beyond those of
     the log than of these, and on a UR10e other days were worse for its move (3.35 to 3.40, 4.57 to 4.74 % of torque).
     """
-    best = trial
+    best = candidate
     for _ in range(STEPS):
         whole = with_shapes(group, best)
         structures, x = list(best.structures), dict(zip(best.names, best.x, strict=True))
@@ -246,39 +250,39 @@ def polished(group: Group, trial: Trial) -> Trial:
                 continue
             moved = structures[s][kind] + np.clip(step / np.log(values[1] / values[0]), -1.0, 1.0)
             structures[s] = {**structures[s], kind: float(np.clip(moved, 0, len(values) - 1))}
-        after = attempt(group, tuple(structures))
+        after = fit(group, tuple(structures))
         if after.errors.sum() >= best.errors.sum():
             break
         best = after
-    return best if best.errors.sum() < (1 - TERM_SHARE) * trial.errors.sum() else trial
+    return best if best.errors.sum() < (1 - TERM_SHARE) * candidate.errors.sum() else candidate
 
 
-def with_shapes(group: Group, trial: Trial) -> Trial:
-    """Append derivatives by log widths and log speeds to a trial's columns: names (site, width or speed) and x."""
-    names, columns = list(trial.names), [trial.M]
-    for s, structure in enumerate(trial.structures):
+def with_shapes(group: FrictionGroup, candidate: Candidate) -> Candidate:
+    """Append derivatives by log widths and log speeds to a candidate's columns: names (joint, width or speed) and x."""
+    names, columns = list(candidate.names), [candidate.M]
+    for s, structure in enumerate(candidate.structures):
         for kind in ("width", "speed"):
             if kind not in structure:
                 continue
             number, values = structure[kind], shape_values(group, s, kind)
             ends = [min(max(number + way, 0.0), len(values) - 1.0) for way in (-TILT, TILT)]
-            low, high = (_columns_with(group, trial, s, kind, end) @ trial.x for end in ends)
+            low, high = (_columns_with(group, candidate, s, kind, end) @ candidate.x for end in ends)
             slope = (high - low) / ((ends[1] - ends[0]) * np.log(values[1] / values[0]))
             if slope.any():
                 names.append((s, kind))
                 columns.append(slope[:, None])
     M = np.hstack(columns)
     x, left, errors = left_out(reduced(group, M))
-    return Trial(trial.structures, tuple(names), x, left, errors, M)
+    return Candidate(candidate.structures, tuple(names), x, left, errors, M)
 
 
-def shape_values(group: Group, s: int, kind: str) -> np.ndarray:
-    """Return the widths or speeds that are tried for a site."""
-    return group.sites[s].widths if kind == "width" else group.sites[s].speeds
+def shape_values(group: FrictionGroup, s: int, kind: str) -> np.ndarray:
+    """Return the widths or speeds that are tried for a joint."""
+    return group.joints[s].widths if kind == "width" else group.joints[s].speeds
 
 
-def _columns_with(group: Group, trial: Trial, s: int, kind: str, number: float) -> np.ndarray:
-    """Build M (p, k) of a trial's parameters with another width or speed of a site."""
-    listed, M = columns_of(group, _changed(trial, s, {**trial.structures[s], kind: number}))
+def _columns_with(group: FrictionGroup, candidate: Candidate, s: int, kind: str, number: float) -> np.ndarray:
+    """Build M (p, k) of a candidate's parameters with another width or speed of a joint."""
+    listed, M = columns_of(group, _changed(candidate, s, {**candidate.structures[s], kind: number}))
     place = {name: k for k, name in enumerate(listed)}
-    return M[:, [place[name] for name in trial.names]]
+    return M[:, [place[name] for name in candidate.names]]

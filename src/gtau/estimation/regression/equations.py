@@ -17,7 +17,7 @@ import numpy as np
 
 MODEL, KNOWN, SIGNAL, SIGNALS = slice(None, -4), -4, -3, slice(-3, None)
 FIXED = 4  # columns behind those of the model
-STRETCHES = 20  # of a run, which the jackknife leaves out in turn
+BLOCKS = 20  # of a run, which the jackknife leaves out in turn
 
 ROWS = 1024  # reduced at once: few enough to stay in the cache
 

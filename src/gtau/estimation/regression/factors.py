@@ -1,7 +1,7 @@
 """Triangular factors: a run of any length, reduced to the data that the estimators need.
 
 Each channel's decimated rows ``[W_j  terms_j  known_j  v_j  v_j'  v_j'']`` are reduced by QR to a small triangle, one
-for each of the stretches that the jackknife leaves out in turn. Factors of more runs merge by one more QR.
+for each of the blocks that the jackknife leaves out in turn. Factors of more runs merge by one more QR.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from functools import cached_property
 
 import numpy as np
 
-from gtau.estimation.regression.equations import FIXED, KNOWN, SIGNALS, STRETCHES, triangle
+from gtau.estimation.regression.equations import BLOCKS, FIXED, KNOWN, SIGNALS, triangle
 from gtau.estimation.regression.friction import TERMS
 from gtau.estimation.regression.rows import FAST_SAMPLES, Rows, stream_rows
-from gtau.estimation.regression.stretches import stretch_edges, stretch_of
+from gtau.estimation.regression.run_blocks import block_edges, block_of
 from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.singularities import singularities
 from gtau.robots.parameter import Parameter
@@ -36,17 +36,17 @@ class Factors:
     Attributes
     ----------
     R : ndarray
-        (stretches, c, p, p) triangles of ``[W_j terms_j known_j v_j v_j' v_j'']``, p = columns + 6, of the joints and
+        (blocks, c, p, p) triangles of ``[W_j terms_j known_j v_j v_j' v_j'']``, p = columns + 6, of the joints and
         then of the torque sensors: these have the regressor's row of their joint, and no further friction. Known is
         minus the contribution of measured wrenches to the torque of the joint.
     rows : ndarray
-        (stretches, c) number of rows behind each.
+        (blocks, c) number of rows behind each.
     distances : ndarray
         (K, 2) to singularities of type 1 and 2 at the decimated samples, in single precision; of logs only.
     residuals : ndarray
         (K, c) of weighted runs, before weighting, NaN where the row is not kept; (0, c) of others.
     speeds : ndarray
-        (stretches, n) largest speed of each actuated joint among its rows, rad/s or m/s; of logs only.
+        (blocks, n) largest speed of each actuated joint among its rows, rad/s or m/s; of logs only.
     """
 
     R: np.ndarray
@@ -57,7 +57,7 @@ class Factors:
 
     @cached_property
     def merged(self) -> tuple[np.ndarray, ...]:
-        """Triangles of all stretches together, one a channel, (., p)."""
+        """Triangles of all blocks together, one a channel, (., p)."""
         return tuple(triangle(*self.R[:, j]) for j in range(self.R.shape[1]))
 
 
@@ -75,37 +75,44 @@ def equations(regressor: Regressor, channels: Sequence[Channel], part: Rows) -> 
 
 
 class Triangles:
-    """Triangular factors of equations that come in blocks, one for each stretch and channel.
+    """Triangular factors of equations that come in blocks, one for each block and channel.
 
-    ``columns`` are those of the equations that each channel has, the other ones being zero; ``rows`` (stretches, c)
+    ``columns`` are those of the equations that each channel has, the other ones being zero; ``rows`` (blocks, c)
     counts the equations behind each factor.
     """
 
     def __init__(self, columns: Sequence[np.ndarray]) -> None:
-        self._columns, self.rows = columns, np.zeros((STRETCHES, len(columns)), dtype=int)
-        self._factors = [[np.zeros((0, each.size)) for each in columns] for _ in range(STRETCHES)]
-        self._waiting: defaultdict[tuple[int, int], list[np.ndarray]] = defaultdict(list)  # of a stretch and channel
+        self._columns, self.rows = columns, np.zeros((BLOCKS, len(columns)), dtype=int)
+        self._factors = [[np.zeros((0, each.size)) for each in columns] for _ in range(BLOCKS)]
+        self._waiting: defaultdict[tuple[int, int], list[np.ndarray]] = defaultdict(list)  # of a block and channel
         self._held = 0
 
-    def add(self, A: np.ndarray, keep: np.ndarray, stretch: np.ndarray) -> None:
-        """Add the equations (c, K, p) to keep, (c, K); ``stretch`` (K,) says to which each belongs."""
-        for s in range(stretch[0], stretch[-1] + 1):
+    def add(self, A: np.ndarray, keep: np.ndarray, block: np.ndarray) -> None:
+        """Add the equations (c, K, p) to keep, (c, K); ``block`` (K,) says to which each belongs."""
+        for s in range(block[0], block[-1] + 1):
             for j, columns in enumerate(self._columns):
-                kept = A[j, (stretch == s) & keep[j]]
+                kept = A[j, (block == s) & keep[j]]
                 if len(kept):
                     self._waiting[s, j].append(kept[:, columns])
                     self.rows[s, j] += len(kept)
-        self._held += len(stretch)
+        self._held += len(block)
         if self._held >= ROWS:
             self.merged()
 
     def merged(self) -> list[list[np.ndarray]]:
-        """Return the factors of all equations so far, by stretch and channel."""
+        """Return the factors of all equations so far, by block and channel."""
         for (s, j), more in self._waiting.items():
             self._factors[s][j] = triangle(self._factors[s][j], *more)
         self._waiting.clear()
         self._held = 0
         return self._factors
+
+
+def add_products(G: np.ndarray, rows: np.ndarray, block: np.ndarray) -> None:
+    """Add the products of ``rows`` (K, p) to those of their blocks, G (blocks, p, p); ``block`` (K,) are numbers."""
+    for b in np.unique(block):
+        part = rows[block == b]
+        G[b] += part.T @ part
 
 
 def reduce_run(
@@ -123,8 +130,8 @@ def reduce_run(
 
     With ``weigh``, coefficients (c, p) and limits (c,), rows have the weights ``min(1, limit / |residual|)`` in the sum
     of squares; the product of a row and the coefficients of its channel is its residual. The run is streamed in blocks
-    of ``fast`` samples. ``progress`` gets the samples done at each stretch.
-    ``edges`` (STRETCHES + 1,) of the stretches are shares of its samples, those of :func:`stretch_edges` if left out.
+    of ``fast`` samples. ``progress`` gets the samples done at each block.
+    ``edges`` (BLOCKS + 1,) of the blocks are shares of its samples, those of :func:`block_edges` if left out.
 
     Raises
     ------
@@ -132,7 +139,7 @@ def reduce_run(
         Where the closures refuse a sample.
     """
     regressor, near = idm.columns(columns), singularities(idm)
-    stretches = stretch_of(stretch_edges(prepared) if edges is None else edges, decimator.outputs(len(prepared)))
+    blocks = block_of(block_edges(prepared) if edges is None else edges, decimator.outputs(len(prepared)))
     channels = [channel for channel in prepared.run.channels if channel.kind.modelled]
     c, p = len(channels), len(columns) + EXTRA
     rows_of = (regressor.columns[regressor.rows == channel.row] for channel in channels)
@@ -140,25 +147,25 @@ def reduce_run(
     collected = Triangles(own)
     distances = Store((2,), np.float32)
     residuals = Store((c,))
-    speeds = np.zeros((STRETCHES, len(idm.actuated)))
+    speeds = np.zeros((BLOCKS, len(idm.actuated)))
     now = 0
     for part in stream_rows(idm, regressor, prepared, decimator, load, fast):
         distances.append(near.distances(part.motion).T)
-        stretch = stretches[part.outputs]
+        block = blocks[part.outputs]
         A = equations(regressor, channels, part)
         if weigh is not None:
             coefficients, limit = weigh
             e = np.einsum("jkp,jp->jk", A, coefficients)
             residuals.append(np.where(part.keep, e, np.nan).T)
             A *= np.sqrt(np.minimum(1.0, limit[:, None] / np.maximum(np.abs(e), 1e-300)))[:, :, None]
-        if stretch[-1] > now:
-            now = int(stretch[-1])
-            progress(len(prepared) * now // STRETCHES)
-        for s in range(stretch[0], stretch[-1] + 1):
-            moving = np.abs(part.motion.yd[idm.layout.actuated]) * (part.keep[: len(idm.actuated)] & (stretch == s))
+        if block[-1] > now:
+            now = int(block[-1])
+            progress(len(prepared) * now // BLOCKS)
+        for s in range(block[0], block[-1] + 1):
+            moving = np.abs(part.motion.yd[idm.layout.actuated]) * (part.keep[: len(idm.actuated)] & (block == s))
             speeds[s] = np.maximum(speeds[s], moving.max(axis=1))
-        collected.add(A, part.keep, stretch)
-    R = np.zeros((STRETCHES, c, p, p))
+        collected.add(A, part.keep, block)
+    R = np.zeros((BLOCKS, c, p, p))
     for s, of_stretch in enumerate(collected.merged()):
         for j, small in enumerate(of_stretch):
             # in the columns of all joints a triangle's rows still begin at the diagonal or right of it

@@ -9,8 +9,8 @@ terms are candidates for every actuated joint, and selected if its own equations
 Where temperatures of the joints are logged, two more are:
 
 - ``fvt``, ``fst``: viscous and Coulomb friction per degree above the mean temperature, ``fvt (T - T_mean) qd`` and
-  ``fst (T - T_mean) sign(qd)``. Temperature changes so slowly that its mean over a stretch, a twentieth of a run,
-  replaces it there: these columns are then those of viscous and Coulomb friction in each stretch, times a number,
+  ``fst (T - T_mean) sign(qd)``. Temperature changes so slowly that its mean over a block, a twentieth of a run,
+  replaces it there: these columns are then those of viscous and Coulomb friction in each block, times a number,
   and nothing has to be streamed again for them.
 
 The bearing of a joint's torque sensor may have friction of its own, viscous and Coulomb (``fv_2_sensor``).
@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.equations import STRETCHES
+from gtau.estimation.regression.equations import BLOCKS
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import PLAIN_FRICTION
 from gtau.signals.preparation.prepared_run import PreparedRun
@@ -42,7 +42,7 @@ UNITS = {
 }
 """Units of the terms; those of ``fvt`` and ``fst`` per unit of the temperature."""
 
-INSTANTS = 50  # of a stretch, over which the mean is taken
+INSTANTS = 50  # of a block, over which the mean is taken
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def all_terms(joints: Sequence[str], terms: Iterable[str] = TERMS) -> tuple[Para
     return tuple(Parameter(term, joint) for joint in joints for term in terms)
 
 
-def transmitted(names: Sequence[Parameter]) -> np.ndarray:
+def is_transmitted(names: Sequence[Parameter]) -> np.ndarray:
     """Mark the base parameters whose torque a joint transmits by 1, friction and offsets by 0, (n_b,)."""
     return np.array([name.kind not in PLAIN_FRICTION for name in names], dtype=float)
 
@@ -76,12 +76,12 @@ def transmitted(names: Sequence[Parameter]) -> np.ndarray:
 class Temperatures:
     """Mean temperatures of joints over all runs, in ``unit``, and differences from them.
 
-    ``reference`` are the means by joint, ``of_stretches`` the differences (stretches, n) in each run; those of joints
+    ``reference`` are the means by joint, ``of_blocks`` the differences (blocks, n) in each run; those of joints
     without a temperature are zero. ``prepared`` are the runs.
     """
 
     reference: dict[str, float]
-    of_stretches: tuple[np.ndarray, ...]
+    of_blocks: tuple[np.ndarray, ...]
     unit: str
     prepared: tuple[PreparedRun, ...]
 
@@ -94,7 +94,7 @@ class Temperatures:
 
 
 def temperatures_of(prepared: Sequence[PreparedRun], edges: Sequence[np.ndarray]) -> Temperatures | None:
-    """Compute the differences in all runs, with the ``edges`` of their stretches; None without temperatures.
+    """Compute the differences in all runs, with the ``edges`` of their blocks; None without temperatures.
 
     Raises
     ------
@@ -111,12 +111,12 @@ def temperatures_of(prepared: Sequence[PreparedRun], edges: Sequence[np.ndarray]
     joints, means = prepared[0].run.joints, []
     known = [joint for joint in joints if all(joint in each.of_joint for each in logged)]
     for each, temperature, cut in zip(prepared, logged, edges, strict=True):
-        share = np.interp(np.linspace(0, STRETCHES, STRETCHES * INSTANTS), np.arange(STRETCHES + 1), cut)
+        share = np.interp(np.linspace(0, BLOCKS, BLOCKS * INSTANTS), np.arange(BLOCKS + 1), cut)
         time = each.time[0] + share * (each.time[-1] - each.time[0])
-        along = [temperature.at(joint, time).reshape(STRETCHES, INSTANTS).mean(axis=1) for joint in known]
-        means.append(np.reshape(along, (len(known), STRETCHES)).T)
+        along = [temperature.at(joint, time).reshape(BLOCKS, INSTANTS).mean(axis=1) for joint in known]
+        means.append(np.reshape(along, (len(known), BLOCKS)).T)
     reference = np.mean(np.concatenate(means), axis=0)
-    differences = np.zeros((len(prepared), STRETCHES, len(joints)))
+    differences = np.zeros((len(prepared), BLOCKS, len(joints)))
     differences[..., [joints.index(joint) for joint in known]] = np.array(means) - reference
     by_joint = dict(zip(known, map(float, reference), strict=True))
     return Temperatures(by_joint, tuple(differences), logged[0].unit, tuple(prepared))

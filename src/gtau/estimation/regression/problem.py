@@ -1,6 +1,6 @@
 """The estimation problem, ready to solve: every channel's equations as small matrices (eqs. 29 to 33).
 
-Row block (u, j) holds the equations of channel j in unit u, a stretch of one run, with the columns of
+Row block (u, j) holds the equations of channel j in unit u, a block of a run, with the columns of
 :mod:`gtau.estimation.regression.equations`: those of the model act on the unknown parameters ``theta`` (base
 parameters, then what every other effect adds), ``known`` is ``W_kl chi_kl`` minus the torques of measured wrenches, and
 v is a current reference, or the torque of a channel with the gain 1. The rows may be those of the decimated system, or
@@ -43,7 +43,7 @@ class Problem:
         variance.
     wrenches : tuple of str
         Bodies on which measured wrenches act; the column ``known`` holds minus their joint torques.
-    in_step : ndarray, optional
+    clusters : ndarray, optional
         (U,) the same number for blocks that the jackknife leaves out together, of runs that repeat a motion.
     """
 
@@ -54,7 +54,7 @@ class Problem:
     slowest: float
     known: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     wrenches: tuple[str, ...] = ()
-    in_step: np.ndarray | None = None
+    clusters: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         if not self.known.size:
@@ -68,7 +68,7 @@ class Problem:
     @cached_property
     def sensor_channels(self) -> list[int]:
         """Numbers of the channels that measure a joint's torque itself, with the gain 1."""
-        return [k for k, each in enumerate(self.channels) if each.kind.of_joint and not each.kind.free]
+        return [k for k, each in enumerate(self.channels) if each.kind.of_joint and not each.kind.unknown_gain]
 
     @cached_property
     def base(self) -> list[int]:
@@ -76,19 +76,19 @@ class Problem:
         return [k for k, each in enumerate(self.channels) if not each.kind.of_joint]
 
     @cached_property
-    def free(self) -> np.ndarray:
+    def unknown_gains(self) -> np.ndarray:
         """Mask of the channels with a gain to estimate, (c,)."""
-        return np.array([each.kind.free for each in self.channels])
+        return np.array([each.kind.unknown_gain for each in self.channels])
 
     @property
     def scaled(self) -> bool:
         """Decide whether torque sensors, measured wrenches or known parameters fix the scale of the gains."""
-        return not self.free.all() or bool(self.wrenches) or len(self.known) > 0
+        return not self.unknown_gains.all() or bool(self.wrenches) or len(self.known) > 0
 
     @property
     def block_numbers(self) -> np.ndarray:
         """Number the blocks by the units that the jackknife leaves out, (U,)."""
-        return np.arange(len(self.blocks)) if self.in_step is None else self.in_step
+        return np.arange(len(self.blocks)) if self.clusters is None else self.clusters
 
     @cached_property
     def units(self) -> tuple[np.ndarray, ...]:
@@ -202,7 +202,7 @@ class Problem:
         rows = np.zeros((len(block), self.n_theta + len(self.channels) + 1))
         rows[:, : self.n_theta], rows[:, -1] = -block[:, MODEL], -block[:, KNOWN]
         signal = delayed_signal(block, self.own_delays[j]) if signal is None else signal
-        rows[:, self.n_theta + j if self.free[j] else -1] += signal
+        rows[:, self.n_theta + j if self.unknown_gains[j] else -1] += signal
         return rows
 
     def without(self, names: Sequence[str]) -> Problem:

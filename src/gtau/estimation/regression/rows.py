@@ -42,6 +42,12 @@ class Rows:
     motion: Motion
     friction: np.ndarray | None = None
 
+    def matrix(self, regressor: Regressor, n: int) -> np.ndarray:
+        """Return W (n, K, columns) of the actuated joints."""
+        W = np.zeros((n, len(self.time), len(regressor.names)))
+        W[regressor.rows, :, regressor.columns] = self.entries
+        return W
+
 
 Law = Callable[[np.ndarray, Motion, np.ndarray], np.ndarray]
 """Torques (n, N) at times (N,), along a motion, under the torques (n, N) that the joints transmit."""
@@ -123,8 +129,8 @@ def stream_torques(
     for _, of, c in _along(idm, prepared, _every_sample(prepared)):
         motion, measured, external = _measured(idm, prepared.run, of, c)
         effort = regressor.torques(regressor(idm.layout, motion), values, joints) - external[0]
-        rubbing = friction(of.time, motion, effort)
-        yield np.stack([effort + rubbing, rubbing, measured[0, :joints]])
+        friction_torque = friction(of.time, motion, effort)
+        yield np.stack([effort + friction_torque, friction_torque, measured[0, :joints]])
 
 
 def _every_sample(prepared: PreparedRun) -> Iterator[Block]:

@@ -44,7 +44,7 @@ def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | Non
             "the same payload; "
             f"add a run without payload, {other}."
         )
-    if problem.wrenches and problem.free.all() and not (len(problem.known) or weighed):
+    if problem.wrenches and problem.unknown_gains.all() and not (len(problem.known) or weighed):
         own, answered = unexplained_wrench_share(problem)
         if own < OWN_BODY and answered < ANSWERED:
             raise GtauError(_always_carried(problem.wrenches, other))
@@ -127,7 +127,7 @@ def _with_scale(problem: Problem) -> np.ndarray:
     rows = []
     for j, (R, own, sigma) in enumerate(zip(problem.triangles, problem.own_columns, problem.own_sigma, strict=True)):
         known = R[:, KNOWN]
-        if not problem.free[j]:
+        if not problem.unknown_gains[j]:
             torque, columns = R[:, SIGNAL], R[:, own]
             known = known - columns @ np.linalg.lstsq(columns, torque, rcond=None)[0]
         rows.append(np.column_stack([R[:, MODEL], known]) / sigma)

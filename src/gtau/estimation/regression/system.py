@@ -19,7 +19,7 @@ from gtau.estimation.regression.column_blocks import (
 )
 from gtau.estimation.regression.equations import KNOWN, MODEL, SIGNAL, triangle
 from gtau.estimation.regression.factors import Factors
-from gtau.estimation.regression.friction import Friction, transmitted
+from gtau.estimation.regression.friction import Friction, is_transmitted
 from gtau.estimation.regression.priors import known_equations
 from gtau.estimation.regression.problem import Problem
 from gtau.model.base_parameters import BaseParameters, independent_columns
@@ -86,7 +86,7 @@ class System:
 
     def load(self, run: int, theta: np.ndarray) -> np.ndarray:
         """Return the base columns' values in ``run`` that joints transmit: with payload, without friction, (n_b,)."""
-        return self.motion(run, theta) * transmitted(self.base.names)
+        return self.motion(run, theta) * is_transmitted(self.base.names)
 
     def loads(self, theta: np.ndarray) -> list[np.ndarray | None]:
         """Return :meth:`load` of each run, None where no friction depends on it."""
@@ -127,9 +127,9 @@ def assemble_system(
     priors : mapping, optional
         Priors on parameters, by name.
     temperatures : sequence of ndarray, optional
-        Differences (stretches, n) of the joints' temperatures from their means, for each run.
+        Differences (blocks, n) of the joints' temperatures from their means, for each run.
     motions : sequence of int, optional
-        A number for each run, the same for runs that repeat a motion, whose stretches are left out together.
+        A number for each run, the same for runs that repeat a motion, whose blocks are left out together.
 
     Raises
     ------
@@ -149,7 +149,7 @@ def assemble_system(
     blocks: list[np.ndarray] = []
     merged: list[list[np.ndarray]] = []
     for run, factor in enumerate(factors):
-        warm = None if temperatures is None else temperatures[run]  # (stretches, n)
+        warm = None if temperatures is None else temperatures[run]  # (blocks, n)
         maps = [column_map(effects, run, each, 0.0 if warm is None else warm[:, each.row]) for each in channels]
         blocks.append(np.stack([factor.R[:, j] @ M for j, M in enumerate(maps)], axis=1))
         merged.append([T @ M for T, M in zip(factor.merged, maps, strict=True)] if warm is None else [])
@@ -159,7 +159,7 @@ def assemble_system(
         [(run, (s + 0.5) / len(each.rows)) for run, each in enumerate(factors) for s in range(len(each.rows))]
     )
     of_run = np.arange(len(factors)) if motions is None else np.asarray(motions)
-    stretch = np.concatenate([np.arange(len(each.rows)) for each in factors])
+    block = np.concatenate([np.arange(len(each.rows)) for each in factors])
     motion = of_run[block_positions[:, 0].astype(int)]
     priors = priors or {}
     _require_base_wrench(idm, factors)
@@ -171,9 +171,9 @@ def assemble_system(
         slowest,
         known_equations(base, idm.parameter_names, parameters, priors),
         wrenches,
-        (motion * (stretch.max() + 1) + stretch)[filled],
+        (motion * (block.max() + 1) + block)[filled],
     )
-    if temperatures is None:  # all stretches of a run have the same map: their factors need not be merged again
+    if temperatures is None:  # all blocks of a run have the same map: their factors need not be merged again
         problem.__dict__["triangles"] = tuple(triangle(*each) for each in zip(*merged, strict=True))
     _require_rows(problem)
     unexcited = _unexcited(problem)

@@ -10,11 +10,11 @@ import numpy as np
 from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Fit, jackknife
 from gtau.estimation.friction.law import FrictionLaw
-from gtau.estimation.friction.normal_equations import FINER, Group, normal_equations, sites_of
+from gtau.estimation.friction.normal_equations import FINER, FrictionGroup, friction_joints, normal_equations
 from gtau.estimation.friction.selection import (
     KINDS,
     WORDS,
-    Trial,
+    Candidate,
     choose,
     parameter_columns,
     shape_values,
@@ -61,25 +61,25 @@ def friction_step(fit: Fit, estimates: Estimates) -> FrictionStep:
         Where the closures refuse a sample.
     """
     law, base = FrictionLaw(fit.dataset.model, {}), fit.dataset.base
-    sites = sites_of(fit.dataset, law)
+    joints = friction_joints(fit.dataset, law)
     name_of = dict(zip(base.standard, base.names, strict=True))
     curves: dict[str, FrictionCurve] = {}
     errors: dict[str, tuple[float, float]] = {}
     listed: list[Parameter] = []
-    of_rows = normal_equations(fit, law, sites)  # behind whose filter errors are stated
-    fixed = _fixed(fit, estimates, {site.joint for site in sites})
-    for group, rows in zip(normal_equations(fit, law, sites, FINER), of_rows, strict=True):
+    of_rows = normal_equations(fit, law, joints)  # behind whose filter errors are stated
+    fixed = _fixed(fit, estimates, {joint.name for joint in joints})
+    for group, rows in zip(normal_equations(fit, law, joints, FINER), of_rows, strict=True):
         if len(group.G):
-            trial, plain, evidence = choose(group)
-            names, values, slopes, scatter = group_estimates(group, trial)
+            candidate, plain, evidence = choose(group)
+            names, values, slopes, scatter = group_estimates(group, candidate)
             unknowns = [name_of.get(name, name) for name in names]
             freedom = float(len(group.G) - 1)
             estimates = estimates.updated(unknowns, values, _widened(slopes @ fixed, estimates), scatter, freedom)
             listed += unknowns
-            curves |= _curves(group, trial, plain, evidence)
+            curves |= _curves(group, candidate, plain, evidence)
             motors = (fit.dataset.model.actuated[j] for j in group.motors)
-            errors |= dict(zip(motors, _errors(rows, trial), strict=True))
-    curves = {site.joint: curves[site.joint] for site in sites if site.joint in curves}
+            errors |= dict(zip(motors, _errors(rows, candidate), strict=True))
+    curves = {joint.name: curves[joint.name] for joint in joints if joint.name in curves}
     return FrictionStep(estimates, tuple(listed), curves, errors)
 
 
@@ -99,9 +99,9 @@ def friction_unit(kind: str, joint: str, robot: Robot, temperatures: ReferenceTe
     return of_terms[kind] + (f"/{temperatures.per}" if temperatures and kind in TEMPERATURE_TERMS else "")
 
 
-def _errors(group: Group, trial: Trial) -> list[tuple[float, float]]:
+def _errors(group: FrictionGroup, candidate: Candidate) -> list[tuple[float, float]]:
     """Compute the rms of error and torque of each motor over all its rows."""
-    left = np.append(-trial.M @ trial.x, 1.0)
+    left = np.append(-candidate.M @ candidate.x, 1.0)
     squares = np.einsum("p,bmpq,q->m", left, group.G, left) / group.weights**2
     counts = np.maximum(group.signals[:, 0], 1)
     rms, signal = np.sqrt(np.maximum(squares, 0.0) / counts), np.sqrt(group.signals[:, 1] / counts)
@@ -129,7 +129,7 @@ def _widened(slopes: np.ndarray, estimates: Estimates) -> np.ndarray:
     return np.pad(slopes, ((0, 0), (0, len(estimates.unknowns) - slopes.shape[1])))
 
 
-def _between_values(group: Group, whole: Trial, A: np.ndarray) -> np.ndarray:
+def _between_values(group: FrictionGroup, whole: Candidate, A: np.ndarray) -> np.ndarray:
     """Compute the covariance (k, k) due to the grid of widths and speeds, to which other parameters adapt.
 
     One that is tried stands for all up to half the way to the next.
@@ -146,7 +146,9 @@ def _between_values(group: Group, whole: Trial, A: np.ndarray) -> np.ndarray:
     return found
 
 
-def group_estimates(group: Group, trial: Trial) -> tuple[list[Parameter], np.ndarray, np.ndarray, np.ndarray]:
+def group_estimates(
+    group: FrictionGroup, candidate: Candidate
+) -> tuple[list[Parameter], np.ndarray, np.ndarray, np.ndarray]:
     """Estimate the friction of the joints of a group.
 
     Returns
@@ -161,7 +163,7 @@ def group_estimates(group: Group, trial: Trial) -> tuple[list[Parameter], np.nda
     scatter : ndarray
         (m, m) covariance at given gains and base parameters.
     """
-    whole = with_shapes(group, trial)
+    whole = with_shapes(group, candidate)
     A = np.einsum("pa,pq,qc->ac", whole.M, group.G.sum(axis=(0, 1))[:-1, :-1], whole.M)
     size = np.sqrt(np.maximum(np.diag(A), 1e-300))[:, None]
     S = np.linalg.pinv(A / size / size.T, rcond=1e-9, hermitian=True) @ (whole.M.T @ group.cross / size) / size
@@ -180,35 +182,35 @@ def group_estimates(group: Group, trial: Trial) -> tuple[list[Parameter], np.nda
         values.append(value)
         rows.append(row)
 
-    x = dict(zip(trial.names, map(float, trial.x), strict=True))
-    for s, (site, structure) in enumerate(zip(group.sites, trial.structures, strict=True)):
-        for kind in parameter_columns(structure, site):
+    x = dict(zip(candidate.names, map(float, candidate.x), strict=True))
+    for s, (joint, structure) in enumerate(zip(group.joints, candidate.structures, strict=True)):
+        for kind in parameter_columns(structure, joint):
             if kind == "fr":  # friction at rest: fb is what of it is gone in sliding
                 excess = x.get((s, "fr"), 0.0) - x.get((s, "fs"), 0.0)
-                add(Parameter("fb", site.joint), excess, {(s, "fr"): 1.0, (s, "fs"): -1.0})
+                add(Parameter("fb", joint.name), excess, {(s, "fr"): 1.0, (s, "fs"): -1.0})
             else:
-                add(Parameter(kind, site.joint), x.get((s, kind), 0.0), {(s, kind): 1.0})
+                add(Parameter(kind, joint.name), x.get((s, kind), 0.0), {(s, kind): 1.0})
         for kind, shape in (("width", "width"), ("speed", "vs")):
             if (number := structure.get(kind)) is not None:
                 tried = shape_values(group, s, kind)
                 value = float(tried[0] * (tried[1] / tried[0]) ** number)
-                add(Parameter(shape, site.joint), value, {(s, kind): value})  # its logarithm is estimated
+                add(Parameter(shape, joint.name), value, {(s, kind): value})  # its logarithm is estimated
     T = np.array(rows).reshape(len(names), len(whole.names))
     return names, np.array(values), T @ S, T @ covariance @ T.T
 
 
 def _curves(
-    group: Group, trial: Trial, plain: Trial, evidence: Mapping[tuple[int, str], float]
+    group: FrictionGroup, candidate: Candidate, plain: Candidate, evidence: Mapping[tuple[int, str], float]
 ) -> dict[str, FrictionCurve]:
     """Collect what the data say of the friction of each joint of a group, by its name."""
     signal = max(float(group.G[..., -1, -1].sum()), 1e-300)
-    error, plain_error = (100 * float(np.sqrt(max(each.errors.sum(), 0.0) / signal)) for each in (trial, plain))
+    error, plain_error = (100 * float(np.sqrt(max(each.errors.sum(), 0.0) / signal)) for each in (candidate, plain))
     return {
-        site.joint: FrictionCurve(
-            site.joint,
+        joint.name: FrictionCurve(
+            joint.name,
             {WORDS[kind]: float(evidence[s, kind]) for kind in KINDS if (s, kind) in evidence},
             error,
             plain_error,
         )
-        for s, site in enumerate(group.sites)
+        for s, joint in enumerate(group.joints)
     }

@@ -6,12 +6,14 @@ from collections.abc import Mapping
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 
 from gtau.documents.files import ROBOT, refuse_other_kind
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
+from gtau.extensions import added, registered
 from gtau.robots.floating import drawn_base, float_base
 from gtau.robots.geometry import rounded
 from gtau.robots.parts import hold_joints, listed, lock_joints, select_joints
@@ -19,13 +21,21 @@ from gtau.robots.readers.source import BASE_ADVICE, FLOATING, Base, BaseChoice, 
 from gtau.robots.robot import Placement, Pose, Robot
 
 CATALOG = Path(__file__).parents[1] / "catalog"
+GROUP = "gtau.robots"  # of the entry points that name packages with robot files
 LOOPS = ("closed_loop", "name_mot")  # keys that distinguish a file of loops from a robot file
 ENDINGS = ".yaml, .urdf, .xml (MJCF), .par or .csv"
 
 
 def catalog_names() -> tuple[str, ...]:
-    """List the robots that come with the package."""
-    return tuple(sorted(file.stem for file in CATALOG.glob("*.yaml")))
+    """List the robots that come with the package, and those of other distributions' catalogs."""
+    return (*sorted(file.stem for file in CATALOG.glob("*.yaml")), *_added_robots())
+
+
+def _added_robots() -> dict[str, Path]:
+    """Find the robot files of other distributions by name: those in the folders of the packages that they register."""
+    packages = [added(GROUP, name, ModuleType) for name in registered(GROUP)]
+    folders = [Path(folder) for package in packages for folder in package.__path__]
+    return {file.stem: file for folder in folders for file in sorted(folder.glob("*.yaml"))}
 
 
 def read_robot(source: str | Path | RobotSource) -> Robot:
@@ -99,9 +109,11 @@ def _mounted(robot: Robot, rpy: tuple[float, float, float]) -> Robot:
 
 
 def _read(source: str | Path, base: BaseChoice) -> Robot:
-    if source in catalog_names():
+    if source in {file.stem for file in CATALOG.glob("*.yaml")}:
         source = CATALOG / f"{source}.yaml"
     path = Path(source)
+    if not path.exists():
+        path = _added_robots().get(str(source), path)
     if (path / "robot.urdf").is_file():
         path = path / "robot.urdf"
     refuse_other_kind(path, ROBOT)

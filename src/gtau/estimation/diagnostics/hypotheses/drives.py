@@ -35,18 +35,19 @@ from gtau.estimation.diagnostics.alternatives import (
     support,
     window_motion,
 )
-from gtau.estimation.diagnostics.finding import RELATIVE, Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, LinearisedWindow
 from gtau.estimation.diagnostics.score_test import score_tests
 from gtau.estimation.estimators.estimator import Fit, Solution
 from gtau.estimation.estimators.newton import jacobian, jacobian_of_known, residuals, to_gains
 from gtau.estimation.regression.equations import KNOWN, modelled
-from gtau.estimation.regression.friction import transmitted
+from gtau.estimation.regression.friction import is_transmitted
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.rows import Rows
 from gtau.estimation.thresholds import Threshold
 from gtau.estimation.thresholds.estimates import DOMINANT, PLAUSIBLE_GAIN_CHANGE, SCALED, TIE
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
+from gtau.findings.words import RELATIVE
 from gtau.robots.parameter import Parameter
 from gtau.signals.preparation.filters import differentiate
 from gtau.signals.preparation.prepared_run import InMemoryRun
@@ -81,7 +82,7 @@ def _friction_shape(fit: Fit) -> Candidates:
     fv, fs = friction_levels(fit)
     level = np.maximum(fv * speeds + fs, 0.02 * rms_torques(fit))
     model, base = fit.dataset.model, fit.dataset.base
-    regressor, acting = model.columns(base.standard), transmitted(base.names)
+    regressor, acting = model.columns(base.standard), is_transmitted(base.names)
     absent = {
         term: np.array([Parameter(term, j) not in fit.system.friction.terms for j in joints]) for term in ("f3", "fl")
     }

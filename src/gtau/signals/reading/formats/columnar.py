@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from gtau.documents.files import in_order
 from gtau.errors import GtauError
-from gtau.signals.reading.formats import WIDEST, Table
+from gtau.signals.reading.formats import WIDEST, DataSet, Table
 from gtau.signals.storage import sizes
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def _table(path: Path, parts: Sequence[Path], scan: Callable[[Path], pl.LazyFram
         if f"{feature}[{len(names)}]" in columns and f"{feature}[{len(names) + 1}]" not in columns
         for k, name in enumerate(names)
     }
-    return Table(tuple(columns), frames, unusable=_unusable(schema), episodes=episodes, labels=labels, rate=rate)
+    return Table(path, tuple(columns), frames, unusable=_unusable(schema), data_set=DataSet(rate, labels, episodes))
 
 
 def _columns(schema: Mapping[str, pl.DataType], table: pl.LazyFrame) -> dict[str, pl.Expr]:
@@ -170,3 +170,6 @@ def _flat(names: Any) -> list[str]:
     if isinstance(names, list):
         return [each for of in names for each in _flat(of)]
     return [names] if isinstance(names, str) else []
+
+
+LOG_FORMATS = {".parquet": open_parquet, ".feather": open_feather, ".arrow": open_feather}

@@ -105,7 +105,7 @@ def open_rosbag(path: Path) -> Table:
         if filled:
             yield pl.DataFrame(values[:filled], schema=list(names)), 1.0
 
-    return Table(tuple(columns), frames)
+    return Table(path, tuple(columns), frames)
 
 
 def _getters(message: Any, kind: str) -> Iterator[tuple[str, Getter]]:
@@ -154,3 +154,6 @@ def _of_item(getter: Callable[[Any], Any], k: int) -> Getter:
 
 def _seconds(stamp: Any) -> float:
     return float(stamp.sec + stamp.nanosec * 1e-9)
+
+
+LOG_FORMATS = dict.fromkeys((".db3", ".mcap", ".bag"), open_rosbag)

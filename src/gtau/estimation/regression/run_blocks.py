@@ -1,9 +1,9 @@
-"""Runs cut into stretches, which the jackknife leaves out in turn: of as many samples in motion each.
+"""Runs cut into blocks, which the jackknife leaves out in turn: of as many samples in motion each.
 
 Model errors depend mostly on the motion. Runs without and with a payload that repeat one motion share them, and they
-cancel in the gains, which depend on the difference of the currents. A jackknife that leaves out stretches of one run
+cancel in the gains, which depend on the difference of the currents. A jackknife that leaves out blocks of one run
 alone counts them as errors of the difference. So runs that repeat a motion are cut at the same positions, and their
-stretches are left out together: common errors then cancel in each unit, and differences remain.
+blocks are left out together: common errors then cancel in each unit, and differences remain.
 """
 
 from __future__ import annotations
@@ -14,32 +14,32 @@ from itertools import pairwise
 
 import numpy as np
 
-from gtau.estimation.regression.equations import STRETCHES
+from gtau.estimation.regression.equations import BLOCKS
 from gtau.estimation.thresholds.logs import REPEATED, REPEATED_PART
 from gtau.signals.preparation.prepared_run import InMemoryRun, PreparedRun
 
 ASLEEP = 1e-6  # weight of a sample in a rest
-REST = 0.5  # of a stretch: shorter rests leave rows in it, and longer ones may leave none
+REST = 0.5  # of a block: shorter rests leave rows in it, and longer ones may leave none
 LONGEST = 1 << 16  # positions of a run that are compared, at most
 
 
-def stretch_edges(prepared: PreparedRun | InMemoryRun) -> np.ndarray:
-    """Find the edges of the stretches of a run, as shares of its samples, (STRETCHES + 1,).
+def block_edges(prepared: PreparedRun | InMemoryRun) -> np.ndarray:
+    """Find the edges of the blocks of a run, as shares of its samples, (BLOCKS + 1,).
 
-    Stretches are equal if the robot does not rest for long; if it does, equal ones would leave all rows to a few.
+    Blocks are equal if the robot does not rest for long; if it does, equal ones would leave all rows to a few.
     """
     at, awake = prepared.awake()
     weight = np.ones(len(awake))
     moving = np.concatenate([[-1], np.flatnonzero(awake), [len(awake)]]).tolist()
     for before, after in pairwise(moving):
-        if at[after] - at[before + 1] > REST * at[-1] / STRETCHES:
+        if at[after] - at[before + 1] > REST * at[-1] / BLOCKS:
             weight[before + 1 : after] = ASLEEP
     along = np.cumsum([0.0, *(np.diff(at) * weight)])
-    return np.asarray(np.interp(np.linspace(0.0, along[-1], STRETCHES + 1), along, at / at[-1]))
+    return np.asarray(np.interp(np.linspace(0.0, along[-1], BLOCKS + 1), along, at / at[-1]))
 
 
-def stretch_of(edges: np.ndarray, outputs: int) -> np.ndarray:
-    """List the number of the stretch of each of ``outputs`` rows, (outputs,), from the edges of the stretches."""
+def block_of(edges: np.ndarray, outputs: int) -> np.ndarray:
+    """List the number of the block of each of ``outputs`` rows, (outputs,), from the edges of the blocks."""
     return np.asarray(np.searchsorted(np.round(edges[1:-1] * outputs, 6), np.arange(outputs), side="right"))
 
 
@@ -57,16 +57,16 @@ class Place:
     repeated: bool
 
 
-def edges_in_step(prepared: Sequence[PreparedRun], places: Sequence[Place]) -> tuple[np.ndarray, ...]:
-    """Cut runs into stretches, those that repeat a motion at the same positions; shares, (STRETCHES + 1,) each.
+def aligned_edges(prepared: Sequence[PreparedRun], places: Sequence[Place]) -> tuple[np.ndarray, ...]:
+    """Cut runs into blocks, those that repeat a motion at the same positions; shares, (BLOCKS + 1,) each.
 
-    They are the stretches of the longest run of each group.
+    They are the blocks of the longest run of each group.
     """
     found = []
     for each, place in zip(prepared, places, strict=True):
         group = [k for k, other in enumerate(places) if other.group == place.group]
         longest = max(group, key=lambda k: len(prepared[k]) / prepared[k].run.rate)
-        edges = stretch_edges(prepared[longest])
+        edges = block_edges(prepared[longest])
         if prepared[longest] is not each:
             time, begin = prepared[longest].time, places[longest].begin
             since = time[0] + edges[1:-1] * (time[-1] - time[0]) - begin
