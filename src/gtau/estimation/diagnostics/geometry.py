@@ -97,10 +97,10 @@ def _tried(fit: PoseFit) -> list[_Candidate]:
 
 
 def _fitted(before: PoseFit, candidate: _Candidate) -> _Candidate:
-    fit = fit_poses(before.poses, before.state, (*before.chosen, candidate.constant))
+    fit = fit_poses(before, (*before.chosen, candidate.constant))
     if fit is None:
         return candidate
-    change = float(fit.state.change[candidate.constant])
+    change = float(fit.change[candidate.constant])
     return _Candidate(candidate.constant, change, float(fit.std[-1]), fit.left, fit)
 
 
@@ -139,7 +139,7 @@ def _tested(
             for candidate in tried
             if candidate.constant != k and candidate.left < GEOMETRY_ALIKE * alone.left and len(found.chosen) == 1
         ]
-        change, share = float(found.state.change[k]), 1 - alone.left / given.left
+        change, share = float(found.change[k]), 1 - alone.left / given.left
         explained.append(_change(constants[k], change, float(std), share, tuple(alike)))
     seen = {candidate.constant for candidate in tried}
     off = linear.any() and distances["position"][1] > GEOMETRY_RMS * characteristic_length(robot)
@@ -161,7 +161,7 @@ def _tested(
             _change(constants[each.constant], each.change, each.std, 1 - each.left / given.left) for each in tried
         ),
         unseen=tuple(constant.name for k, constant in enumerate(constants) if k not in seen),
-        delay=(poses.delay + found.state.frames.delay, float(found.std[0])),
+        delay=(poses.delay + found.frames.delay, float(found.std[0])),
         residuals=tuple(residuals),
     )
 
