@@ -85,20 +85,14 @@ LOG_WORDS: Mapping[str, Words] = {
         + (", took the names of its columns from line {header}" if values["header"] else ""),
         "",
     ),
-    F.OTHER_ROWS: lambda values: (
-        f"left out {counted(values['count'], 'row')} that hold only other signals",
-        "",
-    ),
+    F.OTHER_ROWS: lambda values: (f"left out {counted(values['count'], 'row')} that hold only other signals", ""),
     F.BAD_ROWS: lambda values: (
         f"dropped {counted(values['count'], 'row')} with missing or non-numeric values ({{places}})",
         "",
     ),
     F.REPEATED_ROWS: lambda values: (f"dropped {counted(values['count'], 'repeated row')} ({{places}})", ""),
     F.ALIGNED: _aligned,
-    F.STILL: lambda values: (
-        f"the position of joint {_quoted(values['joints'])} never changes: it yields no rows",
-        "",
-    ),
+    F.STILL: lambda values: (f"the position of joint {_quoted(values['joints'])} never changes: it yields no rows", ""),
     F.UNWRAPPED: lambda values: (
         f"unwrapped the angle of joint {_quoted(values['joints'])}, which jumped by a turn",
         "",
