@@ -182,17 +182,14 @@ def sums_with_mass(payload: PayloadEstimate) -> list[str]:
     return [text.replace("+ -", "- ") for text in regroupings if text.split()[-1] == "m"]
 
 
-def without_temperature(result: Result, signals: Signals) -> list[str]:
+def without_temperature(result: Result, signals: Signals) -> list[Finding]:
     """Note the temperature assumed for logs without one where the model's friction depends on it."""
     warm = result.temperatures
-    depends = {name.body for name in result.friction if name.kind in TEMPERATURE_TERMS}
-    if warm is None or not depends or signals.temperature is not None:
+    joints = sorted({name.body for name in result.friction if name.kind in TEMPERATURE_TERMS})
+    if warm is None or not joints or signals.temperature is not None:
         return []
-    listed = ", ".join(f"'{joint}' {warm.of_joint[joint]:.4g}" for joint in sorted(depends))
-    return [
-        f"friction depends on the temperature, which these logs lack; the reference is assumed ({listed} "
-        f"{warm.unit}); add 'temperature' to the signals"
-    ]
+    assumed = [[joint, warm.of_joint[joint]] for joint in joints]
+    return [Finding(F.ASSUMED_TEMPERATURE, tuple(joints), values={"assumed": assumed, "unit": warm.unit})]
 
 
 def not_separated(names: Sequence[str]) -> list[Finding]:
