@@ -536,7 +536,7 @@ SENTENCES = [  # finding, reason, advice
     (Finding(F.ASSUMED_TEMPERATURE, ("a",), values={"assumed": [["a", 31.5]], "unit": "C"}),
      "friction depends on the temperature, which these logs lack; the reference is assumed ('a' 31.5 C)",
      "add 'temperature' to the signals"),
-    (Finding(F.SCALE_UNTESTED, values={"joint": "left"}, causes=(Finding(F.SIGN_OPEN, ("left",)),)),
+    (Finding(F.SCALE_UNTESTED, values={"joint": "left"}, causes=(Finding(F.SIGN_OPEN, values={"payload": True}),)),
      "the torques are assumed to be correct, because their scale could not be tested: that of no joint is identifiable "
      "('left': the 95 % interval includes zero)",
      "add runs with a heavier payload of known mass, or longer ones"),
