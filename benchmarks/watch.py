@@ -30,12 +30,13 @@ from scipy.signal import butter, sosfiltfilt
 from scipy.stats import chi2
 from threadpoolctl import threadpool_limits
 
-from gtau.estimation.experiment_runs import read_log, read_runs
+from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
 from gtau.signals.preparation.filters import differentiate
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import Run, arrange, without_sensors
+from gtau.uses.runs import read_log
 from gtau.watch import follow as following
 from gtau.watch.detectors import Chart, add, combined, evidence
 from gtau.watch.state import HISTORY

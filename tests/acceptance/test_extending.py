@@ -69,7 +69,7 @@ def test_a_log_format_is_added(tmp_path: Path) -> None:
     rows = np.random.default_rng(0).normal(size=(250_000, 2))
     log = tmp_path / "log.RAW"
     log.write_bytes(b"t q1\n" + rows.tobytes())
-    assert np.array_equal(read_log(log, ["q1"]).columns["q1"], rows[:, 1])
+    assert np.array_equal(read_log(log, ["q1"]).arrays()["q1"], rows[:, 1])
 
 
 @pytest.mark.usefixtures("my_lab")

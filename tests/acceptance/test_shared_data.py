@@ -12,12 +12,12 @@ import pytest
 from models_to_export import of_equations
 
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.experiment_runs import read_log
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
 from gtau.report.uncertainty import PAPER
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import read_run
+from gtau.uses.runs import read_log
 from gtau.uses.weigh import weigh
 from gtau.watch.watch import Watch
 

@@ -20,7 +20,6 @@ from gtau.estimation.diagnostics.alternatives import (
     support,
 )
 from gtau.estimation.diagnostics.examine import Examination
-from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.hypotheses import HYPOTHESES, description, drives
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, LinearisedWindow
 from gtau.estimation.diagnostics.repeating_residuals import PositionRipple
@@ -32,6 +31,7 @@ from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.thresholds.estimates import ALTERNATIVE_PRIOR
+from gtau.findings import Finding
 from gtau.model.home import load_robot
 from gtau.signals.preparation.prepared_run import InMemoryRun
 from gtau.signals.reading.statements import Payload

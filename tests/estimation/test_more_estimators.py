@@ -138,7 +138,7 @@ def test_without_outliers_huber_is_nearly_maximum_likelihood(runs: list[Run]) ->
 def test_weights_that_follow_the_data_are_part_of_huber_s_scatter(data: Dataset) -> None:
     """With the weights held fixed, its standard deviations would be 14 % too small under normal noise."""
     system = data.system(Friction())
-    given = Given(None, {}, silent)
+    given = Given(None, silent)
     plain, robust = (estimator_of(method).fit(data, system, given).solution for method in ("ml", "huber"))
     ratio = np.sqrt(np.diag(robust.jackknife) / np.diag(plain.jackknife))[system.problem.gain_rows]
     assert ((ratio > 0.93) & (ratio < 1.15)).all(), ratio

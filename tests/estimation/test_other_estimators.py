@@ -12,8 +12,6 @@ import pytest
 from five_bar_logs import CHI, GAINS, STEEL, Plant
 from threadpoolctl import threadpool_limits
 
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.other_estimators import (
     Difference,
     alternatives_of,
@@ -28,8 +26,9 @@ from gtau.estimation.estimators.two_stage import first_stage, two_stage
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
-from gtau.signals.notes import Kind
 from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import Preparation
@@ -186,4 +185,4 @@ def test_one_chirp_of_all_joints_is_no_contradiction_of_2sls(shared: Path, tmp_p
     found = [result.drive_gains[joint] for joint in joints[:5]]
     assert [gain.value for gain in found] == pytest.approx([0.94, 1.60, 1.47, 0.91, 0.98], rel=0.08)
     assert Outcome.CONTRADICTORY not in {gain.verdict.outcome for gain in result.drive_gains.values()}
-    assert [note.kind for note in result.notes if note.finding == F.WEAK_INSTRUMENTS] == [Kind.READING]
+    assert [note.topic for note in result.notes if note.kind == F.WEAK_INSTRUMENTS] == [F.READING]

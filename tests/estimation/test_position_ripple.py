@@ -9,13 +9,13 @@ import pytest
 from orthoglide_logs import RATE, experiment
 
 from gtau.demo.orthoglide import DRIVE_GAINS
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.repeating_residuals import PositionRipple, position_ripple
 from gtau.estimation.estimators.estimator import Given
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
+from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
 from gtau.signals.run import Run
 
@@ -67,7 +67,7 @@ def test_ripple_shifts_gains_by_what_is_found(runs: list[Run]) -> None:
 @pytest.mark.slow
 def test_a_result_says_it_and_has_it_in_its_deviations(runs: list[Run]) -> None:
     result = identify(ROBOT, rippled(runs, 0))
-    (note,) = [note for note in result.notes if note.finding == F.RIPPLE]
+    (note,) = [note for note in result.notes if note.kind == F.RIPPLE]
     assert note.joint.startswith("1")
     for gain, truth in zip(result.drive_gains.values(), GAINS, strict=True):
         assert abs((gain.value or 0.0) - truth) < 2 * (gain.std or 0.0)

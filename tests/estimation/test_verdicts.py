@@ -18,8 +18,6 @@ from hypothesis import strategies as st
 
 import gtau.estimation.diagnostics.diagnose
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.gain_checks import base_misfit
 from gtau.estimation.diagnostics.parameter_checks import (
     cannot_be_negative,
@@ -27,17 +25,18 @@ from gtau.estimation.diagnostics.parameter_checks import (
     known_verdict,
     parameter_verdict,
 )
-from gtau.estimation.diagnostics.sentences import percent_text
 from gtau.estimation.diagnostics.verdict import GOOD, OUTCOMES, Outcome, Verdict, decide, verdict_of, worst
-from gtau.estimation.grades import Grade, by_grade
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.equations import BLOCKS
 from gtau.estimation.results.conclusions import Reason, headline, reasons
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import BASE_MISFIT, INFLATED
+from gtau.findings import Finding, Severity
+from gtau.findings import FindingKind as F
+from gtau.findings.finding import by_severity
+from gtau.findings.words import percent_text
 from gtau.model.home import load_robot
-from gtau.signals.notes import Kind, Note
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
@@ -204,7 +203,7 @@ GAIN_KINDS = list(OUTCOMES)[: list(OUTCOMES).index(F.COUPLED) + 1]
             st.sampled_from(GAIN_KINDS),
             st.lists(st.sampled_from(["a", "b", "c"]), min_size=1, unique=True).map(tuple),
             st.sampled_from(["", "steel", "lead"]),
-            severity=st.sampled_from([0.0, 0.5, 2.0]),
+            size=st.sampled_from([0.0, 0.5, 2.0]),
         ),
         max_size=6,
     ),
@@ -223,7 +222,7 @@ def test_verdicts_do_not_depend_on_the_order_of_the_checks(findings: list[Findin
             assert found["abc".index(verdict.finding.subject)].outcome == Outcome.CONTRADICTORY
         elif mine:
             assert GAIN_KINDS.index(verdict.finding.kind) == min(ranks)
-            assert verdict.finding.severity == max(each.severity for each in mine if each.kind == verdict.finding.kind)
+            assert verdict.finding.size == max(each.severity for each in mine if each.kind == verdict.finding.kind)
         else:
             assert verdict == GOOD
 
@@ -327,10 +326,13 @@ def test_what_is_said_of_several_gains_is_said_once(result: Result) -> None:
     assert " ".join(both.summary(False).split()).count(turned.advice) == 1
 
 
+SAID = ((F.MODEL, "slight", 0.2), (F.ROWS, "refusal", 0.0), (F.MODEL, "large", 3.0))
+
+
 def test_notes_that_may_move_an_estimate_most_stand_first() -> None:
-    notes = [Note(Kind.MODEL, "slight", moves=0.2), Note(Kind.ROWS, "refusal"), Note(Kind.MODEL, "large", moves=3.0)]
-    listed = {grade: [each.what for each in members] for grade, members in by_grade(notes).items()}
-    assert listed == {Grade.ERROR: ["refusal"], Grade.WARNING: ["large", "slight"]}
+    notes = [Finding(kind, values={"what": what}, size=size) for kind, what, size in SAID]
+    listed = {grade: [each.what for each in members] for grade, members in by_severity(notes).items()}
+    assert listed == {Severity.ERROR: ["refusal"], Severity.WARNING: ["large", "slight"]}
 
 
 def test_reasons_that_differ_in_numbers_are_one_row_with_the_worst(result: Result) -> None:

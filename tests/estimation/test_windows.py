@@ -11,7 +11,6 @@ import pytest
 from five_bar_logs import STEEL, Plant
 
 from gtau.estimation.diagnostics.examine import examine
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.linearisation import central_windows, usable_rows
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Given
@@ -21,6 +20,7 @@ from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.regression.equations import BLOCKS
 from gtau.estimation.regression.run_blocks import block_edges, block_of
 from gtau.estimation.thresholds.estimates import FEWEST_FOR_TESTS
+from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run

@@ -12,7 +12,6 @@ import pinocchio as pin
 import pytest
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import Outcome
 from gtau.estimation.diagnostics.verdict import Verdict
 from gtau.estimation.results.estimate import Estimate
 from gtau.excitation.clearance import FLOOR, Capsule, bounding_capsule
@@ -23,6 +22,7 @@ from gtau.excitation.evaluation import design_grid, evaluate
 from gtau.excitation.forecast import sampled_motions
 from gtau.excitation.nlp import random_start
 from gtau.excitation.prior import KnownGain, identified_gains
+from gtau.findings import Outcome
 from gtau.report.design import design_document, design_page
 from gtau.report.render.terminal import plain
 

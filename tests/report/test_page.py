@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex
 
 from gtau.model.home import load_robot
 from gtau.report.chart import Axis, Chart, Panel, Rule, Series, colour, intervals
 from gtau.report.page import Column, Facts, Kind, Page, Text, page, section, table
-from gtau.report.render.charts import figure_of, palette
-from gtau.report.render.html import MINUS, arrays_for, frame, html, minus, spec_of
-from gtau.report.render.panels import envelope, sketch_of, ticks
-from gtau.report.render.sketch import Path, Word, svg
+from gtau.report.render.charts import MINUS, envelope, figure_of, palette
+from gtau.report.render.html import arrays_for, frame, html, minus, spec_of
+from gtau.report.render.svg import svg_of
 from gtau.report.render.terminal import plain
 from gtau.report.torques import stretches
 
@@ -120,7 +121,7 @@ def test_a_path_stays_in_one_piece() -> None:
     assert path in plain(page("", section("", Text(f"cannot read {path} at all"))))
 
 
-def test_findings_are_listed_by_grade() -> None:
+def test_findings_are_listed_by_severity() -> None:
     columns = (Column("grade", Kind.BADGE), Column("where"), Column("what", Kind.SENTENCE), Column("do", Kind.SENTENCE))
     rows = [("warning", "free", "it is held", "log faster"), ("information", "", "a clock", "")]
     text = plain(page("", section("Findings", table(columns, rows, listed=True))))
@@ -159,71 +160,25 @@ def test_a_frame_of_a_notebook_holds_a_page(whole: Page) -> None:
     assert text.count("<") == 2
 
 
-def test_an_svg_takes_the_colours_of_the_page(whole: Page) -> None:
-    text = svg(
-        sketch_of(
-            intervals(["left", NASTY], [1.0, None], [0.1, None], "gain, %", other=("prior", [1.2, 3.0]), zero=True)
-        )
+def test_an_svg_takes_the_colours_of_the_page_and_keeps_its_words(whole: Page) -> None:
+    text = svg_of(
+        intervals(["left", NASTY], [1.0, None], [0.1, None], "gain, %", other=("prior", [1.2, 3.0]), zero=True), True
     )
-    assert "var(--predicted)" in text
-    assert "var(--prior)" in text
-    assert "&lt;b onclick" in text
-    assert not re.search(r"\d\.\d{3,}", text)
-    assert len(text) < 5000
+    assert {"--predicted", "--prior", "--soft", "--grid", "--page"} == set(re.findall(r"var\((.*?)\)", text))
+    assert not re.search(r"#[0-9a-f]{6}|\d\.\d{3,}|<style|font-family", text)
+    root = ElementTree.fromstring(text.replace("xlink:href", "href"))
+    assert {"left", NASTY, "gain, %", "0.8"} < {each.text for each in root.iter("text")}
+    assert len(text) < 8000
 
 
-def test_a_panel_of_a_page_and_its_figure_show_the_same_places() -> None:
-    """Matplotlib's own transformations, from limits that are stated, are the reference."""
-    x, y = np.array([1.0, 3.0, 20.0]), np.array([-2.0, 0.5, 4.0])
-    limits = (1.0, 100.0), (-4.0, 6.0)
-    panel = Panel(Axis("f", log=True, limits=limits[0]), Axis("y", limits=limits[1]), (Series("", x, y),))
-    sketch = sketch_of(panel)
-    left, low, right, high = sketch.window
-    (line,) = (each for each in sketch.inside if isinstance(each, Path) and each.stroke == "predicted")
-    shares = (line.points - (left, low)) / (right - left, high - low)
-    (axes,) = figure_of(Chart((panel,))).axes
-    places = axes.transLimits.transform(axes.transScale.transform(np.column_stack([x, y])))
-    np.testing.assert_allclose(np.unique(shares, axis=0), places, atol=1e-9)
-
-
-def test_every_value_is_inside_its_panel_and_axes_alike_have_one_scale() -> None:
-    circle = np.linspace(0.0, 2 * np.pi, 60)
-    path = Series("", 3.0 + 0.2 * np.cos(circle), 0.2 * np.sin(circle))
-    band = Panel(Axis("x"), Axis("y"), (path,), rules=(Rule(x=4.0), Rule(y=-1.0)), band=(0.0, 2.0))
-    for panel in (band, replace(band, equal=True)):
-        sketch = sketch_of(panel)
-        left, low, right, high = sketch.window
-        drawn = np.vstack([each.points for each in sketch.inside if isinstance(each, Path)])
-        assert (drawn >= np.array([left, low]) - 1e-9).all()
-        assert (drawn <= np.array([right, high]) + 1e-9).all()
-    (round_,) = (each.points for each in sketch.inside if isinstance(each, Path) and each.stroke == "predicted")
-    assert np.ptp(round_[:, 0]) == pytest.approx(np.ptp(round_[:, 1]), rel=1e-2)
-
-
-@pytest.mark.parametrize("high", [3e-4, 0.07, 1.0, 8.6, 99.0, 4e5])
-def test_ticks_are_few_and_round(high: float) -> None:
-    found = np.array(ticks(-high / 3, high))
-    assert 3 <= len(found) <= 7
-    assert np.abs(found).min() == 0.0
-    assert f"{found[1] - found[0]:.1e}"[:3] in ("1.0", "2.0", "2.5", "5.0")
-    words = [each.text for each in sketch_of(Panel(Axis("x"), Axis("y"), (Series("", np.array([-high / 3, high]),
-             np.zeros(2)),))).items if isinstance(each, Word)]  # fmt: skip
-    numbers = [float(word.replace("\N{MINUS SIGN}", "-")) for word in words if word not in "xy"]
-    assert set(np.round(found / high, 9)) <= set(np.round(np.array(numbers) / high, 9))
-
-
-def test_a_matrix_shows_the_strength_of_each_value_at_its_place() -> None:
-    values = np.array([[1.0, -0.5, 0.0], [-0.5, 1.0, 0.3], [0.0, 0.3, 1.0]])
-    sketch = sketch_of(Panel(Axis("x"), Axis("y"), matrix=values))
-    left, low, right, high = sketch.window
-    found = np.zeros((3, 3))
-    for each in sketch.inside:
-        assert isinstance(each, Path)
-        for start, end, _ in each.points.reshape(-1, 3, 2):
-            row = round(3 * (high - start[1]) / (high - low) - 0.5)
-            first, last = (round(3 * (at - left) / (right - left)) for at in (start[0], end[0]))
-            found[row, first:last] = each.opacity * (1 if each.stroke == "positive" else -1)
-    np.testing.assert_array_equal(found, values)
+def test_drawings_of_a_page_share_no_ids_and_refer_to_their_own(whole: Page) -> None:
+    x, y = Axis("x"), Axis("y")
+    panels = [Panel(x, y, (Series("", np.arange(3.0), np.arange(3.0) ** k, mark="points"),)) for k in (1, 2)]
+    found = [svg_of(each, alone=False) for each in panels]
+    named = [set(re.findall(r' id="(.*?)"', text)) for text in found]
+    assert named[0].isdisjoint(named[1])
+    for names, text in zip(named, found, strict=True):
+        assert set(re.findall(r'(?:"#|url\(#)(.*?)[")]', text)) == names
 
 
 # Figures
@@ -258,7 +213,9 @@ def test_a_figure_draws_a_matrix_spans_and_steps() -> None:
         Panel(x, y, (Series("", np.arange(4.0), np.ones(3), mark="steps"),), band=(0.2, 0.4)),
     )
     image, spans, steps = figure_of(Chart(panels)).axes
-    assert image.images[0].get_array().shape == (2, 2, 4)
+    cells = image.images[0].get_array()
+    np.testing.assert_array_equal(cells[..., 3], [[1.0, 0.5], [0.5, 1.0]])
+    assert [to_hex(cell) for cell in cells[0]] == [palette()[name] for name in ("positive", "negative")]
     assert len(spans.collections[0].get_paths()) == 2
     assert len(steps.patches) == 2
 

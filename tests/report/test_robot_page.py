@@ -16,11 +16,10 @@ from gtau import identify
 from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.report.render.sketch import Mark, Word
 from gtau.report.render.terminal import plain
 from gtau.report.robot import robot_document as describe
 from gtau.report.robot import robot_page
-from gtau.report.robot_figure import robot_figure, robot_sketch
+from gtau.report.robot_figure import robot_figure
 from gtau.robots.floating import float_base
 from gtau.robots.plausibility import oddities, tool_note
 from gtau.robots.readers.native import parse_native
@@ -199,7 +198,9 @@ def test_a_motor_keeps_its_own_base_parameters() -> None:
 
 
 def texts(robot: Robot) -> list[str]:
-    return [each.text for each in robot_sketch(robot).items if isinstance(each, Word)]
+    from matplotlib.text import Text
+
+    return [words.get_text() for words in robot_figure(robot).findobj(Text)]
 
 
 def test_picture_names_motors_payload_and_gravity() -> None:
@@ -219,14 +220,15 @@ def test_picture_hides_no_name_under_a_joint_or_another_name(name: str) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     robot = load_robot(name)
-    sketch, figure = robot_sketch(robot), robot_figure(robot)
+    figure = robot_figure(robot)
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     (axes,) = figure.axes
     names = [text for text in axes.texts if set(text.get_text().split(", ")) <= robot.driven]
     assert sorted(", ".join(text.get_text() for text in names).split(", ")) == sorted(robot.driven)
     boxes = [text.get_window_extent(canvas.get_renderer()) for text in names]
-    marks = axes.transData.transform([each.place for each in sketch.items if isinstance(each, Mark)])
+    lines = [line for line in axes.get_lines() if line.get_marker() != "None"]
+    marks = axes.transData.transform(np.vstack([line.get_xydata() for line in lines]))
     whole = figure.bbox
     for k, box in enumerate(boxes):
         assert not any(box.overlaps(other) for other in boxes[:k])

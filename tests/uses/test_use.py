@@ -14,11 +14,11 @@ from typer.testing import CliRunner
 
 import gtau
 from gtau.cli.commands import app
-from gtau.estimation.experiment_runs import carrying
 from gtau.model.home import load_robot
 from gtau.robots.readers.read import frame_on
 from gtau.signals.reading.statements import Payload
 from gtau.uses.external_torques import torques_along_log, write_table
+from gtau.uses.runs import carrying
 
 PLANT = Plant(noise=0.005)
 

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 from five_bar_logs import Plant, write_experiment, write_log
 
-from gtau.estimation.experiment_runs import read_log
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
 from gtau.signals.run import Run
+from gtau.uses.runs import read_log
 from gtau.watch.follow import SETTLED, Skipped, follow
 from gtau.watch.watch import Watch
 

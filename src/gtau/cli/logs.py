@@ -16,7 +16,7 @@ from gtau.documents.files import EXPERIMENT, LOG, folder_of, kind_of, refuse_as_
 from gtau.errors import GtauError
 
 if TYPE_CHECKING:
-    from gtau.signals.notes import Note
+    from gtau.findings import Finding
     from gtau.signals.reading.discovery import Draft
 
 WIDTH = 80
@@ -208,7 +208,6 @@ def check(
     experiment, guessed = experiment_of(sources, robot, payload, kind, preset, out or Path("result"))
     with progress_bar() as progress:
         from gtau.estimation.check_logs import check_logs
-        from gtau.estimation.grades import EXIT_CODES
         from gtau.report.check import check_document, check_page, write_check, write_preparation
         from gtau.report.write import inputs_of, write_report
 
@@ -221,7 +220,7 @@ def check(
     if figure is not None:
         written += write_preparation(checked, folder_of(figure))
     answer(json_, lambda: check_document(checked), lambda: page, written)
-    if code := EXIT_CODES[checked.worst]:
+    if code := checked.worst.exit_code:
         raise typer.Exit(code)
 
 
@@ -232,7 +231,7 @@ def experiment_of(
     kind: Commands | None,
     preset: str | None,
     folder: Path,
-) -> tuple[Path, tuple[Note, ...]]:
+) -> tuple[Path, tuple[Finding, ...]]:
     """Take an experiment file as it is; draft one from logs to ``folder``, with a note on every guess in it.
 
     Raises

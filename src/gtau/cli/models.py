@@ -61,12 +61,13 @@ def validate(
     """Compare measured torques with those of a model on the validation runs; with DIR also as figures."""
     refuse_as_folder(out)
     with progress_bar() as progress:
-        from gtau.estimation.experiment_runs import experiment_of, read_runs
+        from gtau.estimation.experiment_runs import read_runs
         from gtau.estimation.results.conclusions import without_temperature
         from gtau.estimation.results.result import Result
         from gtau.report.evidence import predicted, settings_of
         from gtau.report.validation import validation_document, validation_page, validation_report, write_torques
         from gtau.report.write import inputs_of, write_report
+        from gtau.uses.runs import experiment_of
 
         result = Result.load(model)
         described = experiment_of(result, experiment)
@@ -287,12 +288,12 @@ def use(
     columns t, qJOINT and vJOINT (tauJOINT for a model of torques; s, rad or m, A), unless an experiment file names
     others. FILE gets motor, model and external torque of every sample.
     """
-    from gtau.estimation.experiment_runs import carrying, read_log
     from gtau.estimation.results.model_document import torque_error
     from gtau.estimation.results.result import Result
     from gtau.report.page import page
     from gtau.report.torques import bands_section
     from gtau.uses.external_torques import summary_text, torques_along_log, write_table
+    from gtau.uses.runs import carrying, read_log
 
     if force_only and frame is None:
         raise GtauError(

@@ -123,7 +123,7 @@ def watch(
 
 def _read(result: Result, experiment: Path | None, payload: str | None, log: Path) -> Run:
     """Read a log, with the payload that the robot carries."""
-    from gtau.estimation.experiment_runs import carrying, read_log
+    from gtau.uses.runs import carrying, read_log
 
     run = read_log(result, log, experiment)
     return run if payload is None else carrying(result, run, payload)

@@ -14,12 +14,11 @@ from gtau import display
 from gtau.documents.validation import FUNCTION, NUMBER, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome, worst
-from gtau.estimation.estimators.estimator import Estimator, Gains, Given
-from gtau.estimation.estimators.registry import ESTIMATORS
-from gtau.estimation.experiment_runs import subject_of
-from gtau.estimation.gate import choose_estimator, require_identifiable, require_inputs, usable
+from gtau.estimation.estimators.estimator import Gains
+from gtau.estimation.estimators.registry import ESTIMATORS, estimator_of
+from gtau.estimation.experiment_runs import options_of, read
 from gtau.estimation.pipeline import estimate
-from gtau.estimation.regression.dataset import reduce_runs
+from gtau.estimation.preconditions import plan, reduced, require_inputs
 from gtau.estimation.regression.friction import Friction
 from gtau.model.interpreter.program import single_threaded_blas
 from gtau.progress import Progress, silent
@@ -106,38 +105,39 @@ def compare(
     GtauError
         Where a file is wrong, or the runs cannot fix the scale of the gains.
     """
-    subject = subject_of(source, runs, prior_gains, priors, progress, prior_inertias)
-    robot, taken_runs, known = subject.robot, subject.runs, subject.priors
+    asked = options_of(prior_gains, priors, method="ml", prior_inertias=prior_inertias)
+    subject = read(source, runs, asked, progress)
 
-    def row(estimator: Estimator) -> Row:
-        start = perf_counter()
+    def row(method: str) -> Row:
+        start, options = perf_counter(), replace(subject.options, method=method)
         try:
-            gains = require_inputs(estimator, robot, taken_runs, subject.prior_gains, subject.stated)
-            given = Given(gains, known, progress)
-            taken = replace(dataset, priors=usable(estimator, known))
-            result = estimate(taken, estimator, given, prior_gains=subject.prior_gains)
+            estimator = require_inputs(replace(subject, options=options))
+            planned = plan(replace(subject, options=options), dataset, system)
+            taken = dataset if estimator.takes_priors else replace(dataset, priors={})
+            result = estimate(taken, planned, options, progress)
         except GtauError as refusal:
-            return Row(estimator.name, refusal=str(refusal))
-        seconds, found = perf_counter() - start, list(result.drive_gains.values())
-        residuals = np.array([each.relative for each in result.residuals])
-        values = np.array([gain.value for gain in found], dtype=float)
+            return Row(method, refusal=str(refusal))
+        seconds, gains = perf_counter() - start, list(result.drive_gains.values())
+        residuals = np.array([error.relative for error in result.residuals])
+        values = np.array([gain.value for gain in gains], dtype=float)
         if estimator.gains == Gains.GIVEN:
-            return Row(estimator.name, values, None, residuals, seconds)
-        std = np.array([gain.std for gain in found], dtype=float)
-        outcome = worst([gain.verdict for gain in found])
-        halves = np.array([gain.half_interval() for gain in found], dtype=float)
-        return Row(estimator.name, values, std, residuals, seconds, outcome, half_widths=halves)
+            return Row(method, values, None, residuals, seconds)
+        std = np.array([gain.std for gain in gains], dtype=float)
+        outcome = worst([gain.verdict for gain in gains])
+        halves = np.array([gain.half_interval() for gain in gains], dtype=float)
+        return Row(method, values, std, residuals, seconds, outcome, half_widths=halves)
 
     with single_threaded_blas():
-        of_file = subject.prior_inertias
-        dataset = reduce_runs(robot, taken_runs, progress=progress, priors=known, prior_inertias=of_file)
-        require_identifiable(choose_estimator("ml", taken_runs), None, dataset, dataset.system(Friction()))
+        dataset = reduced(subject, estimator_of("ml"), progress)
+        system = dataset.system(Friction())
+        plan(subject, dataset, system)  # refuses runs that do not fix the scale
         rows = []
-        for k, estimator in enumerate(ESTIMATORS.values()):
+        for k, name in enumerate(ESTIMATORS):
             progress("estimators", k, len(ESTIMATORS))
-            rows.append(row(estimator))
+            rows.append(row(name))
         progress("estimators", len(ESTIMATORS), len(ESTIMATORS))
-    units = tuple(gain_unit(robot, joint, taken_runs[0].kind) for joint in robot.motors)
+    robot, kind = subject.robot, dataset.runs[0].kind
+    units = tuple(gain_unit(robot, joint, kind) for joint in robot.motors)
     return EstimatorComparison(robot.motors, tuple(rows), units, robot.name)
 
 

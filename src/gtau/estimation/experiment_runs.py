@@ -1,9 +1,9 @@
-"""Subject of an identification: a robot, its runs and priors, from an experiment file or given in Python."""
+"""Subject of an identification: what is asked, and a robot with its runs, from a file or given in Python."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -11,79 +11,109 @@ from typing import Any
 from gtau.documents.validation import MAPPING, NUMBER, expect, read_group
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
+from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.regression.priors import inertia_priors
-from gtau.estimation.results.result import Result
+from gtau.estimation.thresholds.estimates import ACCURACY
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
-from gtau.robots.robot import Limits, Robot
+from gtau.robots.robot import Robot
 from gtau.signals.reading.experiment import Experiment, check_robot, read_experiment
 from gtau.signals.reading.logged_run import LoggedRun
-from gtau.signals.reading.samples import WHOLE, Part
 from gtau.signals.reading.side_signals import read_poses
-from gtau.signals.reading.statements import Payload, Prior, StatedGain, as_priors
+from gtau.signals.reading.statements import Prior, StatedGain, as_priors
 from gtau.signals.run import Run, read_run
 
 OF_RUNS = "the runs of a robot are a list of runs; read each log with gtau.read_run."
 
 
 @dataclass(frozen=True, eq=False)
-class Subject:
-    """A robot with its runs and prior knowledge: ``priors`` with those of data sheets, and ``stated`` without.
+class Options:
+    """What is asked of an identification; see :func:`gtau.identify`.
 
-    ``gain_stds`` are the standard deviations of the prior gains, where stated; ``experiment`` is None where
-    robot and runs were given in Python. ``prior_inertias`` is the relative standard deviation of the inertias of the
-    robot's file where these are among the priors, else 0.
+    None stands for the experiment file's own gains and priors until :func:`describe` has read them.
+    """
+
+    method: str | None = None
+    as_paper: bool = False
+    consistent: bool = False
+    accuracy: float = ACCURACY
+    ratio: float | None = None
+    prior_gains: Mapping[str, StatedGain] | None = None
+    priors: Mapping[str, Prior] | None = None
+    prior_inertias: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.method is not None:
+            estimator_of(self.method)  # before logs are read
+        if not 0 < self.accuracy <= 0.5:
+            raise GtauError(f"an accuracy of {self.accuracy:g} cannot be asked for; write 0.03 for 3 %.")
+        if self.ratio is not None and not self.ratio >= 1:
+            raise GtauError(f"a ratio of {self.ratio:g} cannot be asked for; write one of the paper's, 10 to 30.")
+
+    @property
+    def gains(self) -> dict[str, float]:
+        """Values of the prior gains, N m/A or N/A, by joint."""
+        return {joint: stated.value for joint, stated in (self.prior_gains or {}).items()}
+
+
+def options_of(
+    prior_gains: Mapping[str, float | Mapping[str, float]] | None = None,
+    priors: Mapping[str, Prior | Mapping[str, Any]] | None = None,
+    **asked: Any,
+) -> Options:
+    """Read prior knowledge given in Python, beside what else is asked, by name; raises GtauError."""
+    options = Options(**asked)
+    return replace(
+        options,
+        prior_gains=None if prior_gains is None else _as_gains(prior_gains),
+        priors=None if priors is None else as_priors(priors),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A robot with its runs, and what is asked, with all prior knowledge: of the inertias of its file too, if asked.
+
+    ``experiment`` is None where robot and runs were given in Python.
     """
 
     robot: Robot
     runs: Sequence[Run]
-    prior_gains: Mapping[str, float]
-    priors: Mapping[str, Prior]
-    stated: Mapping[str, Prior]
+    options: Options
     experiment: Experiment | None = None
-    gain_stds: Mapping[str, float] = field(default_factory=dict)
-    prior_inertias: float = 0.0
 
-    def with_inertias(self, std: float | None) -> Subject:
-        """Take the inertias of the robot's file as priors, where none are stated; raises GtauError."""
-        if std is None:
-            return self
-        of_file = inertia_priors(self.robot, std)
-        return replace(self, priors={**of_file, **self.priors}, stated={**of_file, **self.stated}, prior_inertias=std)
+    @property
+    def stated(self) -> Mapping[str, Prior]:
+        """Priors on parameters without those of data sheets."""
+        known = self.options.priors or {}
+        if self.experiment is None:
+            return known
+        written, sheets = self.experiment.priors, self.experiment.expected_parameters
+        return {name: prior for name, prior in known.items() if name in written or sheets.get(name) != prior}
 
 
-def subject_of(
-    source: str | Path | Experiment | Robot,
-    runs: Sequence[Run] | None = None,
-    prior_gains: Mapping[str, float | Mapping[str, float]] | None = None,
-    priors: Mapping[str, Prior | Mapping[str, Any]] | None = None,
-    progress: Progress = silent,
-    prior_inertias: float | None = None,
+def read(
+    source: str | Path | Experiment | Robot, runs: Sequence[Run] | None, options: Options, progress: Progress = silent
 ) -> Subject:
-    """Read an experiment, or take a robot with its runs; arguments replace the experiment's own entries.
+    """Read an experiment, or take a robot with its runs; options replace the experiment's own entries.
 
     Raises
     ------
     GtauError
         If a file is wrong, a robot comes without runs, an experiment with runs, or an argument has a wrong type.
     """
-    found = describe(source, runs, prior_gains, priors, prior_inertias)
-    if found.experiment is None:
-        return found
-    return replace(found, runs=read_runs(found.experiment, found.experiment.runs, progress))
+    subject = describe(source, runs, options)
+    if subject.experiment is None:
+        return subject
+    return replace(subject, runs=read_runs(subject.experiment, subject.experiment.runs, progress))
 
 
 def describe(
-    source: str | Path | Experiment | Robot,
-    runs: Sequence[Run] | None = None,
-    prior_gains: Mapping[str, float | Mapping[str, float]] | None = None,
-    priors: Mapping[str, Prior | Mapping[str, Any]] | None = None,
-    prior_inertias: float | None = None,
+    source: str | Path | Experiment | Robot, runs: Sequence[Run] | None = None, options: Options | None = None
 ) -> Subject:
-    """Do as :func:`subject_of`, but leave the logs of an experiment unread."""
-    given = None if priors is None else as_priors(priors)
-    gains, stds = (None, {}) if prior_gains is None else _as_gains(prior_gains)
+    """Do as :func:`read`, but leave the logs of an experiment unread."""
+    options = options or Options()
     if isinstance(source, Robot):
         if runs is not None and (isinstance(runs, Run) or not isinstance(runs, Iterable)):
             raise GtauError(OF_RUNS)
@@ -92,8 +122,7 @@ def describe(
             raise GtauError("a robot alone cannot be identified; give its runs too.")
         if not all(isinstance(run, Run) for run in runs):
             raise GtauError(OF_RUNS)
-        found = Subject(source, runs, gains or {}, given or {}, given or {}, gain_stds=stds)
-        return found.with_inertias(prior_inertias)
+        return Subject(source, runs, _with_inertias(options, source))
     if runs is not None:
         raise GtauError(
             "runs are given beside an experiment file, which lists its own; give a robot with runs, or the file alone."
@@ -106,47 +135,56 @@ def describe(
     experiment = source if isinstance(source, Experiment) else read_experiment(source)
     robot = load_robot(experiment.robot)
     check_robot(experiment, robot)
-    found = Subject(
-        robot,
-        (),
-        experiment.expected_gains if gains is None else gains,
-        experiment.expected_parameters if given is None else given,
-        experiment.priors if given is None else given,
-        experiment,
-        experiment.gain_stds if gains is None else stds,
-    )
-    return found.with_inertias(experiment.prior_inertias if prior_inertias is None else prior_inertias)
+    if options.prior_gains is None:
+        stds = experiment.gain_stds
+        gains = {
+            joint: StatedGain(value=value, std=stds.get(joint)) for joint, value in experiment.expected_gains.items()
+        }
+        options = replace(options, prior_gains=gains)
+    if options.priors is None:
+        options = replace(options, priors=experiment.expected_parameters)
+    if options.prior_inertias is None:
+        options = replace(options, prior_inertias=experiment.prior_inertias)
+    return Subject(robot, (), _with_inertias(options, robot), experiment)
 
 
-def _as_gains(gains: Mapping[str, float | Mapping[str, float]]) -> tuple[dict[str, float], dict[str, float]]:
-    """Read gains by joint, and the standard deviations of those that have one."""
+def _with_inertias(options: Options, robot: Robot) -> Options:
+    """Take the inertias of the robot's file as priors, if asked, where none are stated; raises GtauError."""
+    if options.prior_inertias is None:
+        return options
+    return replace(options, priors={**inertia_priors(robot, options.prior_inertias), **(options.priors or {})})
+
+
+def _as_gains(gains: Mapping[str, float | Mapping[str, float]]) -> dict[str, StatedGain]:
+    """Read gains by joint, with the standard deviations of those that have one."""
     expect("'prior_gains'", gains, MAPPING)
-    values, stds = {}, {}
+    stated = {}
     for joint, gain in gains.items():
         name = f"prior gain of joint '{joint}'"
+        std = None
         if isinstance(gain, Mapping):
-            stated = read_group(StatedGain, name, gain)
-            gain, stds[str(joint)] = stated.value, stated.std
+            group = read_group(StatedGain, name, gain)
+            gain, std = group.value, group.std
         expect(f"the {name}", gain, NUMBER)
         if not isfinite(gain) or gain == 0:
             raise GtauError(f"the {name} is {gain:g}; give its N m/A (or N/A).")
-        values[str(joint)] = float(gain)
-    return values, {joint: std for joint, std in stds.items() if std is not None}
+        stated[str(joint)] = StatedGain(value=float(gain), std=std)
+    return stated
 
 
 def read_runs(experiment: Experiment, runs: Sequence[LoggedRun], progress: Progress = silent) -> tuple[Run, ...]:
     """Read logged runs of an experiment file; raises GtauError."""
-    whole = 1000  # of a run
+    parts = 1000  # of a run
 
-    def read(k: int, run: LoggedRun) -> Run:
+    def read_one(k: int, run: LoggedRun) -> Run:
         def advance(done: float) -> None:
-            progress("reading logs", round(whole * (k + done)), whole * len(runs))
+            progress("reading logs", round(parts * (k + done)), parts * len(runs))
 
         return read_run(
             run.log, experiment.signals, run.payload, experiment.units, advance, experiment.preparation, run.part
         )
 
-    return tuple(read(k, run) for k, run in enumerate(runs))
+    return tuple(read_one(k, run) for k, run in enumerate(runs))
 
 
 def geometry_of(
@@ -160,81 +198,3 @@ def geometry_of(
 
     logged = [read_poses(run.log, signals, experiment.units, run.part) for run in runs]
     return geometry_test(model, signals.pose, signals.joints, logged, progress)
-
-
-def read_log(model: Result, log: str | Path, experiment: str | Path | None = None, part: Part = WHOLE) -> Run:
-    """Read a log to be used with a model.
-
-    Parameters
-    ----------
-    model : Result
-        Of the robot.
-    log : path
-        The log.
-    experiment : path, optional
-        Experiment file whose ``signals`` and ``units`` name the columns; left out, they are ``t``, and for each joint
-        ``q`` and ``v`` with the joint's name (``tau`` where the model was identified from torques), SI units.
-    part : Part
-        Which part of the log is used.
-
-    Raises
-    ------
-    GtauError
-        Where the log or the experiment file cannot be read, or the columns are not there.
-    """
-    if experiment is not None:
-        described = read_experiment(experiment)
-        return read_run(log, described.signals, None, described.units, settings=described.preparation, part=part)
-    command, letter = ("current", "v") if model.kind == "current" else ("torque", "tau")
-    joints = model.robot.actuated
-    signals: Mapping[str, Any] = {
-        "time": "t",
-        "position": {joint: f"q{joint}" for joint in joints},
-        command: {joint: f"{letter}{joint}" for joint in joints},
-    }
-    try:
-        return read_run(log, signals, part=part)
-    except GtauError as error:
-        raise GtauError(f"{str(error).rstrip('.')}; or name its columns by --experiment EXPERIMENT.yaml.") from None
-
-
-def carrying(model: Result, run: Run, payload: str) -> Run:
-    """Return the run with one of the model's payloads; raises GtauError where the model does not know its mass."""
-    known = [name for name in dict.fromkeys(each.name for each in model.payloads) if "m" in model.payload(name)]
-    if payload not in known:
-        raise GtauError(f"the model knows no payload '{payload}'; choose from {', '.join(known) or 'none'}.")
-    return replace(run, payload=Payload(name=payload))
-
-
-def experiment_of(model: Result, path: str | Path) -> Experiment:
-    """Read an experiment file that is to be used with an identified model.
-
-    Raises
-    ------
-    GtauError
-        Where the file is wrong, or its robot or signals are not those of the model.
-    """
-    found = describe(path)
-    assert found.experiment is not None
-    require_same(model, found.robot, found.experiment.signals.kind, str(path))
-    return found.experiment
-
-
-def require_same(model: Result, robot: Robot, kind: str, where: str) -> None:
-    """Check that a robot and the kind of its logs are those of an identified model; raises GtauError."""
-    if _mechanism(robot) != _mechanism(model.robot):
-        raise GtauError(
-            f"{where} describes the robot '{robot.name}', but the model is of '{model.robot.name}' or of "
-            "another geometry; give the model of this robot."
-        )
-    if kind != model.kind:
-        raise GtauError(
-            f"the logs of {where} hold {kind}s, but the model was identified from {model.kind}s; "
-            "give logs of the same kind."
-        )
-
-
-def _mechanism(robot: Robot) -> Robot:
-    """Reduce a robot to its mechanism: drop the parts that do not enter its equations of motion."""
-    joints = tuple(replace(joint, limits=Limits()) for joint in robot.joints)
-    return replace(robot, name="", source="", notes=(), joints=joints)

@@ -2,44 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from gtau.display import late
 from gtau.documents.validation import FUNCTION, NUMBER, TEXT, TRUTH, takes
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.log_checks import command_lag, require_felt_payload
-from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.estimators.estimator import Estimator, Given
-from gtau.estimation.estimators.registry import ESTIMATORS, estimator_of
-from gtau.estimation.experiment_runs import geometry_of, read_runs, subject_of
-from gtau.estimation.gate import (
-    choose_estimator,
-    given_gains,
-    require_identifiable,
-    require_inputs,
-    usable,
-)
+from gtau.estimation.experiment_runs import Subject, geometry_of, options_of, read, read_runs
 from gtau.estimation.pipeline import estimate
-from gtau.estimation.regression.dataset import reduce_runs
+from gtau.estimation.preconditions import Plan, plan, reduced, require_inputs, without_scale
+from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.friction import Friction
+from gtau.estimation.regression.system import System
 from gtau.estimation.results.estimate import Requirement, TorqueError
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import ACCURACY
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.model.interpreter.program import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
-from gtau.signals.notes import Note
 from gtau.signals.reading.experiment import Experiment
 from gtau.signals.reading.statements import Drive, Prior, Requirements, data_sheet_notes
 from gtau.signals.run import Run
+
+NO_GAIN = {Outcome.CONTRADICTORY, Outcome.NOT_IDENTIFIABLE}
 
 
 @takes(
@@ -110,77 +101,56 @@ def identify(
     GtauError
         If a file is wrong, the data cannot be used, or they lack an input of the method.
     """
-    if method is not None:
-        estimator_of(method)  # before logs are read
-    if not 0 < accuracy <= 0.5:
-        raise GtauError(f"an accuracy of {accuracy:g} cannot be asked for; write 0.03 for 3 %.")
-    if ratio is not None and not ratio >= 1:
-        raise GtauError(f"a ratio of {ratio:g} cannot be asked for; write one of the paper's, 10 to 30.")
-    subject = subject_of(source, runs, prior_gains, priors, progress, prior_inertias)
-    robot, experiment, known = subject.robot, subject.experiment, subject.priors
-    estimator = choose_estimator(method, subject.runs, as_paper)
-    _check_combination(estimator, as_paper, consistent)
-    gains = require_inputs(estimator, robot, subject.runs, subject.prior_gains, subject.stated, consistent)
+    options = options_of(
+        prior_gains,
+        priors,
+        method=method,
+        as_paper=as_paper,
+        consistent=consistent,
+        accuracy=accuracy,
+        ratio=ratio,
+        prior_inertias=prior_inertias,
+    )
+    subject = read(source, runs, options, progress)
+    estimator, experiment = require_inputs(subject), subject.experiment
     with single_threaded_blas():
-        dataset = reduce_runs(
-            robot,
-            subject.runs,
-            decimator="chebyshev" if as_paper else "fir",
-            progress=progress,
-            priors=usable(estimator, known),
-            prior_inertias=subject.prior_inertias,
-        )
+        dataset = reduced(subject, estimator, progress)
         system = dataset.system(Friction())
-        estimator, gains = require_identifiable(
-            estimator, gains, dataset, system, method is not None, subject.prior_gains
-        )
-
-        def run(by: Estimator, given: np.ndarray | None) -> Result:
-            try:
-                result = estimate(
-                    dataset,
-                    by,
-                    Given(given, known, progress),
-                    subject.prior_gains,
-                    consistent,
-                    as_paper,
-                    ratio,
-                    accuracy,
-                )
-            except GtauError:
-                require_felt_payload(system)
-                raise
-            outcomes = {gain.verdict.outcome for gain in result.drive_gains.values()}
-            if outcomes <= {Outcome.CONTRADICTORY, Outcome.NOT_IDENTIFIABLE}:
-                require_felt_payload(system)
-            return result
-
-        if method is None and gains is None and dataset.runs[0].kind == "torque":
-            result = _tested(run, estimator, given_gains(robot, subject.runs, subject.prior_gains, "wls"))
-        else:
-            result = run(estimator, gains)
+        result = _identified(subject, dataset, system, progress)
         geometry = geometry_of(experiment, experiment.runs, dataset.model, progress) if experiment else None
-        found = [*([geometry.note] if geometry else []), *map(note, command_lag(dataset, system))]
-        notes = (*found, *_data_sheet_notes(experiment.drives if experiment else {}, result), *result.notes)
+        beside = [*([geometry.note] if geometry else []), *command_lag(dataset, system)]
+        notes = (*beside, *_data_sheet_notes(experiment.drives if experiment else {}, result), *result.notes)
         result = result.replaced(geometry=geometry, notes=notes)
-        result = late("uses.prediction").with_prediction_cutoffs(result, dataset.runs)
-        return _judged(result, experiment, progress)
+        return _judged(late("uses.prediction").with_prediction_cutoffs(result, dataset.runs), experiment, progress)
 
 
-def _tested(
-    run: Callable[[Estimator, np.ndarray | None], Result], estimator: Estimator, otherwise: np.ndarray
-) -> Result:
-    """Identify with the scale of the torques, or with the gains (n,) that are given where the runs do not show it."""
+def _identified(subject: Subject, dataset: Dataset, system: System, progress: Progress) -> Result:
+    """Estimate as planned, and again by given gains where the runs turn out not to show the scale of torques."""
+
+    def estimated(by: Plan) -> Result:
+        """Estimate, and refuse a payload that the currents never felt where no gain can be believed."""
+        try:
+            result = estimate(dataset, by, subject.options, progress)
+        except GtauError:
+            require_felt_payload(system)
+            raise
+        if {gain.verdict.outcome for gain in result.drive_gains.values()} <= NO_GAIN:
+            require_felt_payload(system)
+        return result
+
+    planned = plan(subject, dataset, system)
+    if subject.options.method is not None or planned.gains is not None or dataset.runs[0].kind == "current":
+        return estimated(planned)
     try:
-        result = run(estimator, None)
+        result = estimated(planned)
+        first, *_ = result.drive_gains.values()
+        why = f"that of no joint is identifiable ('{first.name}': {first.verdict.why})"
         if {gain.verdict.outcome for gain in result.drive_gains.values()} != {Outcome.NOT_IDENTIFIABLE}:
             return result
-        joint, gain = next(iter(result.drive_gains.items()))
-        why = f"that of no joint is identifiable ('{joint}': {gain.verdict.why})"
-    except GtauError as error:
-        why = str(error).rstrip(".")
-    result = run(estimator_of("wls"), otherwise)
-    return result.replaced(notes=(note(Finding(F.SCALE_UNTESTED, values={"why": why})), *result.notes))
+    except GtauError as refusal:
+        why = str(refusal).rstrip(".")
+    result = estimated(without_scale(subject, dataset))
+    return result.replaced(notes=(Finding(F.SCALE_UNTESTED, values={"why": why}), *result.notes))
 
 
 def _judged(result: Result, experiment: Experiment | None, progress: Progress) -> Result:
@@ -216,21 +186,8 @@ def _of_torques(limit: float, errors: Iterable[TorqueError], run: str = "") -> R
     return Requirement("torque_error", limit, worst.relative, worst.joint, run)
 
 
-def _data_sheet_notes(drives: Mapping[str, Drive], result: Result) -> tuple[Note, ...]:
+def _data_sheet_notes(drives: Mapping[str, Drive], result: Result) -> tuple[Finding, ...]:
     gains = {Parameter("gain", joint): gain for joint, gain in result.drive_gains.items() if gain.std is not None}
     estimates = gains | dict(result.parameters)
     values = {str(name): (estimate.value, estimate.std) for name, estimate in estimates.items()}
     return data_sheet_notes(drives, result.robot, values)
-
-
-def _check_combination(estimator: Estimator, as_paper: bool, consistent: bool) -> None:
-    if as_paper and not estimator.in_paper:
-        of_paper = ", ".join(each.name for each in ESTIMATORS.values() if each.in_paper)
-        raise GtauError(
-            f"the paper has no method '{estimator.name}'; leave out --as-paper, or choose from {of_paper} with it."
-        )
-    if consistent and not estimator.least_squares:
-        raise GtauError(
-            f"consistent parameters are found by least squares, which method '{estimator.name}' is not; use --method "
-            "didim or ml with --consistent."
-        )

@@ -2,58 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
-from math import floor, log10
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from math import cos, floor, log10, radians, sin
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gtau.report.render.charts import new_figure, palette, styled
-from gtau.report.render.sketch import Item, Mark, Path, Sketch, Word, draw_sketch
-from gtau.report.robot_scene import Scene, foot_of, platform_attachments, scene_of
-from gtau.robots.geometry import attached
+from gtau.model.home import close_home
+from gtau.model.kinematics import coordinates, poses
+from gtau.report.render.charts import Colours, new_figure, palette, styled
+from gtau.robots.geometry import Frame, attached
 from gtau.robots.robot import GROUND, Joint, Robot
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 INK, BLUE, RED, GREEN, ORANGE, SKY, GREY = "c3", "c0", "c1", "c2", "c4", "c5", "c7"
 WIDTH, TALLEST = 302.0, 274.0  # points, of the sheet, and of the robot on it
-MARGIN = 12.0  # points, around the robot
-KEY, ROW = 66.0, 13.0  # points, of the strip with the axes of the base below it, and of a row of the key
+MARGIN, HEAD = 12.0, 32.0  # points, around the robot, and above it
+STRIP, ROW, GAP = 66.0, 13.0, 24.0  # points: what holds axes and key, a row of the key, and what is above them
+WORDS = 7.5  # points
 LETTER, AWAY = (4.6, 9.0), 6.0  # points: a letter of a name, width and height, and how far off its joint a name stands
-CORNERS = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # of a joint, in which its name may stand
-LETTERS = 16  # of a name in the key
-ORIGIN = np.zeros(2)
-DRIVEN = Mark(ORIGIN, size=8.2, fill=RED, stroke=INK)
-PASSIVE = Mark(ORIGIN, size=6.1, fill="page", stroke=INK)
-BASE = Path(ORIGIN, "measured", 2.4)
-RAIL = Path(ORIGIN, GREY, 5.0)
-LINK = Path(ORIGIN, BLUE, 2.4, round=True)
-RING = Mark(ORIGIN, size=13.0, stroke=GREEN, width=2.4)
-SPRING = Path(ORIGIN, INK, 1.2, round=True)
-CLOSING = Mark(ORIGIN, "diamond", 6.0, ORANGE, INK)
-AXLE = Path(ORIGIN, INK, 1.0)
+CORNERS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)])  # of a joint, in which its name may stand
+LETTERS = 14  # of a name in the key
+HALO = 2.4  # points, of the page's colour around words
+DRIVEN, PASSIVE = (8.2, RED), (6.1, "page")  # size and colour of marks
+COILS = 8  # turns of a spring
+FLAT = 0.05  # a robot thinner than this share of its size is looked at from the front
 
 
-def robot_figure(robot: Robot) -> Figure:
-    """Draw the sketch of a robot as a figure.
-
-    Raises
-    ------
-    GtauError
-        The loops close nowhere.
-    """
-    sketch = robot_sketch(robot)
-    with styled():
-        figure = new_figure(sketch.size[0] / 72, sketch.size[1] / 72, layout=None)
-        draw_sketch(figure.add_axes((0.0, 0.0, 1.0, 1.0)), sketch, palette())
-    return figure
-
-
-def robot_sketch(robot: Robot) -> Sketch:
-    """Lay out a robot at home, gravity pointing down the page.
+def robot_figure(robot: Robot, colours: Colours | None = None) -> Figure:
+    """Draw a robot at home, gravity pointing down the page, in ``colours`` by name, or those of figures.
 
     Pale lines are the base, grey ones the travel of prismatic joints, blue ones links, from a joint to the next, and
     filled faces platforms; the body that carries the payload is green, with the axes of its frame. Discs are revolute
@@ -66,99 +46,150 @@ def robot_sketch(robot: Robot) -> Sketch:
         The loops close nowhere.
     """
     scene = scene_of(robot)
-    span = np.maximum(scene.high - scene.low, 1e-9)
-    scale = float(min((WIDTH - 2 * MARGIN) / (1.2 * scene.size), TALLEST / span[1]))
-    drawn = [*_skeleton(scene, scale)]
-    drawn += _names(scene, scale, drawn)
-    corners = np.vstack([_corners(each) for each in drawn])
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    entries = list(_entries(scene))
-    strip = max(KEY, ROW * (len(entries) // 2 + 1))
-    width = max(WIDTH, high[0] - low[0] + 2 * MARGIN)
-    head = 20.0 + MARGIN
-    height = strip + 24.0 + high[1] - low[1] + head
-    shift = np.array([(width - low[0] - high[0]) / 2, strip + 24.0 - low[1]])
-    items = [*(_moved(each, shift) for each in drawn), *_scale_bar(scale, scene.size, np.array([MARGIN, strip + 8.0]))]
-    items += _compass(scene, np.array([34.0, strip / 2 + 4.0]))
-    for k, (words, sample) in enumerate(entries):
-        alone = k == len(entries) - 1  # the longest, below the others
-        column, row = (0, (k + 1) // 2) if alone else (k % 2, k // 2)
-        place = np.array([108.0 + 96.0 * column, strip - ROW * (row + 0.6)])
-        items += [_sample(sample, place), Word(words, _beside(place, 13.0, 0.0), "start")]
-    title = Word(scene.robot.name, np.array([6.0, height - 9.0]), "start", "ink", 9.5, bold=True)
-    return Sketch((width, height), (*items, title))
+    colours = palette() if colours is None else colours
+    with styled(colours, WORDS):
+        figure = new_figure(1.0, 1.0, layout=None)
+        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        pen = Pen(axes, colours)
+        _draw_robot(pen, scene)
+        _draw_names(pen, scene)
+        low, high = axes.dataLim.get_points()
+        handles = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
+        strip = max(STRIP, ROW * ((len(handles) + 1) // 2 + 1))
+        width, height = max(WIDTH, high[0] - low[0] + 2 * MARGIN), strip + GAP + high[1] - low[1] + HEAD
+        x, y = (low[0] + high[0] - width) / 2, low[1] - GAP - strip
+        _draw_scale(pen, scene, np.array([x + MARGIN, y + strip + 8.0]))
+        _draw_compass(pen, scene, np.array([x + 34.0, y + strip / 2 + 4.0]))
+        pen.word(robot.name, np.array([x + 6.0, y + height - 9.0]), "left", fontsize=9.5, fontweight="bold")
+        for order, artist in enumerate(axes.get_children()):  # the later above the earlier
+            artist.set_zorder(order)
+        axes.set(xlim=(x, x + width), ylim=(y, y + height))
+        axes.set_axis_off()
+        figure.set_size_inches(width / 72, height / 72)
+        key = figure.legend(
+            list(handles.values()),
+            list(handles),
+            loc="center left",
+            bbox_to_anchor=(86.0 / width, strip / 2 / height),
+            ncols=2,
+            fontsize=7.0,
+            markerscale=0.85,
+            handlelength=1.6,
+            columnspacing=1.2,
+        )
+        for words in key.get_texts():
+            words.set_color(colours["soft"])
+    return figure
 
 
-def _skeleton(scene: Scene, scale: float) -> Iterator[Item]:
-    """Draw base, links, platforms, joints, springs and closures; the origin is that of the scene."""
-    robot, found = scene.robot, scene.found
+@dataclass(frozen=True, eq=False)
+class Pen:
+    """Draws in points, in colours by name; what has a label is explained in the key."""
 
-    def on_page(*points: np.ndarray) -> np.ndarray:
-        return np.asarray(scale * np.array(points) @ scene.view.T)
+    axes: Axes
+    colours: Colours
 
+    def line(self, points: Any, colour: str, width: float = 1.2, end: str = "round", label: str = "") -> None:
+        """Draw a line through points (K, 2)."""
+        self.axes.plot(
+            *np.transpose(points), color=self.colours[colour], linewidth=width, solid_capstyle=end, label=label
+        )
+
+    def mark(self, place: np.ndarray, look: tuple[str, float, str], edge: str = INK, label: str = "") -> None:
+        """Draw a mark of a shape, size and colour at a place (2,)."""
+        shape, size, fill = look
+        self.axes.plot(*place, shape, markersize=size, markerfacecolor=self.colours.get(fill, "none"), label=label,
+                       markeredgecolor=self.colours[edge], markeredgewidth=1.0 if fill else 2.4)  # fmt: skip
+
+    def word(self, text: str, place: np.ndarray, side: str = "center", colour: str = "ink", **more: Any) -> None:
+        """Write words about or to the right of a place (2,)."""
+        from matplotlib.patheffects import withStroke
+
+        left = 0.0 if side == "left" else -LETTER[0] * len(text) / 2
+        box = np.array([(left, -LETTER[1] / 2), (left + LETTER[0] * len(text), LETTER[1] / 2)])
+        self.axes.update_datalim(place + box)
+        halo = withStroke(linewidth=HALO, foreground=self.colours["page"])
+        self.axes.text(
+            place[0], place[1], text, ha=side, va="center", color=self.colours[colour], path_effects=[halo], **more
+        )
+
+    def triad(self, origin: np.ndarray, ends: np.ndarray, colour: str) -> None:
+        """Draw three axes with their names; ``ends`` (2, 3) relative to ``origin`` (2,)."""
+        for end in ends.T:
+            self.line([origin, origin + end], colour)
+        for end, name in zip(ends.T, "xyz", strict=True):
+            self.word(name, origin + end, colour=colour)
+
+
+def _draw_robot(pen: Pen, scene: Scene) -> None:
+    """Draw base, rails, links, platforms, joints, frame of the payload, springs and closures."""
+    robot, frames, reach = scene.robot, scene.frames, scene.size
+    tool = robot.tool if len(robot.tool) <= LETTERS else robot.tool[: LETTERS - 1] + "\u2026"
+    payload = f"payload on {tool}"
     for foot in scene.feet:
-        yield replace(BASE, points=on_page(found[GROUND][1], foot))
-        (x, y), size = on_page(foot)[0], 0.06 * scale * scene.size
-        yield replace(BASE, points=np.array([(x, y), (x, y - size)]), width=1.2)
-        yield replace(BASE, points=np.array([(x - size / 2, y - size), (x + size / 2, y - size)]))
-    for rail in scene.rails:
-        yield replace(RAIL, points=on_page(*rail))
+        x, y = scene.on_page(foot)
+        pen.line([scene.on_page(frames[GROUND][1]), (x, y)], "measured", 2.4, label="" if robot.floating else "base")
+        pen.line([(x, y), (x, y - 0.06 * reach)], "measured")
+        pen.line([(x - 0.03 * reach, y - 0.06 * reach), (x + 0.03 * reach, y - 0.06 * reach)], "measured", 2.4)
+    for joint, rail in scene.rails:
+        pen.line(scene.on_page(rail), GREY, 5.0, "butt", "travel" if joint.limits.position else "")
     for body, line in scene.lines:
-        yield replace(LINK, points=on_page(*line), stroke=GREEN if body == robot.tool else BLUE)
+        colour, label = (GREEN, payload) if body == robot.tool else (BLUE, "link")
+        pen.line(scene.on_page(line), colour, 2.4, label=label)
     for platform in robot.platforms:
-        colour = GREEN if platform.name == robot.tool else SKY
-        ends = [attached(end, found)[1] for end in platform_attachments(robot) if end.body == platform.name]
-        corners = np.array(ends) - np.mean(ends, axis=0)
-        if np.linalg.norm(corners, axis=1).max() < 1e-6:
-            yield Mark(on_page(np.mean(ends, axis=0))[0], "hexagon", 11.0, colour, INK)
-            continue
-        normal = np.linalg.svd(corners)[2]
-        angle = np.arctan2(corners @ normal[1], corners @ normal[0])
-        yield Path(on_page(*np.array(ends)[np.argsort(angle)]), INK, 1.0, colour, 0.6)
-    R, tool = found[robot.tool]
+        colour, label = (GREEN, payload) if platform.name == robot.tool else (SKY, "platform")
+        _draw_platform(pen, scene, platform.name, colour, label)
+    R, place = frames[robot.tool]
     if robot.tool not in {body for body, _ in scene.lines} | {platform.name for platform in robot.platforms}:
-        yield replace(RING, place=on_page(tool)[0])
+        pen.mark(scene.on_page(place), ("o", 13.0, ""), GREEN, payload)
     for joint in sorted(scene.joints, key=lambda joint: joint.name in robot.driven):  # driven ones on top
+        driven, centre = joint.name in robot.driven, scene.centre(joint)
         if joint.turns:
-            half = (0.06 if joint.name in robot.driven else 0.04) * scene.size
-            axis, place = half * (found[joint.name][0] @ np.array(joint.axis)), _place(scene, joint)
-            yield replace(AXLE, points=on_page(place - axis, place + axis))
-        yield _mark(joint, robot, on_page(_place(scene, joint))[0])
-    yield from _triad(on_page(tool)[0], 0.13 * scale * scene.size * scene.view @ R, GREEN)
-    yield from (replace(SPRING, points=scale * spring) for spring in scene.springs)
-    yield from (replace(CLOSING, place=scale * place) for place in scene.closings)
+            half = (0.06 if driven else 0.04) * reach / scene.scale * (frames[joint.name][0] @ np.array(joint.axis))
+            pen.line(scene.on_page(np.array([centre - half, centre + half])), INK, 1.0)
+        size, fill = DRIVEN if driven else PASSIVE
+        words = ("motor, " if driven else "passive, ") + ("turns" if joint.turns else "slides")
+        pen.mark(scene.on_page(centre), ("o" if joint.turns else "s", size, fill), label=words)
+    pen.triad(scene.on_page(place), 0.13 * reach * scene.view @ R, GREEN)
+    for spring in robot.springs:
+        start, end = (scene.on_page(attached(side, frames)[1]) for side in (spring.a, spring.b))
+        pen.line(zigzag(start, end, 0.025 * reach), INK, label="spring")
+    for closure in robot.closures:
+        pen.mark(scene.on_page(attached(closure.a, frames)[1]), ("D", 6.0, ORANGE), label="closes a loop")
 
 
-def _place(scene: Scene, joint: Joint) -> np.ndarray:
-    """Locate the mark of a joint, (3,)."""
-    place = scene.found[joint.name][1]
-    return np.asarray((place + foot_of(joint, scene.found)) / 2 if joint.kind == "prismatic" else place)
+def _draw_platform(pen: Pen, scene: Scene, name: str, colour: str, label: str) -> None:
+    """Fill the face between the points at which a platform is held, or draw a mark where they are one point."""
+    ends = [end for closure in scene.robot.closures for end in (closure.a, closure.b) if end.body == name]
+    points = np.array([attached(end, scene.frames)[1] for end in ends])
+    corners = points - points.mean(axis=0)
+    if np.linalg.norm(corners, axis=1).max() < 1e-6:
+        pen.mark(scene.on_page(points.mean(axis=0)), ("h", 11.0, colour), label=label)
+        return
+    normal = np.linalg.svd(corners)[2]
+    order = np.argsort(np.arctan2(corners @ normal[1], corners @ normal[0]))
+    pen.axes.fill(*scene.on_page(points[order]).T, facecolor=pen.colours[colour], edgecolor=pen.colours[INK],
+                  linewidth=1.0, alpha=0.6, label=label)  # fmt: skip
 
 
-def _mark(joint: Joint, robot: Robot, place: np.ndarray) -> Mark:
-    style = DRIVEN if joint.name in robot.driven else PASSIVE
-    return replace(style, place=place, shape="disc" if joint.turns else "square")
-
-
-def _names(scene: Scene, scale: float, drawn: list[Item]) -> list[Item]:
+def _draw_names(pen: Pen, scene: Scene) -> None:
     """Name what motors move, each in the corner with the fewest marks, then lines, under it."""
-    marks = np.array([each.place for each in drawn if not isinstance(each, Path)])
-    strokes = np.vstack([each.points[:1] + np.linspace(0, 1, 30)[:, None] * (each.points[1:2] - each.points[:1])
-                         for each in drawn if isinstance(each, Path)])  # fmt: skip
+    lines = [(line.get_marker(), np.asarray(line.get_xydata())) for line in pen.axes.get_lines()]
+    marks = np.vstack([points for marker, points in lines if marker != "None"])
+    along = np.linspace(0, 1, 30)[:, None]
+    strokes = np.vstack([ends[:1] + along * (ends[1:2] - ends[:1]) for marker, ends in lines if marker == "None"])
     named: dict[tuple[float, ...], tuple[np.ndarray, list[str]]] = {}
     for joint in scene.joints:
         if joint.name in scene.robot.driven:
-            place = scale * (scene.view @ _place(scene, joint))
+            place = scene.on_page(scene.centre(joint))
             named.setdefault(tuple(np.round(place / 3)), (place, []))[1].append(joint.name)
-    words: list[Item] = []
     for place, names in named.values():
         text = ", ".join(names)
         half = np.array([LETTER[0] * len(text), LETTER[1]]) / 2
-        centres = place + np.array(CORNERS) * (half + AWAY)
+        centres = place + CORNERS * (half + AWAY)
         best = min(centres, key=lambda centre: (_within(marks, centre, half + 4.0), _within(strokes, centre, half)))
-        words.append(Word(text, best, colour="ink", halo=True))
+        pen.word(text, best)
         marks = np.vstack([marks, best + np.linspace(-half, half, 9)])  # no name hides another
-    return words
 
 
 def _within(points: np.ndarray, centre: np.ndarray, half: np.ndarray) -> int:
@@ -166,82 +197,132 @@ def _within(points: np.ndarray, centre: np.ndarray, half: np.ndarray) -> int:
     return int((np.abs(points - centre) < half).all(axis=1).sum())
 
 
-def _corners(item: Item) -> np.ndarray:
-    """Return the corners (K, 2) of the space that an item takes."""
-    if isinstance(item, Path):
-        return item.points
-    half = (
-        np.array([LETTER[0] * len(item.text), LETTER[1]]) / 2 if isinstance(item, Word) else np.full(2, item.size / 2)
-    )
-    return np.array([item.place - half, item.place + half])
-
-
-def _moved(item: Item, shift: np.ndarray) -> Item:
-    if isinstance(item, Path):
-        return replace(item, points=item.points + shift)
-    return replace(item, place=item.place + shift)
-
-
-def _beside(place: np.ndarray, right: float, up: float) -> np.ndarray:
-    return np.asarray(place + np.array([right, up]))
-
-
-def _sample(sample: Item, place: np.ndarray) -> Item:
-    """Place a sample of a mark or a line in the key."""
-    if isinstance(sample, Path):
-        return replace(sample, points=place + np.array([(-8.0, 0.0), (8.0, 0.0)]))
-    return _moved(sample, place)
-
-
-def _triad(origin: np.ndarray, ends: np.ndarray, colour: str) -> Iterator[Item]:
-    """Draw three axes with their names; ``ends`` (2, 3) relative to ``origin`` (2,)."""
-    for end in ends.T:
-        yield Path(np.array([origin, origin + end]), colour, 1.2)
-    for end, name in zip(ends.T, "xyz", strict=True):
-        yield Word(name, origin + end, colour=colour, halo=True)
-
-
-def _compass(scene: Scene, place: np.ndarray) -> Iterator[Item]:
+def _draw_compass(pen: Pen, scene: Scene, place: np.ndarray) -> None:
     """Draw the axes of the base around a place (2,), and which way gravity points."""
-    yield from _triad(place, 18.0 * scene.view @ scene.upright, GREY)
-    yield Word("world" if scene.robot.floating else "base", _beside(place, 0.0, -31.0), colour=GREY)
+    pen.triad(place, 18.0 * scene.view @ scene.upright, GREY)
+    x, y = place
+    pen.word("world" if scene.robot.floating else "base", np.array([x, y - 31.0]), colour=GREY)
     if np.any(scene.robot.gravity):
-        tip = _beside(place, 38.0, -18.0)
-        yield Path(np.array([_beside(tip, 0.0, 34.0), tip]), INK, 1.3)
-        yield Path(np.array([_beside(tip, -3.0, 6.0), tip, _beside(tip, 3.0, 6.0)]), INK, 1.3)
-        yield Word("gravity", _beside(tip, 0.0, -13.0), colour="ink")
+        tip = (x + 38.0, y - 18.0)
+        pen.line([(x + 38.0, y + 16.0), tip, (x + 35.0, y - 12.0), tip, (x + 41.0, y - 12.0)], INK, 1.3)
+        pen.word("gravity", np.array([x + 38.0, y - 31.0]))
 
 
-def _scale_bar(scale: float, size: float, start: np.ndarray) -> Iterator[Item]:
+def _draw_scale(pen: Pen, scene: Scene, start: np.ndarray) -> None:
     """Draw a bar of a round length, about a fifth of the drawing."""
+    size = scene.size / scene.scale
     decade = 10.0 ** floor(log10(0.25 * size))
     length = max(step * decade for step in (1, 2, 5) if step * decade <= 0.25 * size)
-    (x, y), end = start, start[0] + scale * length
-    yield Path(np.array([(x, y + 2.5), (x, y - 2.5), (x, y), (end, y), (end, y + 2.5), (end, y - 2.5)]), INK, 1.2)
-    yield Word(f"{length:g} m" if length >= 0.1 else f"{1e3 * length:g} mm", np.array([end + 6.0, y]), "start", "ink")
+    (x, y), end = start, start[0] + scene.scale * length
+    pen.line([(x, y + 2.5), (x, y - 2.5), (x, y), (end, y), (end, y + 2.5), (end, y - 2.5)], INK)
+    pen.word(f"{length:g} m" if length >= 0.1 else f"{1e3 * length:g} mm", np.array([end + 6.0, y]), "left")
 
 
-def _entries(scene: Scene) -> Iterator[tuple[str, Item]]:
-    """List the words of the key and what they explain."""
-    robot, linked = scene.robot, {body for body, _ in scene.lines}
-    kinds = {(joint.name in robot.driven, joint.kind): joint for joint in scene.joints}
-    for (driven, kind), joint in kinds.items():
-        words = ("motor, " if driven else "passive, ") + ("turns" if kind == "revolute" else "slides")
-        yield words, _mark(joint, robot, ORIGIN)
-    if robot.springs:
-        yield "spring", SPRING
-    if robot.closures:
-        yield "closes a loop", CLOSING
-    if any(joint.limits.position for joint in scene.joints if joint.kind == "prismatic"):
-        yield "travel", RAIL
-    if linked - {robot.tool}:
-        yield "link", LINK
-    if not robot.floating:
-        yield "base", BASE
-    if any(platform.name != robot.tool for platform in robot.platforms):
-        yield "platform", Mark(ORIGIN, "hexagon", 9.0, SKY, INK)
-    tool = robot.tool if len(robot.tool) <= LETTERS else robot.tool[: LETTERS - 1] + "\u2026"
-    green: Item = replace(LINK, stroke=GREEN) if robot.tool in linked else replace(RING, size=8.0, width=1.8)
-    if any(platform.name == robot.tool for platform in robot.platforms):
-        green = Mark(ORIGIN, "hexagon", 9.0, GREEN, INK)
-    yield f"payload on {tool}", green
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A robot whose gravity points down the page: ``view`` (2, 3) projects m to the page, whose ``scale`` is points/m.
+
+    ``frames`` are those of all bodies, ``joints`` those that are drawn, ``lines`` bodies with a line (2, 3) of their
+    link, ``rails`` prismatic joints with their travel (2, 3), ``feet`` (3,) where joints stand on the base.
+    """
+
+    robot: Robot
+    upright: np.ndarray
+    view: np.ndarray
+    scale: float
+    size: float  # points, of the larger side
+    frames: dict[str, Frame]
+    joints: list[Joint]
+    lines: list[tuple[str, np.ndarray]]
+    rails: list[tuple[Joint, np.ndarray]]
+    feet: list[np.ndarray]
+
+    def on_page(self, points: np.ndarray) -> np.ndarray:
+        """Project points (..., 3) onto the page, (..., 2)."""
+        return np.asarray(self.scale * points @ self.view.T)
+
+    def centre(self, joint: Joint) -> np.ndarray:
+        """Locate the mark of a joint, (3,)."""
+        place = self.frames[joint.name][1]
+        return np.asarray((place + foot_of(joint, self.frames)) / 2 if joint.kind == "prismatic" else place)
+
+
+def scene_of(robot: Robot) -> Scene:
+    """Lay out a robot at home; raises GtauError where its loops close nowhere."""
+    robot = close_home(robot)
+    upright = upright_rotation(np.array(robot.gravity))
+    layout = coordinates(robot)
+    frames = {name: (upright @ R, upright @ p) for name, (R, p) in poses(layout, layout.home).items()}
+    shafts = {joint.name for joint in robot.joints if joint.parameters == "drive" and joint.antecedent == GROUND}
+    joints = [joint for joint in robot.joints if joint.name not in shafts.union(robot.base)]
+    lines = link_lines(robot, joints, frames)
+    rails = [(joint, rail_of(joint, frames)) for joint in joints if joint.kind == "prismatic"]
+    feet = [foot_of(joint, frames) for joint in joints if joint.antecedent == GROUND]
+    ends = [attached(end, frames)[1] for end in robot.ends]
+    drawn = (*(line for _, line in lines), *(rail for _, rail in rails))
+    points = np.vstack([*drawn, *feet, *ends, *(frame[1] for frame in frames.values())])
+    view = view_plane(np.ptp(points, axis=0))
+    span = np.maximum(np.ptp(points @ view.T, axis=0), 1e-9)
+    size = float(span.max()) if span.max() > 1e-9 else 1.0
+    scale = float(min((WIDTH - 2 * MARGIN) / (1.2 * size), TALLEST / span[1]))
+    return Scene(robot, upright, view, scale, scale * size, frames, joints, lines, rails, feet)
+
+
+def upright_rotation(gravity: np.ndarray) -> np.ndarray:
+    """Compute the rotation (3, 3) after which gravity points along -z, with x where it was if that can be."""
+    size = np.linalg.norm(gravity)
+    up = -gravity / size if size else np.array([0.0, 0.0, 1.0])
+    x = np.array([1.0, 0.0, 0.0]) if abs(up[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    x = x - (x @ up) * up
+    x /= np.linalg.norm(x)
+    return np.array([x, np.cross(up, x), up])
+
+
+def view_plane(extent: np.ndarray) -> np.ndarray:
+    """Choose the plane of the page, to the right and up, (2, 3), for a robot of that extent (3,)."""
+    elevation, azimuth = 24.0, -58.0
+    thin = int(np.argmin(extent))
+    if extent[thin] < FLAT * extent.max():
+        elevation, azimuth = ((18.0, -20.0), (18.0, -72.0), (62.0, -72.0))[thin]
+    e, a = radians(elevation), radians(azimuth)
+    return np.array([[-sin(a), cos(a), 0.0], [-cos(a) * sin(e), -sin(a) * sin(e), cos(e)]])
+
+
+def link_lines(robot: Robot, joints: list[Joint], frames: dict[str, Frame]) -> list[tuple[str, np.ndarray]]:
+    """List bodies and lines (2, 3) from every joint to what its link carries."""
+    lines = []
+    for joint in joints:
+        foot = foot_of(joint, frames)
+        if joint.antecedent != GROUND:
+            lines.append((joint.antecedent, np.array([frames[joint.antecedent][1], foot])))
+        if joint.kind == "prismatic":
+            lines.append((joint.name, np.array([foot, frames[joint.name][1]])))
+    platforms = {platform.name for platform in robot.platforms}
+    for end in robot.ends:
+        if end.body not in platforms | {GROUND}:
+            lines.append((end.body, np.array([frames[end.body][1], attached(end, frames)[1]])))
+    return [(body, line) for body, line in lines if np.linalg.norm(line[1] - line[0]) > 1e-6]
+
+
+def zigzag(start: np.ndarray, end: np.ndarray, width: float) -> np.ndarray:
+    """Draw a line (points, 2) between two points (2,) that looks like a coil, straight at both ends."""
+    along = end - start
+    length = max(float(np.linalg.norm(along)), 1e-12)
+    across = width / length * np.array([-along[1], along[0]])
+    shares = np.concatenate([[0.0, 0.2], np.linspace(0.25, 0.75, COILS), [0.8, 1.0]])
+    sides = np.concatenate([[0.0, 0.0], (-1.0) ** np.arange(COILS), [0.0, 0.0]])
+    return np.asarray(start + shares[:, None] * along + sides[:, None] * across)
+
+
+def foot_of(joint: Joint, frames: dict[str, Frame]) -> np.ndarray:
+    """Locate where a joint stands on the link before it, (3,)."""
+    R, p = frames[joint.antecedent]
+    foot: np.ndarray = p + R @ joint.placement.position
+    return foot
+
+
+def rail_of(joint: Joint, frames: dict[str, Frame]) -> np.ndarray:
+    """Return the path of a prismatic joint within its limits, (2, 3)."""
+    R, p = frames[joint.name]
+    low, high = joint.limits.position or (joint.home, joint.home)
+    return np.array([p + (end - joint.home) * (R @ np.array(joint.axis)) for end in (low, high)])

@@ -11,10 +11,10 @@ import numpy as np
 
 from gtau.documents.validation import FUNCTION, name_problem, read_group, takes
 from gtau.errors import GtauError
+from gtau.findings import Finding
 from gtau.robots.floating import WrenchFrame
 from gtau.robots.robot import base_rows
 from gtau.signals.channel import Channel, channels_of
-from gtau.signals.notes import Note
 from gtau.signals.reading.columns import EXACT, Calibration, Signals
 from gtau.signals.reading.log_file import as_log
 from gtau.signals.reading.log_set import find_logs
@@ -58,7 +58,7 @@ class Run:
     command: np.ndarray = field(repr=False)
     kind: Literal["current", "torque"] = "current"
     payload: Payload | None = None
-    notes: tuple[Note, ...] = ()
+    notes: tuple[Finding, ...] = ()
     valid: np.ndarray = field(default_factory=lambda: np.ones((0, 0), dtype=bool), repr=False)
     settings: PreparationSettings = CHOSEN
     sensors: tuple[str, ...] = ()

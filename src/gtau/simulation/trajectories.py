@@ -320,7 +320,7 @@ def _of_joints(values: Mapping[str, Any], robot: Robot, where: str) -> Sequence[
 
 def _from_csv(path: Path, robot: Robot) -> tuple[SampledTrajectory, float]:
     names = [f"q_{joint}" for joint in robot.actuated]  # as 'gtau excite' writes them
-    columns = read_log(path, ("t", *names)).columns
+    columns = read_log(path, ("t", *names)).arrays()
     time, q = columns["t"], np.column_stack([columns[name] for name in names])
     if not (np.isfinite(time).all() and np.isfinite(q).all() and len(time) > 5 and (np.diff(time) > 0).all()):
         raise GtauError(

@@ -15,7 +15,6 @@ from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.friction.law import SHAPES, transmitted
 from gtau.estimation.regression.column_blocks import known_values
-from gtau.estimation.regression.dataset import at_rate_of, check_wrenches, motor_to_joint_speed
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.regression.rows import Law, stream_torques
 from gtau.estimation.results.predicted import Prediction
@@ -24,10 +23,11 @@ from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter
 from gtau.signals.preparation.bandwidth import position_noise
 from gtau.signals.preparation.filters import HIGHEST_CUTOFF
-from gtau.signals.preparation.prepared_run import PreparedRun, prepare
+from gtau.signals.preparation.prepared_run import PreparedRun
 from gtau.signals.reading.statements import Payload
-from gtau.signals.run import Run, arrange
+from gtau.signals.run import Run
 from gtau.signals.storage import spans
+from gtau.uses.runs import prepared_for
 
 SAMPLES = 1 << 14  # of all runs together, from the middle of each
 STEP = np.sqrt(2.0)  # between the cut-offs tried
@@ -35,30 +35,6 @@ STEP = np.sqrt(2.0)  # between the cut-offs tried
 # Panda's from 7 to 50 Hz by 1 %), so the highest one is taken: other motions than those of the logs may be faster.
 RAISED = 0.01
 NOISY = 2.0  # times its least: noise then rules the error of a joint, and higher cut-offs are not tried
-
-
-def suited(result: Result, run: Run) -> Run:
-    """Order the columns of a run as the model's joints; raises GtauError where it is of another kind."""
-    if not isinstance(run, Run):
-        raise GtauError(
-            f"this takes a run, not a {type(run).__name__}; read the log with gtau.read_run(log, signals), which knows "
-            "its columns."
-        )
-    run = arrange(run, result.idm.actuated)
-    if run.kind != result.kind:
-        raise GtauError(
-            f"run '{run.name}' holds {run.kind}s, but the model was identified from {result.kind}s; give a run of the "
-            "same kind."
-        )
-    return run
-
-
-def prepared_for(result: Result, run: Run) -> tuple[PreparedRun, range]:
-    """Prepare all samples of a run as for identification, and mark those in which the robot moves."""
-    run = suited(result, run)
-    check_wrenches(result.robot, run)
-    prepared = prepare(run, at_rate_of([run], result.preparation), motor_to_joint_speed(result.idm))
-    return replace(prepared, kept=range(len(run.time))), prepared.kept
 
 
 def predict(result: Result, run: Run, external: np.ndarray | None = None) -> Prediction:

@@ -14,8 +14,8 @@ from gtau.estimation.estimators.essential import select_friction
 from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.estimators.least_squares import wls
 from gtau.estimation.estimators.newton import degrees_of_freedom
-from gtau.estimation.experiment_runs import require_same, subject_of
-from gtau.estimation.gate import given_gains
+from gtau.estimation.experiment_runs import options_of, read
+from gtau.estimation.preconditions import given_gains
 from gtau.estimation.regression.dataset import at_rate_of, reduce_runs
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.results.payload import PayloadEstimate, payload_estimates
@@ -26,6 +26,7 @@ from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
 from gtau.signals.reading.experiment import Experiment
 from gtau.signals.run import Run, without_sensors
+from gtau.uses.runs import require_same
 
 
 @takes(model=("the result of gtau.identify or gtau.Result.load", (Result,)), gains=TEXT, progress=FUNCTION)
@@ -75,18 +76,20 @@ def weigh(
     if gains not in ("identified", "prior"):
         raise GtauError(f"gains is '{gains}'; write 'identified' or 'prior'.")
     of_file = isinstance(source, (str, Path))
-    subject, where = subject_of(source, runs, prior_gains, progress=progress), f"{source}: " if of_file else ""
-    robot = model.robot
+    subject = read(source, runs, options_of(prior_gains), progress)
+    where, robot = f"{source}: " if of_file else "", model.robot
     require_same(model, subject.robot, subject.runs[0].kind, str(source) if of_file else "this experiment")
     if not any(run.payload is not None and run.payload.mass is None for run in subject.runs):
         raise GtauError(f"{where}no run has an unknown payload; leave out 'mass' of the payload to be weighed.")
-    if gains == "prior" and model.kind == "current" and not subject.prior_gains:
+    if gains == "prior" and model.kind == "current" and not subject.options.gains:
         raise GtauError(f"{where}there are no 'prior_gains'; add them, or weigh with the identified gains.")
     bare = any(run.payload is None for run in subject.runs)
     chosen = [run for run in subject.runs if run.payload is None or run.payload.mass is None or not bare]
     if gains == "prior":
-        g_tau = given_gains(robot, chosen, subject.prior_gains, "wls")
-        covariance = np.diag([subject.gain_stds.get(joint, 0.0) ** 2 for joint in robot.actuated])
+        g_tau = given_gains(robot, chosen, subject.options.gains, "wls")
+        stated = subject.options.prior_gains or {}
+        stds = [stated[joint].std if joint in stated else None for joint in robot.actuated]
+        covariance = np.diag([(std or 0.0) ** 2 for std in stds])
     else:
         g_tau = model.gains
         rows = [model.covariance_names.index(Parameter("gain", joint)) for joint in robot.actuated]

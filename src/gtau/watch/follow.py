@@ -15,7 +15,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from gtau.errors import GtauError
-from gtau.signals.reading.formats.text import layout_of
+from gtau.signals.reading.log_file import find_columns
 from gtau.signals.run import Run
 from gtau.watch.state import date_of, digest_of, logs_of
 from gtau.watch.watch import Status, Watch, now
@@ -93,9 +93,8 @@ def _growing(
         if ended():
             return
         time.sleep(POLL)
-    layout = layout_of(log)
     with TemporaryDirectory() as temporary, log.open("rb") as file:
-        head = file.read(layout.first_byte)
+        head = file.read(find_columns(log).first_byte)
         part = Path(temporary) / f"{log.stem}{log.suffix or '.csv'}"
         lines = _Lines()
         wanted, number = 0, 0

@@ -158,7 +158,7 @@ def test_a_bag_without_its_metadata_and_a_pattern_of_bags(tmp_path: Path, log: L
     (storage,) = (tmp_path / "bag").glob("*.db3")
     np.testing.assert_array_equal(read_run(storage, columns).position, read_run(tmp_path / "bag", columns).position)
     assert f"{TOPIC}/received" in find_columns(storage).columns
-    received = read_log(storage, [f"{TOPIC}/received"]).columns[f"{TOPIC}/received"]
+    received = read_log(storage, [f"{TOPIC}/received"]).arrays()[f"{TOPIC}/received"]
     np.testing.assert_allclose(received, log[0] + 1e-6, atol=1e-9)
 
 
@@ -169,11 +169,11 @@ def test_the_panda_bag_is_what_others_decoded(shared: Path) -> None:
         f"{TOPIC}/header/stamp",
         *(f"{TOPIC}/{joint}/{field}" for field in ("position", "effort") for joint in joints),
     ]
-    bag = read_log(folder / "panda_exciting_trajectory.db3", names).columns
+    bag = read_log(folder / "panda_exciting_trajectory.db3", names).arrays()
     decoded = read_log(
         folder / "panda_exciting_trajectory.csv", ["t", *(f"{k}_{j}" for k in ("q", "effort") for j in joints)]
     )
-    for ours, theirs in zip(bag.values(), decoded.columns.values(), strict=True):
+    for ours, theirs in zip(bag.values(), decoded.arrays().values(), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-7, atol=1e-8)  # nine digits were written
 
 

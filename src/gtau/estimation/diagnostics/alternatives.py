@@ -18,7 +18,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from gtau.estimation.diagnostics.finding import Finding, Words
 from gtau.estimation.diagnostics.linearisation import (
     CandidateColumns,
     Offer,
@@ -27,6 +26,8 @@ from gtau.estimation.diagnostics.linearisation import (
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.rows import Labels, configurations
 from gtau.estimation.thresholds.estimates import ALTERNATIVE_PRIOR, REFUTED_STD
+from gtau.findings import Finding
+from gtau.findings.words import Words
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import Motion
 from gtau.signals.preparation.prepared_run import InMemoryRun

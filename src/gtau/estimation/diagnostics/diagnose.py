@@ -8,8 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gtau.estimation.diagnostics.examine import Examination
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.gain_checks import (
     common_scale,
     estimated_gains,
@@ -25,7 +23,6 @@ from gtau.estimation.diagnostics.inertia_audit import InertiaAudit, prior_findin
 from gtau.estimation.diagnostics.other_estimators import position_noise
 from gtau.estimation.diagnostics.parameter_checks import delay_verdicts, unlike_legs
 from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings, ripple_findings
-from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.diagnostics.stated_constants import (
     SensorScale,
     prior_contradictions,
@@ -36,8 +33,9 @@ from gtau.estimation.diagnostics.unit_checks import units_and_signs
 from gtau.estimation.diagnostics.verdict import GIVEN, GOOD, OUTCOMES, Outcome, Verdict, decide
 from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Fit
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import whole_mass
-from gtau.signals.notes import Note
 
 WIDTH = 1.96  # standard deviations in half a 95 % interval
 
@@ -54,7 +52,7 @@ class Diagnosis:
     gains: Mapping[str, Verdict]
     delays: tuple[Verdict, ...]
     payloads: Mapping[str, Verdict]
-    notes: tuple[Note, ...]
+    notes: tuple[Finding, ...]
     accuracy: float
     sensors: tuple[SensorScale, ...] = ()
 
@@ -100,7 +98,7 @@ def diagnose(
             *estimated_gains(fit, examined, estimates, accuracy, prior_gains),
             *sensor_contradictions(sensors, problem.joints, accuracy),
             *(
-                Finding(F.PAYLOAD, joints, name, severity=each.finding.severity)
+                Finding(F.PAYLOAD, joints, name, size=each.finding.size)
                 for name, each in payloads.items()
                 if each.finding is not None and each.outcome == Outcome.CONTRADICTORY
             ),
@@ -124,10 +122,10 @@ def diagnose(
         *examined.untested,
     ]
     halves = half_widths(fit, estimates) if fit.free_gains else np.zeros(0)
-    beside = [replace(each, moves=_moves(each, halves)) for each in beside]
+    beside = [replace(each, size=_moves(each, halves)) for each in beside]
     against, beside = ([in_context(fit, each) for each in found] for found in (against, beside))
     gains = dict(zip(joints, decide(joints, against, GOOD if fit.free_gains else GIVEN), strict=True))
-    return Diagnosis(gains, tuple(delays), payloads, tuple(map(note, beside)), accuracy, sensors)
+    return Diagnosis(gains, tuple(delays), payloads, tuple(beside), accuracy, sensors)
 
 
 def _small_refutations(examined: Examination, accuracy: float) -> list[Finding]:

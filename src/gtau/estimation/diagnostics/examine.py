@@ -9,8 +9,6 @@ import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import Alternative, compete, model_covariance
 from gtau.estimation.diagnostics.effort import UNRANKED, Ranking, rank_meanings
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.hypotheses import HYPOTHESES
 from gtau.estimation.diagnostics.hypotheses.description import GRAVITY, WRENCH_OFFSETS, WRENCH_POINTS
 from gtau.estimation.diagnostics.hypotheses.drives import gain_changes
@@ -47,6 +45,8 @@ from gtau.estimation.thresholds.estimates import (
     PROBABLE,
     REFUTED_SHARE,
 )
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.progress import Progress, silent
 
 

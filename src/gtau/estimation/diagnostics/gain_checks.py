@@ -21,8 +21,6 @@ import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import friction_levels, rms_speeds, rms_torques
 from gtau.estimation.diagnostics.examine import Examination
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
 from gtau.estimation.diagnostics.parameter_checks import judge_parameter, unexplained_shares
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
@@ -39,6 +37,8 @@ from gtau.estimation.thresholds.estimates import (
     NEGATIVE_STD,
 )
 from gtau.estimation.thresholds.logs import ALIKE, BEYOND_GEARS, FRICTIONLESS, GEARED, MODEL_RESIDUAL
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import whole_mass
 from gtau.robots.parameter import Parameter, unit_of
 
@@ -76,11 +76,11 @@ def estimated_gains(
         if std > LOST_GAIN:
             yield Finding(F.LOST, mine, values={"std": std})
             if "singular_ratio" in solution.statistics:
-                yield Finding(F.TLS_CONFUSED, mine)
+                yield Finding(F.TLS_CONFUSED, mine, values={"limit": float(LOST_GAIN)})
         for each in examined.refuted:
             if abs(each.moves[j]) > accuracy:
                 values = {"size": each.size, "unit": each.unit, "share": each.share, "move": float(each.moves[j])}
-                yield Finding(F.REFUTED, mine, values=values, causes=each.causes, severity=each.share)
+                yield Finding(F.REFUTED, mine, values=values, causes=each.causes, size=each.share)
         if misfits[j] > MISFIT:
             values = {"share": float(misfits[j]), "kind": fit.dataset.runs[0].kind, "given": False}
             yield Finding(F.UNEXPLAINED, mine, values=values)
@@ -89,7 +89,7 @@ def estimated_gains(
         for each in examined.alternatives:
             if each.causes[0].kind == F.TWO_STAGE and abs(each.moves[j]) > accuracy and abs(each.t) > APART_REFUTED:
                 values = {"move": float(each.moves[j]), "t": each.t}
-                yield Finding(F.OTHER_ESTIMATOR, mine, values=values, causes=each.causes, severity=abs(each.t))
+                yield Finding(F.OTHER_ESTIMATOR, mine, values=values, causes=each.causes, size=abs(each.t))
         if half > accuracy:
             values = {"half": half, "accuracy": accuracy, "random": bool(random_halves[j] > accuracy)}
             kind, causes = _widest(examined, estimates, problem.n_theta + j)
@@ -137,7 +137,7 @@ def given_gains(fit: Fit, examined: Examination, payloads: Mapping[str, Verdict]
         values = {"size": turned.size, "unit": turned.unit, "share": turned.share}
         cause = turned.causes[0]
         if cause.values["remains"] < best:
-            yield Finding(F.REFUTED, cause.joints, values=values, causes=turned.causes, severity=turned.share)
+            yield Finding(F.REFUTED, cause.joints, values=values, causes=turned.causes, size=turned.share)
     for joint, share in zip(fit.system.problem.joints, misfit, strict=True):
         if share > MISFIT_GIVEN:
             values = {"share": float(share), "kind": fit.dataset.runs[0].kind, "given": True}
@@ -171,7 +171,7 @@ def impossible_parameters(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
             listed.setdefault(body, []).append([name, value, std, unit_of(kind, dataset.robot, body)])
     for body, parameters in listed.items():
         joints = (body,) if body in motors(fit) else motors(fit)
-        yield Finding(F.IMPOSSIBLE_PARAMETERS, joints, values={"parameters": parameters}, severity=len(parameters))
+        yield Finding(F.IMPOSSIBLE_PARAMETERS, joints, values={"parameters": parameters}, size=len(parameters))
 
 
 def wrench_contradictions(fit: Fit) -> Iterator[Finding]:
@@ -188,7 +188,7 @@ def wrench_contradictions(fit: Fit) -> Iterator[Finding]:
             yield Finding(F.NEGATIVE_MASS, motors(fit), name, {"mass": mass})
     for part, share in base_misfit(fit).items():
         if share > BASE_MISFIT:
-            yield Finding(F.BASE_UNEXPLAINED, motors(fit), floating, {"share": share, "part": part}, severity=share)
+            yield Finding(F.BASE_UNEXPLAINED, motors(fit), floating, {"share": share, "part": part}, size=share)
 
 
 def base_misfit(fit: Fit) -> dict[str, float]:

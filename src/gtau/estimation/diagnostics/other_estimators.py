@@ -21,8 +21,6 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.alternatives import Alternative, compete, support
-from gtau.estimation.diagnostics.finding import RELATIVE, Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.linearisation import (
     Windows,
     central_windows,
@@ -41,6 +39,9 @@ from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.equations import SIGNALS, triangle
 from gtau.estimation.regression.friction import TERMS
 from gtau.estimation.thresholds.estimates import DIFFERENT_PROBABILITY, DIFFERENT_STD, NOISE_STD, WEAK_INSTRUMENTS
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
+from gtau.findings.words import RELATIVE
 from gtau.signals.preparation.filters import below_nyquist
 from gtau.signals.preparation.prepared_run import Preparation
 

@@ -25,8 +25,6 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.alternatives import Alternative, established, rms_torques, window_motion
-from gtau.estimation.diagnostics.finding import RELATIVE, Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.hypotheses.description import DEGREE, GRAVITY, OTHER_GRAVITY
 from gtau.estimation.diagnostics.linearisation import (
     Windows,
@@ -66,6 +64,9 @@ from gtau.estimation.thresholds.logs import (
     LENGTH_TRIED,
     UNFELT,
 )
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
+from gtau.findings.words import RELATIVE
 from gtau.model.base_parameters import base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.lengths import SAME, models_alike

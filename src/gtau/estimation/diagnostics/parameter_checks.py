@@ -8,8 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict, verdict_of
 from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.regression.dataset import Dataset
@@ -25,6 +23,8 @@ from gtau.estimation.thresholds.estimates import (
     WEAK_PARAMETER,
 )
 from gtau.estimation.thresholds.logs import DELAY_MOTION, DELAY_STD
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import BaseParameters
 from gtau.robots.geometry import identical_legs
 from gtau.robots.parameter import Parameter, parameter_of
@@ -82,7 +82,7 @@ def known_verdict(
     values = {"parameter": parameter, "declared": declared, "found": found, "std": std, "unit": unit}
     values |= {"given": given, "remains": remains}
     kind = F.PAYLOAD_MASS if parameter == "m" else F.PAYLOAD_PARAMETER
-    return verdict_of(Finding(kind, explained, values=values, severity=abs(found - declared) / std))
+    return verdict_of(Finding(kind, explained, values=values, size=abs(found - declared) / std))
 
 
 def unexplained_shares(problem: Problem, solution: Solution) -> np.ndarray:

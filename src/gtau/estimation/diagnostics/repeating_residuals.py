@@ -19,8 +19,6 @@ from itertools import combinations
 import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import Alternative
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.hypotheses.drives import FALLING_CONSTANT, LOAD_FRICTION
 from gtau.estimation.diagnostics.linearisation import (
     SAMPLES,
@@ -40,6 +38,8 @@ from gtau.estimation.estimators.estimator import Fit, jackknife
 from gtau.estimation.estimators.newton import to_gains
 from gtau.estimation.regression.equations import BLOCKS, triangle
 from gtau.estimation.thresholds.estimates import CORRELATED, CORRELATED_STD, PROBABLE, RIPPLE_SHARE
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.signals.preparation.prepared_run import InMemoryRun
 
 KNOTS = 24  # of the piecewise linear function, over a joint's range in all runs

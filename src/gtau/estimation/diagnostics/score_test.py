@@ -9,7 +9,6 @@ from itertools import pairwise
 import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import Alternative, Candidates, Hypothesis, support
-from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.linearisation import (
     LinearisedWindow,
     Windows,
@@ -25,6 +24,7 @@ from gtau.estimation.diagnostics.linearisation import (
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import to_gains, whitening
 from gtau.estimation.thresholds.estimates import SAME_EFFECT, TOGETHER_SHARE
+from gtau.findings import Finding
 
 SPANNED = 1e-6  # of the square of a column: less is left by the other unknowns, so it could be any of them
 

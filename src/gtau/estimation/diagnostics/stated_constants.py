@@ -16,8 +16,6 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.parameter_checks import known_verdict, unexplained_shares
 from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, verdict_of
 from gtau.estimation.estimators.estimator import Fit, Iterate, Solve, jackknife
@@ -38,6 +36,8 @@ from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import APART, MISFIT_GIVEN, PAYLOAD_MOVES
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import independent_columns
 from gtau.robots.parameter import unit_of
 from gtau.signals.channel import Channel
@@ -245,7 +245,7 @@ def sensor_contradictions(found: Sequence[SensorScale], joints: Sequence[str], a
         moved = tuple(joint for joint, move in zip(joints, moves, strict=True) if move > accuracy)
         if sensor_verdict(each, accuracy).outcome == Outcome.CONTRADICTORY and moved:
             what = {"sensor": each.channel.kind.name}
-            yield Finding(F.SENSOR, moved, each.channel.joint, what, severity=float(moves.max()))
+            yield Finding(F.SENSOR, moved, each.channel.joint, what, size=float(moves.max()))
 
 
 def prior_contradictions(fit: Fit, covariance: np.ndarray, accuracy: float) -> list[Finding]:

@@ -14,8 +14,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.gain_checks import half_widths, motors
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.estimators.estimates import Estimates
@@ -28,6 +26,8 @@ from gtau.estimation.thresholds.estimates import (
     PRIOR_FACTOR,
 )
 from gtau.estimation.thresholds.logs import CURRENTS_APART, LARGEST_CURRENT, PAYLOAD_DENSITY
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.robots.parameter import gain_unit, parameter_of, torque_unit
 from gtau.robots.robot import GROUND, Robot
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.finding import Outcome as Outcome  # which verdicts have
-from gtau.estimation.diagnostics.sentences import advice, reason
+from gtau.estimation.diagnostics.hypotheses import HYPOTHESES
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
+from gtau.findings import Outcome as Outcome  # which verdicts have
+from gtau.findings.finding import WORDS
 
 
 @dataclass(frozen=True)
@@ -21,12 +22,12 @@ class Verdict:
     @property
     def why(self) -> str:
         """The reason, empty without a finding."""
-        return "" if self.finding is None else reason(self.finding)
+        return "" if self.finding is None else self.finding.what
 
     @property
     def advice(self) -> str:
         """Advice of the deciding finding."""
-        return "" if self.finding is None else advice(self.finding)
+        return "" if self.finding is None else self.finding.action
 
     @property
     def sentence(self) -> str:
@@ -34,6 +35,7 @@ class Verdict:
         return self.outcome.value + (f": {self.why}; {self.advice}" if self.finding else "")
 
 
+WORDS.update({cause.kind: cause.words for hypothesis in HYPOTHESES for cause in hypothesis.causes})
 GIVEN, GOOD = Verdict(Outcome.GIVEN), Verdict(Outcome.GOOD)
 
 OUTCOMES: Mapping[str, Outcome] = {kind: kind.outcome for kind in F if kind.outcome}
@@ -81,7 +83,7 @@ def couples(verdict: Verdict) -> bool:
 
 
 def _precedence(finding: Finding) -> tuple[int, float, str]:
-    return RANKS[finding.kind], -finding.severity, repr(finding)
+    return RANKS[finding.kind], -finding.size, repr(finding)
 
 
 def worst(verdicts: Mapping[str, Verdict] | Sequence[Verdict]) -> Outcome:

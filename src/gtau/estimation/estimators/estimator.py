@@ -13,7 +13,6 @@ from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
 from gtau.progress import Progress, silent
-from gtau.signals.reading.statements import Prior
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,14 +102,11 @@ class Given:
     ----------
     gains : ndarray, optional
         Drive gains (n,), N m/A or N/A, for torques the ratio of true to logged ones; None if they are to be estimated.
-    priors : Mapping
-        Parameter to its prior, as in the equations of the dataset; with its bounds.
     progress : Progress
         Called as the work goes on.
     """
 
     gains: np.ndarray | None = None
-    priors: Mapping[str, Prior] = field(default_factory=dict)
     progress: Progress = silent
 
 

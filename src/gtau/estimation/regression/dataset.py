@@ -17,12 +17,13 @@ from gtau.estimation.regression.plausibility import within_limits
 from gtau.estimation.regression.priors import inertia_priors
 from gtau.estimation.regression.run_blocks import Place, aligned_edges, find_places
 from gtau.estimation.regression.system import System, assemble_system
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
 from gtau.robots.plausibility import oddities, tool_note
 from gtau.robots.robot import Robot
-from gtau.signals.notes import Kind, Note
 from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.preparation.prepared_run import InMemoryRun, Preparation, PreparedRun, prepare
 from gtau.signals.reading.statements import Payload, Prior
@@ -79,9 +80,9 @@ class Dataset:
         return aligned_edges(self.prepared, self.places)
 
     @property
-    def notes(self) -> tuple[Note, ...]:
+    def notes(self) -> tuple[Finding, ...]:
         """Notes on implausible parts of the robot, and on repairs and omissions in each run."""
-        runs = (note.of(each.run.name) for each in self.prepared for note in (*each.run.notes, *each.notes))
+        runs = (note.of_source(each.run.name) for each in self.prepared for note in (*each.run.notes, *each.notes))
         of_robot = robot_notes(self.robot, loaded=any(run.payload for run in self.runs))
         return (*of_robot, *runs)
 
@@ -142,10 +143,10 @@ class Dataset:
         return other
 
 
-def robot_notes(robot: Robot, loaded: bool) -> list[Note]:
+def robot_notes(robot: Robot, loaded: bool) -> list[Finding]:
     """Note implausible parts of a robot's description, and, where ``loaded``, the body assumed to carry payloads."""
     found = oddities(robot) + (tool_note(robot) if loaded else ())
-    return [Note(Kind.ROBOT, note, source=f"robot '{robot.name}'") for note in found]
+    return [Finding(F.ROBOT, values={"what": note}, source=f"robot '{robot.name}'") for note in found]
 
 
 def at_rate_of(runs: Sequence[Run], preparation: Preparation) -> Preparation:

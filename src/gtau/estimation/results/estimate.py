@@ -13,9 +13,9 @@ import numpy as np
 from gtau import display
 from gtau.documents.files import write_table
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.sentences import named
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict
+from gtau.findings import Finding
+from gtau.findings.finding import named_causes
 from gtau.model.singularities import TYPES
 from gtau.robots.parameter import Parameter
 from gtau.signals.channel import SENSOR, ChannelKind
@@ -202,7 +202,7 @@ class AlternativeMoves:
     @property
     def subject(self) -> str:
         """The causes by name."""
-        return named(self.causes)
+        return named_causes(self.causes)
 
 
 @dataclass(frozen=True)

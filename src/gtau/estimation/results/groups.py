@@ -25,11 +25,11 @@ from gtau.estimation.results.estimate import (
     TorqueError,
 )
 from gtau.estimation.results.payload import PayloadEstimate
+from gtau.findings import Finding
 from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import Robot
-from gtau.signals.notes import Note
 from gtau.signals.preparation.prepared_run import Preparation
 from gtau.signals.run import Run
 
@@ -146,7 +146,7 @@ class Evidence:
     Attributes
     ----------
     notes : tuple of Note
-        What was repaired, left out, or is not to be trusted; :mod:`gtau.estimation.grades` grades them.
+        What was repaired, left out, or is not to be trusted; each has its ``severity``.
     alternatives : tuple of AlternativeMoves
         What the model may lack, and by how much that would move the gains.
     curves : dict
@@ -168,7 +168,7 @@ class Evidence:
         The distances to singularities at each run's decimated samples; ``model.json`` does not hold them.
     """
 
-    notes: tuple[Note, ...] = ()
+    notes: tuple[Finding, ...] = ()
     alternatives: tuple[AlternativeMoves, ...] = ()
     curves: Mapping[str, FrictionCurve] = field(default_factory=dict)
     equation_friction: Named[Parameter] = field(default_factory=Named)

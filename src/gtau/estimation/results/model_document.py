@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
-from gtau.estimation.diagnostics.finding import finding_document
 from gtau.estimation.diagnostics.geometry_findings import to_document as geometry_document
 from gtau.estimation.diagnostics.verdict import Verdict
 from gtau.estimation.estimators.physical_consistency import Consistency
-from gtau.estimation.grades import to_document as note_document
 from gtau.estimation.results.estimate import Estimate, TorqueError
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.results.result import Result
+from gtau.findings.finding import finding_document, note_document
 from gtau.robots.parameter import parameter_of, unit_of
 from gtau.robots.readers.native_text import native_text
 from gtau.robots.robot import Robot

@@ -26,10 +26,8 @@ from gtau.documents.files import MODEL, refuse_other_kind, write_atomically
 from gtau.documents.validation import Positive, unknown, validate
 from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import Finding
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
-from gtau.estimation.diagnostics.sentences import advice, reason
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.estimators.physical_consistency import Consistency, Move
 from gtau.estimation.estimators.registry import GROUP, NAMES
@@ -49,10 +47,11 @@ from gtau.estimation.results.model_document import OLDER, SCHEMA, to_document
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.results.result import Result, result_of
 from gtau.extensions import registered
+from gtau.findings import Finding
+from gtau.findings.finding import read_note
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.readers.native import parse_native
 from gtau.signals.channel import SENSOR, ChannelKind, sensor_kind
-from gtau.signals.notes import Note
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import Preparation
 
@@ -96,11 +95,7 @@ def _method(name: str) -> str:
 _Estimate = Annotated[Estimate, BeforeValidator(_gathered)]
 _Estimates = Annotated[tuple[_Estimate, ...], AfterValidator(_by_name)]
 _Parameters = Annotated[tuple[_Estimate, ...], AfterValidator(_by_name), AfterValidator(_by_parameter)]
-NoteEntry = Annotated[
-    Note,
-    BeforeValidator(lambda note: {k: v for k, v in note.items() if v is not None} if isinstance(note, dict) else note),
-]
-"""A note as :func:`gtau.estimation.grades.to_document` writes it, null for what it lacks."""
+NoteEntry = Annotated[Finding, BeforeValidator(read_note)]
 
 
 class _Known(_Group):
@@ -357,7 +352,7 @@ def _problems(result: Result) -> Iterator[str]:
     causes = (cause for each in result.alternatives for cause in each.causes)
     for finding in (*(each.finding for each in verdicts if each.finding), *causes):
         try:
-            reason(finding), advice(finding)
+            finding.sentence  # noqa: B018
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError):  # of a template and its values
             yield f"the values of the finding '{finding.kind}' are not those of its sentence"
 

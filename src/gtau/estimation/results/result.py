@@ -31,11 +31,11 @@ from gtau.estimation.results.estimate import (
 from gtau.estimation.results.groups import Evidence, FitRecord, Model, ModelEstimates
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.results.predicted import Prediction, torque_errors
+from gtau.findings import Finding
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import PLAIN_FRICTION, Robot
-from gtau.signals.notes import Note
 from gtau.signals.preparation.prepared_run import Preparation
 from gtau.signals.reading.statements import Payload, as_payload
 from gtau.signals.run import Run
@@ -193,7 +193,7 @@ class Result:
         return self.fit.data
 
     @property
-    def notes(self) -> tuple[Note, ...]:
+    def notes(self) -> tuple[Finding, ...]:
         """What was repaired, left out, or is not to be trusted."""
         return self.evidence.notes
 

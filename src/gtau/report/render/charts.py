@@ -1,9 +1,9 @@
-"""Charts by Matplotlib: figures for files and notebooks."""
+"""Charts by Matplotlib: figures for files and notebooks, and drawings in the colours of a page."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from importlib.resources import files
@@ -16,33 +16,29 @@ import numpy as np
 from gtau.documents.files import write_atomically
 from gtau.errors import GtauError
 from gtau.report.chart import Axis, Chart, Panel, Series
-from gtau.report.render.panels import NAMES, dashes_of, thinned
+from gtau.report.page import number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+Colours = Mapping[str, Any]
+"""Colours of the style sheet by name, as Matplotlib takes them."""
 STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
     "text.parse_math": False,  # names of users may hold a $
     "font.sans-serif": ["DejaVu Sans"],  # comes with matplotlib, so that figures look the same everywhere
-    "font.size": 9,
     "axes.titlesize": 9.5,
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
     "axes.titlepad": 7,
-    "axes.labelsize": 9,
-    "axes.edgecolor": "#444444",
     "axes.linewidth": 0.8,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.axisbelow": True,
     "axes.grid": True,
     "axes.xmargin": 0.0,
-    "grid.color": "#E4E4E4",
     "grid.linewidth": 0.7,
-    "xtick.color": "#444444",
-    "ytick.color": "#444444",
     "xtick.major.size": 0,
     "ytick.major.size": 0,
     "lines.markersize": 5,
@@ -50,23 +46,37 @@ STYLE: dict[Any, Any] = {
     "legend.frameon": False,
     "legend.handlelength": 2.6,
     "figure.dpi": 150,
+    "svg.fonttype": "none",  # words stay words
+    "svg.hashsalt": "gtau",
 }
+PARTS: dict[str, tuple[Any, ...]] = {
+    "soft": ("axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"),
+    "grid": ("grid.color",),
+}
+"""Colours of the parts of a chart that its description does not name."""
+MINUS = "\N{MINUS SIGN}"
 WIDTH = 7.2  # inches, of a figure
+NAMES = 220.0  # points, that the names at an axis share
+BUCKETS = 600  # of a line, each drawn by its extremes
+DASHES: tuple[tuple[float, ...], ...] = ((), (5, 1.6), (5, 1.4, 1, 1.4), (1, 1.3), (8, 2), (3, 1, 1, 1))
+"""How lines of the colours c0, c1, ... are dashed, in widths of the line, so that they differ in grey too."""
 
 
 @contextmanager
-def styled() -> Iterator[None]:
-    """Draw in the style of the package; afterwards the user's settings of Matplotlib are as they were."""
+def styled(colours: Colours, size: float = 9.0) -> Iterator[None]:
+    """Draw in the style of the package, words of a ``size`` in points; afterwards the user's settings are as before."""
     import matplotlib
 
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(STYLE)
+        matplotlib.rcParams["font.size"] = size
+        matplotlib.rcParams.update({part: colours[name] for name, parts in PARTS.items() for part in parts})
         yield
 
 
 @cache
-def palette() -> dict[str, Any]:
+def palette() -> Colours:
     """Read the colours of the style sheet by name."""
     text = files("gtau.report.render").joinpath("assets", "light.css").read_text(encoding="utf-8")
     found: dict[str, Any] = dict(re.findall(r"--([\w-]+): (#\w+);", text))
@@ -91,7 +101,7 @@ def _shown_figure() -> type[Figure]:
 
         def _repr_png_(self) -> bytes:
             content = BytesIO()
-            with styled():
+            with styled(palette()):
                 self.savefig(content, format="png")
             return content.getvalue()
 
@@ -102,14 +112,14 @@ def figure_of(chart: Chart) -> Figure:
     """Draw a chart as one figure, its panels in rows of ``columns``, its key above them."""
     rows = -(-len(chart.panels) // chart.columns)
     heights = [max(each.height for each in chart.panels[k * chart.columns :][: chart.columns]) for k in range(rows)]
-    with styled():
+    with styled(palette()):
         figure = new_figure(WIDTH, 0.5 + 1.15 * sum(heights))
         grid = figure.subplots(
             rows, chart.columns, squeeze=False, height_ratios=heights, sharex="col" if chart.live else "none"
         )
         places = grid.reshape(-1)
         for axes, panel in zip(places, chart.panels, strict=False):
-            draw(axes, panel, last=not chart.live or axes in grid[-1])
+            draw(axes, panel, palette(), last=not chart.live or axes in grid[-1])
         for axes in places[len(chart.panels) :]:
             axes.set_axis_off()
         first, label = places[0], chart.panels[0].title
@@ -123,9 +133,8 @@ def figure_of(chart: Chart) -> Figure:
     return figure
 
 
-def draw(axes: Axes, panel: Panel, last: bool = True) -> None:
+def draw(axes: Axes, panel: Panel, colours: Colours, last: bool = True) -> None:
     """Draw a panel; the horizontal axis is labelled on the ``last`` one."""
-    colours = palette()
     if panel.matrix is not None:
         _matrix(axes, panel.matrix)
     if panel.band is not None:
@@ -138,10 +147,11 @@ def draw(axes: Axes, panel: Panel, last: bool = True) -> None:
             if at is not None:
                 line(at, **dashed)
         if rule.label and rule.x is not None:
-            axes.annotate(f" {rule.label}", (rule.x, 1.0), xycoords=("data", "axes fraction"), rotation=90,
-                          va="top", ha="right", fontsize="small", color=colours["soft"])  # fmt: skip
+            place: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
+            axes.annotate(rule.label, (rule.x, 1.0), (-2.0, -2.0), **place, rotation=90, va="top", ha="right",
+                          fontsize="small", color=colours["soft"])  # fmt: skip
     for series in panel.series:
-        _series(axes, series)
+        _series(axes, series, colours)
     for axis, which in ((panel.x, "x"), (panel.y, "y")):
         _axis(axes, axis, which)
     axes.set_title(panel.title)
@@ -164,10 +174,11 @@ def _axis(axes: Axes, axis: Axis, which: str) -> None:
     limits = axes.set_xlim if which == "x" else axes.set_ylim
     if axis.log:
         (axes.set_xscale if which == "x" else axes.set_yscale)("log")
-        ticks.set_major_locator(LogLocator(numticks=6))
+        low, high = axes.get_xlim() if which == "x" else axes.get_ylim()
+        ticks.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 20 * low else (1.0,), numticks=6))
         ticks.set_minor_locator(NullLocator())
         ticks.set_minor_formatter(NullFormatter())
-        ticks.set_major_formatter(lambda value, _: f"{value:g}")
+        ticks.set_major_formatter(lambda value, _: number(value).replace("-", MINUS))
     else:
         ticks.set_major_locator(MaxNLocator(5))
     if axis.names:
@@ -181,8 +192,8 @@ def _axis(axes: Axes, axis: Axis, which: str) -> None:
         axes.set_ylabel(axis.label)
 
 
-def _series(axes: Axes, series: Series) -> None:
-    colour = palette()[series.colour]
+def _series(axes: Axes, series: Series, colours: Colours) -> None:
+    colour = colours[series.colour]
     look: dict[str, Any] = {"label": series.label or None}
     if series.mark == "steps":
         axes.stairs(series.y, series.x, color=colour, linewidth=series.width, **look)
@@ -190,17 +201,18 @@ def _series(axes: Axes, series: Series) -> None:
         spans = [(start, stop - start) for start, stop in series.x]
         axes.broken_barh(spans, (float(series.y[0]) - 0.35, 0.7), color=colour, linewidth=0)
     elif series.mark == "line":
-        dashes = dashes_of(series)
+        dashes = DASHES[int(series.colour[1:]) % len(DASHES)] if series.colour[1:].isdigit() else ()
         style = (0, dashes) if dashes else "-"
         axes.plot(*thinned(series), color=colour, linewidth=series.width, linestyle=style, **look)
     elif series.mark == "points":
-        axes.plot(series.x, series.y, color=colour, marker="o", linestyle="none", markersize=2 + series.width, **look)
+        look |= {"markersize": 2 + series.width, "markeredgewidth": 0.0}
+        axes.plot(series.x, series.y, "o", color=colour, **look)
         axes.margins(x=0.03)
     else:
         half = np.zeros(len(series.x)) if series.half is None else series.half
         marks: dict[str, dict[str, Any]] = {
             "disc": {"marker": "o", "elinewidth": 1.2, "capsize": 3},
-            "diamond": {"marker": "D", "markerfacecolor": palette()["page"], "elinewidth": 0, "capsize": 0},
+            "diamond": {"marker": "D", "markerfacecolor": colours["page"], "elinewidth": 0, "capsize": 0},
             "thick": {"marker": "", "elinewidth": 4, "capsize": 0},
         }
         look |= {"yerr" if series.upright else "xerr": half, "color": colour, "linestyle": "none", "markersize": 4.5}
@@ -215,7 +227,53 @@ def _matrix(axes: Axes, values: np.ndarray) -> None:
     image = np.empty((*values.shape, 4))
     image[..., :3] = np.where(values[..., None] < 0, *(to_rgb(palette()[each]) for each in ("negative", "positive")))
     image[..., 3] = np.abs(values)
-    axes.imshow(image, interpolation="nearest", aspect="equal")
+    axes.imshow(image, interpolation="none", aspect="equal")
+
+
+def thinned(series: Series) -> tuple[np.ndarray, np.ndarray]:
+    """Return the points (K,) and (K,) of a line, thinned along time or frequency, not along a path."""
+    if not np.all(np.diff(series.x) >= 0):
+        return series.x, series.y
+    x, y = envelope(series.x, series.y[:, None], BUCKETS)
+    return x, y.reshape(-1)
+
+
+def envelope(time: np.ndarray, values: np.ndarray, buckets: int) -> tuple[np.ndarray, np.ndarray]:
+    """Thin series to the extremes of each bucket, in the order in which they occur.
+
+    Parameters
+    ----------
+    time : ndarray
+        (K,) instants.
+    values : ndarray
+        (K, m) series; NaN is left out.
+    buckets : int
+        Buckets of equal numbers of samples.
+
+    Returns
+    -------
+    time, values : ndarray
+        (2 buckets,) and (2 buckets, m): two instants a bucket, which all series share; the input itself where it is
+        no longer than that.
+    """
+    samples, m = values.shape
+    size = -(-samples // buckets)
+    if size <= 2:
+        return time, values
+    count = -(-samples // size)
+    padded = np.full((count * size, m), np.nan)
+    padded[:samples] = values
+    padded = padded.reshape(count, size, m)
+    gaps = np.isnan(padded)
+    low = np.where(gaps, np.inf, padded).argmin(axis=1)
+    high = np.where(gaps, -np.inf, padded).argmax(axis=1)
+    first, last = np.minimum(low, high), np.maximum(low, high)
+    pairs = np.stack([np.take_along_axis(padded, at[:, None], axis=1)[:, 0] for at in (first, last)], axis=1)
+    instants = np.full(count * size, time[-1])
+    instants[:samples] = time
+    instants = instants.reshape(count, size)
+    shared = np.stack([instants[:, 0], instants[:, size // 2]], axis=1)
+    return shared.reshape(-1), pairs.reshape(-1, m)
 
 
 def save(chart: Chart, path: Path) -> Path:
@@ -236,6 +294,6 @@ def save_figure(figure: Figure, path: str | Path) -> None:
     if kind not in ("png", "pdf"):
         raise GtauError(f"figures are written as PNG or PDF, so '{path}' would mislead; let its name end in .png.")
     content = BytesIO()
-    with styled():
+    with styled(palette()):
         figure.savefig(content, format=kind, metadata={"Software": None} if kind == "png" else {"CreationDate": None})
     write_atomically(path, content.getvalue())

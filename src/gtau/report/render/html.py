@@ -16,8 +16,8 @@ import numpy as np
 
 from gtau.report.chart import Chart, Panel
 from gtau.report.page import BADGES, NUMERIC, Column, Item, Kind, Page, Section
-from gtau.report.render.panels import MINUS, envelope, sketch_of
-from gtau.report.render.sketch import svg
+from gtau.report.render.charts import MINUS, envelope
+from gtau.report.render.svg import svg, svg_of, variables
 from gtau.robots.robot import Robot
 
 BUCKETS = 2000  # of a run, each drawn by its extremes: more than the pixels of a wide screen
@@ -104,16 +104,15 @@ def _svg(chart: Chart) -> list[tuple[str, Any]]:
     """Draw the panels of a static chart, with their titles."""
     from markupsafe import Markup
 
-    alone = chart.columns == 1
-    return [(each.title, Markup(svg(sketch_of(each, alone)))) for each in chart.panels]
+    return [(panel.title, Markup(svg_of(panel, alone=chart.columns == 1))) for panel in chart.panels]
 
 
 def _robot(robot: Robot) -> Any:
     from markupsafe import Markup
 
-    from gtau.report.robot_figure import robot_sketch
+    from gtau.report.robot_figure import robot_figure
 
-    return Markup(svg(robot_sketch(robot)))
+    return Markup(svg(robot_figure(robot, variables())))
 
 
 def _style() -> str:

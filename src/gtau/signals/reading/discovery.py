@@ -103,7 +103,7 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
     time, rate = position_log.time, None
     if time:
         units["time"], reasons["time"] = position_log.time_unit()
-    elif (rate := position_log.table.rate) is not None:
+    elif position_log.table.data_set and (rate := position_log.table.data_set.rate) is not None:
         reasons["time"] = f"no time column; {rate:g} Hz by the description of the data set (meta/info.json)"
     else:
         rate, reasons["time"] = position_log.rate_from_velocities(positions)

@@ -13,9 +13,10 @@ from zlib import crc32
 from gtau.documents.files import folder_of, write_atomically
 from gtau.documents.yaml_document import yaml_text
 from gtau.errors import GtauError
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
-from gtau.signals.notes import Kind, Note
 from gtau.signals.reading.columns import PRESETS
 from gtau.signals.reading.discovery import Draft, discover
 from gtau.signals.reading.formats.rosbag import robot_description
@@ -293,7 +294,7 @@ def draft_text(draft: Draft, folder: Path) -> str:
     return "\n".join(lines) + "\n"
 
 
-def guesses(draft: Draft, file: Path) -> tuple[Note, ...]:
+def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
     """List the guesses of a draft, each with the entry to change in its ``file``."""
     commands, columns = list(draft.command.values()), _pairs(draft.position)
     first = " ... ".join(dict.fromkeys((commands[0], commands[-1])))
@@ -332,7 +333,7 @@ def guesses(draft: Draft, file: Path) -> tuple[Note, ...]:
         found.append((f"joints missing from the log are held at home; {', '.join(draft.moving)} move", ""))
     if draft.time and draft.time[0].endswith("/header/stamp"):
         found.append((f"time is {draft.time[0]}, measurement stamps, not receipt stamps", ""))
-    return tuple(Note(Kind.DRAFT, what, action, source=str(file)) for what, action in found)
+    return tuple(Finding(F.DRAFT, values={"what": what, "action": action}, source=str(file)) for what, action in found)
 
 
 STATE = "correct them by --payload LOG=KG (0 for none)"

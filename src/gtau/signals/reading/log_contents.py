@@ -13,7 +13,7 @@ from gtau.errors import GtauError
 from gtau.robots.robot import Robot
 from gtau.signals.reading.column_names import ColumnName, parse_column_name, parse_item
 from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
-from gtau.signals.reading.formats import Table
+from gtau.signals.reading.formats import DataSet, Table
 from gtau.signals.reading.log_file import find_columns, read_log
 
 ROWS = 200_000  # of a log that are evaluated
@@ -65,9 +65,9 @@ class LogContents:
     def read(cls, path: Path, robot: Robot | None, kinds: Sequence[str] = ("position",), but: str = "") -> LogContents:
         """Read a log; of a bag the first topic of one of these ``kinds`` that is not ``but``."""
         table = find_columns(path)
-        joints = robot.actuated if robot else ()
+        joints, labels = robot.actuated if robot else (), (table.data_set or DataSet()).labels
         names = [
-            parse_item(name, table.labels[name], joints) if name in table.labels else parse_column_name(name, joints)
+            parse_item(name, labels[name], joints) if name in labels else parse_column_name(name, joints)
             for name in table.columns
             if name and table.columns.count(name) == 1
         ]
@@ -186,8 +186,8 @@ def _values(path: Path, names: Sequence[str], table: Table) -> dict[str, np.ndar
     log = read_log(path, names)
     rows = next(iter(table.episodes.values()), range(ROWS))
     parts = [values for values, _ in log.blocks(rows[:ROWS])]
-    whole = np.vstack(parts) if parts else np.empty((0, len(log.names)))
-    return {name: whole[:, k] for k, name in enumerate(log.names)}
+    whole = np.vstack(parts) if parts else np.empty((0, len(log.columns)))
+    return {name: whole[:, k] for k, name in enumerate(log.columns)}
 
 
 def _grouped(names: Sequence[ColumnName]) -> list[Group]:

@@ -4,143 +4,67 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from gtau.errors import GtauError
 from gtau.extensions import Extensions
-from gtau.signals.reading.formats import Table
-from gtau.signals.reading.formats.columnar import INFO, open_parquet
-from gtau.signals.reading.formats.rosbag import open_rosbag
+from gtau.signals.reading.formats import Table, system_refusals
+from gtau.signals.reading.formats.columnar import INFO
+from gtau.signals.reading.formats.rosbag import LOG_FORMATS as BAGS
 from gtau.signals.reading.formats.text import open_text
-from gtau.signals.storage import store
-
-if TYPE_CHECKING:
-    import polars as pl
-
 
 FORMATS: Extensions[Callable[[Path], Table]] = Extensions("gtau.log_formats", "gtau.signals.reading.formats", Callable)
-"""Readers by the ending of the file's name; any other file is text."""
-
-ALL = range(1 << 62)  # rows
+"""Readers by the ending of the file's name; anything else is text."""
 
 
-@dataclass(frozen=True)
-class LogFile:
-    """Columns ``names`` of a log, located but not yet read.
-
-    ``texts`` holds, as far as the log has been read, for every column with a value that is missing or not a number,
-    the first one as written.
-    """
-
-    path: Path
-    names: tuple[str, ...]
-    texts: dict[str, str]
-    table: Table
-
-    def blocks(self, rows: range = ALL) -> Iterator[tuple[np.ndarray, float]]:
-        """Read numbers (M, columns), nan where a value is missing or not a number, with the fraction read so far.
-
-        Parameters
-        ----------
-        rows : range
-            Those wanted.
-
-        Raises
-        ------
-        GtauError
-            Where the file cannot be read on.
-        """
-        with _refusals(self.path):
-            for frame, done in self.table.frames(self.names, rows):
-                values = np.empty((len(frame), len(self.names)))
-                for k, name in enumerate(self.names):
-                    values[:, k], text = _numbers(frame[:, k])
-                    if text is not None:
-                        self.texts.setdefault(name, text)
-                yield values, done
-
-    @property
-    def columns(self) -> dict[str, np.ndarray]:
-        """Whole columns (N,) by name; raises GtauError where the file cannot be read on."""
-        table = store((values for values, _ in self.blocks()), (len(self.names),))
-        return {name: table[:, k] for k, name in enumerate(self.names)}
-
-
-def read_log(path: str | Path, names: Iterable[str]) -> LogFile:
-    """Locate columns of a log by name, as a :class:`LogFile`.
-
-    The file name extension gives the format; see :data:`FORMATS`.
-
-    Parameters
-    ----------
-    path : str or Path
-        The log.
-    names : iterable of str
-        Columns wanted.
-
-    Returns
-    -------
-    LogFile
-        The wanted columns, unchecked.
+def read_log(path: str | Path, names: Iterable[str]) -> Table:
+    """Locate columns of a log by name, unchecked; the ending of its name gives the format, see :data:`FORMATS`.
 
     Raises
     ------
     GtauError
         The file cannot be read, or a column is not in it.
     """
-    path, names = Path(path), tuple(dict.fromkeys(names))
-    table = find_columns(path)
-    _refuse_missing(path, names, table)
-    return LogFile(path, names, {}, table)
+    table = find_columns(Path(path))
+    names = tuple(dict.fromkeys(names))
+    _refuse_missing(names, table)
+    return replace(table, columns=names)
 
 
 def find_columns(path: Path) -> Table:
     """Find all columns of a log, whatever its format; raises GtauError where it cannot be read."""
-    with _refusals(path):
-        if path.is_dir():
-            return open_rosbag(path) if (path / "metadata.yaml").is_file() else open_parquet(path)
-        path.open("rb").close()  # the system's reason, not a library's, where there is no such file
-        return (FORMATS.find(path.suffix.lower()) or open_text)(path)
+    with system_refusals(path):
+        if not path.is_dir():
+            path.open("rb").close()  # the system's reason, not a library's, where there is no such file
+        reader = FORMATS.find(_ending(path)) or open_text
+        return reader(path)
+
+
+def _ending(path: Path) -> str:
+    """Return the ending of a file's name, or that of the files in a folder."""
+    if path.is_dir():
+        return ".db3" if (path / "metadata.yaml").is_file() else ".parquet"
+    return path.suffix.lower()
 
 
 def is_log_folder(path: Path) -> bool:
     """Decide whether a folder is one log: a rosbag2, Parquet files, or a LeRobot data set."""
-    return any((path / each).is_file() for each in ("metadata.yaml", INFO)) or any(path.glob("*.parquet"))
+    return any((path / name).is_file() for name in ("metadata.yaml", INFO)) or any(path.glob("*.parquet"))
 
 
 def is_rosbag(path: Path) -> bool:
     """Decide by its name whether a path is a bag."""
-    return (path / "metadata.yaml").is_file() or FORMATS.built_in.get(path.suffix.lower()) is open_rosbag
+    return path.suffix.lower() in BAGS or (path / "metadata.yaml").is_file()
 
 
-@contextmanager
-def _refusals(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise GtauError(f"{path} cannot be read: {(error.strerror or str(error)).lower()}; check the path.") from None
-
-
-def _numbers(series: pl.Series) -> tuple[np.ndarray, str | None]:
-    """Read numbers of a column, nan for other entries, and the first non-numeric entry, if any."""
-    import polars as pl
-
-    numbers = series.cast(pl.Float64, strict=False).to_numpy().astype(float)  # null becomes nan
-    bad = np.flatnonzero(~np.isfinite(numbers))
-    if not bad.size:
-        return numbers, None
-    entry = series[int(bad[0])]
-    return numbers, "" if entry is None else str(entry)
-
-
-def _refuse_missing(path: Path, names: Iterable[str], table: Table) -> None:
-    columns = list(table.columns)
+def _refuse_missing(names: Iterable[str], table: Table) -> None:
+    path, columns = table.path, table.columns
     if not columns:
         raise GtauError(
             f"{path} holds no columns of numbers; save the signals as plain numeric arrays, not as objects such as "
@@ -164,9 +88,6 @@ def _refuse_missing(path: Path, names: Iterable[str], table: Table) -> None:
         raise GtauError(f"{path}: there is no column '{name}'; {hint} columns are {listed}.")
 
 
-NAME = "table"
-
-
 @contextmanager
 def as_log(table: Any) -> Iterator[Path]:
     """Write a table to a temporary Parquet file for the context, so that it is read and checked like any log.
@@ -182,12 +103,12 @@ def as_log(table: Any) -> Iterator[Path]:
         Where it is none of these, or its columns have different lengths.
     """
     with TemporaryDirectory(prefix="gtau-") as folder:
-        path = Path(folder) / f"{NAME}.parquet"
+        path = Path(folder) / "table.parquet"
         _frame(table).write_parquet(path)
         try:
             yield path
         except GtauError as error:
-            raise GtauError(str(error).replace(str(path), f"the {NAME}")) from None
+            raise GtauError(str(error).replace(str(path), "the table")) from None
 
 
 def _frame(table: Any) -> Any:
@@ -214,5 +135,5 @@ def _frame(table: Any) -> Any:
         return polars.DataFrame(columns)
     except (polars.exceptions.PolarsError, TypeError, ValueError) as error:
         raise GtauError(
-            f"the {NAME} cannot be used as a log ({str(error).splitlines()[0]}); correct its columns."
+            f"the table cannot be used as a log ({str(error).splitlines()[0]}); correct its columns."
         ) from None

@@ -10,10 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.signals.notes import Kind, Note
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.signals.reading.body_columns import at_origins
 from gtau.signals.reading.columns import SampleRate, Signals
-from gtau.signals.reading.log_file import ALL, LogFile, read_log
+from gtau.signals.reading.formats import ALL, Table
+from gtau.signals.reading.log_file import read_log
 from gtau.signals.reading.samples import Source
 from gtau.signals.reading.units import Units
 from gtau.signals.storage import block, spans, store
@@ -28,7 +30,7 @@ class Logged:
     ``time_scale`` bring them to SI units. ``notes`` report what was left out or aligned.
     """
 
-    files: tuple[LogFile, ...]
+    files: tuple[Table, ...]
     source: Source
     signals: Signals
     order: tuple[int, ...]
@@ -36,7 +38,7 @@ class Logged:
     times: tuple[int, ...]
     time_scale: float
     aligned: Aligned | None
-    notes: tuple[Note, ...]
+    notes: tuple[Finding, ...]
 
     def blocks(self, rows: range = ALL, progress: Callable[[float], None] = lambda done: None) -> Iterator[np.ndarray]:
         """Read samples (M, n + c + 1) in order: positions, commands, torque sensors, wrenches and time.
@@ -104,20 +106,20 @@ def find_logs(paths: Sequence[Path], signals: Signals, units: Units) -> Logged:
         aligned = align(paths[-1], (*stamps, *commands), (clock, stamps), time_scale, f"{signals.kind}s")
     elif len(paths) == 2:
         files.append(read_log(paths[1], commands))
-    columns = [(k, name) for k, file in enumerate(files) for name in file.names]
+    columns = [(k, name) for k, file in enumerate(files) for name in file.columns]
     wanted = [(0, name) for name in positions]
     wanted += [(len(files) - 1, name) for name in commands if not stamps]
-    first = files[0].table
+    first = files[0]
     source = Source(
         name=" and ".join(str(path) for path in paths),
         joints=signals.joints,
         channels=signals.channels,
         columns=(*_labels(signals), " and ".join(times) or "rate"),
         texts=ChainMap(*(file.texts for file in reversed(files))),
-        first_line=first.first_line + (aligned.rows.start if aligned else 0),
-        line_word=first.line_word,
+        first_line=(first.first_line or 1) + (aligned.rows.start if aligned else 0),
+        line_word="row" if first.first_line is None else "line",
     )
-    notes = [note.of(file.path.name) if len(files) > 1 else note for file in files for note in file.table.notes]
+    notes = [note.of_source(file.path.name) if len(files) > 1 else note for file in files for note in file.notes]
     return Logged(
         files=tuple(files),
         source=source,
@@ -141,7 +143,7 @@ def _labels(signals: Signals) -> Iterator[str]:
     yield from (label for each in signals.all_wrenches for label in each.labels)
 
 
-def _side_by_side(files: Sequence[LogFile], wanted: range) -> Iterator[tuple[np.ndarray, float]]:
+def _side_by_side(files: Sequence[Table], wanted: range) -> Iterator[tuple[np.ndarray, float]]:
     """Join rows of logs that were sampled together, with the fraction of the first read so far."""
     streams = [file.blocks(wanted) for file in files]
     held = [next(stream, None) for stream in streams]
@@ -177,7 +179,7 @@ class Aligned:
     command: np.ndarray
     longest: float
     rows: range
-    note: Note | None
+    note: Finding | None
 
     def at(self, time: np.ndarray) -> np.ndarray:
         """Interpolate commands (M, n) linearly between stamps at other instants (M,); nan where they are missing."""
@@ -197,7 +199,7 @@ class Aligned:
 
 
 def align(
-    path: Path, columns: Sequence[str], times: tuple[LogFile, Sequence[str]], scale: float, what: str
+    path: Path, columns: Sequence[str], times: tuple[Table, Sequence[str]], scale: float, what: str
 ) -> Aligned:  # fmt: skip
     """Read commands and their time stamps, and compare these with the stamps of the positions.
 
@@ -222,8 +224,8 @@ def align(
     positions, stamp_names = times
     file = read_log(path, columns)
     wide = len(stamp_names)
-    stamps = [file.names.index(name) for name in stamp_names]
-    others = [file.names.index(name) for name in columns[wide:]]
+    stamps = [file.columns.index(name) for name in stamp_names]
+    others = [file.columns.index(name) for name in columns[wide:]]
 
     parts = []
     row, last = 0, -np.inf
@@ -233,10 +235,10 @@ def align(
         time = seconds(values[:, stamps], scale)
         back = np.flatnonzero(np.diff(time[whole], prepend=last) < 0)
         if back.size:
-            at = row + int(np.flatnonzero(whole)[back[0]]) + file.table.first_line
+            at = row + int(np.flatnonzero(whole)[back[0]]) + (file.first_line or 1)
             raise GtauError(
-                f"{path}, {file.table.line_word} {at}: the time of the {what} goes back; cut the log there into two "
-                "runs, or correct the column."
+                f"{path}, {'row' if file.first_line is None else 'line'} {at}: the time of the {what} goes back; cut "
+                "the log there into two runs, or correct the column."
             )
         whole[whole] = np.diff(time[whole], prepend=last) > 0  # of equal stamps the first
         parts.append(np.column_stack([time[whole], values[np.ix_(whole, others)]]))
@@ -261,16 +263,11 @@ def align(
     steps = [float(np.median(np.diff(each))) for each in (finite, own)]
     apart = _distances(finite, own)
     longest = LONGEST_STEP * max(steps)
-    said = ""
-    if apart > CLOSE * min(steps) or len(rows) < len(clock):
-        said = (
-            f"aligned the {what} with the positions by linear interpolation between their stamps "
-            f"({1 / steps[1]:.4g} Hz; positions {1 / steps[0]:.4g} Hz; typically {apart * 1e3:.2g} ms from a "
-            "position to the nearest)"
-        )
-        if out := len(clock) - len(rows):
-            said += f"; left out {out} positions before the first or after the last of them"
-    return Aligned(own, commands, longest, rows, Note(Kind.READING, said) if said else None)
+    if apart <= CLOSE * min(steps) and len(rows) == len(clock):
+        return Aligned(own, commands, longest, rows, None)
+    said = {"signal": what, "rate": 1 / steps[1], "position_rate": 1 / steps[0], "apart": apart * 1e3}
+    aligned = Finding(F.ALIGNED, values={**said, "left_out": len(clock) - len(rows)})
+    return Aligned(own, commands, longest, rows, aligned)
 
 
 def instants(signals: Signals, stamps: np.ndarray, scale: float, row: int) -> np.ndarray:

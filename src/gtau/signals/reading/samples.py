@@ -9,8 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
+from gtau.findings.words import counted
 from gtau.signals.channel import Channel
-from gtau.signals.notes import Kind, Note
 from gtau.signals.storage import Store, block, spans
 
 MIN_SAMPLES = 100
@@ -113,7 +115,7 @@ def refuse_short(source: Source, count: int) -> None:
         )
 
 
-def complete(source: Source, blocks: Iterable[np.ndarray], notes: list[Note], part: Part = WHOLE) -> Samples:
+def complete(source: Source, blocks: Iterable[np.ndarray], notes: list[Finding], part: Part = WHOLE) -> Samples:
     """Collect the complete samples of a log or of a part of it; raises GtauError if there are too few."""
     n = len(source.joints)
     wide = n + len(source.channels)  # columns before the time
@@ -149,7 +151,7 @@ def complete(source: Source, blocks: Iterable[np.ndarray], notes: list[Note], pa
         )
     refuse_short(source, count)
     if empty:
-        notes.append(Note(Kind.READING, f"left out {counted(empty, 'row')} that hold only other signals"))
+        notes.append(Finding(F.OTHER_ROWS, values={"count": empty}))
     _refuse_empty_columns(source, numbers)
     if bad_count > MAX_MISSING * count:
         column = source.columns[bad_column]
@@ -162,8 +164,8 @@ def complete(source: Source, blocks: Iterable[np.ndarray], notes: list[Note], pa
         )
     if bad_count:
         places = source.places(bad, bad_count)
-        what = f"dropped {counted(bad_count, 'row')} with missing or non-numeric values ({places})"
-        notes.append(Note(Kind.REPAIR, what, share=bad_count / count))
+        dropped = {"count": bad_count, "places": places}
+        notes.append(Finding(F.BAD_ROWS, values=dropped, share=bad_count / count))
     return samples
 
 
@@ -179,11 +181,6 @@ def _refuse_empty_columns(source: Source, numbers: np.ndarray) -> None:
                 + (f" (it begins with '{entry}')" if entry else "")
                 + f"; {repair}."
             )
-
-
-def counted(number: int, noun: str) -> str:
-    """Write ``1 row``, ``2 rows``."""
-    return f"{number} {noun}{'s' * (number != 1)}"
 
 
 def extremes(array: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

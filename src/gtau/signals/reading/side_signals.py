@@ -119,7 +119,7 @@ def _complete_rows(
     """Read the rows of a log that hold a number in each of some columns: these, times ``scale``, and the time in s."""
     times = signals.time_columns
     file = read_log(path, (*times, *columns))
-    at, order = ([file.names.index(name) for name in names] for names in (times, columns))
+    at, order = ([file.columns.index(name) for name in names] for names in (times, columns))
     _, _, time_scale = units.scale(signals)
 
     def blocks() -> Iterator[np.ndarray]:

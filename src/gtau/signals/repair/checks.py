@@ -6,16 +6,17 @@ regression row uses them. The log is read in blocks.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.signals.notes import Kind, Note
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
-from gtau.signals.reading.samples import WHOLE, Part, Samples, Source, ahead, complete, counted, extremes, refuse_short
+from gtau.signals.reading.samples import WHOLE, Part, Samples, Source, ahead, complete, extremes, refuse_short
 from gtau.signals.reading.statements import CHOSEN, PreparationSettings
 from gtau.signals.repair.clock import Clock, clock_of
 from gtau.signals.repair.faults import (
@@ -70,7 +71,7 @@ def check(
         0.1 s (or three steps), reversed time, a command that never changes or is clipped in more than a
         tenth of the samples, a position that jumps or freezes, no moving joint, or values that cannot be right.
     """
-    notes: list[Note] = []
+    notes: list[Finding] = []
     samples = complete(source, blocks, notes, part)
     _refuse_stuck(samples, notes)
     _refuse_standing_time(samples)
@@ -95,7 +96,7 @@ def check(
     return replace(uniform(samples, instants, grid, settings.clock is not None, notes), whole=whole)
 
 
-def _refuse_stuck(samples: Samples, notes: list[Note]) -> None:
+def _refuse_stuck(samples: Samples, notes: list[Finding]) -> None:
     source, n = samples.source, len(samples.source.joints)
     low, high = (np.concatenate(pair) for pair in zip(*map(extremes, (samples.position, samples.command)), strict=True))
     for column, least, most in zip(source.columns, low, high, strict=False):
@@ -116,10 +117,8 @@ def _refuse_stuck(samples: Samples, notes: list[Note]) -> None:
                 f"{source.name}, column '{column}' (joint '{channel.joint}') is stuck at {least + 0.0:g}; "
                 "give the column with the measured values, or record the log again."
             )
-    if names := _quoted(
-        [each.joint for each, s in zip(source.channels, still, strict=False) if s and each.kind.of_joint]
-    ):
-        notes.append(Note(Kind.REST, f"the position of joint {names} never changes: it yields no rows"))
+    if names := tuple(each.joint for each, s in zip(source.channels, still, strict=False) if s and each.kind.of_joint):
+        notes.append(Finding(F.STILL, names))
 
 
 def _refuse_standing_time(samples: Samples) -> None:
@@ -131,11 +130,7 @@ def _refuse_standing_time(samples: Samples) -> None:
         )
 
 
-def _quoted(names: Sequence[str]) -> str:
-    return ", ".join(f"'{name}'" for name in names)
-
-
-def _without_repeated(samples: Samples, notes: list[Note], clock: Literal["stamps", "regular"] | None) -> Samples:
+def _without_repeated(samples: Samples, notes: list[Finding], clock: Literal["stamps", "regular"] | None) -> Samples:
     """Drop samples with the time and values of the one before.
 
     Samples with the same time but different values are all kept: their stamps are late.
@@ -172,8 +167,8 @@ def _without_repeated(samples: Samples, notes: list[Note], clock: Literal["stamp
     if not repeated:
         return samples
     places = source.places([samples.rows[i] for i in repeated[:5]], len(repeated))
-    what = f"dropped {counted(len(repeated), 'repeated row')} ({places})"
-    notes.append(Note(Kind.REPAIR, what, share=len(repeated) / len(time)))
+    dropped = {"count": len(repeated), "places": places}
+    notes.append(Finding(F.REPEATED_ROWS, values=dropped, share=len(repeated) / len(time)))
 
     def without(array: np.ndarray) -> np.ndarray:
         parts = (
@@ -187,7 +182,7 @@ def _without_repeated(samples: Samples, notes: list[Note], clock: Literal["stamp
     return samples
 
 
-def _wraps(samples: Samples, notes: list[Note]) -> np.ndarray:
+def _wraps(samples: Samples, notes: list[Finding]) -> np.ndarray:
     """Decide for each joint whether its angle jumps by a full turn, (n,)."""
     position, source = samples.position, samples.source
     wraps = np.zeros(len(source.joints), dtype=bool)
@@ -195,8 +190,8 @@ def _wraps(samples: Samples, notes: list[Note]) -> np.ndarray:
         jump = np.abs(np.diff(block(position, *span), axis=0))
         wraps |= np.any(np.abs(jump - 2 * np.pi) < 0.5, axis=0)  # no joint moves a turn, or 6 m, between two samples
     if wraps.any():
-        names = _quoted([joint for joint, wrap in zip(source.joints, wraps, strict=True) if wrap])
-        notes.append(Note(Kind.READING, f"unwrapped the angle of joint {names}, which jumped by a turn"))
+        turned = tuple(joint for joint, wrap in zip(source.joints, wraps, strict=True) if wrap)
+        notes.append(Finding(F.UNWRAPPED, turned))
     return wraps
 
 

@@ -12,8 +12,9 @@ from itertools import groupby
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.signals.notes import Kind, Note
-from gtau.signals.reading.samples import MAX_MISSING, Samples, ahead, counted
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
+from gtau.signals.reading.samples import MAX_MISSING, Samples, ahead
 from gtau.signals.repair.clock import Clock
 from gtau.signals.storage import Store, block, spans, store
 
@@ -76,16 +77,12 @@ class Held:
             found[start + 1 : start + count] = False
         return found
 
-    def note(self, count: int, rate: float) -> Note:
+    def note(self, count: int, rate: float) -> Finding:
         """Report the stale samples of a log of ``count`` samples at ``rate`` Hz."""
         if self.period > 1:
-            slow = (
-                f"the {self.what} are held: updated at about {rate / self.period:.4g} Hz, every {self.period} samples; "
-                "interpolated between updates"
-            )
-            return Note(Kind.HELD, slow, f"log the {self.what} at the rate at which they change")
-        few = f"{self.stale} samples of the {self.what} are stale (repeat the previous one): interpolated"
-        return Note(Kind.REPAIR, few, "log in the controller's own cycle", share=self.stale / count)
+            values = {"signal": self.what, "rate": rate / self.period, "period": self.period}
+            return Finding(F.HELD, values=values)
+        return Finding(F.STALE, values={"signal": self.what, "stale": self.stale}, share=self.stale / count)
 
 
 def holds_of(samples: Samples) -> tuple[Held, ...]:
@@ -155,7 +152,7 @@ class UniformSamples:
     position: np.ndarray
     command: np.ndarray
     valid: np.ndarray
-    notes: tuple[Note, ...]
+    notes: tuple[Finding, ...]
     whole: float | None = None
 
 
@@ -178,7 +175,9 @@ class Resampling:
         return self.clock.gapless and not any(each.stale for each in self.holds) and not self.delay
 
 
-def uniform(samples: Samples, instants: np.ndarray, grid: Resampling, given: bool, notes: list[Note]) -> UniformSamples:
+def uniform(
+    samples: Samples, instants: np.ndarray, grid: Resampling, given: bool, notes: list[Finding]
+) -> UniformSamples:
     """Put samples taken at their ``instants`` onto a uniform ``grid``; of a clock that was ``given`` or found.
 
     Raises
@@ -215,39 +214,24 @@ def uniform(samples: Samples, instants: np.ndarray, grid: Resampling, given: boo
             f"{clock.longest * 1e3:.3g} ms); record it at a steady rate{repair}."
         )
     if missing:
-        what = f"interpolated {counted(missing, 'missing sample')}"
-        what += f", and masked {masked} of them in gaps of more than {BRIDGED} samples" if masked else ""
-        notes.append(Note(Kind.REPAIR, what, "log every cycle of the controller", share=missing / count))
+        values = {"count": missing, "masked": masked, "bridged": BRIDGED}
+        notes.append(Finding(F.MISSING, values=values, share=missing / count))
     notes += _of_clock(clock, given)
     notes += [each.note(count, clock.rate) for each in grid.holds if each.stale]
     if grid.delay:
-        what = f"moved the commands {grid.delay * 1e3:.4g} ms forward, as preparation.delay says"
-        notes.append(Note(Kind.READING, what))
+        notes.append(Finding(F.MOVED_COMMANDS, values={"delay": grid.delay * 1e3}))
     return UniformSamples(time, positions.array(), commands.array(), masks.array(), tuple(notes))
 
 
-def _of_clock(clock: Clock, given: bool) -> list[Note]:
+def _of_clock(clock: Clock, given: bool) -> list[Finding]:
     """List the notes on a clock that differs from the time column."""
-    why = "as preparation.clock says" if given else "which makes the positions smoother"
+    of_clock = {"given": given, "hertz": clock.rate}
     if not clock.regular:
-        if not given:
-            why = "the time stamps are used, because a regular clock makes the positions no smoother"
-        what = (
-            f"resampled from irregular steps of {clock.shortest * 1e3:.3g} to {clock.longest * 1e3:.3g} ms "
-            f"to a uniform {clock.rate:.2f} Hz: {why}"
-        )
-        return [Note(Kind.READING, what)]
+        steps = {"shortest": clock.shortest * 1e3, "longest": clock.longest * 1e3}
+        return [Finding(F.IRREGULAR, values={**of_clock, **steps})]
     if not clock.late:
         return []
-    how = "come in packets" if clock.packets else "scatter"
-    if clock.packets and not given:
-        why = "as packets are"
-    what = (
-        f"time stamps {how}, up to {clock.late * 1e3:.3g} ms late: the samples were taken at a regular "
-        f"{clock.rate:.2f} Hz instead, {why}"
-    )
-    repair = "if this rate is wrong, give the right one (time: {rate: HZ})" if clock.packets else ""
-    return [Note(Kind.READING, what, repair)]
+    return [Finding(F.LATE_STAMPS, values={**of_clock, "late": clock.late * 1e3, "packets": clock.packets})]
 
 
 def resampled(

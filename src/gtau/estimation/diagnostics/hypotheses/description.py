@@ -24,12 +24,13 @@ from gtau.estimation.diagnostics.alternatives import (
     moved_motion,
     window_motion,
 )
-from gtau.estimation.diagnostics.finding import Finding, Sentence, Values, which_payload
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, at_full_rate
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.plausibility import stated_rate
 from gtau.estimation.regression.rows import external_torques
 from gtau.estimation.thresholds import Threshold
+from gtau.findings import Finding
+from gtau.findings.words import Sentence, Values, which_payload
 from gtau.robots.floating import WRENCH
 from gtau.signals.preparation.prepared_run import InMemoryRun
 

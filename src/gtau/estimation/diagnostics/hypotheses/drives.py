@@ -35,8 +35,6 @@ from gtau.estimation.diagnostics.alternatives import (
     support,
     window_motion,
 )
-from gtau.estimation.diagnostics.finding import RELATIVE, Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, LinearisedWindow
 from gtau.estimation.diagnostics.score_test import score_tests
 from gtau.estimation.estimators.estimator import Fit, Solution
@@ -47,6 +45,9 @@ from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.rows import Rows
 from gtau.estimation.thresholds import Threshold
 from gtau.estimation.thresholds.estimates import DOMINANT, PLAUSIBLE_GAIN_CHANGE, SCALED, TIE
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
+from gtau.findings.words import RELATIVE
 from gtau.robots.parameter import Parameter
 from gtau.signals.preparation.filters import differentiate
 from gtau.signals.preparation.prepared_run import InMemoryRun

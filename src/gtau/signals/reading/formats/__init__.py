@@ -1,4 +1,7 @@
-"""Readers of log formats, one module per family, and what each returns: a :class:`Table` of columns, not yet read."""
+"""Readers of log formats, one module per family of formats, and what each returns: a :class:`Table`, not yet read.
+
+A module names its readers in a constant ``LOG_FORMATS``, by the endings of the files (``{".npz": open_npz}``).
+"""
 
 from __future__ import annotations
 
@@ -8,37 +11,101 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from gtau.errors import GtauError
-from gtau.signals.notes import Note
+from gtau.findings import Finding
+from gtau.signals.storage import store
 
 if TYPE_CHECKING:
     import polars as pl
 
 WIDEST = 256  # columns of one array; a wider one is an image or a map, not signals
+ALL = range(1 << 62)  # rows
 
 
 @dataclass(frozen=True)
-class Table:
-    """Columns of a log, found but not yet read.
+class DataSet:
+    """What files beside a log say of it.
 
-    ``frames`` reads columns by name, some rows of them: Polars frames, block by block, each with the fraction of the
-    log that is then read. Row 0 is in ``first_line`` of a text file; other logs have rows, counted from 1.
-    ``numbered``: the log has no header, and its columns are named by their number. ``notes`` report what the reader
-    left out; ``unusable`` says of columns that hold no numbers what to do. ``episodes`` are the rows of each, by its
-    number, where the log is of several. ``labels`` say what columns are whose names do not, and ``rate`` (Hz) how
-    often its rows were recorded, where files beside the log do.
+    ``rate`` (Hz) at which its rows were recorded, ``labels`` of columns whose names do not say what they are, and the
+    rows of its ``episodes``, by their number, where there are several.
     """
 
+    rate: float | None = None
+    labels: Mapping[str, str] = field(default_factory=dict)
+    episodes: Mapping[int, range] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Columns of a log, located but not yet read.
+
+    ``frames`` reads columns by name, some rows of them: Polars frames, block by block, each with the fraction of the
+    log that is then read. Row 0 is in ``first_line`` of a text file, which begins at ``first_byte``; other logs have
+    rows, counted from 1. ``numbered``: the log has no header, and its columns are named by their number. ``notes``
+    report what the reader left out; ``unusable`` says of columns that hold no numbers what to do. ``texts`` holds, as
+    far as the log has been read, of every column with a value that is no number the first one as written.
+    """
+
+    path: Path
     columns: tuple[str, ...]
     frames: Callable[[Sequence[str], range], Iterator[tuple[pl.DataFrame, float]]]
-    first_line: int = 1
-    line_word: str = "row"
+    first_line: int | None = None
+    first_byte: int = 0
     numbered: bool = False
-    notes: tuple[Note, ...] = ()
+    notes: tuple[Finding, ...] = ()
     unusable: Mapping[str, str] = field(default_factory=dict)
-    episodes: Mapping[int, range] = field(default_factory=dict)
-    labels: Mapping[str, str] = field(default_factory=dict)
-    rate: float | None = None
+    data_set: DataSet | None = None
+    texts: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def episodes(self) -> Mapping[int, range]:
+        """Rows of each episode, where the log is of several."""
+        return self.data_set.episodes if self.data_set else {}
+
+    def blocks(self, rows: range = ALL) -> Iterator[tuple[np.ndarray, float]]:
+        """Read numbers (M, columns), nan where a value is missing or not a number, with the fraction read so far.
+
+        Raises
+        ------
+        GtauError
+            Where the file cannot be read on.
+        """
+        with system_refusals(self.path):
+            for frame, done in self.frames(self.columns, rows):
+                values = np.empty((len(frame), len(self.columns)))
+                for k, name in enumerate(self.columns):
+                    values[:, k], text = _numbers(frame[:, k])
+                    if text is not None:
+                        self.texts.setdefault(name, text)
+                yield values, done
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Read whole columns (N,) by name; raises GtauError where the file cannot be read on."""
+        values = store((values for values, _ in self.blocks()), (len(self.columns),))
+        return {name: values[:, k] for k, name in enumerate(self.columns)}
+
+
+def _numbers(series: pl.Series) -> tuple[np.ndarray, str | None]:
+    """Read numbers of a column, nan for other entries, and the first non-numeric entry, if any."""
+    import polars as pl
+
+    numbers = series.cast(pl.Float64, strict=False).to_numpy().astype(float)  # null becomes nan
+    bad = np.flatnonzero(~np.isfinite(numbers))
+    if not bad.size:
+        return numbers, None
+    entry = series[int(bad[0])]
+    return numbers, "" if entry is None else str(entry)
+
+
+@contextmanager
+def system_refusals(path: Path) -> Iterator[None]:
+    """Turn an error of the system into one sentence."""
+    try:
+        yield
+    except OSError as error:
+        raise GtauError(f"{path} cannot be read: {(error.strerror or str(error)).lower()}; check the path.") from None
 
 
 @contextmanager

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import polars as pl
 
 HDF5 = b"\x89HDF\r\n\x1a\n"  # after 512 bytes of MATLAB's own
-NUMERIC = ("double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)))
+NUMERIC = ["double", "single", "logical", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64"]
 
 
 def open_npz(path: Path) -> Table:
@@ -178,7 +178,7 @@ def _table(
                 frame = {name: _column(arrays, found[name], start, stop) for name in names}
                 yield pl.DataFrame(frame), stop / count
 
-    return Table(tuple(found), frames)
+    return Table(path, tuple(found), frames)
 
 
 def _column(arrays: Mapping[str, Any], where: tuple[str, int | None, bool], start: int, stop: int) -> np.ndarray:

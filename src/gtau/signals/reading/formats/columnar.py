@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from gtau.documents.files import in_order
 from gtau.errors import GtauError
-from gtau.signals.reading.formats import WIDEST, Table
+from gtau.signals.reading.formats import WIDEST, DataSet, Table
 from gtau.signals.storage import sizes
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def _table(path: Path, parts: Sequence[Path], scan: Callable[[Path], pl.LazyFram
         if f"{feature}[{len(names)}]" in columns and f"{feature}[{len(names) + 1}]" not in columns
         for k, name in enumerate(names)
     }
-    return Table(tuple(columns), frames, unusable=_unusable(schema), episodes=episodes, labels=labels, rate=rate)
+    return Table(path, tuple(columns), frames, unusable=_unusable(schema), data_set=DataSet(rate, labels, episodes))
 
 
 def _columns(schema: Mapping[str, pl.DataType], table: pl.LazyFrame) -> dict[str, pl.Expr]:

@@ -105,7 +105,7 @@ def open_rosbag(path: Path) -> Table:
         if filled:
             yield pl.DataFrame(values[:filled], schema=list(names)), 1.0
 
-    return Table(tuple(columns), frames)
+    return Table(path, tuple(columns), frames)
 
 
 def _getters(message: Any, kind: str) -> Iterator[tuple[str, Getter]]:

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 
 from gtau.documents.files import BINARY, LOG, kind_of, refuse_other_kind
 from gtau.errors import GtauError
-from gtau.signals.notes import Kind, Note
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.signals.reading.formats import Table
 from gtau.signals.storage import sizes
 
@@ -30,49 +31,6 @@ LONGEST = 1 << 20  # bytes of a line; in the shared logs 954 at most
 BOM = b"\xef\xbb\xbf"
 
 
-def open_text(path: Path) -> Table:
-    """Find the columns of a text log.
-
-    Decimal commas are allowed except between comma separated columns. What stands before the table is skipped, and a
-    note says so. Without a header the columns are named by their number from 1.
-
-    Raises
-    ------
-    GtauError
-        The file is empty or no text.
-    """
-    layout = layout_of(path)
-
-    def frames(names: Sequence[str], rows: range) -> Iterator[tuple[pl.DataFrame, float]]:
-        first = 0
-        wanted = [layout.columns.index(name) for name in names]
-        for text, done in _whole_lines(path, layout.first_byte):
-            frame = _frame(path, layout, text, wanted)
-            part = frame[max(rows.start - first, 0) : max(rows.stop - first, 0)]
-            first += len(frame)
-            if len(part):
-                yield part, done
-            if first >= rows.stop:
-                return
-
-    return Table(layout.columns, frames, layout.first_line, "line", layout.numbered, layout.notes)
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Columns of a text log, and the line (from 1) and byte at which its rows begin.
-
-    ``numbered``: there is no header, and columns are named by their number. ``notes`` report what was skipped.
-    """
-
-    separator: str
-    columns: tuple[str, ...]
-    numbered: bool
-    first_line: int
-    first_byte: int
-    notes: tuple[Note, ...]
-
-
 @dataclass(frozen=True)
 class _Line:
     number: int
@@ -82,8 +40,11 @@ class _Line:
     numeric: bool  # a row: most of the fields are numbers, the first of them among these
 
 
-def layout_of(path: Path) -> Layout:
-    """Find where the table begins in a text log.
+def open_text(path: Path) -> Table:
+    """Find the columns of a text log.
+
+    Decimal commas are allowed except between comma separated columns. What stands before the table is skipped, and a
+    note says so. Without a header the columns are named by their number from 1.
 
     Raises
     ------
@@ -110,15 +71,36 @@ def layout_of(path: Path) -> Layout:
             f"{len(header.fields)}; correct the line (a header must name every column)."
         )
     begin = first.number if first else header.number + 1 if header else 1
-    before = next((line.end for line in lines if line.number == begin - 1), len(BOM) if _has_bom(path) else 0)
-    names = _names(header.fields, width) if header else tuple(str(k + 1) for k in range(width))
-    skipped = [line.number for line in written if line.number < begin and (header is None or line != header)]
-    notes: tuple[Note, ...] = ()
-    if skipped:
-        where = f"lines {skipped[0]} to {skipped[-1]}" if len(skipped) > 1 else f"line {skipped[0]}"
-        named = f", took the names of its columns from line {header.number}" if header else ""
-        notes = (Note(Kind.READING, f"skipped {where} before the table{named}"),)
-    return Layout((first or header or written[0]).separator, names, header is None, begin, before, notes)
+    separator = (first or header or written[0]).separator
+
+    def frames(names: Sequence[str], rows: range) -> Iterator[tuple[pl.DataFrame, float]]:
+        row = 0
+        wanted = [table.columns.index(name) for name in names]
+        for text, done in _whole_lines(path, table.first_byte):
+            frame = _frame(table, separator, text, wanted)
+            part = frame[max(rows.start - row, 0) : max(rows.stop - row, 0)]
+            row += len(frame)
+            if len(part):
+                yield part, done
+            if row >= rows.stop:
+                return
+
+    table = Table(
+        path,
+        columns=_names(header.fields, width) if header else tuple(str(k + 1) for k in range(width)),
+        frames=frames,
+        first_line=begin,
+        first_byte=next((line.end for line in lines if line.number == begin - 1), len(BOM) if _has_bom(path) else 0),
+        numbered=header is None,
+        notes=tuple(_skipped([line.number for line in written if line.number < begin and line != header], header)),
+    )
+    return table
+
+
+def _skipped(lines: Sequence[int], header: _Line | None) -> Iterator[Finding]:
+    if lines:
+        values = {"first": lines[0], "last": lines[-1], "header": header.number if header else 0}
+        yield Finding(F.SKIPPED_LINES, values=values)
 
 
 def _refuse_encoding(path: Path) -> None:
@@ -234,21 +216,21 @@ def is_number(text: str) -> bool:
         return False
 
 
-def _frame(path: Path, layout: Layout, text: bytes, wanted: list[int]) -> pl.DataFrame:
+def _frame(table: Table, separator: str, text: bytes, wanted: list[int]) -> pl.DataFrame:
     import polars as pl
 
-    columns = [f"column_{k + 1}" for k in range(len(layout.columns))]
-    if layout.separator == " ":
+    columns = [f"column_{k + 1}" for k in range(len(table.columns))]
+    if separator == " ":
         text = re.sub(rb"(?m)^ +| +(?=\r?$)", b"", re.sub(rb" {2,}", b" ", text))
     end = text.find(b"\n") if b"\n" in text else len(text)
-    if lacking := len(columns) - 1 - text.count(layout.separator.encode(), 0, end):  # a cut row, which Polars takes
-        text = text[:end].rstrip(b"\r") + layout.separator.encode() * lacking + text[end:]  # for all there are
+    if lacking := len(columns) - 1 - text.count(separator.encode(), 0, end):  # a cut row, which Polars takes
+        text = text[:end].rstrip(b"\r") + separator.encode() * lacking + text[end:]  # for all there are
 
     def read(text: bytes) -> pl.DataFrame:
         return pl.read_csv(
             text,
             has_header=False,
-            separator=layout.separator,
+            separator=separator,
             schema=dict.fromkeys(columns, pl.String),
             columns=sorted(columns[k] for k in wanted),
             raise_if_empty=False,
@@ -259,10 +241,10 @@ def _frame(path: Path, layout: Layout, text: bytes, wanted: list[int]) -> pl.Dat
     except pl.exceptions.PolarsError as error:
         again = "".join(_decoded(line) for line in text.splitlines(keepends=True))
         if "\ufffd" in again or again.encode() == text:
-            raise GtauError(_unreadable_line(path, layout, str(error))) from None
+            raise GtauError(_unreadable_line(table, separator, str(error))) from None
         frame = read(again.encode())
     entries = pl.col(pl.String).str.strip_chars()
-    if layout.separator != ",":
+    if separator != ",":
         entries = entries.str.replace(",", ".", literal=True)
     return frame.select(columns[k] for k in wanted).select(entries)
 
@@ -283,18 +265,18 @@ def _whole_lines(path: Path, begin: int) -> Iterator[tuple[bytes, float]]:
         yield torn, 1.0
 
 
-def _unreadable_line(path: Path, layout: Layout, reason: str) -> str:
-    count = len(layout.columns)
+def _unreadable_line(table: Table, separator: str, reason: str) -> str:
+    path, count, first = table.path, len(table.columns), table.first_line or 1
     with path.open("rb") as file:
         for number, line in enumerate(map(_decoded, file), start=1):
-            found = len(_split(line, layout.separator))
-            if number >= layout.first_line and found > count:
-                where = f"line {layout.first_line}" if layout.numbered else "the header"
+            found = len(_split(line, separator))
+            if number >= first and found > count:
+                where = f"line {first}" if table.numbered else "the header"
                 return (
                     f"{path}, line {number} has {found} columns where {where} has {count}; correct or delete the line "
                     "(a header must name every column)."
                 )
-            if number >= layout.first_line and "\ufffd" in line:
+            if number >= first and "\ufffd" in line:
                 return (
                     f"{path}, line {number} is not text: the log is damaged there; delete the line, or record the log "
                     f"again."
@@ -303,3 +285,4 @@ def _unreadable_line(path: Path, layout: Layout, reason: str) -> str:
 
 
 LOG_FORMATS = {".csv": open_text}
+"""It reads any other ending too."""

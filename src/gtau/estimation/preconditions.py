@@ -1,0 +1,170 @@
+"""Preconditions of an identification, and its plan: which estimator runs, with which given gains."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.estimators.estimator import Estimator, Gains
+from gtau.estimation.estimators.registry import ESTIMATORS, estimator_of
+from gtau.estimation.experiment_runs import Options, Subject
+from gtau.estimation.regression.dataset import Dataset, reduce_runs
+from gtau.estimation.regression.scale_source import require_scale
+from gtau.estimation.regression.system import System
+from gtau.progress import Progress
+from gtau.robots.robot import Robot
+from gtau.signals.preparation.prepared_run import Preparation
+from gtau.signals.run import Run
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """The estimator, and the gains (n,), N m/A or N/A, that it is given; None where it estimates them."""
+
+    estimator: Estimator
+    gains: np.ndarray | None = None
+
+
+def estimator_for(options: Options, runs: Sequence[Run]) -> Estimator:
+    """Return the estimator asked for, or the default: ML, or as in the paper TLS, or WLS of torques; GtauError."""
+    of_paper = "wls" if runs[0].kind == "torque" else "tls"
+    return estimator_of(options.method or (of_paper if options.as_paper else "ml"))
+
+
+def require_inputs(subject: Subject) -> Estimator:
+    """Check that the estimator takes what is given and has what it needs, before the logs are reduced.
+
+    Raises
+    ------
+    GtauError
+        Where it takes neither torque sensors nor known parameters, and there are some (``consistent`` parameters are
+        sought with the latter whatever the estimator); where it does not support a floating base; where it takes gains
+        and some joint has none; where the paper has no such method, or it cannot be constrained.
+    """
+    options, estimator = subject.options, estimator_for(subject.options, subject.runs)
+    if options.as_paper and not estimator.in_paper:
+        of_paper = ", ".join(other.name for other in ESTIMATORS.values() if other.in_paper)
+        raise GtauError(
+            f"the paper has no method '{estimator.name}'; leave out --as-paper, or choose from {of_paper} with it."
+        )
+    if options.consistent and not estimator.least_squares:
+        raise GtauError(
+            f"consistent parameters are found by least squares, which method '{estimator.name}' is not; use --method "
+            "didim or ml with --consistent."
+        )
+    if not estimator.takes_priors:
+        _refuse_priors(estimator, subject)
+    if estimator.gains == Gains.GIVEN:
+        given_gains(subject.robot, subject.runs, options.gains, estimator.name)
+    return estimator
+
+
+def plan(subject: Subject, dataset: Dataset, system: System) -> Plan:
+    """Plan an identification: its estimator, and its gains where nothing fixes their scale.
+
+    Where nothing tests the scale of logged torques it is set to 1, except by an estimator of gains that was asked for;
+    known parameters alone test it only for the latter, as they may be rough.
+
+    Parameters
+    ----------
+    subject : Subject
+        What is asked.
+    dataset, system : Dataset, System
+        The reduced runs, and their equations.
+
+    Raises
+    ------
+    GtauError
+        If nothing fixes the scale of the currents, or the estimator asked for lacks an input.
+    """
+    options, runs = subject.options, dataset.runs
+    estimator, asked = estimator_for(options, runs), options.method is not None
+    if estimator.gains != Gains.GIVEN:
+        demanded = runs[0].kind == "current" or (asked and estimator.gains == Gains.ESTIMATED)
+        try:
+            require_scale(dataset.robot, system, [run.payload for run in runs], estimator.name)
+        except GtauError:
+            if demanded:
+                raise
+        else:
+            if demanded or tests_torques(system):
+                return Plan(estimator)
+        estimator = estimator if asked else estimator_of("wls")
+    return Plan(estimator, given_gains(dataset.robot, runs, options.gains, estimator.name))
+
+
+def without_scale(subject: Subject, dataset: Dataset) -> Plan:
+    """Plan least squares with the gains 1, or prior ones, for torques whose scale the runs do not show."""
+    return Plan(estimator_of("wls"), given_gains(dataset.robot, dataset.runs, subject.options.gains, "wls"))
+
+
+def tests_torques(system: System) -> bool:
+    """Decide whether a known payload, a torque sensor or a wrench tests the scale of logged torques."""
+    problem, known = system.problem, (each for each in system.payloads if each.payload.mass is not None)
+    return any(each.acts for each in known) or bool(problem.wrenches) or not problem.unknown_gains.all()
+
+
+def _refuse_priors(estimator: Estimator, subject: Subject) -> None:
+    """Refuse torque sensors, known parameters and floating bases for an estimator that takes none; raises GtauError."""
+    robot, runs = subject.robot, subject.runs
+    takers = ", ".join(other.name for other in ESTIMATORS.values() if other.takes_priors)
+    inertias = dict(robot.inertias)
+    valued = {name: prior.value for name, prior in subject.stated.items() if prior.value is not None}
+    of_file = all(name in inertias and inertias[name] == value for name, value in valued.items())
+    known, kinds = bool(valued) and not subject.options.consistent, [channel.kind for channel in runs[0].channels]
+    for what, key, there in (
+        *((kind.group, kind.calibration, True) for kind in kinds if kind.of_joint and kind.calibration),
+        ("known parameters", "prior_inertias" if of_file else "priors", known),
+        ("wrenches on bodies", "wrenches", any(body not in runs[0].base for body, _ in runs[0].wrenches)),
+    ):
+        if there:
+            raise GtauError(
+                f"method '{estimator.name}' takes no {what}, and '{key}' gives some; remove '{key}', or choose from "
+                f"{takers} with --method."
+            )
+    if robot.floating:
+        raise GtauError(
+            f"method '{estimator.name}' does not support floating bases, and that of robot '{robot.name}' floats; "
+            f"choose from {takers} with --method."
+        )
+
+
+def reduced(
+    subject: Subject, estimator: Estimator, progress: Progress, preparation: Preparation | None = None
+) -> Dataset:
+    """Reduce the runs, with the priors that the estimator uses as equations.
+
+    Others use them only for consistent parameters. Raises GtauError.
+    """
+    options = subject.options
+    return reduce_runs(
+        subject.robot,
+        subject.runs,
+        preparation,
+        decimator="chebyshev" if options.as_paper else "fir",
+        progress=progress,
+        priors=options.priors if estimator.takes_priors else {},
+        prior_inertias=options.prior_inertias or 0.0,
+    )
+
+
+def given_gains(robot: Robot, runs: Sequence[Run], prior_gains: Mapping[str, float], method: str) -> np.ndarray:
+    """Return gains for least squares: the prior ones, 1 for torques without, (n,).
+
+    Raises
+    ------
+    GtauError
+        Where currents are logged and some joint has no prior gain.
+    """
+    exact = robot.actuated if runs[0].kind == "torque" else robot.base
+    known = dict.fromkeys(exact, 1.0) | dict(prior_gains)
+    missing = [joint for joint in robot.actuated if joint not in known]
+    if missing:
+        raise GtauError(
+            f"method '{method}' needs a drive gain for every joint, and joint '{missing[0]}' has none; "
+            "add 'prior_gains' to the experiment file, or use --method ml with a known payload."
+        )
+    return np.array([known[joint] for joint in robot.actuated])
