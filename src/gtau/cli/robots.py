@@ -60,7 +60,9 @@ def robot(
         _list_catalog(json_)
         return
     with progress_bar():
+        from gtau.model.base_parameters import base_parameters
         from gtau.model.home import load_robot
+        from gtau.model.inverse_dynamics import InverseDynamics
         from gtau.report.robot import robot_document, robot_page
 
         described = load_robot(source, base=base_choice(base), joints=joints or ())
@@ -72,8 +74,14 @@ def robot(
 
         save_figure(robot_figure(described), figure)
     with progress_bar() as progress:
-        document = robot_document(described, progress)
-    answer(json_, lambda: document, lambda: robot_page(document, verbose), filter(None, (save, figure)))
+        model = InverseDynamics(described)
+        parameters = base_parameters(model, progress=progress)
+    answer(
+        json_,
+        lambda: robot_document(model, parameters),
+        lambda: robot_page(model, parameters, verbose),
+        filter(None, (save, figure)),
+    )
 
 
 def _save(described: Robot, save: Path, source: str) -> None:
@@ -140,13 +148,13 @@ def excite(
         from gtau.excitation.design import Design, Stopped
         from gtau.excitation.design import design as run
         from gtau.excitation.design_file import read_design
-        from gtau.report.design import design_document, design_page, design_report, write_design, write_trajectories
+        from gtau.report import design as pages
         from gtau.report.write import write_report
 
         task, assumed = read_design(design)
 
         def keep(best: Design) -> None:
-            write_trajectories(best, folder_of(out))
+            pages.write_trajectories(best, folder_of(out))
 
         try:
             with stop_request(STOPPING) as stop:
@@ -154,11 +162,10 @@ def excite(
         except Stopped as stopped:
             raise KeyboardInterrupt(str(stopped).rstrip(".")) from None
         progress("predicting standard deviations", 0, 1)
-        document = design_document(found, assumed, masses)
-        page, inputs = design_report(found, document), (("design", design),)
-        report = write_report(page, folder_of(out), seconds(), inputs)
-        written = (report, *write_design(found, document, out))
-    answer(json_, lambda: document, lambda: design_page(document), written)
+        outlook = pages.Outlook(found, assumed, tuple(masses))
+        report = write_report(pages.design_report(outlook), folder_of(out), seconds(), (("design", design),))
+        written = (report, *pages.write_design(outlook, out))
+    answer(json_, lambda: pages.design_document(outlook), lambda: pages.design_page(outlook), written)
 
 
 def _masses(first: list[float], words: list[str]) -> list[float]:
