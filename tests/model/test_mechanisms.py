@@ -42,7 +42,7 @@ def test_a_ball_as_a_chain_of_massless_links(rng: np.random.Generator) -> None:
             for joint in turning(f"ball {leg}", closure.a.body, closure.a.placement, "xyz")
         ]
         closures.append(Closure("weld", Attachment(f"ball {leg}"), closure.b))
-    chained = close_home(replace(tied, joints=tuple(joints), closures=tuple(closures), home_given=False))
+    chained = close_home(replace(tied, joints=tuple(joints), closures=tuple(closures)).with_file(home_given=False))
     chi, states = random_parameters(tied, rng), near_home(tied, rng)
     expected = InverseDynamics(tied).torques(*states, chi)
     assert InverseDynamics(chained).torques(*states, chi) == pytest.approx(expected, rel=1e-9)
