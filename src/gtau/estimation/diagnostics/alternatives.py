@@ -140,7 +140,7 @@ def established(
     unit: str = "",
 ) -> Alternative:
     """Make an alternative of what a separate test found to be significant; ``moves`` (n,) are those of the gains."""
-    slopes = np.zeros(len(fit.solution.stacked))
+    slopes = np.zeros(len(fit.solution.values))
     slopes[fit.system.problem.gain_rows] = moves * fit.gains / size
     group = (cause.kind, *cause.joints)
     return Alternative(

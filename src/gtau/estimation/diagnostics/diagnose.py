@@ -31,8 +31,8 @@ from gtau.estimation.diagnostics.stated_constants import (
 )
 from gtau.estimation.diagnostics.unit_checks import units_and_signs
 from gtau.estimation.diagnostics.verdict import GIVEN, GOOD, OUTCOMES, Outcome, Verdict, decide
-from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.regression.unknowns import Estimates
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import whole_mass
@@ -105,7 +105,7 @@ def diagnose(
         ]
     else:
         against += given_gains(fit, examined, payloads)
-    delay_std = np.sqrt(np.diag(estimates.random))[problem.n_theta + len(problem.channels) :]
+    delay_std = np.sqrt(np.diag(estimates.random))[problem.unknowns.delays]
     period = 1 / min(run.rate for run in dataset.runs)
     delays = delay_verdicts(problem, fit.solution, delay_std, period) if delay_std.any() else (GOOD,) * len(delay_std)
     beside = [

@@ -32,9 +32,9 @@ from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
 from gtau.estimation.diagnostics.repeating_residuals import PositionRipple, position_ripple
 from gtau.estimation.diagnostics.score_test import WINDOWS, find_alternatives
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
-from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import degrees_of_freedom
+from gtau.estimation.regression.unknowns import Estimates
 from gtau.estimation.thresholds.estimates import (
     DOMINANT,
     FEWEST_FOR_TESTS,
@@ -115,7 +115,7 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
     """
     lack = lack_of_fit(fit.system.problem, fit.solution)
     windows = central_windows(fit.dataset, WINDOWS)
-    rows, unknowns = usable_rows(fit.dataset, windows), len(fit.solution.stacked)
+    rows, unknowns = usable_rows(fit.dataset, windows), len(fit.solution.values)
     if rows < FEWEST_FOR_TESTS * unknowns:
         few = Finding(F.FEW_ROWS, values={"rows": rows, "unknowns": unknowns})
         return Examination(lack, (), PositionRipple.none(fit), (), (few,))
@@ -176,7 +176,7 @@ def estimates_of(fit: Fit, examined: Examination, correlated: bool) -> Estimates
     of_scale = scale_uncertainty(fit.dataset, fit.system, fit.solve)
     if not correlated:
         parts = (solution.covariance, of_scale, np.zeros_like(of_scale))
-        return Estimates(problem.unknowns, solution.stacked, *parts, None)
+        return Estimates(problem.unknowns, solution.values, *parts, None)
     freedom = degrees_of_freedom(problem, solution, fit.free_gains)
     parts = (solution.jackknife, of_scale, examined.covariance)
-    return Estimates(problem.unknowns, solution.stacked, *parts, freedom)
+    return Estimates(problem.unknowns, solution.values, *parts, freedom)

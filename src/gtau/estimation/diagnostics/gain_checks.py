@@ -24,8 +24,8 @@ from gtau.estimation.diagnostics.examine import Examination
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
 from gtau.estimation.diagnostics.parameter_checks import judge_parameter, unexplained_shares
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
-from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.regression.unknowns import Estimates
 from gtau.estimation.thresholds.estimates import (
     APART,
     APART_REFUTED,
@@ -92,7 +92,7 @@ def estimated_gains(
                 yield Finding(F.OTHER_ESTIMATOR, mine, values=values, causes=each.causes, size=abs(each.t))
         if half > accuracy:
             values = {"half": half, "accuracy": accuracy, "random": bool(random_halves[j] > accuracy)}
-            kind, causes = _widest(examined, estimates, problem.n_theta + j)
+            kind, causes = _widest(examined, estimates, problem.gain_rows.start + j)
             yield Finding(kind, mine, values=values, causes=causes)
 
 
@@ -163,9 +163,9 @@ def impossible_parameters(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
     dataset, stds = fit.dataset, np.sqrt(np.diag(estimates.covariance))
     listed: dict[str, list[list[object]]] = {}
     for name in dataset.base.names:
-        if name not in estimates.places:
+        if name not in estimates.unknowns.places:
             continue
-        k, kind, body = estimates.places[name], name.kind, name.body
+        k, kind, body = estimates.unknowns.places[name], name.kind, name.body
         value, std = float(fit.solution.theta[k]), float(stds[k])
         if judge_parameter(value, std, dataset.base.regroupings[name]).outcome == Outcome.CONTRADICTORY:
             listed.setdefault(body, []).append([name, value, std, unit_of(kind, dataset.robot, body)])

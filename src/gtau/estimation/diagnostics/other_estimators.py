@@ -80,21 +80,22 @@ def alternatives_of(fit: Fit, differences: Sequence[Difference]) -> list[Alterna
     is thought to be as large as the random standard deviation.
     """
     problem, solution = fit.system.problem, fit.solution
-    n_theta = problem.n_theta
     plausible = np.sqrt(np.diag(solution.jackknife))
     estimates = [((), name) for name in problem.parameters] + [((joint,), "") for joint in problem.joints]
-    estimated = np.concatenate([np.ones(n_theta, dtype=bool), problem.unknown_gains[: len(problem.joints)]])
+    estimated = np.concatenate(
+        [np.ones(len(problem.parameters), dtype=bool), problem.unknown_gains[: len(problem.joints)]]
+    )
     found = []
     for each in differences:
         for k, (joints, parameter) in enumerate(estimates):
-            value, size, std = solution.stacked[k], each.moves[k], each.std[k]
+            value, size, std = solution.values[k], each.moves[k], each.std[k]
             if not (estimated[k] and std > 0 and plausible[k] > 0 and value):
                 continue
-            if k < n_theta and abs(size) < DIFFERENT_STD * std:
+            if parameter and abs(size) < DIFFERENT_STD * std:
                 continue
             relative, error, prior = float(size / value), float(std / abs(value)), float(plausible[k] / abs(value))
             factor, moment = support(relative, error, prior)
-            slopes = np.zeros(len(solution.stacked))
+            slopes = np.zeros(len(solution.values))
             slopes[k] = value
             found.append(
                 Alternative(
@@ -181,7 +182,7 @@ def other_estimators(fit: Fit, windows: Windows | None = None) -> tuple[tuple[Di
     rows = [J for _, J, _ in pairs]
     known, clusters = known_rows(fit, windows)[1], in_step(dataset, windows)
     back = whitening(np.concatenate([*rows, known]), np.zeros(len(fit.solution.gains)))
-    T = to_gains(fit.solution.iterate, fit.system.problem.n_theta, fit.free_gains) @ back
+    T = to_gains(fit.solution.iterate, fit.free_gains) @ back
     usual = [(J.T @ J, J.T @ e) for _, J, e in pairs]
     found, untested = [], []
     if further is not None and not fit.noise_free:

@@ -52,7 +52,7 @@ class PositionRipple:
     """Residual torque that repeats at the same positions.
 
     ``shares`` (c,) of the variance of each channel's errors that one half of the runs predicts in the other, and by how
-    much (theta, gains, delays) move when it is taken into account, ``moves`` (n_theta + 2 c,), which are zero where
+    much (theta, gains, delays) move when it is taken into account, ``moves`` (k,), which are zero where
     nothing repeats. A torque sensor does not feel the ripple of its motor.
     """
 
@@ -62,7 +62,7 @@ class PositionRipple:
     @staticmethod
     def none(fit: Fit) -> PositionRipple:
         """Return a ripple of nothing."""
-        return PositionRipple(np.zeros(len(fit.solution.gains)), np.zeros(len(fit.solution.stacked)))
+        return PositionRipple(np.zeros(len(fit.solution.gains)), np.zeros(len(fit.solution.values)))
 
     @property
     def found(self) -> bool:
@@ -112,7 +112,7 @@ def position_ripple(fit: Fit) -> PositionRipple:
     repeats = shares > 0  # what of a joint does not repeat would only take up what its parameters explain
     moved, _ = _fit([first, second], np.where(repeats, heights, np.inf), known)
     state = solution.iterate
-    return PositionRipple(shares, to_gains(state, problem.n_theta, fit.free_gains) @ (moved - step))
+    return PositionRipple(shares, to_gains(state, fit.free_gains) @ (moved - step))
 
 
 def _fit(

@@ -191,7 +191,7 @@ def _alternatives(
     fit: Fit, hypothesis: Hypothesis, candidates: Candidates, tests: ScoreTests, first: int
 ) -> list[Tried]:
     problem, joints = fit.system.problem, fit.dataset.model.actuated
-    T = to_gains(fit.solution.iterate, problem.n_theta, fit.free_gains)
+    T = to_gains(fit.solution.iterate, fit.free_gains)
     gains = problem.gain_rows
     found: list[Tried] = []
     for m, column in enumerate(candidates.columns):
@@ -251,7 +251,7 @@ def _together(
     if share < TOGETHER_SHARE:
         return []
     alone = np.array([1 - fitted(columns[:, [k]])[1] / rest for k in range(columns.shape[1])])
-    T = to_gains(fit.solution.iterate, fit.system.problem.n_theta, fit.free_gains)
+    T = to_gains(fit.solution.iterate, fit.free_gains)
     slopes = T @ (step[: J.shape[1]] - before)
     cause = describe(step[J.shape[1] :], alone / share)
     moves = slopes[fit.system.problem.gain_rows] / fit.gains

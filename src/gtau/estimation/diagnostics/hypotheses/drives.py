@@ -258,14 +258,14 @@ def gain_changes(fit: Fit) -> list[Alternative]:
     if not len(groups):
         return []
     tried = len(np.unique(groups ^ groups[:, :1], axis=0))  # larger in some runs is smaller in the others
-    known = jacobian_of_known(problem, problem.n_theta + 2 * len(problem.channels))
+    known = jacobian_of_known(problem, True)
     offers, clusters = [(slice(None), False)], np.unique(problem.block_numbers, return_inverse=True)[1]
     (tests,) = score_tests(lambda: _windows(problem, solution, groups[:, of_block]), offers, clusters, known)
     shares = tests.share.sum(axis=1)
     worst = _first_largest(np.abs(tests.t[:, : len(gains)]))
     if shares.max() > DOMINANT:  # the same runs for all joints
         worst[:] = _first_largest(shares)
-    T = to_gains(solution.iterate, problem.n_theta, True)
+    T = to_gains(solution.iterate, True)
     found = []
     for j, k in enumerate(worst):
         change, t = float(tests.size[k, j]), float(tests.t[k, j])
