@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Generic, Literal, TypeVar
 
 import numpy as np
+from pydantic import NonNegativeFloat
 
 from gtau import display
 from gtau.documents.files import write_table
@@ -132,8 +133,8 @@ class FrictionCurve:
 
     joint: str
     evidence: Mapping[str, float]
-    error: float
-    plain_error: float
+    error: NonNegativeFloat
+    plain_error: NonNegativeFloat
 
 
 @dataclass(frozen=True)
