@@ -18,6 +18,7 @@ from gtau.estimation.estimators.total_least_squares import tls
 from gtau.estimation.estimators.two_stage import two_stage
 from gtau.estimation.regression.equations import delayed, leave_one_out, triangle
 from gtau.estimation.regression.problem import Problem
+from gtau.robots.parameter import Parameter
 from gtau.signals.channel import MOTOR, Channel
 from gtau.signals.preparation.filters import differentiate, low_pass
 
@@ -63,7 +64,7 @@ def noisy(units: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def problem_of(units: np.ndarray) -> Problem:
     channels = tuple(Channel(f"j{k + 1}", MOTOR, f"j{k + 1}", k) for k in range(units.shape[1]))
-    parameters = tuple(f"p{k + 1}" for k in range(units.shape[-1] - 4))
+    parameters = tuple(Parameter(f"p{k + 1}", "") for k in range(units.shape[-1] - 4))
     return Problem(parameters, channels, units, np.full(units.shape[:2], units.shape[2]), slowest=0.02)
 
 
@@ -384,7 +385,11 @@ def test_slow_motion_under_white_noise_settles(rng: np.random.Generator, monkeyp
         whole = np.column_stack([W, known, v, *differentiate(v, rate)])
         units += [whole[part][None] for part in np.array_split(np.arange(samples), 10)]
     problem = Problem(
-        ("a", "b", "c"), (Channel("j", MOTOR, "j", 0),), np.array(units), np.full((20, 1), samples // 10), 0.5
+        tuple(Parameter(kind, "") for kind in "abc"),
+        (Channel("j", MOTOR, "j", 0),),
+        np.array(units),
+        np.full((20, 1), samples // 10),
+        0.5,
     )
     far = newton.Iterate(theta, np.array([1 / gain]), np.array([0.05]))
 
