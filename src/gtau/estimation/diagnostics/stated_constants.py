@@ -16,8 +16,8 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.parameter_checks import known_verdict, unexplained_shares
-from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, verdict_of
+from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
+from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, known_verdict, verdict_of
 from gtau.estimation.estimators.estimator import Fit, Iterate, Solve, jackknife
 from gtau.estimation.estimators.newton import (
     curvature_of_delays,
@@ -341,7 +341,13 @@ def _freed(fit: Fit, method: str, payload: Payload, kind: str, accuracy: float) 
     )
     rows = system.problem.total_rows
     remains = float(np.exp(2 * (left - rows @ np.log(fit.solution.sigma)) / rows.sum()))
-    unit = unit_of(kind, dataset.robot, dataset.robot.tool)
-    given = "" if fit.free_gains else dataset.runs[0].kind
-    std_of_value = float(np.hypot(std[best], of_mass))
-    return left, known_verdict(kind, declared, value, std_of_value, unit, given, explained, remains)
+    tested = {
+        "parameter": kind,
+        "declared": declared,
+        "found": value,
+        "std": float(np.hypot(std[best], of_mass)),
+        "unit": unit_of(kind, dataset.robot, dataset.robot.tool),
+        "remains": remains,
+        "given": "" if fit.free_gains else dataset.runs[0].kind,
+    }
+    return left, known_verdict(tested, explained)

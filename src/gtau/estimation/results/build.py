@@ -11,9 +11,8 @@ from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.diagnose import Diagnosis
 from gtau.estimation.diagnostics.examine import Examination
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
-from gtau.estimation.diagnostics.parameter_checks import judge_parameter, parameter_verdict
 from gtau.estimation.diagnostics.stated_constants import scale_shares, sensor_verdict
-from gtau.estimation.diagnostics.verdict import Outcome, Verdict
+from gtau.estimation.diagnostics.verdict import Outcome, Verdict, judge_parameter, parameter_verdict
 from gtau.estimation.estimators.estimator import Estimator, Fit
 from gtau.estimation.estimators.newton import residuals, stacked
 from gtau.estimation.estimators.physical_consistency import Consistency
@@ -35,6 +34,7 @@ from gtau.estimation.results.friction_curves import FrictionStep, friction_unit,
 from gtau.estimation.results.groups import Evidence, FitRecord, Model, ModelEstimates
 from gtau.estimation.results.payload import payload_estimates
 from gtau.estimation.results.result import Result
+from gtau.model.base_parameters import regrouped
 from gtau.robots.parameter import Parameter, gain_unit, torque_unit, unit_of
 from gtau.robots.robot import Robot
 
@@ -237,14 +237,14 @@ def _parameters(fit: Fit, vector: Estimates, essential: Problem) -> dict[Paramet
     """Collect the base parameters, those without a value included."""
     base, robot, spread = fit.dataset.base, fit.dataset.robot, _spread(fit.system, fit.solution.theta)
     found = {}
-    for name in base.names:
-        unit, regrouping = unit_of(name.kind, robot, name.body), base.regroupings[name]
+    for name, terms in regrouped(base, fit.dataset.model.parameter_names).items():
+        unit = unit_of(name.kind, robot, name.body)
         made = _estimate(vector, name, unit) if name in vector.unknowns.places else Estimate(name, None, None, unit)
         found[name] = replace(
             made,
-            regrouping=regrouping,
+            regrouping=base.regroupings[name],
             spread=spread.get(name),
-            verdict=judge_parameter(made.value, made.std, regrouping),
+            verdict=judge_parameter(made.value, made.std, terms),
             essential=name in essential.parameters,
         )
     return found

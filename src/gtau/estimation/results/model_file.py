@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, fields
 from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -311,7 +311,7 @@ class _Model(_Group):
 
     def made(self, path: Path) -> Result:
         """Assemble the result."""
-        robot = replace(parse_native(self.robot_file, path), inertias=tuple(self.stated_inertias.items()))
+        robot = parse_native(self.robot_file, path).with_file(inertias=tuple(self.stated_inertias.items()))
         values = dict(self) | {
             "curves": {curve.joint: curve for curve in self.curves},
             "sensors": tuple(SensorEstimate(**dict(sensor)) for sensor in self.sensors),
