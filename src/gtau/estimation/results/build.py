@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.diagnose import Diagnosis
 from gtau.estimation.diagnostics.examine import Examination
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
@@ -22,7 +21,6 @@ from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
 from gtau.estimation.regression.unknowns import Estimates
 from gtau.estimation.results.estimate import (
-    AlternativeMoves,
     Estimate,
     Named,
     SensorEstimate,
@@ -36,7 +34,6 @@ from gtau.estimation.results.payload import payload_estimates
 from gtau.estimation.results.result import Result
 from gtau.model.base_parameters import regrouped
 from gtau.robots.parameter import Parameter, gain_unit, torque_unit, unit_of
-from gtau.robots.robot import Robot
 
 
 def build_result(
@@ -184,7 +181,7 @@ def _evidence(
     ]
     return Evidence(
         notes=(*dataset.notes, *diagnosis.notes),
-        alternatives=tuple(_moves(each, dataset.robot) for each in examined.alternatives),
+        alternatives=examined.alternatives,
         curves=friction.curves,
         equation_friction=Named(
             (name, _estimate(estimates, name, friction_unit(name.kind, name.body, dataset.robot, temperatures)))
@@ -273,23 +270,6 @@ def _logged_speeds(fit: Fit) -> dict[str, float]:
     found = [factors.speeds.max(axis=0) for factors in fit.dataset.factors if factors.speeds is not None]
     largest = np.max(found, axis=0) if found else np.zeros(len(fit.dataset.model.actuated))
     return dict(zip(fit.dataset.model.actuated, map(float, largest), strict=True))
-
-
-def _moves(each: Alternative, robot: Robot) -> AlternativeMoves:
-    return AlternativeMoves(
-        each.hypothesis,
-        each.causes,
-        each.size,
-        each.std if np.isfinite(each.std) else None,
-        each.unit,
-        each.probability,
-        each.share,
-        {
-            joint: 100 * float(move)
-            for joint, move in zip(robot.actuated, each.moves, strict=True)
-            if joint in robot.motors
-        },
-    )
 
 
 def _levels(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
