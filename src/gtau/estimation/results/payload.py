@@ -17,8 +17,7 @@ import numpy as np
 from gtau import display
 from gtau.documents.validation import PATH, takes
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.parameter_checks import parameter_verdict
-from gtau.estimation.diagnostics.verdict import GOOD, Verdict, verdict_of
+from gtau.estimation.diagnostics.verdict import GOOD, Verdict, parameter_verdict, verdict_of
 from gtau.estimation.estimators.standard_parameters import Body, constrained_least_squares
 from gtau.estimation.regression.column_blocks import CarriedPayload, known_values
 from gtau.estimation.regression.dataset import Dataset
