@@ -110,7 +110,7 @@ def weigh(
     solution = solve(system.problem)
     total = solution.jackknife + scale_uncertainty(dataset, system, solve)
     if covariance.any():
-        slopes = np.stack([_slope(system.problem, g_tau, j, solution.stacked) for j in range(len(g_tau))], axis=1)
+        slopes = np.stack([_slope(system.problem, g_tau, j, solution.values) for j in range(len(g_tau))], axis=1)
         total = total + slopes @ covariance @ slopes.T
     estimates = payload_estimates(
         dataset, system, solution.theta, total, {}, degrees_of_freedom(system.problem, solution, False)
@@ -133,5 +133,5 @@ def _slope(problem: Problem, gains: np.ndarray, j: int, estimates: np.ndarray) -
     step = 1e-4 * gains[j]
     moved = gains.copy()
     moved[j] += step
-    shift = wls(problem, moved).stacked - estimates
+    shift = wls(problem, moved).values - estimates
     return shift / step
