@@ -11,6 +11,7 @@ from gtau.documents.validation import FUNCTION, TEXT, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
 from gtau.estimation.estimators.essential import select_friction
+from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.estimators.least_squares import wls
 from gtau.estimation.estimators.newton import degrees_of_freedom
@@ -112,10 +113,11 @@ def weigh(
     if covariance.any():
         slopes = np.stack([_slope(system.problem, g_tau, j, solution.stacked) for j in range(len(g_tau))], axis=1)
         total = total + slopes @ covariance @ slopes.T
-    estimates = payload_estimates(
-        dataset, system, solution.theta, total, {}, degrees_of_freedom(system.problem, solution, False)
-    )
-    return tuple(each for each in estimates if "m" not in each.known)
+    none = np.zeros_like(total)
+    freedom = degrees_of_freedom(system.problem, solution, False)
+    vector = Estimates(system.problem.unknowns, solution.stacked, total, none, none, freedom)
+    estimates = payload_estimates(dataset, system, vector, {})
+    return tuple(payload for payload in estimates if "m" not in payload.known)
 
 
 def exact_gains(model: Result, experiment: Experiment, gains: str) -> tuple[str, ...]:
