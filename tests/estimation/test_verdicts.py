@@ -19,13 +19,19 @@ from hypothesis import strategies as st
 import gtau.estimation.diagnostics.diagnose
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.gain_checks import base_misfit
-from gtau.estimation.diagnostics.parameter_checks import (
+from gtau.estimation.diagnostics.verdict import (
+    GOOD,
+    OUTCOMES,
+    Outcome,
+    Verdict,
     cannot_be_negative,
+    decide,
     judge_parameter,
     known_verdict,
     parameter_verdict,
+    verdict_of,
+    worst,
 )
-from gtau.estimation.diagnostics.verdict import GOOD, OUTCOMES, Outcome, Verdict, decide, verdict_of, worst
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.equations import BLOCKS
 from gtau.estimation.results.conclusions import Reason, headline, reasons
@@ -37,6 +43,7 @@ from gtau.findings import FindingKind as F
 from gtau.findings.finding import by_severity
 from gtau.findings.words import percent_text
 from gtau.model.home import load_robot
+from gtau.robots.parameter import parameter_of
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
@@ -166,28 +173,30 @@ def test_verdicts_of_parameters() -> None:
 
 
 @pytest.mark.parametrize(
-    ("regrouping", "nonnegative"),
+    ("terms", "nonnegative"),
     [
-        ("fv_2", True),
-        ("fv_21 + fv_51", True),
-        ("ia_1 + zz_1 + 0.16 m_2", True),
-        ("m_1 - 3.2258 mx_3 + m_3", False),
-        ("xx_3 - yy_3", False),
-        ("off_1", False),
-        ("mx_2", False),
+        ({"fv_2": 1.0}, True),
+        ({"fv_21": 1.0, "fv_51": 1.0}, True),
+        ({"ia_1": 1.0, "zz_1": 1.0, "m_2": 0.16}, True),
+        ({"m_1": 1.0, "mx_3": -3.2258, "m_3": 1.0}, False),
+        ({"xx_3": 1.0, "yy_3": -1.0}, False),
+        ({"off_1": 1.0}, False),
+        ({"mx_2": 1.0}, False),
     ],
 )
-def test_parameters_that_cannot_be_negative(regrouping: str, nonnegative: bool) -> None:
-    assert cannot_be_negative(regrouping) == nonnegative
-    outcome = judge_parameter(-0.0022, 0.0002, regrouping).outcome
+def test_parameters_that_cannot_be_negative(terms: dict[str, float], nonnegative: bool) -> None:
+    terms = {parameter_of(name): factor for name, factor in terms.items()}
+    assert cannot_be_negative(terms) == nonnegative
+    outcome = judge_parameter(-0.0022, 0.0002, terms).outcome
     assert outcome == (Outcome.CONTRADICTORY if nonnegative else Outcome.GOOD)
-    assert judge_parameter(-0.0022, 0.0015, regrouping).outcome != Outcome.CONTRADICTORY
-    assert judge_parameter(0.0022, 0.0002, regrouping).outcome == Outcome.GOOD
+    assert judge_parameter(-0.0022, 0.0015, terms).outcome != Outcome.CONTRADICTORY
+    assert judge_parameter(0.0022, 0.0002, terms).outcome == Outcome.GOOD
 
 
 def test_verdicts_of_masses() -> None:
-    assert known_verdict("m", 2.0, 2.02, 0.01, "kg").outcome == Outcome.GOOD
-    wrong = known_verdict("m", 2.0, 2.05, 0.01, "kg")
+    values = {"parameter": "m", "declared": 2.0, "found": 2.02, "std": 0.01, "unit": "kg"}
+    assert known_verdict(values).outcome == Outcome.GOOD
+    wrong = known_verdict(values | {"found": 2.05})
     assert wrong.outcome == Outcome.CONTRADICTORY
     assert wrong.finding.kind == F.PAYLOAD_MASS
     assert (wrong.finding.values["declared"], wrong.finding.values["found"]) == (2.0, 2.05)
@@ -222,7 +231,7 @@ def test_verdicts_do_not_depend_on_the_order_of_the_checks(findings: list[Findin
             assert found["abc".index(verdict.finding.subject)].outcome == Outcome.CONTRADICTORY
         elif mine:
             assert GAIN_KINDS.index(verdict.finding.kind) == min(ranks)
-            assert verdict.finding.size == max(each.severity for each in mine if each.kind == verdict.finding.kind)
+            assert verdict.finding.size == max(each.size for each in mine if each.kind == verdict.finding.kind)
         else:
             assert verdict == GOOD
 
@@ -256,7 +265,7 @@ def test_every_number_has_a_verdict_and_good_ones_say_nothing(result: Result) ->
         assert gain.verdict.outcome == Outcome.GOOD
         assert gain.verdict.sentence == "good"
     for each in result.parameters.values():
-        assert each.verdict == judge_parameter(each.value, each.std, each.regrouping)
+        assert each.verdict == parameter_verdict(each.value, each.std)
         assert bool(each.verdict.advice) == (each.verdict.outcome != Outcome.GOOD)
 
 

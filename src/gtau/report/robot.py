@@ -75,7 +75,7 @@ def _loops_document(model: InverseDynamics) -> dict[str, Any]:
         {"joint": coupling.joint, "ratios": dict(coupling.ratios), "offset": coupling.offset}
         for coupling in robot.couplings
     ]
-    rows, rank = (loops.equations.rows, loops.rank) if loops else (0, 0)
+    rows, rank = (loops.rows, len(loops.layout.passive)) if loops else (0, 0)
     return {"closures": closures, "couplings": couplings, "rows": rows, "rank": rank}
 
 
@@ -168,7 +168,7 @@ def _limits(joint: Joint, unit: str) -> str:
 def _loops(model: InverseDynamics) -> Section | None:
     """List closures and couplings; None for a robot without any."""
     robot, loops = model.robot, model.loops
-    if loops is None or not loops.equations.rows:
+    if loops is None or not loops.rows:
         return None
     counts = {"closure": len(robot.closures), "coupling": len(robot.couplings)}
     counted = [f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in counts.items() if count]
@@ -177,7 +177,7 @@ def _loops(model: InverseDynamics) -> Section | None:
         terms = [f"{ratio:+g} {name}" for name, ratio in dict(coupling.ratios).items()]
         terms += [f"{coupling.offset:+.6g}"] if coupling.offset else []
         equations.append(f"{coupling.joint} = {' '.join(terms).removeprefix('+')}")
-    words = f"{' and '.join(counted)}, {loops.equations.rows} equations of rank {loops.rank}:"
+    words = f"{' and '.join(counted)}, {loops.rows} equations of rank {len(loops.layout.passive)}:"
     return section("Loops", Text(words, tuple(equations)), id="loops")
 
 

@@ -16,15 +16,15 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.parameter_checks import known_verdict, unexplained_shares
-from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, verdict_of
-from gtau.estimation.estimators.estimator import Fit, Iterate, Solve, jackknife
+from gtau.estimation.diagnostics.linearisation import weighted
+from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
+from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, known_verdict, verdict_of
+from gtau.estimation.estimators.estimator import Fit, Solve, jackknife
 from gtau.estimation.estimators.newton import (
     curvature_of_delays,
     jacobian,
     jacobian_of_known,
     one_step,
-    residuals,
     stacked,
     to_gains,
     whitening,
@@ -200,15 +200,13 @@ def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
     problem, solution, sensors = fit.system.problem, fit.solution, fit.system.problem.sensor_channels
     if not sensors:
         return ()
-    state = solution.iterate
-    weights = 1 / np.maximum(solution.sigma, problem.smallest_sigma)
-    whole, *units = (_linear(block, problem, state, weights) for block in (stacked(problem), *problem.units))
+    whole, *units = (_with_sensors(fit, blocks) for blocks in (stacked(problem), *problem.units))
     size = whole.shape[1] - len(sensors) - 1
     of_known = np.zeros((len(problem.known), whole.shape[1]))
     of_known[:, :size] = jacobian_of_known(problem, size)
     of_known[:, -1] = problem.known[:, :-1] @ solution.theta - problem.known[:, -1]
     R = triangle(whole, of_known)
-    T = to_gains(state, problem.n_theta, True)[problem.gain_rows] / fit.gains[:, None]
+    T = to_gains(solution.iterate, problem.n_theta, True)[problem.gain_rows] / fit.gains[:, None]
     found = []
     for k, sensor in enumerate(sensors):
         columns = [*range(size), size + k]
@@ -228,13 +226,15 @@ def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
     return tuple(found)
 
 
-def _linear(block: np.ndarray, problem: Problem, state: Iterate, weights: np.ndarray) -> np.ndarray:
-    """Build weighted rows ``[J | sensor torques | residuals]`` (., size + m + 1) of all channels in a block."""
-    torques, sensors = modelled(block, state.theta) * state.b[:, None], problem.sensor_channels
+def _with_sensors(fit: Fit, blocks: np.ndarray) -> np.ndarray:
+    """Build weighted rows ``[J | sensor torques | residuals]`` (., size + m + 1) of all channels in blocks."""
+    problem, state = fit.system.problem, fit.solution.iterate
+    sensors, weights = problem.sensor_channels, state.b / np.maximum(fit.solution.sigma, problem.smallest_sigma)
+    torques = modelled(blocks, state.theta) * weights[:, None]
     offered = np.zeros((*torques.shape, len(sensors)))
     offered[sensors, :, range(len(sensors))] = -torques[sensors]
-    J, e = jacobian(block, state, problem, True), residuals(block, state)
-    rows = np.concatenate([J, offered, e[..., None]], axis=-1) * weights[:, None, None]
+    e, J = weighted(fit, blocks)
+    rows = np.concatenate([J, offered, e[..., None]], axis=-1)
     return np.asarray(rows.reshape(-1, rows.shape[-1]))
 
 
@@ -342,7 +342,13 @@ def _freed(fit: Fit, method: str, payload: Payload, kind: str, accuracy: float) 
     )
     rows = system.problem.total_rows
     remains = float(np.exp(2 * (left - rows @ np.log(fit.solution.sigma)) / rows.sum()))
-    unit = unit_of(kind, dataset.robot, dataset.robot.tool)
-    given = "" if fit.free_gains else dataset.runs[0].kind
-    std_of_value = float(np.hypot(std[best], of_mass))
-    return left, known_verdict(kind, declared, value, std_of_value, unit, given, explained, remains)
+    tested = {
+        "parameter": kind,
+        "declared": declared,
+        "found": value,
+        "std": float(np.hypot(std[best], of_mass)),
+        "unit": unit_of(kind, dataset.robot, dataset.robot.tool),
+        "remains": remains,
+        "given": "" if fit.free_gains else dataset.runs[0].kind,
+    }
+    return left, known_verdict(tested, explained)

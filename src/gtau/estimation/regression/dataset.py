@@ -17,6 +17,7 @@ from gtau.estimation.regression.plausibility import within_limits
 from gtau.estimation.regression.priors import inertia_priors
 from gtau.estimation.regression.run_blocks import Place, aligned_edges, find_places
 from gtau.estimation.regression.system import System, assemble_system
+from gtau.estimation.regression.windows import Windows, central_windows
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import BaseParameters, base_parameters
@@ -85,6 +86,16 @@ class Dataset:
         """Edges of the blocks of each run, as shares of its samples, (BLOCKS + 1,)."""
         return aligned_edges(self.prepared, self.places)
 
+    @cached_property
+    def _windows(self) -> dict[int, Windows]:
+        return {}
+
+    def windows(self, pieces: int = 1) -> Windows:
+        """Cut the middle of every run into windows; see :func:`gtau.estimation.regression.windows.central_windows`."""
+        if pieces not in self._windows:
+            self._windows[pieces] = central_windows(self.prepared, pieces)
+        return self._windows[pieces]
+
     @property
     def notes(self) -> tuple[Finding, ...]:
         """Notes on implausible parts of the robot, and on repairs and omissions in each run."""
@@ -145,7 +156,8 @@ class Dataset:
     def with_factors(self, factors: Sequence[Factors]) -> Dataset:
         """Take other factors of the same runs, cut at the same rows."""
         other = replace(self, factors=tuple(factors))
-        other.__dict__.update({name: self.__dict__[name] for name in ("places", "edges") if name in self.__dict__})
+        kept = ("places", "edges", "_windows")
+        other.__dict__.update({name: self.__dict__[name] for name in kept if name in self.__dict__})
         return other
 
 

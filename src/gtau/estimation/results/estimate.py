@@ -15,8 +15,6 @@ from gtau import display
 from gtau.documents.files import write_table
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict
-from gtau.findings import Finding
-from gtau.findings.finding import named_causes
 from gtau.model.singularities import TYPES
 from gtau.robots.parameter import Parameter
 from gtau.signals.channel import SENSOR, ChannelKind
@@ -181,32 +179,6 @@ class ReferenceTemperatures:
     def per(self) -> str:
         """Unit of a difference, by which the slopes of friction are divided."""
         return "K" if self.unit == "degC" else self.unit
-
-
-@dataclass(frozen=True, repr=False)
-class AlternativeMoves:
-    """The model with one further unknown: its causes, its size, and by how much the gains would move.
-
-    ``std`` is that of ``size``, None where the data say nothing of it; ``probability`` that it holds, given the data;
-    ``share`` of the residual variance that it explains; ``moves`` of each joint's gain, per cent.
-    """
-
-    hypothesis: str
-    causes: tuple[Finding, ...]
-    size: float
-    std: float | None
-    unit: str
-    probability: float
-    share: float
-    moves: Mapping[str, float]
-
-    def __repr__(self) -> str:
-        return f"AlternativeMoves({self.subject}: probability {self.probability:.2g})"
-
-    @property
-    def subject(self) -> str:
-        """The causes by name."""
-        return named_causes(self.causes)
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.regression.dataset import base_of, model_of
 from gtau.estimation.results.estimate import (
-    AlternativeMoves,
     Distances,
     Estimate,
     FrictionCurve,
@@ -147,7 +147,7 @@ class Evidence:
     ----------
     notes : tuple of Note
         What was repaired, left out, or is not to be trusted; each has its ``severity``.
-    alternatives : tuple of AlternativeMoves
+    alternatives : tuple of Alternative
         What the model may lack, and by how much that would move the gains.
     curves : dict
         What the data say of friction on all samples, at these gains and inertia; joint to FrictionCurve. Empty for the
@@ -169,7 +169,7 @@ class Evidence:
     """
 
     notes: tuple[Finding, ...] = ()
-    alternatives: tuple[AlternativeMoves, ...] = ()
+    alternatives: tuple[Alternative, ...] = ()
     curves: Mapping[str, FrictionCurve] = field(default_factory=dict)
     equation_friction: Named[Parameter] = field(default_factory=Named)
     geometry: GeometryTest | None = None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, fields
 from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -32,6 +32,7 @@ from gtau.documents.files import MODEL, refuse_other_kind, write_atomically
 from gtau.documents.validation import Positive, unknown, validate
 from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.geometry_findings import to_document as geometry_document
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
@@ -40,7 +41,6 @@ from gtau.estimation.estimators.physical_consistency import Consistency, Move
 from gtau.estimation.estimators.registry import GROUP, NAMES
 from gtau.estimation.friction.law import SHAPES
 from gtau.estimation.results.estimate import (
-    AlternativeMoves,
     Estimate,
     FrictionCurve,
     NearestPose,
@@ -122,9 +122,10 @@ def _by_parameter(estimates: dict[str, Estimate]) -> dict[Parameter, Estimate]:
     }
 
 
-def _alternative(alternative: AlternativeMoves) -> dict[str, Any]:
+def _alternative(alternative: Alternative) -> dict[str, Any]:
     causes = [finding_document(cause) for cause in alternative.causes]
-    return asdict(alternative) | {"subject": alternative.subject, "causes": causes}
+    held = {key: value for key, value in asdict(alternative).items() if key not in ("shifts", "plausible")}
+    return held | {"subject": alternative.subject, "causes": causes}
 
 
 def _curve(curve: FrictionCurve) -> dict[str, Any]:
@@ -304,7 +305,7 @@ class _Model(_Group):
     logged_speeds: dict[str, NonNegativeFloat]
     statistics: Annotated[dict[str, FiniteFloat], AfterValidator(_statistics)]
     requirements: tuple[Annotated[Requirement, _with("met")], ...] = ()
-    alternatives: tuple[Annotated[AlternativeMoves, PlainSerializer(_alternative)], ...]
+    alternatives: tuple[Annotated[Alternative, PlainSerializer(_alternative)], ...]
     singularities: tuple[NearestPose, ...]
     temperatures: ReferenceTemperatures | None = None
     geometry: Annotated[GeometryTest, PlainSerializer(geometry_document)] | None = None
@@ -315,7 +316,7 @@ class _Model(_Group):
 
     def made(self, path: Path) -> Result:
         """Assemble the result."""
-        robot = replace(parse_native(self.robot_file, path), inertias=tuple(self.stated_inertias.items()))
+        robot = parse_native(self.robot_file, path).with_file(inertias=tuple(self.stated_inertias.items()))
         values = dict(self) | {
             "curves": {curve.joint: curve for curve in self.curves},
             "sensors": tuple(SensorEstimate(**dict(sensor)) for sensor in self.sensors),

@@ -10,8 +10,7 @@ import numpy as np
 
 from gtau import display
 from gtau.documents.validation import PATH, takes
-from gtau.estimation.diagnostics.parameter_checks import parameter_verdict
-from gtau.estimation.diagnostics.verdict import GOOD, Verdict, verdict_of
+from gtau.estimation.diagnostics.verdict import GOOD, Verdict, parameter_verdict, verdict_of
 from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.regression.column_blocks import CarriedPayload, known_values
 from gtau.estimation.regression.dataset import Dataset

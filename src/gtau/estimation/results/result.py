@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau.display import late, views
+from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.friction.law import SHAPES, FrictionLaw, Shape
 from gtau.estimation.results.estimate import (
-    AlternativeMoves,
     Distances,
     Estimate,
     FrictionCurve,
@@ -198,7 +198,7 @@ class Result:
         return self.evidence.notes
 
     @property
-    def alternatives(self) -> tuple[AlternativeMoves, ...]:
+    def alternatives(self) -> tuple[Alternative, ...]:
         """What the model may lack, and by how much that would move the gains."""
         return self.evidence.alternatives
 
