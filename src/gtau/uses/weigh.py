@@ -11,7 +11,6 @@ from gtau.documents.validation import FUNCTION, TEXT, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
 from gtau.estimation.estimators.essential import select_friction
-from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.estimators.least_squares import wls
 from gtau.estimation.estimators.newton import degrees_of_freedom
@@ -19,6 +18,7 @@ from gtau.estimation.experiment_runs import options_of, read
 from gtau.estimation.preconditions import given_gains
 from gtau.estimation.regression.dataset import at_rate_of, reduce_runs
 from gtau.estimation.regression.problem import Problem
+from gtau.estimation.regression.unknowns import Estimates
 from gtau.estimation.results.payload import PayloadEstimate, payload_estimates
 from gtau.estimation.results.result import Result
 from gtau.model.interpreter.program import single_threaded_blas
@@ -111,11 +111,11 @@ def weigh(
     solution = solve(system.problem)
     total = solution.jackknife + scale_uncertainty(dataset, system, solve)
     if covariance.any():
-        slopes = np.stack([_slope(system.problem, g_tau, j, solution.stacked) for j in range(len(g_tau))], axis=1)
+        slopes = np.stack([_slope(system.problem, g_tau, j, solution.values) for j in range(len(g_tau))], axis=1)
         total = total + slopes @ covariance @ slopes.T
     none = np.zeros_like(total)
     freedom = degrees_of_freedom(system.problem, solution, False)
-    vector = Estimates(system.problem.unknowns, solution.stacked, total, none, none, freedom)
+    vector = Estimates(system.problem.unknowns, solution.values, total, none, none, freedom)
     estimates = payload_estimates(dataset, system, vector, {})
     return tuple(payload for payload in estimates if "m" not in payload.known)
 
@@ -135,5 +135,5 @@ def _slope(problem: Problem, gains: np.ndarray, j: int, estimates: np.ndarray) -
     step = 1e-4 * gains[j]
     moved = gains.copy()
     moved[j] += step
-    shift = wls(problem, moved).stacked - estimates
+    shift = wls(problem, moved).values - estimates
     return shift / step

@@ -11,13 +11,13 @@ from gtau.estimation.diagnostics.diagnose import Diagnosis
 from gtau.estimation.diagnostics.examine import Examination
 from gtau.estimation.diagnostics.stated_constants import scale_shares, sensor_verdict
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict, judge_parameter, parameter_verdict
-from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import residuals, stacked
 from gtau.estimation.regression.equations import triangle
 from gtau.estimation.regression.friction import BEARING
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
+from gtau.estimation.regression.unknowns import Estimates
 from gtau.estimation.results.estimate import (
     Estimate,
     FrictionCurve,
@@ -74,7 +74,7 @@ def model_estimates(
         friction=Named(
             (name, _estimate(predicting, name, friction_unit(name, dataset.robot, temperatures)))
             for name in friction
-            if name in predicting.places and name not in base_names and name.body not in sensors
+            if name in predicting.unknowns.places and name not in base_names and name.body not in sensors
         ),
         payloads=payload_estimates(dataset, fit.system, equations, diagnosis.payloads),
         covariance_names=tuple(listed),
@@ -156,7 +156,7 @@ def _estimate(
 
     One that is given, or whose value the data do not determine, has no standard deviation.
     """
-    k = vector.places[name]
+    k = vector.unknowns.places[name]
     value, std = float(vector.values[k]), float(np.sqrt(vector.covariance[k, k])) or None
     freedom = None if vector.effective_freedom is None else float(vector.effective_freedom[k])
     judged = verdict or parameter_verdict(value, std)
@@ -186,7 +186,7 @@ def _parameters(fit: Fit, vector: Estimates, essential: Problem) -> dict[Paramet
     found = {}
     for name, terms in regrouped(base, fit.dataset.model.parameter_names).items():
         unit = unit_of(name.kind, robot, name.body)
-        made = _estimate(vector, name, unit) if name in vector.places else Estimate(name, None, None, unit)
+        made = _estimate(vector, name, unit) if name in vector.unknowns.places else Estimate(name, None, None, unit)
         found[name] = replace(
             made,
             regrouping=base.regroupings[name],
@@ -211,10 +211,8 @@ def _scaled(W: np.ndarray) -> np.ndarray:
 def _total(problem: Problem, sigma: np.ndarray) -> np.ndarray:
     """Build the triangular factor of ``W_tot`` (eq. 33), rows weighted by ``sigma`` (n,)."""
     weights = 1 / np.maximum(sigma, problem.smallest_sigma)
-    known = np.zeros((len(problem.known), problem.n_theta + len(problem.channels) + 1))
-    known[:, : problem.n_theta], known[:, -1] = -problem.known[:, :-1], problem.known[:, -1]
     rows = (problem.total_rows_of(R, j) * weights[j] for j, R in enumerate(problem.triangles))
-    return triangle(*rows, known)
+    return triangle(*rows, problem.total_known)
 
 
 def _logged_speeds(fit: Fit) -> dict[str, float]:
@@ -243,7 +241,7 @@ def _sensors(
         own = {
             name: _estimate(vector, name, unit_of(kind, robot, joint))
             for kind in ("off", *BEARING)
-            if (name := Parameter(kind, channel.name)) in vector.places
+            if (name := Parameter(kind, channel.name)) in vector.unknowns.places
         }
         residual = TorqueError(joint, float(sigma[k]), float(signal[k]), torque_unit(robot, joint))
         scale = next((each for each in diagnosis.sensors if each.channel == channel), None)

@@ -6,7 +6,6 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
-from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Fit, jackknife
 from gtau.estimation.friction.law import FrictionLaw
 from gtau.estimation.friction.normal_equations import FINER, FrictionGroup, friction_joints, normal_equations
@@ -20,6 +19,7 @@ from gtau.estimation.friction.selection import (
     with_shapes,
 )
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS, UNITS
+from gtau.estimation.regression.unknowns import Estimates
 from gtau.estimation.results.estimate import FrictionCurve, ReferenceTemperatures
 from gtau.robots.parameter import Parameter, position_unit, unit_of
 from gtau.robots.robot import PLAIN_FRICTION, Robot
@@ -113,8 +113,8 @@ def _fixed(fit: Fit, estimates: Estimates, joints: Collection[str]) -> np.ndarra
     names = [*gains, *(name if kept else None for name, kept in zip(dataset.base.names, subtracted, strict=True))]
     found = np.zeros((len(names), len(estimates.unknowns)))
     for row, name in zip(found, names, strict=True):
-        if name is not None and name in estimates.places:
-            row[estimates.places[name]] = 1.0
+        if name is not None and name in estimates.unknowns.places:
+            row[estimates.unknowns.places[name]] = 1.0
     return found
 
 

@@ -11,10 +11,10 @@ import numpy as np
 from gtau import display
 from gtau.documents.validation import PATH, takes
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict, parameter_verdict, verdict_of
-from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.regression.column_blocks import CarriedPayload, known_values
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.system import System
+from gtau.estimation.regression.unknowns import Estimates
 from gtau.estimation.results.estimate import Estimate
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
@@ -151,9 +151,9 @@ def _sums(carried: CarriedPayload, vector: Estimates, robot: Robot) -> dict[str,
 
 def _estimated(vector: Estimates, name: Parameter) -> tuple[float | None, float | None, float | None]:
     """Return value, standard deviation and degrees of freedom of a sum, None where it is not identifiable."""
-    if name not in vector.places:
+    if name not in vector.unknowns.places:
         return None, None, None
-    k = vector.places[name]
+    k = vector.unknowns.places[name]
     freedom = None if vector.effective_freedom is None else float(vector.effective_freedom[k])
     return float(vector.values[k]), float(np.sqrt(vector.covariance[k, k])), freedom
 
@@ -168,7 +168,7 @@ def _possible(mass: Estimate | None) -> Verdict:
 
 def _weighed(robot: Robot, carried: CarriedPayload, vector: Estimates) -> Weighed:
     """Collect the identified sums of parameters, and the stated values of the others."""
-    seen = [name for name in carried.unknown if name in vector.places]
+    seen = [name for name in carried.unknown if name in vector.unknowns.places]
     sums = np.zeros((len(seen), len(INERTIAL)))
     rows = [list(carried.unknown).index(name) for name in seen]
     sums[:, [INERTIAL.index(kind) for kind in carried.free]] = carried.sums[rows]
