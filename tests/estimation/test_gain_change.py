@@ -89,7 +89,7 @@ def test_a_run_out_of_scale_is_named(which: int, factor: float, runs: list[Run],
 
 def test_the_difference_is_measured(runs: list[Run]) -> None:
     dataset = reduce_runs(ARM, scaled(runs, 2, 1.03))
-    found = gain_changes(ML.fit(dataset, dataset.system(Friction(per_run=True)), Given()))
+    found = list(gain_changes(ML.fit(dataset, dataset.system(Friction(per_run=True)), Given())))
     assert len(found) == 2
     for each in found:
         assert each.causes[0].values["runs"] == ["run 2"]

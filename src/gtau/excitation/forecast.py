@@ -101,31 +101,33 @@ def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
     sigma = task.prior.sigma / np.sqrt(preparation.decimator.factor)
     std = np.sqrt(np.diag(ml_covariance(problem, theta, task.prior.gains, sigma)))
     found = dict(zip(problem.parameters, std, strict=False))
-    n_theta, n = problem.n_theta, len(task.prior.gains)
     gains = [Parameter("gain", joint) for joint in task.model.actuated]
     return Forecast(
         tuple(
-            Expected(joint, float(g), float(g * std[n_theta + j]))
-            for j, (joint, g) in enumerate(zip(task.model.actuated, task.prior.gains, strict=True))
+            Expected(joint, float(g), float(g * of_gain))
+            for joint, g, of_gain in zip(
+                task.model.actuated, task.prior.gains, std[problem.unknowns.gains], strict=True
+            )
         ),
         tuple(
             Expected(name, float(value), float(found.get(name, np.nan)))
             for name, value in zip(task.base.names, task.prior.chi, strict=True)
         ),
-        problem.total_rows / sum(len(preparation.decimator.instants(len(each.time))) for each in prepared) * np.ones(n),
+        problem.total_rows
+        / sum(len(preparation.decimator.instants(len(each.time))) for each in prepared)
+        * np.ones(len(gains)),
         {name: float(each) for name, each in zip((*problem.parameters, *gains), std, strict=False)},
     )
 
 
 def ml_covariance(problem: Problem, theta: np.ndarray, gains: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     """Compute the covariance of (theta, log g, d) by maximum likelihood; ``sigma`` (n,) A of a row."""
-    n_theta, n = problem.n_theta, len(gains)
-    blocks = []
+    unknowns, blocks = problem.unknowns, []
     for j, R in enumerate(problem.triangles):
-        block = np.zeros((len(R), n_theta + 2 * n))
-        block[:, :n_theta] = -R[:, MODEL] / gains[j]
-        block[:, n_theta + j] = modelled(R, theta) / gains[j]
-        block[:, n_theta + n + j] = -R[:, SIGNALS][:, 1]
+        block = np.zeros((len(R), len(unknowns)))
+        block[:, unknowns.theta] = -R[:, MODEL] / gains[j]
+        block[:, unknowns.gains.start + j] = modelled(R, theta) / gains[j]
+        block[:, unknowns.delays.start + j] = -R[:, SIGNALS][:, 1]
         blocks.append(block / sigma[j])
     stacked = np.concatenate(blocks)
     size = np.linalg.norm(stacked, axis=0)

@@ -181,19 +181,18 @@ def information_of(
     # factors that are the identity bring out the matrices with which identification joins its runs
     whole = Factors(np.broadcast_to(np.eye(p), (1, n, p, p)).copy(), np.full((1, n), 1000))
     problem = assemble_system(model, base, [whole] * runs, payloads, 0.0, Friction((), runs > 1)).problem
-    n_theta = problem.n_theta
-    M = problem.blocks[:, 0, :n_b]  # (runs, n_b, n_theta + 4), the same for all joints
-    theta = np.zeros(n_theta)
+    names = problem.unknowns
+    M = problem.blocks[:, 0, :n_b]  # (runs, n_b, parameters + 4), the same for all joints
+    theta = np.zeros(len(problem.parameters))
     theta[[problem.parameters.index(name) for name in base.names if name in problem.parameters]] = [
         value for name, value in zip(base.names, prior.chi, strict=True) if name in problem.parameters
     ]
     load = modelled(M, theta)
     smooth = load * np.array([not name.startswith("fs_") for name in base.names])
-    maps = np.zeros((runs, n, n_b, n_theta + 2 * n))
+    maps = np.zeros((runs, n, n_b, len(names)))
     for j in range(n):
-        maps[:, j, :, :n_theta] = -M[..., MODEL] / gains[j]
-        maps[:, j, :, n_theta + j] = load / gains[j]
-    names = *problem.parameters, *(Parameter(kind, joint) for kind in ("gain", "delay") for joint in model.actuated)
+        maps[:, j, :, names.theta] = -M[..., MODEL] / gains[j]
+        maps[:, j, :, names.gains.start + j] = load / gains[j]
     scale = np.concatenate([_scales(problem.parameters, theta, payloads), np.ones(n), np.full(n, 1e-2)])
     return Information(names, scale, maps, load, smooth, gains, prior.sigma, rate)
 

@@ -296,8 +296,8 @@ def _expected_table(outlook: Outlook, unknowns: Sequence[Expected], assumed: boo
         unknowns,
         (Column("name", Kind.NAME), lambda each: each.name),
         (Column("prior value", Kind.NUMBER, 4), lambda each: None if hidden else each.value),
-        (Column("std", Kind.NUMBER, 3), lambda each: None if hidden else each.std),
-        (Column("%", Kind.NUMBER, 3), lambda each: None if _meaningless(each, assumed) else each.relative),
+        (Column("std", Kind.NUMBER, 3), lambda each: None if hidden else _finite(each.std)),
+        (Column("%", Kind.NUMBER, 3), lambda each: None if _meaningless(each, assumed) else _finite(each.relative)),
         (Column("unit"), outlook.unit),
         (Column("prior value is"), lambda each: sources[each.name]),
         name=name,
@@ -327,7 +327,7 @@ def _masses(outlook: Outlook) -> Section | None:
     columns = [Column("std of the gain, %"), *(Column(label, Kind.NUMBER, 3) for label in labels)]
     rows: list[tuple[Any, ...]] = [("rms", *(case.rms for case in cases))]
     for gains in zip(*(case.forecast.gains for case in cases), strict=True):
-        rows.append((joint_label(gains[0].name), *(gain.relative for gain in gains)))
+        rows.append((joint_label(gains[0].name), *(_finite(gain.relative) for gain in gains)))
     exceeded = [
         f"with {label} this motion exceeds: {', '.join(case.exceeded)}"
         for label, case in zip(labels[1:], cases[1:], strict=True)

@@ -19,7 +19,7 @@ from gtau.estimation.diagnostics.gain_checks import (
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit, prior_findings
 from gtau.estimation.diagnostics.other_estimators import position_noise
 from gtau.estimation.diagnostics.parameter_checks import delay_verdicts, impossible_parameters, motors, unlike_legs
-from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings, ripple_findings
+from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings
 from gtau.estimation.diagnostics.stated_constants import (
     SensorScale,
     prior_contradictions,
@@ -28,8 +28,8 @@ from gtau.estimation.diagnostics.stated_constants import (
 )
 from gtau.estimation.diagnostics.unit_checks import units_and_signs
 from gtau.estimation.diagnostics.verdict import GIVEN, GOOD, OUTCOMES, Outcome, Verdict, decide
-from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.regression.unknowns import Estimates
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import whole_mass
@@ -88,7 +88,7 @@ def diagnose(
         *prior_findings(audit),
         *units_and_signs(fit, estimates, prior_gains, audit),
         *position_noise(fit, examined.alternatives),
-        *ripple_findings(examined.ripple, fit),
+        *(examined.ripple.causes if examined.ripple else ()),
         *repeated_motion_findings(fit, examined.alternatives),
     ]
     if fit.free_gains:
@@ -101,11 +101,11 @@ def diagnose(
         ]
     else:
         findings += given_gains(fit, examined, payloads)
-    findings += [*logged_torques(fit, examined, estimates), *examined.untested]
+    findings += [*logged_torques(fit, examined, estimates), *examined.findings]
     in_context = [_in_context(fit, finding) for finding in findings]
     against = [finding for finding in in_context if finding.kind in OUTCOMES]
     halves = half_widths(fit, estimates) if fit.free_gains else np.zeros(0)
-    delay_std = np.sqrt(np.diag(estimates.random))[problem.n_theta + len(problem.channels) :]
+    delay_std = np.sqrt(np.diag(estimates.random))[problem.unknowns.delays]
     period = 1 / min(run.rate for run in dataset.runs)
     return Diagnosis(
         dict(zip(motors(fit), decide(motors(fit), against, GOOD if fit.free_gains else GIVEN), strict=True)),
@@ -136,7 +136,7 @@ def _wrong_payloads(fit: Fit, payloads: Mapping[str, Verdict]) -> Iterator[Findi
 def _small_refutations(examined: Examination, accuracy: float) -> Iterator[Finding]:
     """Find the parts of the description that the data refute without moving any gain by more than the accuracy."""
     for part in examined.refuted:
-        move = float(np.abs(part.moves).max())
+        move = part.largest_move / 100
         if move <= accuracy:
             yield Finding(F.SMALL_REFUTATION, values={"share": part.share, "move": move}, causes=part.causes)
 

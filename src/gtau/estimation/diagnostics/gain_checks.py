@@ -23,8 +23,8 @@ from gtau.estimation.diagnostics.examine import Examination
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
 from gtau.estimation.diagnostics.parameter_checks import motors, unexplained_shares
 from gtau.estimation.diagnostics.verdict import Verdict
-from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.regression.unknowns import Estimates
 from gtau.estimation.thresholds.estimates import (
     APART,
     APART_REFUTED,
@@ -51,9 +51,8 @@ def estimated_gains(
     halves = half_widths(fit, estimates)
     random_halves = halves * stds / (np.sqrt(np.diag(estimates.covariance)[problem.gain_rows]) / np.abs(gains))
     misfits = unexplained_shares(problem, solution)
-    yield from examined.against
     unknown = problem.unknown_gains[: len(gains)]
-    turned = any(np.all(part.moves[: len(gains)][unknown] < -1) for part in examined.refuted)  # by another gravity
+    turned = any(all(move < -100 for move in part.moves.values()) for part in examined.refuted)  # by another gravity
     # a negative prior gain says that a motor turns against its joint, and all may
     if min(prior_gains.values(), default=1.0) > 0 and np.all(gains[unknown] < 0) and not turned:
         yield Finding(F.ALL_NEGATIVE, motors(fit))
@@ -68,8 +67,9 @@ def estimated_gains(
             if "singular_ratio" in solution.statistics:
                 yield Finding(F.TLS_CONFUSED, mine, values={"limit": float(LOST_GAIN)})
         for part in examined.refuted:
-            if abs(part.moves[j]) > accuracy:
-                values = {"size": part.size, "unit": part.unit, "share": part.share, "move": float(part.moves[j])}
+            move = part.moves[joint] / 100
+            if abs(move) > accuracy:
+                values = {"size": part.size, "unit": part.unit, "share": part.share, "move": move}
                 yield Finding(F.REFUTED, mine, values=values, causes=part.causes, size=part.share)
         if misfits[j] > MISFIT:
             values = {"share": float(misfits[j]), "kind": fit.dataset.runs[0].kind, "given": False}
@@ -77,12 +77,13 @@ def estimated_gains(
         if half >= 1:  # an interval that includes zero leaves not even the sign
             yield Finding(F.SIGN_OPEN, mine)
         for other in examined.alternatives:
-            if other.causes[0].kind == F.TWO_STAGE and abs(other.moves[j]) > accuracy and abs(other.t) > APART_REFUTED:
-                values = {"move": float(other.moves[j]), "t": other.t}
+            move = other.moves[joint] / 100
+            if other.hypothesis == F.TWO_STAGE and abs(move) > accuracy and abs(other.t) > APART_REFUTED:
+                values = {"move": move, "t": other.t}
                 yield Finding(F.OTHER_ESTIMATOR, mine, values=values, causes=other.causes, size=abs(other.t))
         if half > accuracy:
             values = {"half": half, "accuracy": accuracy, "random": bool(random_halves[j] > accuracy)}
-            kind, causes = _widest(examined, estimates, problem.n_theta + j)
+            kind, causes = _widest(examined, estimates, problem.gain_rows.start + j)
             yield Finding(kind, mine, values=values, causes=causes)
 
 
@@ -103,8 +104,9 @@ def _widest(examined: Examination, estimates: Estimates, row: int) -> tuple[F, t
         return F.WIDE_SCALE, ()
     if model < NAMED_SHARE * (random + model):
         return F.WIDE_RANDOM, ()
-    most = max(examined.alternatives, key=lambda other: other.mean_square * other.slopes[row] ** 2, default=None)
-    if most is None or examined.ripple.moves[row] ** 2 > most.mean_square * most.slopes[row] ** 2:
+    effects = (*examined.alternatives, *([examined.ripple] if examined.ripple else []))
+    most = max(effects, key=lambda other: other.probability * other.shifts[row] ** 2, default=None)
+    if most is None or most is examined.ripple:
         return F.WIDE_RIPPLE, ()
     return F.WIDE_CAUSE, most.causes
 
@@ -121,7 +123,6 @@ def given_gains(fit: Fit, examined: Examination, payloads: Mapping[str, Verdict]
         for name, finding in wrong.items()
         for joint in finding.joints
     }
-    yield from examined.against
     best = min((finding.values["remains"] for finding in wrong.values()), default=1.0)
     for part in examined.refuted:
         cause = part.causes[0]

@@ -17,6 +17,7 @@ from gtau.estimation.regression.plausibility import within_limits
 from gtau.estimation.regression.priors import inertia_priors
 from gtau.estimation.regression.run_blocks import Place, aligned_edges, find_places
 from gtau.estimation.regression.system import System, assemble_system
+from gtau.estimation.regression.windows import Windows, central_windows
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import BaseParameters, base_parameters
@@ -34,6 +35,12 @@ from gtau.signals.run import Run, arrange
 def model_of(robot: Robot) -> InverseDynamics:
     """Return the model of a robot, built once."""
     return InverseDynamics(robot)
+
+
+@lru_cache(maxsize=8)
+def base_of(robot: Robot, sensors: tuple[str, ...] = ()) -> BaseParameters:
+    """Return the base parameters of a robot's motors and ``sensors``, found once."""
+    return base_parameters(model_of(robot), sensors=sensors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +85,16 @@ class Dataset:
     def edges(self) -> tuple[np.ndarray, ...]:
         """Edges of the blocks of each run, as shares of its samples, (BLOCKS + 1,)."""
         return aligned_edges(self.prepared, self.places)
+
+    @cached_property
+    def _windows(self) -> dict[int, Windows]:
+        return {}
+
+    def windows(self, pieces: int = 1) -> Windows:
+        """Cut the middle of every run into windows; see :func:`gtau.estimation.regression.windows.central_windows`."""
+        if pieces not in self._windows:
+            self._windows[pieces] = central_windows(self.prepared, pieces)
+        return self._windows[pieces]
 
     @property
     def notes(self) -> tuple[Finding, ...]:
@@ -139,7 +156,8 @@ class Dataset:
     def with_factors(self, factors: Sequence[Factors]) -> Dataset:
         """Take other factors of the same runs, cut at the same rows."""
         other = replace(self, factors=tuple(factors))
-        other.__dict__.update({name: self.__dict__[name] for name in ("places", "edges") if name in self.__dict__})
+        kept = ("places", "edges", "_windows")
+        other.__dict__.update({name: self.__dict__[name] for name in kept if name in self.__dict__})
         return other
 
 
@@ -183,7 +201,7 @@ def reduce_runs(
         check_wrenches(robot, run)
     preparation = preparation or choose_preparation(runs, decimator)
     progress("base parameters", 0, 1)
-    base = base_parameters(model, sensors=sensors_of(robot, runs))
+    base = base_of(robot, sensors_of(robot, runs))
     prepared = prepare_runs(model, runs, preparation)
     dataset = Dataset(robot, model, base, preparation, prepared, (), priors or {}, prior_inertias)
     return dataset.reduced(progress=progress)

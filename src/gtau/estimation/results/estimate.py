@@ -15,8 +15,6 @@ from gtau import display
 from gtau.documents.files import write_table
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict
-from gtau.findings import Finding
-from gtau.findings.finding import named_causes
 from gtau.model.singularities import TYPES
 from gtau.robots.parameter import Parameter
 from gtau.signals.channel import SENSOR, ChannelKind
@@ -129,12 +127,15 @@ class FrictionCurve:
         By how many standard errors blocks left out are better for ``presliding``, ``bent``, ``load``, ``temperature``.
     error, plain_error : float
         Of blocks left out, with this friction and with the plain law, per cent of the torque that is left to friction.
+    parameters : tuple of Parameter
+        That the curve has; not held by ``model.json``.
     """
 
     joint: str
     evidence: Mapping[str, float]
     error: NonNegativeFloat
     plain_error: NonNegativeFloat
+    parameters: tuple[Parameter, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -178,32 +179,6 @@ class ReferenceTemperatures:
     def per(self) -> str:
         """Unit of a difference, by which the slopes of friction are divided."""
         return "K" if self.unit == "degC" else self.unit
-
-
-@dataclass(frozen=True, repr=False)
-class AlternativeMoves:
-    """The model with one further unknown: its causes, its size, and by how much the gains would move.
-
-    ``std`` is that of ``size``, None where the data say nothing of it; ``probability`` that it holds, given the data;
-    ``share`` of the residual variance that it explains; ``moves`` of each joint's gain, per cent.
-    """
-
-    hypothesis: str
-    causes: tuple[Finding, ...]
-    size: float
-    std: float | None
-    unit: str
-    probability: float
-    share: float
-    moves: Mapping[str, float]
-
-    def __repr__(self) -> str:
-        return f"AlternativeMoves({self.subject}: probability {self.probability:.2g})"
-
-    @property
-    def subject(self) -> str:
-        """The causes by name."""
-        return named_causes(self.causes)
 
 
 @dataclass(frozen=True)

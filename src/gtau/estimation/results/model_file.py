@@ -32,6 +32,7 @@ from gtau.documents.files import MODEL, refuse_other_kind, write_atomically
 from gtau.documents.validation import Positive, unknown, validate
 from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.geometry_findings import to_document as geometry_document
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
@@ -40,7 +41,6 @@ from gtau.estimation.estimators.physical_consistency import Consistency, Move
 from gtau.estimation.estimators.registry import GROUP, NAMES
 from gtau.estimation.friction.law import SHAPES
 from gtau.estimation.results.estimate import (
-    AlternativeMoves,
     Estimate,
     FrictionCurve,
     NearestPose,
@@ -122,9 +122,14 @@ def _by_parameter(estimates: dict[str, Estimate]) -> dict[Parameter, Estimate]:
     }
 
 
-def _alternative(alternative: AlternativeMoves) -> dict[str, Any]:
+def _alternative(alternative: Alternative) -> dict[str, Any]:
     causes = [finding_document(cause) for cause in alternative.causes]
-    return asdict(alternative) | {"subject": alternative.subject, "causes": causes}
+    held = {key: value for key, value in asdict(alternative).items() if key not in ("shifts", "plausible")}
+    return held | {"subject": alternative.subject, "causes": causes}
+
+
+def _curve(curve: FrictionCurve) -> dict[str, Any]:
+    return {key: value for key, value in asdict(curve).items() if key != "parameters"}
 
 
 def _method(name: str) -> str:
@@ -292,7 +297,7 @@ class _Model(_Group):
     parameters: Annotated[_ByParameter, _listed("regrouping", "spread", "essential")]
     friction: Annotated[_ByParameter, _listed()]
     equation_friction: Annotated[_ByParameter, _listed()] = Field(default=(), validate_default=True)
-    curves: tuple[FrictionCurve, ...] = ()
+    curves: tuple[Annotated[FrictionCurve, PlainSerializer(_curve)], ...] = ()
     sensors: tuple[_Sensor, ...] = ()
     payloads: Annotated[tuple[_Payload, ...], PlainSerializer(payload_documents)]
     residuals: tuple[_TorqueError, ...]
@@ -300,7 +305,7 @@ class _Model(_Group):
     logged_speeds: dict[str, NonNegativeFloat]
     statistics: Annotated[dict[str, FiniteFloat], AfterValidator(_statistics)]
     requirements: tuple[Annotated[Requirement, _with("met")], ...] = ()
-    alternatives: tuple[Annotated[AlternativeMoves, PlainSerializer(_alternative)], ...]
+    alternatives: tuple[Annotated[Alternative, PlainSerializer(_alternative)], ...]
     singularities: tuple[NearestPose, ...]
     temperatures: ReferenceTemperatures | None = None
     geometry: Annotated[GeometryTest, PlainSerializer(geometry_document)] | None = None

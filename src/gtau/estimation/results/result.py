@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau.display import late, views
+from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.friction.law import SHAPES, FrictionLaw, Shape
 from gtau.estimation.results.estimate import (
-    AlternativeMoves,
     Distances,
     Estimate,
     FrictionCurve,
@@ -198,7 +198,7 @@ class Result:
         return self.evidence.notes
 
     @property
-    def alternatives(self) -> tuple[AlternativeMoves, ...]:
+    def alternatives(self) -> tuple[Alternative, ...]:
         """What the model may lack, and by how much that would move the gains."""
         return self.evidence.alternatives
 
@@ -267,7 +267,8 @@ class Result:
     def friction_parameters(self) -> Mapping[Parameter, Estimate]:
         """All friction by the names of standard parameters, its shapes apart."""
         pairs = zip(self.base.standard, self.base.names, strict=True)
-        plain = {name: self.parameters[base] for name, base in pairs if name.kind in PLAIN_FRICTION}
+        listed = self.parameters
+        plain = {name: listed[base] for name, base in pairs if name.kind in PLAIN_FRICTION and base in listed}
         return plain | {name: each for name, each in self.friction.items() if name.kind not in SHAPES}
 
     def payload(self, name: str) -> dict[str, float]:
