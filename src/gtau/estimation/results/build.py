@@ -95,7 +95,7 @@ def _estimates(
         _estimate(vector, Parameter("delay", channel.name), "s", channel.joint, verdict)
         for channel, verdict in zip(problem.channels, diagnosis.delays, strict=True)
     ]
-    sensors = {channel.name for channel in problem.channels if channel.kind.behind_drive}
+    sensors = {channel.name for channel in problem.channels if channel.kind.link_side}
     given = {Parameter("gain", sensor) for sensor in sensors}
     if friction.curves:  # terms of the equations that predict nothing
         given |= set(terms) - set(friction.names)

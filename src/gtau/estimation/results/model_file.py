@@ -51,7 +51,7 @@ from gtau.estimation.results.result import Result, result_of
 from gtau.extensions import registered
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.readers.native import parse_native
-from gtau.signals.channel import SENSOR, ChannelKind, sensor_kind
+from gtau.signals.channel import SENSOR, ChannelKind, link_side_kind
 from gtau.signals.notes import Note
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import Preparation
@@ -126,7 +126,7 @@ class _Sensor(_Group):
     delay: _Estimate
     residual: TorqueError
     ratio: _Estimate | None
-    kind: Annotated[ChannelKind, BeforeValidator(sensor_kind)] = SENSOR
+    kind: Annotated[ChannelKind, BeforeValidator(link_side_kind)] = SENSOR
 
     def made(self) -> SensorEstimate:
         return SensorEstimate(**dict(self))
