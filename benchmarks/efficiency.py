@@ -45,7 +45,8 @@ def jacobians(fit: Fit) -> list[tuple[np.ndarray, np.ndarray]]:
     for run, prepared in enumerate(fit.dataset.prepared):
         window = InMemoryRun(prepared.run, prepared.samples())
         A, keep = window_rows(fit, run, window, None, fit.dataset.model)
-        _, J, weights = errors_and_jacobian(fit, run, window, A)
+        _, J = errors_and_jacobian(fit, run, window, A)
+        weights = 1 / np.maximum(fit.solution.sigma, fit.system.problem.smallest_sigma)
         found.append((J / weights[:, None, None], keep))
     return found
 

@@ -27,7 +27,6 @@ from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.effort import AS_STATED, rank_meanings
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
 from gtau.estimation.estimators.estimator import Given
 from gtau.estimation.estimators.least_squares import fit_by
@@ -38,6 +37,7 @@ from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.results.conclusions import findings
 from gtau.estimation.thresholds.logs import BEYOND_GEARS, GEARED
+from gtau.findings import FindingKind as F
 from gtau.robots.parameter import parameter_of
 from gtau.robots.robot import INERTIAL, Joint, Limits, Mdh, Robot
 from gtau.signals.run import Run, read_run
@@ -157,7 +157,7 @@ def said(source: object, runs: list[Run] | None = None) -> set[str]:
         return {word for word in ALL if word in str(refusal)}
     found = [each.verdict.finding for each in result.drive_gains.values() if each.verdict.finding is not None]
     kinds = {str(each.kind) for of in found for each in (of, *of.causes)}
-    kinds |= {each.finding for each in findings(result) if each.finding}
+    kinds |= {each.kind for each in findings(result)}
     return {word for word in ALL if any(word in kind for kind in kinds)}
 
 

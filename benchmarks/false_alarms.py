@@ -31,12 +31,12 @@ from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
 from gtau.estimation.results.conclusions import findings
 from gtau.estimation.results.result import Result
-from gtau.signals.notes import Kind
+from gtau.findings import FindingKind as F
 
 SECONDS = 6.0
 LEGS = "legs of the same geometry differ"  # they do: the parameters of each are drawn by themselves
 # Of what stands in a log as it was recorded nothing is said that is wrong: clipped, filtered and held signals, rests.
-CLAIMS = (Kind.MODEL, Kind.SCALE, Kind.NOISE, Kind.LIMITS, Kind.RATE, Kind.FILTERED, Kind.HELD)
+CLAIMS = (F.MODEL, F.SCALE, F.POSITION_NOISE, F.LIMITS, F.RATE, F.FILTERED, F.HELD)
 
 
 def alarms_of(result: Result) -> list[str]:
@@ -52,7 +52,7 @@ def alarms_of(result: Result) -> list[str]:
         for verdict in verdicts
         if verdict.outcome == Outcome.CONTRADICTORY
     ]
-    claimed = [note for note in findings(result) if note.kind in CLAIMS and not note.what.startswith(LEGS)]
+    claimed = [note for note in findings(result) if note.topic in CLAIMS and not note.what.startswith(LEGS)]
     return said + [f"{note.kind}: {note.what}" for note in claimed]
 
 

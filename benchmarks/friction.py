@@ -35,7 +35,7 @@ from gtau.estimation.estimators.estimator import Fit, Given
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.friction.law import stop
-from gtau.estimation.friction.normal_equations import SPEEDS, WIDTHS, FrictionGroup, JointFriction
+from gtau.estimation.friction.normal_equations import FrictionGroup, FrictionJoint
 from gtau.estimation.friction.selection import Candidate, choose
 from gtau.estimation.identify import identify
 from gtau.estimation.pipeline import DEFAULT, estimate
@@ -153,7 +153,7 @@ def covered(group: FrictionGroup, candidate: Candidate, plain: Candidate, truth:
 
     inside = [near(found.parameters[f"{kind}_j"], value) for kind, value in true.items()]
     if truth == "Maxwell slip":
-        width = group.sites[0].widths[0] / WIDTHS[0] * 10**-3.5
+        width = group.joints[0].travel * 10**-3.5
         inside.append(found.width is not None and near(found.width, width))
     return inside
 
@@ -168,15 +168,15 @@ def experiment(truth: str, error: str, seed: int) -> FrictionGroup:
     v = np.gradient(q, t)
     rms, travel = float(np.sqrt(np.mean(v**2))), float(np.ptp(q))
     load = 10 * np.sin(q + rng.uniform(0, 6)) + 3 * np.gradient(v, t)
-    site = JointFriction("j", 0, np.ones(1), 0, travel * WIDTHS, rms * SPEEDS, rms, PLAIN_FRICTION, False)
+    joint = FrictionJoint("j", 0, np.ones(1), 0, travel, rms, PLAIN_FRICTION, False)
     y = 0.3 + 0.8 * v + friction(truth, q, v, load, travel, rms)
     e = disturbance(error, q, load, rng) * NOISE * np.std(y)
-    z = np.vstack([np.sign(v), stop(q, site.widths, np.full(len(site.widths), np.sign(v[0])))])
-    rows = Decimator(20).apply(np.vstack([site.columns(v, z, load, 0.0), y + e]))
+    z = np.vstack([np.sign(v), stop(q, joint.widths, np.full(len(joint.widths), np.sign(v[0])))])
+    rows = Decimator(20).apply(np.vstack([joint.columns(v, z, load, 0.0), y + e]))
     place = np.arange(rows.shape[1]) * BLOCKS // rows.shape[1]
     G = np.array([[rows[:, place == b] @ rows[:, place == b].T] for b in range(BLOCKS)])
-    columns, none = tuple((0, name) for name in site.names), np.zeros((0, 0))
-    return FrictionGroup((site,), columns, G, np.zeros((len(columns), 0)), (0,), none, none)
+    none = np.zeros((0, 0))
+    return FrictionGroup((joint,), (0,), none, G, np.zeros((joint.count, 0)), none)
 
 
 def friction(truth: str, q: np.ndarray, v: np.ndarray, load: np.ndarray, travel: float, rms: float) -> np.ndarray:

@@ -75,7 +75,9 @@ def measured(time: np.ndarray, q: np.ndarray) -> np.ndarray:
 def of_file(result: Result, drives: bool) -> Result:
     """The model with the inertias of the robot's file, with or without identified friction and armature."""
     base, names = result.base, result.idm.parameter_names
-    standard = dict.fromkeys(names, 0.0) | {name: value for name, value in result.robot.inertias if name in names}
+    standard = dict.fromkeys(names, 0.0) | {
+        name: value for name, value in result.robot.inertias.items() if name in names
+    }
     if drives:
         standard |= {k: v for k, v in result.consistency.standard.items() if k[:3] in ("fv_", "fs_", "off")}
         left = np.array([each.value or 0.0 for each in result.parameters.values()])

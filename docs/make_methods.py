@@ -1,6 +1,6 @@
 """Write the tables of hypotheses and of methods in ``lookup/verdicts.md``.
 
-What a hypothesis adds is the docstring of its candidates. What an estimator is, and when to choose it, are the first
+What a hypothesis adds is the docstring of its torques. What an estimator is, and when to choose it, are the first
 sentence of the docstring of its module, and those that say when to choose it.
 """
 
@@ -41,7 +41,7 @@ def hypotheses() -> str:
     """Return the table of the hypotheses."""
     rows = ["| alternative | what is added to each joint's equations |", "| --- | --- |"]
     for each in HYPOTHESES:
-        words = " ".join((each.candidates.__doc__ or "").replace("``", "`").split())
+        words = " ".join((each.torques.__doc__ or "").replace("``", "`").split())
         rows.append(f"| {each.name} | {words.removeprefix('Add ').removesuffix('.')} |")
     return "\n".join(rows)
 

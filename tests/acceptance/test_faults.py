@@ -15,14 +15,14 @@ from orthoglide_logs import experiment
 import gtau.estimation.regression.dataset
 from gtau.demo.orthoglide import DRIVE_GAINS
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.hypotheses import description, drives
-from gtau.estimation.diagnostics.sentences import named
 from gtau.estimation.diagnostics.verdict import Outcome, worst
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import INFLATED
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
+from gtau.findings.finding import named_causes
 from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -237,8 +237,8 @@ def test_a_link_two_per_cent_off_is_found_and_the_intervals_hold(names: list[str
     result = identify(longer(names, 1.02), runs)
     assert Outcome.CONTRADICTORY not in {gain.verdict.outcome for gain in result.drive_gains.values()}
     (length,) = (cause for each in result.alternatives for cause in each.causes if cause.kind == F.LENGTH)
-    (note,) = (str(note) for note in result.notes if note.finding == F.SMALL_REFUTATION)
-    assert named((length,)) in note
+    (note,) = (str(note) for note in result.notes if note.kind == F.SMALL_REFUTATION)
+    assert named_causes((length,)) in note
     if len(names) == 1:
         assert length.values == {"length": pytest.approx(0.3162, rel=1e-3), "bodies": names}
     for joint, gain in result.drive_gains.items():

@@ -18,8 +18,8 @@ from programs import wait_until
 import gtau
 from gtau.cli.console import _lines
 from gtau.estimation.compare import EstimatorComparison, Row
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.findings import FindingKind as F
 from gtau.report.comparison import comparison_page
 from gtau.report.render.terminal import plain
 
@@ -87,7 +87,7 @@ def test_what_is_known_only_in_sums_has_its_deviation_in_per_cent(result: gtau.R
 
 
 def test_legs_that_are_not_built_alike_get_one_note(result: gtau.Result) -> None:
-    (note,) = [str(note) for note in result.notes if note.finding == F.UNLIKE_LEGS]
+    (note,) = [str(note) for note in result.notes if note.kind == F.UNLIKE_LEGS]
     assert "fv_" not in note
     assert "fs_" not in note
 

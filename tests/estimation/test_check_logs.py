@@ -15,13 +15,14 @@ import gtau
 from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.estimation.check_logs import check_logs
-from gtau.estimation.grades import EXIT_CODES, GRADES, Grade, by_grade, grade_of, to_document
 from gtau.estimation.identify import identify
 from gtau.estimation.results.conclusions import findings
 from gtau.estimation.results.model_file import NoteEntry
+from gtau.findings import Finding, Severity
+from gtau.findings import FindingKind as F
+from gtau.findings.finding import by_severity, note_document, read_note
 from gtau.report.check import gate_words
 from gtau.report.findings import findings_table
-from gtau.signals.notes import Kind, Note
 
 EXPERIMENT = """
 robot: five-bar
@@ -32,29 +33,37 @@ runs:
 """
 
 
-def test_every_kind_has_a_grade_and_repairs_are_graded_by_what_they_cost() -> None:
-    assert set(GRADES) == set(Kind)
-    assert set(EXIT_CODES) == set(Grade)
-    small, large = (Note(Kind.REPAIR, f"interpolated {share}", share=share) for share in (0.001, 0.04))
-    stuck = Note(Kind.REFUSED, "stuck", "record it again")
-    assert (grade_of(small), grade_of(large)) == (Grade.INFORMATION, Grade.WARNING)
-    assert list(by_grade([small, large, stuck])) == list(Grade)  # the worst first
-    assert by_grade([small, small]) == {Grade.INFORMATION: [small]}
+def test_repairs_are_graded_by_what_they_cost() -> None:
+    small, large = (
+        Finding(F.STALE, values={"signal": "currents", "stale": 1000 * share}, share=share) for share in (0.001, 0.04)
+    )
+    stuck = Finding(F.REFUSED, values={"what": "stuck", "action": "record it again"})
+    assert (small.severity, large.severity) == (Severity.INFORMATION, Severity.WARNING)
+    assert list(by_severity([small, large, stuck])) == list(Severity)  # the worst first
+    assert by_severity([small, small]) == {Severity.INFORMATION: [small]}
 
 
 def test_a_note_survives_pickle_json_and_the_name_of_its_log() -> None:
-    note = Note(Kind.CLIPPED, "clipped", "slow down", joint="a", time=2.0, share=0.01).of("log.csv").of("run")
-    assert str(note) == "run: log.csv: clipped; slow down"
-    for copy in (pickle.loads(pickle.dumps(note)), TypeAdapter(NoteEntry).validate_json(json.dumps(to_document(note)))):
-        assert copy == note
+    note = Finding(F.STILL, ("a",), time=2.0, share=0.01).of_source("log.csv").of_source("run")
+    assert str(note) == "run: log.csv: the position of joint 'a' never changes: it yields no rows"
+    assert pickle.loads(pickle.dumps(note)) == note
+    read = TypeAdapter(NoteEntry).validate_json(json.dumps(note_document(note)))
+    assert (str(read), read.kind, note_document(read)) == (str(note), F.STILL, note_document(note))
+
+
+def test_a_note_of_an_older_file_is_read_by_its_topic() -> None:
+    document = {"grade": "information", "kind": "repair", "finding": None, "source": "run", "what": "dropped 2 rows"}
+    read = read_note(document | {"joint": None, "time": None, "share": 0.001, "action": None})
+    assert (str(read), read.kind, read.severity) == ("run: dropped 2 rows", F.REPAIR, Severity.INFORMATION)
 
 
 def test_what_several_logs_share_is_said_once_and_no_more_than_asked_for() -> None:
-    notes = [Note(Kind.RATE, "slow", "log faster", source=name) for name in ("a", "b")]
-    notes.insert(0, Note(Kind.REST, "rests", source="a"))
-    slow = ("warning", "a, b", "", "slow", "log faster")
-    assert findings_table(notes).rows == (slow, ("information", "a", "", "rests", ""))
-    assert findings_table(notes, 1).rows == (slow,)
+    slow = {"what": "slow", "action": "log faster"}
+    notes = [Finding(F.RATE, values=slow, source=name) for name in ("a", "b")]
+    notes.insert(0, Finding(F.REST, values={"what": "rests"}, source="a"))
+    first = ("warning", "a, b", "", "slow", "log faster")
+    assert findings_table(notes).rows == (first, ("information", "a", "", "rests", ""))
+    assert findings_table(notes, 1).rows == (first,)
 
 
 @pytest.fixture(scope="module")
@@ -83,12 +92,12 @@ def test_every_log_that_is_refused_is_a_finding_in_the_words_of_identify(folder:
     checked = check_logs(path)
     with pytest.raises(GtauError) as refused:
         identify(path)
-    stops = by_grade(checked.notes)[Grade.ERROR]
+    stops = by_severity(checked.notes)[Severity.ERROR]
     assert str(refused.value) == f"{stops[0]}."
     assert "is stuck at 0.5" in stops[0].what
     assert stops[0].action.startswith("give the column")
     assert "back.csv, line 1002: time goes back from" in stops[1].what
-    assert (checked.worst, checked.logs, checked.preparation) == (Grade.ERROR, (), None)
+    assert (checked.worst, checked.logs, checked.preparation) == (Severity.ERROR, (), None)
 
 
 def test_what_is_wrong_with_all_logs_is_listed_once_with_their_names(folder: Path) -> None:
@@ -108,7 +117,7 @@ def test_joints_faster_than_their_limits_are_found_by_check_and_by_identify(fold
         (folder / "limited.yaml").write_text(robot.replace("velocity: 6", f"velocity: {limit}"))
         path = damaged(folder, "fast", "five-bar", "limited.yaml")
         checked = check_logs(path)
-        assert checked.worst == Grade.WARNING
+        assert checked.worst == Severity.WARNING
         limits = [note for note in checked.notes if f"times its limit of {float(limit):.4g} rad/s" in str(note)]
         assert len(limits) >= 2
         assert set(limits) <= set(findings(identify(path)))
@@ -119,14 +128,14 @@ def test_the_scale_of_the_gains_is_checked_before_they_are_identified(folder: Pa
     (note,) = check_logs(path).notes
     with pytest.raises(GtauError) as refused:
         identify(path)
-    assert (note.kind, f"{note}.") == (Kind.SCALE, str(refused.value))
+    assert (note.kind, f"{note}.") == (F.SCALE, str(refused.value))
     path.write_text(path.read_text() + "prior_gains: {left: 2.5, right: 4}\n")
     (same,) = check_logs(path).notes
     assert same == note
     assert "use --method wls with prior_gains" in same.action
     assert check_logs(path, method="wls").notes == ()
     (unknown,) = check_logs(damaged(folder, "unknown", ", mass: 1.2", "")).notes
-    assert grade_of(unknown) == Grade.INFORMATION
+    assert unknown.severity == Severity.INFORMATION
     assert "gtau payload" in unknown.action
     assert gate_words([unknown]) == "gtau payload can use these logs as they are."
 
@@ -167,7 +176,7 @@ def test_the_exit_code_follows_the_worst_grade_and_identify_repeats_the_findings
     assert code(path) == 3
     assert code(damaged(folder, "missing", "free.csv", "missing.csv")) == 2
     notes = check_logs(path).notes
-    (note,) = (note for note in notes if note.kind == Kind.HELD)
+    (note,) = (note for note in notes if note.kind == F.HELD)
     assert "every 10 samples" in note.what
     result = identify(path)
     assert set(notes) <= set(findings(result))

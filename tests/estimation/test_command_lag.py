@@ -9,15 +9,13 @@ import pytest
 from five_bar_logs import STEEL, Plant
 from scipy.signal import lfilter
 
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.log_checks import command_lag, command_lags
-from gtau.estimation.diagnostics.sentences import note
-from gtau.estimation.grades import Grade, grade_of
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.regression.friction import Friction
+from gtau.findings import FindingKind as F
+from gtau.findings import Severity
 from gtau.model.home import load_robot
-from gtau.signals.notes import Kind
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
@@ -65,9 +63,9 @@ def test_torques_are_judged_alike_and_the_grade_follows_what_is_lost() -> None:
     strong, weak = (logged(lag, kind="torque") for lag in (0.02, 0.005))
     (found,) = command_lag(strong, strong.system(Friction()))
     assert (found.kind, found.values["kind"]) == (F.COMMAND_LAG, "torque")
-    assert (note(found).kind, grade_of(note(found))) == (Kind.FILTERED, Grade.WARNING)
+    assert (found.topic, found.severity) == (F.FILTERED, Severity.WARNING)
     (found,) = command_lag(weak, weak.system(Friction()))
-    assert (found.kind, grade_of(note(found))) == (F.SLIGHT_COMMAND_LAG, Grade.INFORMATION)
+    assert (found.kind, found.severity) == (F.SLIGHT_COMMAND_LAG, Severity.INFORMATION)
 
 
 def test_noise_alone_has_no_lag() -> None:

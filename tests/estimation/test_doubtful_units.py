@@ -8,12 +8,11 @@ from dataclasses import replace
 import pytest
 from five_bar_logs import Plant
 
-from gtau.estimation.diagnostics.sentences import note as as_note
 from gtau.estimation.diagnostics.unit_checks import doubtful_currents, doubtful_payloads
-from gtau.estimation.grades import Grade, grade_of
+from gtau.findings import FindingKind as F
+from gtau.findings import Severity
 from gtau.model.home import load_robot
 from gtau.robots.floating import float_base
-from gtau.signals.notes import Kind
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
@@ -42,17 +41,17 @@ def test_currents_of_drives_are_not_doubted(run: Run) -> None:
     ],
 )
 def test_doubtful_sizes_are_worth_mending(run: Run, factors: list[float], sentence: str) -> None:
-    (note,) = map(as_note, doubtful_currents([replace(run, command=run.command * factors)]))
-    assert note.kind == Kind.UNIT
-    assert grade_of(note) == Grade.WARNING
+    (note,) = doubtful_currents([replace(run, command=run.command * factors)])
+    assert note.topic == F.UNIT
+    assert note.severity == Severity.WARNING
     assert re.search(sentence, str(note))
 
 
 def test_a_payload_in_grams_is_asked_about() -> None:
     arm = load_robot("ur10e")
     disc = Payload(name="disc", mass=2800.0)
-    (note,) = map(as_note, doubtful_payloads(arm, [None, disc, disc]))
-    assert grade_of(note) == Grade.WARNING
+    (note,) = doubtful_payloads(arm, [None, disc, disc])
+    assert note.severity == Severity.WARNING
     assert "payload 'disc' weighs 2800 kg, more than arms that reach" in note.what
     assert note.action == "if it is in g, write 'mass: 2.8' (kg); otherwise state 'prior_gains'"
     assert list(doubtful_payloads(arm, [Payload(name="rated", mass=12.5), Payload(name="weighed")])) == []

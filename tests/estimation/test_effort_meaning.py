@@ -13,10 +13,10 @@ from gravity_logs import logged, scara
 
 from gtau.errors import GtauError
 from gtau.estimation.check_logs import check_logs
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
+from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
 from gtau.signals.reading.drafting import draft_logs, write_draft
@@ -32,7 +32,7 @@ NAMES = {F.WITHOUT_GRAVITY, F.NO_GRAVITY_SHOWN, F.WHOLE_NUMBERS, F.MOTOR_SIDE, F
 def named(result: Result) -> set[str]:
     """Kinds of this module among the findings and the causes of verdicts."""
     found = [each.verdict.finding for each in result.drive_gains.values() if each.verdict.finding]
-    kinds = {each.kind for of in found for each in (of, *of.causes)} | {each.finding for each in result.notes}
+    kinds = {each.kind for of in found for each in (of, *of.causes)} | {each.kind for each in result.notes}
     return kinds & NAMES
 
 
@@ -115,7 +115,7 @@ def test_shares_of_the_rated_torque_are_named_by_their_steps(full: float) -> Non
     (run,) = torques()
     run = replace(run, command=np.round(full * run.command / (0.7 * np.abs(run.command).max(axis=0))))
     assert named(identify(five_bar().robot, [run])) == {F.WHOLE_NUMBERS}
-    assert F.WHOLE_NUMBERS in {each.finding for each in check_logs(five_bar().robot, [run]).notes}
+    assert F.WHOLE_NUMBERS in {each.kind for each in check_logs(five_bar().robot, [run]).notes}
 
 
 def test_torques_that_a_model_computed_are_named() -> None:

@@ -12,10 +12,10 @@ from five_bar_logs import five_bar
 from gravity_logs import logged
 
 from gtau.estimation.diagnostics.effort import AS_STATED, NONE, Ranking, rank_meanings
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
+from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
 from gtau.signals.run import Run, read_run

@@ -9,11 +9,11 @@ import pytest
 from floating_logs import AT_HOOK, AT_PLATE, GAINS, HOOK, POSE, Truth, deviations, experiment, simulated
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
 from gtau.estimation.results.conclusions import headline, reasons
 from gtau.estimation.results.result import Result
+from gtau.findings import FindingKind as F
 from gtau.signals.run import read_run
 
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.hypotheses.drives import gain_changes
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Given
@@ -17,6 +16,7 @@ from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import DOMINANT
+from gtau.findings import FindingKind as F
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Joint, Mdh, Robot
 from gtau.signals.reading.statements import Payload
@@ -75,7 +75,7 @@ def test_a_run_out_of_scale_is_named(which: int, factor: float, runs: list[Run],
     causes = [
         each for gain in result.drive_gains.values() if gain.verdict.finding for each in gain.verdict.finding.causes
     ]
-    noted = [note for note in result.notes if note.finding == F.SMALL_REFUTATION]
+    noted = [note for note in result.notes if note.kind == F.SMALL_REFUTATION]
     changes = [each.values for each in causes if each.kind == F.GAIN_CHANGE]
     assert changes or noted
     assert all(each["runs"] == [f"run {which}"] and (each["change"] > 0) == (factor > 1) for each in changes)
@@ -84,12 +84,12 @@ def test_a_run_out_of_scale_is_named(which: int, factor: float, runs: list[Run],
         low, high = gain.interval() or (0.0, 0.0)
         assert low < truth < high
         assert gain.std > 20 * healthy.drive_gains[gain.name].std  # most of the interval is what the run contradicts
-    assert F.RIPPLE not in {note.finding for note in result.notes}
+    assert F.RIPPLE not in {note.kind for note in result.notes}
 
 
 def test_the_difference_is_measured(runs: list[Run]) -> None:
     dataset = reduce_runs(ARM, scaled(runs, 2, 1.03))
-    found = gain_changes(ML.fit(dataset, dataset.system(Friction(per_run=True)), Given()))
+    found = list(gain_changes(ML.fit(dataset, dataset.system(Friction(per_run=True)), Given())))
     assert len(found) == 2
     for each in found:
         assert each.causes[0].values["runs"] == ["run 2"]

@@ -18,8 +18,8 @@ from gtau.errors import GtauError
 from gtau.estimation.check_logs import check_logs
 from gtau.estimation.diagnostics.geometry import geometry_test
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest, to_document
-from gtau.estimation.grades import Grade, grade_of
 from gtau.estimation.results.result import Result
+from gtau.findings import Severity
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import frames
 from gtau.model.lengths import variable_geometry
@@ -292,12 +292,12 @@ def test_check_says_what_poses_say(folder: Path) -> None:
     confirmed = check_logs(described(folder, "right"))
     assert confirmed.geometry is not None
     assert confirmed.geometry.outcome == "confirmed"
-    assert grade_of(confirmed.geometry.note) == Grade.INFORMATION
+    assert confirmed.geometry.note.severity == Severity.INFORMATION
     wrong = check_logs(described(folder, "wrong"))
     (change,) = wrong.geometry.explained_by
     assert change.name == "l2 at all 2 places"
     assert change.value + change.change == pytest.approx(0.35, abs=max(5 * change.std, 2e-6))
-    assert grade_of(wrong.geometry.note) == Grade.WARNING
+    assert wrong.geometry.note.severity == Severity.WARNING
     page = plain(check_page(wrong))
     assert "l2 at all 2 places 355 -> 350" in page
     assert "correct the robot file" in page

@@ -11,11 +11,8 @@ from floating_logs import AT_HOOK, FIXED, POSE, experiment, simulated
 from gravity_logs import Gravity, logged, scara
 
 from gtau.estimation.diagnostics.alternatives import Alternative
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.hypotheses import description
 from gtau.estimation.diagnostics.other_robots import other_gravity
-from gtau.estimation.diagnostics.sentences import advice
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Given
 from gtau.estimation.estimators.least_squares import fit_by
@@ -24,6 +21,8 @@ from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
 from gtau.robots.floating import float_base
 from gtau.robots.readers.native_text import write_native
@@ -80,7 +79,7 @@ def test_what_to_write_is_what_helps(tmp_path: Path) -> None:
     """Both ways of the advice give the gravity that was found."""
     robot, true = load_robot("ur10e"), np.array([0.3, -0.5, 0.8]) * G / np.linalg.norm([0.3, -0.5, 0.8])
     values = {"gravity": true.tolist(), "also": [], "left": {"a": [0.3, 0.01]}, "floating": False}
-    said = advice(Finding(description.OTHER_GRAVITY.kind, ("a",), values=values))
+    said = Finding(description.OTHER_GRAVITY.kind, ("a",), values=values).action
     x, y, z = (float(each) for each in said.split("gravity: [")[1].split("]")[0].split(","))
     np.testing.assert_allclose([x, y, z], true, atol=0.01)
     write_native(robot, tmp_path / "arm.yaml")

@@ -10,11 +10,11 @@ import pytest
 from stated_arm import MASSES, chi, plant, robot, torque_run
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import FindingKind
 from gtau.estimation.diagnostics.inertia_audit import AuditedParameter
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.priors import inertia_priors
 from gtau.estimation.results.result import Result
+from gtau.findings import FindingKind
 from gtau.report.parameters import inertias_section
 from gtau.robots.robot import Robot
 
@@ -108,16 +108,16 @@ def test_priors_hold_what_is_not_excited_and_leave_the_rest(true: Robot) -> None
     assert len(open_) >= 6
     assert len(excited) >= 3
     assert "priors with a standard deviation of 30 %" in " ".join(held.summary().split())
-    assert not [note for note in held.notes if note.finding == FindingKind.PRIOR_INERTIA]
+    assert not [note for note in held.notes if note.kind == FindingKind.PRIOR_INERTIA]
 
 
 def test_a_wrong_prior_is_contradicted(true: Robot, tmp_path: Path) -> None:
     wrong = robot(tmp_path, {"j3": 1.3 * MASSES["j3"]})
     result = identified(wrong, plant(true), prior_inertias=0.02)
-    found = [note for note in result.notes if note.finding == FindingKind.PRIOR_INERTIA]
+    found = [note for note in result.notes if note.kind == FindingKind.PRIOR_INERTIA]
     assert any("'j3'" in str(note) for note in found)
     loose = identified(wrong, plant(true), prior_inertias=0.3)
-    assert not [note for note in loose.notes if note.finding == FindingKind.PRIOR_INERTIA]
+    assert not [note for note in loose.notes if note.kind == FindingKind.PRIOR_INERTIA]
 
 
 def test_a_known_payload_gives_the_scale_beside_priors(true: Robot) -> None:

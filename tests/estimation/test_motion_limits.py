@@ -10,10 +10,10 @@ import pytest
 from five_bar_logs import Plant, write_experiment
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import FindingKind
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import prepare_runs
+from gtau.findings import FindingKind
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Limits, Robot
@@ -96,5 +96,5 @@ def test_other_limits_are_no_other_robot(tmp_path: Path) -> None:
     )
     assert experiment_of(model, file).robot.limits["left"].effort == 0.1
     low = identify(file)
-    assert [note.joint for note in low.notes if note.finding == FindingKind.DOUBTFUL_LIMIT] == ["left"]
+    assert [note.joint for note in low.notes if note.kind == FindingKind.DOUBTFUL_LIMIT] == ["left"]
     assert low.drive_gains["left"].verdict.outcome == model.drive_gains["left"].verdict.outcome == Outcome.GOOD

@@ -12,11 +12,9 @@ import pytest
 from five_bar_logs import CHI, GAINS, STEEL, Plant
 from threadpoolctl import threadpool_limits
 
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.alternatives import Alternative, compete
 from gtau.estimation.diagnostics.other_estimators import (
-    Difference,
-    alternatives_of,
+    differences,
     other_estimators,
     position_noise,
     two_stage_difference,
@@ -28,8 +26,9 @@ from gtau.estimation.estimators.two_stage import first_stage, two_stage
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
-from gtau.signals.notes import Kind
 from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import Preparation
@@ -70,36 +69,42 @@ def noisy() -> Fit:
     return fit_of(logs(4e-4, 24.0), NOISY)
 
 
-def of(fit: Fit, estimator: Finding) -> Difference:
-    return next(each for each in other_estimators(fit)[0] if each.estimator == estimator)
+def of(fit: Fit, estimator: Finding) -> tuple[np.ndarray, np.ndarray]:
+    """What another estimator finds otherwise, and standard deviations."""
+    return next((moves, std) for by, moves, std in differences(fit) if by == estimator)
+
+
+def by_estimate(fit: Fit) -> list[Alternative]:
+    """Other estimators as alternatives, which compete for each estimate."""
+    every = [each for each in (*other_estimators(fit), *two_stage_difference(fit)) if isinstance(each, Alternative)]
+    return list(compete(every, lambda each: (each.causes[0].joints, each.causes[0].subject)))
 
 
 def test_instruments_undo_what_noise_of_the_encoders_does(noisy: Fit) -> None:
-    found, n_theta = of(noisy, Finding(F.INSTRUMENTS)), noisy.system.problem.n_theta
+    (moves, _), n_theta = of(noisy, Finding(F.INSTRUMENTS)), noisy.system.problem.n_theta
     fv_left = noisy.system.problem.parameters.index("fv_left")
     for k, truth in ((fv_left, CHI["fv_left"]), (n_theta, GAINS[0])):
         bias = noisy.solution.stacked[k] - truth
         assert abs(bias) > 0.04 * truth
-        assert abs(bias + found.moves[k]) < 0.35 * abs(bias)
+        assert abs(bias + moves[k]) < 0.35 * abs(bias)
 
 
 def test_the_summary_names_the_noise_and_the_intervals_allow_for_it(noisy: Fit) -> None:
-    alternatives = alternatives_of(noisy, other_estimators(noisy)[0])
+    alternatives = by_estimate(noisy)
     assert [each.kind for each in position_noise(noisy, alternatives)] == [F.POSITION_NOISE]
     of_first_moment = [each for each in alternatives if each.causes[0].subject.endswith("my_L2")]
     assert sum(each.probability for each in of_first_moment) > 0.8
-    assert other_estimators(replace(noisy, noise_free=True))[0][0].estimator.kind != F.INSTRUMENTS
+    assert F.INSTRUMENTS not in {each.kind for each, _, _ in differences(replace(noisy, noise_free=True))}
 
 
 def test_nothing_is_said_of_clean_logs() -> None:
     fit = fit_of(logs())
-    by_two_stage = two_stage_difference(fit)
-    assert isinstance(by_two_stage, Difference)
-    alternatives = alternatives_of(fit, (*other_estimators(fit)[0], by_two_stage))
+    alternatives = by_estimate(fit)
+    assert F.TWO_STAGE in {each.hypothesis for each in alternatives}
     assert position_noise(fit, alternatives) == []
     n_theta = fit.system.problem.n_theta
     std = np.sqrt(np.diag(fit.solution.jackknife))[n_theta : n_theta + 2]
-    added = np.sqrt([sum(a.mean_square * a.slopes[n_theta + j] ** 2 for a in alternatives) for j in range(2)])
+    added = np.sqrt([sum(each.probability * each.shifts[n_theta + j] ** 2 for each in alternatives) for j in range(2)])
     assert np.all(added < 0.7 * std)
     # five preparations and estimators, each with its move of each gain
     assert len([each for each in alternatives if each.causes[0].joints]) == 6 * 2
@@ -114,13 +119,12 @@ def test_one_step_is_what_another_preparation_gives() -> None:
 
     runs = [sticking(run) for run in logs(seconds=24.0)]
     fit = fit_of(runs)
-    found, names = of(fit, Finding(F.SLOW_ROWS, values={"fraction": 0.1})), fit.system.problem.parameters
+    (moves, std), names = of(fit, Finding(F.SLOW_ROWS, values={"fraction": 0.1})), fit.system.problem.parameters
     again = fit_of(runs, replace(choose_preparation(runs), speed_fraction=0.1))
     exact = again.solution.stacked - fit.solution.stacked
     assert names == again.system.problem.parameters
-    seen = found.std > 0
-    exact, moves = (each[seen] / found.std[seen] for each in (exact, found.moves))
-    assert np.corrcoef(exact, moves)[0, 1] > 0.9
+    seen = std > 0
+    assert np.corrcoef(exact[seen] / std[seen], moves[seen] / std[seen])[0, 1] > 0.9
 
 
 def test_alternatives_are_listed_with_the_result() -> None:
@@ -139,9 +143,9 @@ def test_instruments_are_as_strong_as_the_currents_are_clear_of_noise() -> None:
         strengths.append(first_stage(fit.system.problem, fit.solution, 1.0)[0])
     assert strengths[0] / strengths[1] == pytest.approx(100, rel=0.3)
     assert strengths[2] < 3
-    found = two_stage_difference(fit)
-    assert isinstance(found, Finding)
-    assert found.kind == F.WEAK_INSTRUMENTS
+    (weak,) = two_stage_difference(fit)
+    assert isinstance(weak, Finding)
+    assert weak.kind == F.WEAK_INSTRUMENTS
 
 
 def test_the_bias_that_weak_instruments_leave_counts_in_the_comparison() -> None:
@@ -158,9 +162,8 @@ def test_the_bias_that_weak_instruments_leave_counts_in_the_comparison() -> None
     assert share.min() > 0.4
     assert share.max() < 1.5
     fit = fit_of(logs(noise=0.3))
-    difference, bias_now = two_stage_difference(fit), first_stage(fit.system.problem, fit.solution, 1.0)[1]
-    assert isinstance(difference, Difference)
-    assert np.all(difference.std[fit.system.problem.gain_rows] > np.abs(bias_now * fit.gains))
+    bias_now = first_stage(fit.system.problem, fit.solution, 1.0)[1]
+    assert np.all([each.std for each in two_stage_difference(fit)] > np.abs(bias_now))
 
 
 @pytest.mark.slow
@@ -186,4 +189,4 @@ def test_one_chirp_of_all_joints_is_no_contradiction_of_2sls(shared: Path, tmp_p
     found = [result.drive_gains[joint] for joint in joints[:5]]
     assert [gain.value for gain in found] == pytest.approx([0.94, 1.60, 1.47, 0.91, 0.98], rel=0.08)
     assert Outcome.CONTRADICTORY not in {gain.verdict.outcome for gain in result.drive_gains.values()}
-    assert [note.kind for note in result.notes if note.finding == F.WEAK_INSTRUMENTS] == [Kind.READING]
+    assert [note.topic for note in result.notes if note.kind == F.WEAK_INSTRUMENTS] == [F.READING]

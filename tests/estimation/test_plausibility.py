@@ -11,11 +11,11 @@ from five_bar_logs import EXPERIMENT, STEEL, Plant, write_log
 
 from gtau.errors import GtauError
 from gtau.estimation.check_logs import check_logs
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.hypotheses import description
-from gtau.estimation.grades import Grade
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.plausibility import within_limits
+from gtau.findings import FindingKind as F
+from gtau.findings import Severity
 from gtau.model.home import load_robot
 from gtau.robots.readers.read import CATALOG
 from gtau.signals.preparation.choice import choose_preparation
@@ -104,7 +104,7 @@ def test_metres_and_radians_declared_as_mm_and_deg(folder: Path) -> None:
     with pytest.raises(GtauError, match=r"look like rad declared as deg; write rad under units\.position") as refused:
         identify(folder / "deg.yaml")
     checked = check_logs(folder / "deg.yaml")
-    assert checked.worst == Grade.ERROR
+    assert checked.worst == Severity.ERROR
     assert f"{checked.notes[0]}." == str(refused.value)  # the same finding in the same words
 
 

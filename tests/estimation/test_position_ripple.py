@@ -9,13 +9,14 @@ import pytest
 from orthoglide_logs import RATE, experiment
 
 from gtau.demo.orthoglide import DRIVE_GAINS
-from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.repeating_residuals import PositionRipple, position_ripple
+from gtau.estimation.diagnostics.alternatives import Alternative
+from gtau.estimation.diagnostics.repeating_residuals import position_ripple
 from gtau.estimation.estimators.estimator import Given
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
+from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
 from gtau.signals.run import Run
 
@@ -39,7 +40,7 @@ def rippled(runs: list[Run], seed: int) -> list[Run]:
     ]
 
 
-def found(runs: list[Run]) -> tuple[PositionRipple, np.ndarray, np.ndarray, np.ndarray]:
+def found(runs: list[Run]) -> tuple[Alternative, np.ndarray, np.ndarray, np.ndarray]:
     """What repeats, the errors of the gains, by how much they move, and their deviations by the jackknife alone."""
     data = reduce_runs(ROBOT, runs)
     system = data.system(Friction(per_run=True))
@@ -48,14 +49,14 @@ def found(runs: list[Run]) -> tuple[PositionRipple, np.ndarray, np.ndarray, np.n
     of_gains = slice(system.problem.n_theta, system.problem.n_theta + 3)
     locked = position_ripple(fit)
     std = np.sqrt(np.diag(solution.jackknife))
-    return locked, solution.gains - GAINS, locked.moves[of_gains], std[of_gains]
+    return locked, solution.gains - GAINS, locked.shifts[of_gains], std[of_gains]
 
 
 def test_ripple_shifts_gains_by_what_is_found(runs: list[Run]) -> None:
     shifts = []
     for seed in range(4):
         locked, errors, moves, std = found(rippled(runs, seed))
-        assert locked.found
+        assert [cause.kind for cause in locked.causes] == [F.RIPPLE]
         shifts.append((errors / std, (errors + moves) / std, errors / np.hypot(std, moves)))
     alone, after, stack = (np.sqrt(np.mean(np.square(each))) for each in zip(*shifts, strict=True))
     assert np.abs(shifts[0][0]).max() > 2.3  # more than scatter shows
@@ -67,7 +68,7 @@ def test_ripple_shifts_gains_by_what_is_found(runs: list[Run]) -> None:
 @pytest.mark.slow
 def test_a_result_says_it_and_has_it_in_its_deviations(runs: list[Run]) -> None:
     result = identify(ROBOT, rippled(runs, 0))
-    (note,) = [note for note in result.notes if note.finding == F.RIPPLE]
+    (note,) = [note for note in result.notes if note.kind == F.RIPPLE]
     assert note.joint.startswith("1")
     for gain, truth in zip(result.drive_gains.values(), GAINS, strict=True):
         assert abs((gain.value or 0.0) - truth) < 2 * (gain.std or 0.0)
@@ -85,6 +86,6 @@ def test_slow_noise_is_not_taken_for_ripple(decay: float, runs: list[Run]) -> No
             noise[k] = rho * noise[k - 1] + np.sqrt(1 - rho**2) * rng.standard_normal(3)
         noisy.append(replace(run, command=run.command + 0.02 * np.std(run.command, axis=0) * noise))
     locked, *_ = found(noisy)
-    assert locked.shares.max() < 0.1
-    assert not locked.found
-    assert not locked.covariance.any()
+    assert locked.share < 0.1
+    assert not locked.causes
+    assert not locked.shifts.any()

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from five_bar_logs import CHI, GAINS, STEEL, Plant, five_bar
 
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings, residual_correlations
 from gtau.estimation.estimators.estimator import Fit, Given
 from gtau.estimation.estimators.maximum_likelihood import ML, ml
@@ -16,6 +15,7 @@ from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.regression.equations import BLOCKS
 from gtau.estimation.regression.friction import Friction
+from gtau.findings import FindingKind as F
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
@@ -139,7 +139,7 @@ def test_what_changes_sign_with_the_load_is_said_with_its_cause() -> None:
         wave = 0.03 * np.sin(9.0 * run.position)
         spoilt.append(replace(run, command=run.command + sign * wave))
     result = identify(five_bar().robot, spoilt)
-    (note,) = [note for note in result.notes if note.finding == F.OPPOSED_RESIDUALS]
+    (note,) = [note for note in result.notes if note.kind == F.OPPOSED_RESIDUALS]
     assert "changes sign with the load" in str(note)
     assert "load-dependent friction" in str(note) or "torque constant" in str(note)
 

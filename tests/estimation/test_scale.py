@@ -16,7 +16,6 @@ from typer.testing import CliRunner
 from gtau import Result, read_run
 from gtau.cli.commands import app
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.stated_constants import (
     estimate_slopes,
     scale_shares,
@@ -36,6 +35,7 @@ from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.thresholds.estimates import HIDDEN_KNOWN
+from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import base_parameters, seen_by_sensor
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 from pydantic import TypeAdapter
 
-from gtau.estimation.diagnostics.finding import Finding, finding_document
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.hypotheses import description, drives
-from gtau.estimation.diagnostics.sentences import SENTENCES as SENTENCES_BY_KIND
-from gtau.estimation.diagnostics.sentences import WRENCHES, advice, named, note, reason
-from gtau.signals.notes import Kind
+from gtau.findings import Finding, Severity
+from gtau.findings import FindingKind as F
+from gtau.findings.finding import WORDS, finding_document, named_causes
+from gtau.findings.verdict_words import WRENCHES
 
 NO_GRAVITY = (
     "log the torques of the motors (UR: 'use_currents_as_efforts: true'), or write 'robot: {file: ..., gravity: [0, 0, "
@@ -457,14 +457,92 @@ SENTENCES = [  # finding, reason, advice
     (Finding(F.INSTRUMENTS, (), "mx_3"),
      "mx_3 by instrumental variables",
      "use --method iv or didim, or encoders with less noise"),
+    (Finding(F.SKIPPED_LINES, values={"first": 1, "last": 3, "header": 4}),
+     "skipped lines 1 to 3 before the table, took the names of its columns from line 4", ""),
+    (Finding(F.SKIPPED_LINES, values={"first": 1, "last": 1, "header": 0}), "skipped line 1 before the table", ""),
+    (Finding(F.OTHER_ROWS, values={"count": 2}), "left out 2 rows that hold only other signals", ""),
+    (Finding(F.BAD_ROWS, values={"count": 1, "places": "line 7"}),
+     "dropped 1 row with missing or non-numeric values (line 7)", ""),
+    (Finding(F.REPEATED_ROWS, values={"count": 2, "places": "lines 7 and 9"}),
+     "dropped 2 repeated rows (lines 7 and 9)", ""),
+    (Finding(F.ALIGNED,
+     values={"signal": "currents", "rate": 500.0, "position_rate": 125.0, "apart": 0.71, "left_out": 12}),
+     "aligned the currents with the positions by linear interpolation between their stamps (500 Hz; positions 125 Hz; "
+     "typically 0.71 ms from a position to the nearest); left out 12 positions before the first or after the last of "
+     "them", ""),
+    (Finding(F.STILL, ("a", "b")), "the position of joint 'a', 'b' never changes: it yields no rows", ""),
+    (Finding(F.UNWRAPPED, ("a",)), "unwrapped the angle of joint 'a', which jumped by a turn", ""),
+    (Finding(F.OUTLIERS, ("a",), time=1.4,
+     values={"counts": [["a", 1]], "first": "a", "place": "line 9", "logged": 3.0, "instead": 0.51234}),
+     "interpolated 1 position of joint 'a' that is an outlier: at 1.4 s (line 9) it is 3 instead of 0.5123 (rad or m)",
+     "check the encoder and its cable, and how missing values are written"),
+    (Finding(F.OUTLIERS, ("a", "b"), time=1.4,
+     values={"counts": [["a", 1], ["b", 2]], "first": "b", "place": "line 9", "logged": 3.0, "instead": 0.5}),
+     "interpolated 3 positions of joints 'a' (1), 'b' (2) that are outliers: the first, of 'b' at 1.4 s (line 9), is 3 "
+     "instead of 0.5 (rad or m)",
+     "check the encoder and its cable, and how missing values are written"),
+    (Finding(F.CLIPPED, ("a",), values={"signal": "current", "level": 7.5, "samples": 12}),
+     "the current of joint 'a' is clipped at 7.5: masked 12 samples",
+     "log again with smaller accelerations, or a higher limit of the drive"),
+    (Finding(F.MISSING, values={"count": 9, "masked": 4, "bridged": 3}),
+     "interpolated 9 missing samples, and masked 4 of them in gaps of more than 3 samples",
+     "log every cycle of the controller"),
+    (Finding(F.HELD, values={"signal": "currents", "rate": 50.0, "period": 10}),
+     "the currents are held: updated at about 50 Hz, every 10 samples; interpolated between updates",
+     "log the currents at the rate at which they change"),
+    (Finding(F.STALE, values={"signal": "positions", "stale": 5}),
+     "5 samples of the positions are stale (repeat the previous one): interpolated",
+     "log in the controller's own cycle"),
+    (Finding(F.IRREGULAR, values={"given": False, "hertz": 500.0, "shortest": 1.0, "longest": 4.0}),
+     "resampled from irregular steps of 1 to 4 ms to a uniform 500.00 Hz: the time stamps are used, because a regular "
+     "clock makes the positions no smoother", ""),
+    (Finding(F.LATE_STAMPS, values={"given": False, "hertz": 500.0, "late": 3.0, "packets": True}),
+     "time stamps come in packets, up to 3 ms late: the samples were taken at a regular 500.00 Hz instead, as packets "
+     "are",
+     "if this rate is wrong, give the right one (time: {rate: HZ})"),
+    (Finding(F.LATE_STAMPS, values={"given": True, "hertz": 500.0, "late": 3.0, "packets": False}),
+     "time stamps scatter, up to 3 ms late: the samples were taken at a regular 500.00 Hz instead, as "
+     "preparation.clock says", ""),
+    (Finding(F.MOVED_COMMANDS, values={"delay": 12.0}),
+     "moved the commands 12 ms forward, as preparation.delay says", ""),
+    (Finding(F.REST, ("a",)), "joint 'a' hardly moves: its rows are left out", ""),
+    (Finding(F.NOISY, ("a", "b"), values={"shares": [["a", 0.31], ["b", 0.55]]}),
+     "position noise contributes much of the rms speed of joints 'a' (31 %), 'b' (55 %): inertias are underestimated",
+     "move faster, or use --method iv or didim"),
+    (Finding(F.RATE, values={"bandwidth": 12.0, "nyquist": 25.0}),
+     "the bandwidth of the motion, 12 Hz, is close to the Nyquist frequency, 25 Hz: speeds and accelerations are "
+     "inaccurate",
+     "log at 120 Hz or more, or move more slowly"),
+    (Finding(F.LIMITS, ("a",), values={"low": -1.2, "high": 2.0, "lower": -1.0, "upper": 1.0, "unit": "rad"}),
+     "joint 'a' goes from -1.2 to 2 rad, outside its limits -1 to 1 rad",
+     "check the zero of its position, or state the real one under 'robot' in the experiment file ({file: ..., limits: "
+     "{a: ...}})"),
+    (Finding(F.SPEED_LIMIT, ("a",), values={"speed": 6.0, "limit": 2.0, "unit": "rad"}),
+     "joint 'a' moves at 6 rad/s (rms), 3 times its limit of 2 rad/s",
+     "check columns and units; if the limit is a placeholder, state the real one under 'robot' in the experiment file "
+     "({file: ..., limits: {a: ...}})"),
+    (Finding(F.DATA_SHEET, ("a",),
+     values={"quantity": "gain", "value": 2.51, "unit": "N m/A", "stated": 2.4, "std": 0.05, "apart": 2.2}),
+     "gain of 'a': 2.51 N m/A was identified, and 2.4 N m/A is by the data sheet (standard deviation 0.05; apart by "
+     "2.2 standard deviations)", ""),
+    (Finding(F.SINGULARITY, values={"distance": 0.021}, time=1.25),
+     "the motion passes within 0.021 of a type 2 singularity at 1.25 s, where errors of position and geometry are "
+     "amplified",
+     "keep the motion away from that pose"),
+    (Finding(F.ROWS, ("a",), values={"rows": 7}),
+     "joint 'a' has 7 usable rows in all runs together, away from its reversals and gaps",
+     "add runs in which it moves, or longer ones"),
+    (Finding(F.WEIGHING, (), "steel"),
+     "no payload has a known mass, so these logs cannot give the drive gains; they can weigh 'steel'",
+     "run 'gtau payload MODEL.json' with them"),
 ]
 # fmt: on
 
 
 @pytest.mark.parametrize(("finding", "why", "to_do"), SENTENCES, ids=[str(each[0].kind) for each in SENTENCES])
 def test_the_sentence_of_a_finding(finding: Finding, why: str, to_do: str) -> None:
-    assert reason(finding) == why
-    assert advice(finding) == to_do
+    assert finding.what == why
+    assert finding.action == to_do
 
 
 @pytest.mark.parametrize(
@@ -476,24 +554,26 @@ def test_the_sentence_of_a_finding(finding: Finding, why: str, to_do: str) -> No
     ],
 )
 def test_braces_in_names_stay_braces(kind: F, values: dict, said: str) -> None:
-    assert said in reason(Finding(kind, ("{joint}{",), values=values))
+    assert said in Finding(kind, ("{joint}{",), values=values).what
 
 
 def test_every_kind_has_a_sentence() -> None:
-    assert {finding.kind for finding, _, _ in SENTENCES} == set(SENTENCES_BY_KIND)
-    assert set(F) < set(SENTENCES_BY_KIND)
+    assert {finding.kind for finding, _, _ in SENTENCES} == set(WORDS)
+    assert {kind for kind in F if kind.outcome} < set(WORDS)
 
 
 @pytest.mark.parametrize("finding", [each[0] for each in SENTENCES], ids=lambda finding: str(finding.kind))
 def test_findings_are_documents(finding: Finding) -> None:
-    assert TypeAdapter(Finding).validate_json(json.dumps(finding_document(finding), allow_nan=False)) == finding
+    assert TypeAdapter(Finding).validate_json(json.dumps(finding_document(finding), allow_nan=False)) == replace(
+        finding, time=None
+    )
 
 
 def test_measured_wrenches_come_first_in_the_advice() -> None:
     values = {"share": 0.3, "kind": "current", "given": False}
     alone = Finding(F.UNEXPLAINED, ("left",), values=values)
     beside = Finding(F.UNEXPLAINED, ("left",), values={**values, "wrenches": True})
-    assert advice(beside) == f"{WRENCHES}; otherwise {advice(alone)}"
+    assert beside.action == f"{WRENCHES}; otherwise {alone.action}"
 
 
 def test_a_wrench_that_is_the_cause_is_all_that_is_to_be_checked() -> None:
@@ -501,7 +581,7 @@ def test_a_wrench_that_is_the_cause_is_all_that_is_to_be_checked() -> None:
     found = Finding(
         F.REFUTED, ("left",), values=values, causes=(Finding(description.POINT.kind, (), "3", {"axis": "x"}),)
     )
-    assert advice(found) == "measure the position of the sensor, and correct 'at' of that wrench"
+    assert found.action == "measure the position of the sensor, and correct 'at' of that wrench"
 
 
 @pytest.mark.parametrize("kind", [description.TILT.kind, description.STRENGTH.kind, F.GAIN_CHANGE, F.TWO_STAGE])
@@ -510,7 +590,7 @@ def test_advice_is_of_no_payload_where_no_run_has_one(kind: F) -> None:
     values = {"size": 1.0, "unit": "", "share": 0.6, "move": 0.1, "t": 12.0}
     for outer in (F.REFUTED, F.OTHER_ESTIMATOR):
         said = [
-            advice(Finding(outer, ("left",), values=values | {"payload": payload}, causes=(cause,)))
+            Finding(outer, ("left",), values=values | {"payload": payload}, causes=(cause,)).action
             for payload in (True, False)
         ]
         assert ["payload" in each for each in said] == [True, False]
@@ -521,10 +601,10 @@ def test_causes_of_one_effect_are_named_together() -> None:
         Finding(description.ZERO.kind, ("left",)),
         Finding(description.TILT.kind, values={"towards": (0.0, 1.0, 0.0)}),
     )
-    assert named((zero, tilt)) == f"{reason(zero)} or {reason(tilt)}"
+    assert named_causes((zero, tilt)) == f"{zero.what} or {tilt.what}"
 
 
-def test_a_note_has_the_kind_of_its_finding() -> None:
-    noise = Finding(F.POSITION_NOISE, ("left",), values={"count": 1, "all": 9, "deviations": 2.0, "t": 5.0})
-    assert (note(noise).kind, note(noise).finding, note(noise).joint) == (Kind.NOISE, F.POSITION_NOISE, "left")
-    assert str(note(noise)) == f"{reason(noise)}; {advice(noise)}"
+def test_a_finding_has_a_topic_and_its_sentence() -> None:
+    noise = Finding(F.NOISY, ("left",), values={"shares": [("left", 0.5)]}, source="run")
+    assert (noise.topic, noise.joint, noise.severity) == (F.POSITION_NOISE, "left", Severity.WARNING)
+    assert str(noise) == f"run: {noise.what}; {noise.action}"

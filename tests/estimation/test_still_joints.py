@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from stated_arm import plant, robot
 
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
+from gtau.findings import FindingKind as F
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from gtau.estimation.diagnostics.effort_rows import joint_rows
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
+from gtau.findings import FindingKind as F
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Joint, Mdh, Robot
 from gtau.signals.reading.statements import Payload

@@ -13,12 +13,12 @@ import yaml
 from five_bar_logs import CHI, STEEL, Plant, five_bar, path
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
 from gtau.estimation.results.conclusions import headline
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.torque_scale import torque_scale_text, torque_scales
+from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run, read_run
@@ -103,14 +103,14 @@ def test_a_payload_that_shows_nowhere_leaves_the_torques_as_they_are() -> None:
     runs = torques((1.0, 1.0), mass=0.0)
     found = identify(ROBOT, runs)
     assert found.method == "wls"
-    assert F.SCALE_UNTESTED in [each.finding for each in found.notes]
+    assert F.SCALE_UNTESTED in [each.kind for each in found.notes]
 
 
 def test_a_mass_that_is_wrong_is_asked_about_before_all_torques_are() -> None:
     found = identify(ROBOT, torques((1.0, 1.0), mass=0.8))
-    (said,) = (each for each in found.notes if each.finding == F.COMMON_SCALE)
+    (said,) = (each for each in found.notes if each.kind == F.COMMON_SCALE)
     assert f"a mass of {0.8 * STEEL['m']:.2g}" in said.what
-    assert not [each for each in identify(ROBOT, torques((1.3, 0.9))).notes if each.finding == F.COMMON_SCALE]
+    assert not [each for each in identify(ROBOT, torques((1.3, 0.9))).notes if each.kind == F.COMMON_SCALE]
 
 
 def test_prior_gains_scale_torques_of_which_nothing_tests_the_scale() -> None:

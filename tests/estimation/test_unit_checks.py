@@ -11,12 +11,12 @@ import stated_arm
 from five_bar_logs import GAINS, STEEL, Plant, five_bar
 from gravity_logs import logged, scara
 
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
 from gtau.estimation.results.conclusions import headline
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.torque_scale import torque_scales
+from gtau.findings import FindingKind as F
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
@@ -103,7 +103,7 @@ def test_limits_that_are_the_same_for_all_joints_of_an_arm_are_rather_placeholde
         joints = [replace(each, limits=replace(each.limits, effort=efforts[each.name])) for each in SCARA.joints]
         result = identify(replace(SCARA, joints=tuple(joints)), serial)
         assert result.accepted == accepted
-        assert (F.DOUBTFUL_LIMIT in {each.finding for each in result.notes}) == accepted
+        assert (F.DOUBTFUL_LIMIT in {each.kind for each in result.notes}) == accepted
 
 
 def test_the_current_of_one_joint_in_another_unit_contradicts_alone(tmp_path: Path) -> None:

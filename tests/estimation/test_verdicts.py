@@ -18,26 +18,32 @@ from hypothesis import strategies as st
 
 import gtau.estimation.diagnostics.diagnose
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.gain_checks import base_misfit
-from gtau.estimation.diagnostics.parameter_checks import (
+from gtau.estimation.diagnostics.verdict import (
+    GOOD,
+    OUTCOMES,
+    Outcome,
+    Verdict,
     cannot_be_negative,
+    decide,
     judge_parameter,
     known_verdict,
     parameter_verdict,
+    verdict_of,
+    worst,
 )
-from gtau.estimation.diagnostics.sentences import percent_text
-from gtau.estimation.diagnostics.verdict import GOOD, OUTCOMES, Outcome, Verdict, decide, verdict_of, worst
-from gtau.estimation.grades import Grade, by_grade
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.equations import BLOCKS
 from gtau.estimation.results.conclusions import Reason, headline, reasons
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import BASE_MISFIT, INFLATED
+from gtau.findings import Finding, Severity
+from gtau.findings import FindingKind as F
+from gtau.findings.finding import by_severity
+from gtau.findings.words import percent_text
 from gtau.model.home import load_robot
-from gtau.signals.notes import Kind, Note
+from gtau.robots.parameter import parameter_of
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
@@ -167,28 +173,30 @@ def test_verdicts_of_parameters() -> None:
 
 
 @pytest.mark.parametrize(
-    ("regrouping", "nonnegative"),
+    ("terms", "nonnegative"),
     [
-        ("fv_2", True),
-        ("fv_21 + fv_51", True),
-        ("ia_1 + zz_1 + 0.16 m_2", True),
-        ("m_1 - 3.2258 mx_3 + m_3", False),
-        ("xx_3 - yy_3", False),
-        ("off_1", False),
-        ("mx_2", False),
+        ({"fv_2": 1.0}, True),
+        ({"fv_21": 1.0, "fv_51": 1.0}, True),
+        ({"ia_1": 1.0, "zz_1": 1.0, "m_2": 0.16}, True),
+        ({"m_1": 1.0, "mx_3": -3.2258, "m_3": 1.0}, False),
+        ({"xx_3": 1.0, "yy_3": -1.0}, False),
+        ({"off_1": 1.0}, False),
+        ({"mx_2": 1.0}, False),
     ],
 )
-def test_parameters_that_cannot_be_negative(regrouping: str, nonnegative: bool) -> None:
-    assert cannot_be_negative(regrouping) == nonnegative
-    outcome = judge_parameter(-0.0022, 0.0002, regrouping).outcome
+def test_parameters_that_cannot_be_negative(terms: dict[str, float], nonnegative: bool) -> None:
+    terms = {parameter_of(name): factor for name, factor in terms.items()}
+    assert cannot_be_negative(terms) == nonnegative
+    outcome = judge_parameter(-0.0022, 0.0002, terms).outcome
     assert outcome == (Outcome.CONTRADICTORY if nonnegative else Outcome.GOOD)
-    assert judge_parameter(-0.0022, 0.0015, regrouping).outcome != Outcome.CONTRADICTORY
-    assert judge_parameter(0.0022, 0.0002, regrouping).outcome == Outcome.GOOD
+    assert judge_parameter(-0.0022, 0.0015, terms).outcome != Outcome.CONTRADICTORY
+    assert judge_parameter(0.0022, 0.0002, terms).outcome == Outcome.GOOD
 
 
 def test_verdicts_of_masses() -> None:
-    assert known_verdict("m", 2.0, 2.02, 0.01, "kg").outcome == Outcome.GOOD
-    wrong = known_verdict("m", 2.0, 2.05, 0.01, "kg")
+    values = {"parameter": "m", "declared": 2.0, "found": 2.02, "std": 0.01, "unit": "kg"}
+    assert known_verdict(values).outcome == Outcome.GOOD
+    wrong = known_verdict(values | {"found": 2.05})
     assert wrong.outcome == Outcome.CONTRADICTORY
     assert wrong.finding.kind == F.PAYLOAD_MASS
     assert (wrong.finding.values["declared"], wrong.finding.values["found"]) == (2.0, 2.05)
@@ -204,7 +212,7 @@ GAIN_KINDS = list(OUTCOMES)[: list(OUTCOMES).index(F.COUPLED) + 1]
             st.sampled_from(GAIN_KINDS),
             st.lists(st.sampled_from(["a", "b", "c"]), min_size=1, unique=True).map(tuple),
             st.sampled_from(["", "steel", "lead"]),
-            severity=st.sampled_from([0.0, 0.5, 2.0]),
+            size=st.sampled_from([0.0, 0.5, 2.0]),
         ),
         max_size=6,
     ),
@@ -223,7 +231,7 @@ def test_verdicts_do_not_depend_on_the_order_of_the_checks(findings: list[Findin
             assert found["abc".index(verdict.finding.subject)].outcome == Outcome.CONTRADICTORY
         elif mine:
             assert GAIN_KINDS.index(verdict.finding.kind) == min(ranks)
-            assert verdict.finding.severity == max(each.severity for each in mine if each.kind == verdict.finding.kind)
+            assert verdict.finding.size == max(each.size for each in mine if each.kind == verdict.finding.kind)
         else:
             assert verdict == GOOD
 
@@ -257,7 +265,7 @@ def test_every_number_has_a_verdict_and_good_ones_say_nothing(result: Result) ->
         assert gain.verdict.outcome == Outcome.GOOD
         assert gain.verdict.sentence == "good"
     for each in result.parameters.values():
-        assert each.verdict == judge_parameter(each.value, each.std, each.regrouping)
+        assert each.verdict == parameter_verdict(each.value, each.std)
         assert bool(each.verdict.advice) == (each.verdict.outcome != Outcome.GOOD)
 
 
@@ -327,10 +335,13 @@ def test_what_is_said_of_several_gains_is_said_once(result: Result) -> None:
     assert " ".join(both.summary(False).split()).count(turned.advice) == 1
 
 
+SAID = ((F.MODEL, "slight", 0.2), (F.ROWS, "refusal", 0.0), (F.MODEL, "large", 3.0))
+
+
 def test_notes_that_may_move_an_estimate_most_stand_first() -> None:
-    notes = [Note(Kind.MODEL, "slight", moves=0.2), Note(Kind.ROWS, "refusal"), Note(Kind.MODEL, "large", moves=3.0)]
-    listed = {grade: [each.what for each in members] for grade, members in by_grade(notes).items()}
-    assert listed == {Grade.ERROR: ["refusal"], Grade.WARNING: ["large", "slight"]}
+    notes = [Finding(kind, values={"what": what}, size=size) for kind, what, size in SAID]
+    listed = {grade: [each.what for each in members] for grade, members in by_severity(notes).items()}
+    assert listed == {Severity.ERROR: ["refusal"], Severity.WARNING: ["large", "slight"]}
 
 
 def test_reasons_that_differ_in_numbers_are_one_row_with_the_worst(result: Result) -> None:

@@ -11,8 +11,6 @@ import pytest
 from five_bar_logs import STEEL, Plant
 
 from gtau.estimation.diagnostics.examine import examine
-from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.linearisation import central_windows, usable_rows
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Given
 from gtau.estimation.estimators.maximum_likelihood import ML
@@ -20,7 +18,9 @@ from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.regression.equations import BLOCKS
 from gtau.estimation.regression.run_blocks import block_edges, block_of
+from gtau.estimation.regression.windows import usable_rows
 from gtau.estimation.thresholds.estimates import FEWEST_FOR_TESTS
+from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
@@ -52,10 +52,10 @@ def dataset(rest: float) -> Dataset:
 @pytest.mark.parametrize("pieces", [1, 10])
 def test_windows_hold_as_many_rows_where_the_robot_rests(pieces: int) -> None:
     moving, at_rest = dataset(0.0), dataset(30.0)
-    windows = central_windows(at_rest, pieces)
-    assert len(windows) == len(central_windows(moving, pieces))
-    assert usable_rows(at_rest, windows) > 0.9 * usable_rows(moving, central_windows(moving, pieces))
-    assert all(usable_rows(at_rest, [each]) for each in windows)
+    windows = at_rest.windows(pieces)
+    assert len(windows) == len(moving.windows(pieces))
+    assert usable_rows(windows, at_rest.prepared) > 0.9 * usable_rows(moving.windows(pieces), moving.prepared)
+    assert all(usable_rows([each], at_rest.prepared) for each in windows)
 
 
 def test_tests_of_runs_that_hardly_move_are_skipped_and_say_so() -> None:
@@ -63,7 +63,7 @@ def test_tests_of_runs_that_hardly_move_are_skipped_and_say_so() -> None:
     few = tuple(replace(each, speeds=each.speeds * 1e6) for each in data.prepared)
     fit = ML.fit(data, data.system(), Given())
     examined = examine(replace(fit, dataset=replace(data, prepared=few)))
-    ((said,), rows) = examined.untested, usable_rows(data, central_windows(data, 10))
+    ((said,), rows) = examined.findings, usable_rows(data.windows(10), data.prepared)
     assert (said.kind, said.values["rows"], examined.alternatives) == (F.FEW_ROWS, 0, ())
     assert rows > FEWEST_FOR_TESTS * said.values["unknowns"]
 

@@ -9,11 +9,11 @@ import polars as pl
 import pytest
 from floating_logs import AT_HOOK, AT_SOLE, GAINS, HOOK, POSE, SOLE, Truth, experiment, simulated
 
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.hypotheses import description
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
+from gtau.findings import FindingKind as F
 
 BASE = f"{{body: trunk, {POSE}}}"
 
@@ -104,5 +104,5 @@ def test_errors_of_wrenches_are_named(case: str, fault: str, tmp_path: Path, req
         assert Outcome.CONTRADICTORY in {each.outcome for each in verdicts}
     said = [each.finding.causes[0].kind for each in verdicts if each.finding and each.finding.causes]
     assert set(said) <= {cause.kind}  # and of nothing else
-    noted = {note.finding for note in result.notes}
+    noted = {note.kind for note in result.notes}
     assert said or F.SMALL_REFUTATION in noted

@@ -11,11 +11,10 @@ from floating_logs import AT_HOOK, AT_SOLE, GAINS, ON_PLATE, POSE, Truth, deviat
 
 from gtau.errors import GtauError
 from gtau.estimation.check_logs import check_logs
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
-from gtau.signals.notes import Kind
+from gtau.findings import FindingKind as F
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import read_run
 
@@ -71,7 +70,7 @@ def test_a_tool_in_every_run_gives_no_scale(tmp_path: Path) -> None:
         GtauError, match="the wrench on 3 moves as one of the robot's own bodies in every run, so"
     ) as no:
         identify(path)
-    assert [f"{note}." for note in check_logs(path).notes if note.kind == Kind.SCALE] == [str(no.value)]
+    assert [f"{note}." for note in check_logs(path).notes if note.kind == F.SCALE] == [str(no.value)]
 
 
 def test_a_hook_and_a_foot_share_the_weight(leaning: Truth, tmp_path: Path) -> None:
@@ -164,7 +163,7 @@ def test_the_weighed_mass_is_compared_with_the_wrenches(
     prior = f"priors: {{m_trunkR: {{value: {mass}, std: {2e-3 * mass}}}}}"
     columns = {name: factor * each if name.startswith("s") else each for name, each in standing.columns.items()}
     result = identify(experiment(tmp_path, f"{BASE}\n  wrenches: [{AT_SOLE}]", Truth(standing.chi, columns), prior))
-    assert wrong == (F.PRIOR in {note.finding for note in result.notes})
+    assert wrong == (F.PRIOR in {note.kind for note in result.notes})
     assert wrong == ({gain.verdict.outcome for gain in result.drive_gains.values()} == {Outcome.CONTRADICTORY})
     assert "mass of the whole robot (m_trunkR)" in result.summary()
 

@@ -12,7 +12,6 @@ import pinocchio as pin
 import pytest
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import Outcome
 from gtau.estimation.diagnostics.verdict import Verdict
 from gtau.estimation.results.estimate import Estimate
 from gtau.excitation.clearance import FLOOR, Capsule, bounding_capsule
@@ -23,7 +22,8 @@ from gtau.excitation.evaluation import design_grid, evaluate
 from gtau.excitation.forecast import sampled_motions
 from gtau.excitation.nlp import random_start
 from gtau.excitation.prior import KnownGain, identified_gains
-from gtau.report.design import design_document, design_page
+from gtau.findings import Outcome
+from gtau.report.design import Outlook, design_page
 from gtau.report.render.terminal import plain
 
 ARM = """robot: arm
@@ -115,7 +115,7 @@ def test_a_bare_arm_keeps_off_the_floor_and_itself(tmp_path: Path) -> None:
     assert any(FLOOR in pair for pair in task.limits.clearance.pairs)
     found = design(task, starts=1)
     assert least_distance(found, list(task.model.actuated)) >= task.limits.clearance.least - 1e-4
-    lines = plain(design_page(design_document(found, {}, []))).splitlines()[:14]
+    lines = plain(design_page(Outlook(found, {}))).splitlines()[:14]
     first = " ".join(lines)
     for words in ("The tool moves at up to", "m/s",
                   "Floor: guessed at z = 0 m of the base; state 'limits: {floor: HEIGHT}'",

@@ -11,7 +11,7 @@ from robots_for_tests import OBLIQUE, four_bar, hexapod, home, planar_3rrr
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.parameter_checks import leg_differences
-from gtau.model.base_parameters import base_parameters, symmetric_order
+from gtau.model.base_parameters import base_parameters, regrouped, symmetric_order
 from gtau.model.home import close_home, load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.geometry import identical_legs, pose_of
@@ -42,7 +42,7 @@ def test_a_ball_as_a_chain_of_massless_links(rng: np.random.Generator) -> None:
             for joint in turning(f"ball {leg}", closure.a.body, closure.a.placement, "xyz")
         ]
         closures.append(Closure("weld", Attachment(f"ball {leg}"), closure.b))
-    chained = close_home(replace(tied, joints=tuple(joints), closures=tuple(closures), home_given=False))
+    chained = close_home(replace(tied, joints=tuple(joints), closures=tuple(closures)).with_file(home_given=False))
     chi, states = random_parameters(tied, rng), near_home(tied, rng)
     expected = InverseDynamics(tied).torques(*states, chi)
     assert InverseDynamics(chained).torques(*states, chi) == pytest.approx(expected, rel=1e-9)
@@ -204,17 +204,17 @@ def test_the_leg_that_differs_is_found(rng: np.random.Generator) -> None:
     covariance = 1e-4 * (matrix @ matrix.T / base.count + np.eye(base.count))
     alike = np.array([float(sum(map(ord, name.split("_")[0])) % 7) for name in base.names])
     noisy = alike + rng.multivariate_normal(np.zeros(base.count), covariance)
-    for difference in leg_differences(delta, base, base.names, noisy, covariance):
-        assert difference.probability > 1e-3
-        assert np.abs(difference.deviations).max() < 4.5
+    terms = regrouped(base, InverseDynamics(delta).parameter_names)
+    for difference in leg_differences(delta, terms, noisy, covariance):
+        assert difference.values["probability"] > 1e-3
+        assert abs(difference.values["t"]) < 4.5
     k = next(k for k, name in enumerate(base.names) if name.startswith("fv_22"))
     noisy[k] += 0.5
-    found = leg_differences(delta, base, base.names, noisy, covariance)
-    assert [difference.leg[0] for difference in found] == ["11", "12", "13"]
-    worst = max(found, key=lambda difference: np.abs(difference.deviations).max())
-    assert worst.leg == ("12", "22", "32")
-    assert worst.compared[int(np.abs(worst.deviations).argmax())] == base.names[k]
-    assert worst.probability < 1e-12
+    found = list(leg_differences(delta, terms, noisy, covariance))
+    assert list(dict.fromkeys(difference.subject for difference in found)) == ["11", "12", "13"]
+    worst = max(found, key=lambda difference: abs(difference.values["t"]))
+    assert (worst.subject, worst.values["parameter"]) == ("12", base.names[k])
+    assert worst.values["probability"] < 1e-12
 
 
 def test_distances_of_like_legs_are_chi_distributed(rng: np.random.Generator) -> None:
@@ -223,12 +223,14 @@ def test_distances_of_like_legs_are_chi_distributed(rng: np.random.Generator) ->
     matrix = rng.normal(size=(base.count, base.count))
     covariance = matrix @ matrix.T + 0.1 * np.eye(base.count)
     draws = rng.multivariate_normal(np.zeros(base.count), covariance, size=400)
-    found = [leg_differences(robot, base, base.names, draw, covariance) for draw in draws]
-    assert {len(each) for each in found} == {1}  # of two legs one difference
-    probabilities = np.sort([each[0].probability for each in found])
+    terms = regrouped(base, InverseDynamics(robot).parameter_names)
+    found = [list(leg_differences(robot, terms, draw, covariance)) for draw in draws]
+    assert {difference.subject for differences in found for difference in differences} == {"left"}  # of two legs one
+    probabilities = np.sort([differences[0].values["probability"] for differences in found])
     assert np.abs(probabilities - np.linspace(0, 1, 400)).max() < 0.1
 
 
 def test_robots_without_like_legs_have_no_differences() -> None:
     base = base_parameters(InverseDynamics(load_robot("ur10e")))
-    assert leg_differences(load_robot("ur10e"), base, base.names, np.zeros(base.count), np.eye(base.count)) == []
+    terms = regrouped(base, InverseDynamics(load_robot("ur10e")).parameter_names)
+    assert not list(leg_differences(load_robot("ur10e"), terms, np.zeros(base.count), np.eye(base.count)))

@@ -88,7 +88,7 @@ def test_the_five_bar_has_its_closed_forms(point: tuple[float, float]) -> None:
     motion = at_rest(idm, q[None])
     forearms, elbow_speeds = five_bar_bars(q, np.array(point))
     A, B = forearms, np.diag(np.einsum("ij,ij->i", forearms, elbow_speeds))  # A v = B qd
-    J = np.linalg.solve(A, B) / idm.loops.equations.length
+    J = np.linalg.solve(A, B) / idm.loops.length
     found = singularities(idm).jacobian(motion)[0]
     assert_allclose(found.T @ found, J.T @ J, rtol=1e-10, atol=1e-12)
     type_1, type_2 = singularities(idm).distances(motion)[:, 0]
@@ -196,7 +196,7 @@ def test_the_orthoglides_type_2_falls_as_the_bars_come_into_a_plane() -> None:
 def test_the_3rrr_has_the_jacobian_of_its_forearms(rng: np.random.Generator) -> None:
     """d_i . (v + w z x r_i) = d_i . (z x a_i) qd_i with arms a_i, forearms d_i and pins at r_i from the centre."""
     idm = model("3-rrr")
-    robot, motion, length = idm.robot, some_motion(idm, rng), idm.loops.equations.length
+    robot, motion, length = idm.robot, some_motion(idm, rng), idm.loops.length
     z = np.array([0, 0, 1.0])
     expected = []
     for c in motion.c.T:
@@ -215,7 +215,7 @@ def test_the_3rrr_has_the_jacobian_of_its_forearms(rng: np.random.Generator) -> 
 def test_the_gough_stewart_has_the_lines_of_its_legs(rng: np.random.Generator) -> None:
     """The inverse Jacobian's rows are the legs' Pluecker coordinates about the platform's origin."""
     idm = model("gough-stewart")
-    robot, motion, length = idm.robot, some_motion(idm, rng), idm.loops.equations.length
+    robot, motion, length = idm.robot, some_motion(idm, rng), idm.loops.length
     expected = []
     for c in motion.c.T:
         at = places(robot, c)

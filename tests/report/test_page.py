@@ -121,7 +121,7 @@ def test_a_path_stays_in_one_piece() -> None:
     assert path in plain(page("", section("", Text(f"cannot read {path} at all"))))
 
 
-def test_findings_are_listed_by_grade() -> None:
+def test_findings_are_listed_by_severity() -> None:
     columns = (Column("grade", Kind.BADGE), Column("where"), Column("what", Kind.SENTENCE), Column("do", Kind.SENTENCE))
     rows = [("warning", "free", "it is held", "log faster"), ("information", "", "a clock", "")]
     text = plain(page("", section("Findings", table(columns, rows, listed=True))))

@@ -13,12 +13,11 @@ import pytest
 from five_bar_logs import CHI, GAINS, STEEL, Plant
 
 from gtau import identify
-from gtau.model.base_parameters import base_parameters
+from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.report.render.terminal import plain
-from gtau.report.robot import robot_document as describe
-from gtau.report.robot import robot_page
+from gtau.report.robot import robot_document, robot_page
 from gtau.report.robot_figure import robot_figure
 from gtau.robots.floating import float_base
 from gtau.robots.plausibility import oddities, tool_note
@@ -39,6 +38,11 @@ joints:
 closures:
   - connect: [{body: bar, d: 0.3}, {body: forearm, d: -0.15}]
 """
+
+
+def derived(robot: Robot) -> tuple[InverseDynamics, BaseParameters]:
+    model = InverseDynamics(robot)
+    return model, base_parameters(model)
 
 
 def slide(**more) -> Robot:
@@ -74,7 +78,7 @@ def test_a_tool_that_nobody_named_is_said() -> None:
     (note,) = tool_note(robot)
     assert note.startswith("the payload is assumed to be on 'bar'")
     assert "tool: BODY" in note
-    assert note in " ".join(plain(robot_page(describe(robot))).split())
+    assert note in " ".join(plain(robot_page(*derived(robot))).split())
     named = parse_native(BAR_ARM + "tool: forearm\n", "bar.yaml")
     assert (named.tool, tool_note(named)) == ("forearm", ())
     assert parse_native(native_text(named), "again.yaml") == named != robot
@@ -107,7 +111,7 @@ def test_a_payload_is_on_what_carries_the_fingers() -> None:
 def test_what_takes_long_is_said() -> None:
     """Of a robot of many joints the equations and the counting take minutes."""
     said: list[tuple[str, int, int]] = []
-    describe(load_robot("five-bar"), lambda *stage: said.append(stage))
+    base_parameters(InverseDynamics(load_robot("five-bar")), progress=lambda *stage: said.append(stage))
     stages = list(dict.fromkeys(stage for stage, *_ in said))
     assert stages == ["deriving the equations of 4 joints", "counting base parameters"]
     assert all(done < total for _, done, total in said)
@@ -138,7 +142,7 @@ def test_nothing_is_odd_in_the_catalog(name: str) -> None:
 def test_what_is_hardly_meant_is_noted(robot: Robot, note: str) -> None:
     (found,) = oddities(robot)
     assert found.startswith(note)
-    assert found in describe(robot)["notes"]
+    assert found in robot_document(*derived(robot))["notes"]
 
 
 @pytest.mark.parametrize(
@@ -168,20 +172,21 @@ def test_identification_says_what_is_odd_in_the_robot() -> None:
 
 
 def test_page_shows_gravity_limits_and_the_payload() -> None:
-    found = describe(load_robot("five-bar"))
+    model, base = derived(load_robot("five-bar"))
+    found = robot_document(model, base)
     assert json.loads(json.dumps(found))["payload_on"] == "right_forearm"
     assert found["gravity"] == [0.0, 0.0, -9.80665]
     limits = found["joints"][0]["limits"]
     assert limits == {"position": (np.pi / 2, np.deg2rad(150)), "velocity": 6, "acceleration": 100, "effort": 30}
-    assert "mx_left_forearmR" not in plain(robot_page(found))
-    assert "25 base parameters of" in plain(robot_page(found))
-    page = plain(robot_page(found, verbose=True))
+    assert "mx_left_forearmR" not in plain(robot_page(model, base))
+    assert "25 base parameters of" in plain(robot_page(model, base))
+    page = plain(robot_page(model, base, verbose=True))
     assert "[0, 0, -9.80665] m/s2 in base axes" in page
     assert re.search(r"payload on +right_forearm", page)
     assert re.search(r"mx_left_forearmR +kg m +mx_left_forearm \+ mx_right_forearm\n", page)
     assert found["base_parameters"]["units"]["fv_left"] == "N m s/rad"
     assert "1.571 to 2.618 rad" in page
-    assert "-0.066 to 0.1 m" in plain(robot_page(describe(load_robot("orthoglide"))))
+    assert "-0.066 to 0.1 m" in plain(robot_page(*derived(load_robot("orthoglide"))))
 
 
 def test_a_motor_keeps_its_own_base_parameters() -> None:

@@ -98,7 +98,7 @@ def test_a_urdf_file_that_floats(tmp_path: Path, rng: np.random.Generator) -> No
         ARM[ARM.index('  <joint name="free"') : ARM.index('  <joint name="a"')], ""
     )
     root = load_robot(written(tmp_path, "root.urdf", rooted), base="floating")
-    assert replace(root, source="") == replace(free, source="")
+    assert root.with_file(source="") == free.with_file(source="")
     assert free.floating == "base"
     model = pin.buildModelFromXML(rooted, pin.JointModelFreeFlyer())
     data = model.createData()
@@ -159,7 +159,7 @@ def test_a_robot_file_keeps_its_floating_base(tmp_path: Path) -> None:
     assert "floating: base" in (tmp_path / "arm.yaml").read_text()
     assert read_native(tmp_path / "arm.yaml") == robot
     fixed, again = (load_robot(tmp_path / name, base="fixed") for name in ("arm.urdf", "arm.yaml"))
-    assert replace(again, source="") == replace(fixed, source="")
+    assert again.with_file(source="") == fixed.with_file(source="")
 
 
 def test_parts_of_a_robot_float_with_its_base(tmp_path: Path) -> None:

@@ -136,7 +136,7 @@ def test_a_quaternion_of_zeros_in_a_keyframe_is_no_rotation(tmp_path: Path) -> N
       <actuator><motor joint="j"/></actuator>
       <keyframe><key name="home" qpos="0.3 0.2 1 0 0 0 0 0.5 0 0 0 0"/></keyframe></mujoco>"""
     (tmp_path / "robot.xml").write_text(text)
-    robot = replace(read(text, tmp_path, "fixed"), home_given=True)
+    robot = read(text, tmp_path, "fixed").with_file(home_given=True)
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)

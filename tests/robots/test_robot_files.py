@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 import pinocchio
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.model.home import load_robot
+from gtau.robots.file import RobotFile
 from gtau.robots.geometry import exact_angle, in_degrees
 from gtau.robots.readers.native import read_native
 from gtau.robots.readers.native_text import native_text, write_native
@@ -208,6 +209,7 @@ placements = st.builds(Mdh, *6 * [numbers]) | st.builds(Pose, triples, triples)
 positive = st.none() | st.floats(1e-3, 1e3)
 
 
+@settings(suppress_health_check=[HealthCheck.too_slow])  # on a machine that others use too
 @given(
     robot=names,
     name=names,
@@ -241,8 +243,9 @@ def test_any_robot_survives_writing_and_reading(
     )
     couplings = (Coupling("b", ((name, coupled[0]),), coupled[1]),) if coupled else ()
     named = ("", name, "P" if closed else "")[tool]
+    file = RobotFile(source, tuple(notes))
     made = Robot(
-        robot, joints, (platform,) * closed, closures * closed, couplings, gravity, source, tuple(notes), named
+        robot, joints, (platform,) * closed, closures * closed, couplings, gravity, named_tool=named, file=file
     )
     path = tmp_path_factory.getbasetemp() / "any.yaml"
     path.write_text(native_text(made), encoding="utf-8")

@@ -100,7 +100,7 @@ def test_as_drawn_the_models_have_idle_pins(shared: Path) -> None:
             Closure("weld", *(tree.frames[f"closedloop{k}_{side}"] for side in pair))
             for k, pair in enumerate(pairs, start=1)
         )
-        drawn = close_home(Robot("drawn", tree.joints, closures=closures, home_given=False))
+        drawn = close_home(Robot("drawn", tree.joints, closures=closures).with_file(home_given=False))
         _, J = loop_errors(coordinates(drawn))(coordinates(drawn).home)
         mobility[folder] = J.shape[1] - np.linalg.matrix_rank(J, tol=1e-7)
     assert mobility == {"5bar_linkage": 3, "robot_delta": 5}

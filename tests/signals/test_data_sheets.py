@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
+from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.signals.reading.experiment import read_experiment

@@ -150,7 +150,10 @@ def test_joints_are_sorted_by_number_only_where_all_have_one(tmp_path: Path) -> 
         return discover([log], Robot("arm", joints), "arm")
 
     chain, sorted_ = drafted("A1", "LJFT"), drafted("p2", "p1")
-    assert (chain.signals["position"], chain.reasons["position"]) == ({"A1": "q1", "LJFT": "q2"}, "matched by column order")
+    assert (chain.signals["position"], chain.reasons["position"]) == (
+        {"A1": "q1", "LJFT": "q2"},
+        "matched by column order",
+    )
     assert sorted_.signals["position"] == {"p1": "q1", "p2": "q2"}
     assert sorted_.reasons["position"] == "matched by the numbers in the joints' names"
 

@@ -13,7 +13,8 @@ from typer.testing import CliRunner
 
 from gtau.cli.commands import app
 from gtau.estimation.identify import identify
-from gtau.signals.notes import Kind, Note
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.signals.run import Run, read_run
 from gtau.signals.storage import working_with
 
@@ -29,12 +30,12 @@ def table(rng: np.random.Generator, time: np.ndarray | None = None) -> dict[str,
     return {"t": time, "qa": q[:, 0], "qb": q[:, 1], "va": np.cos(w), "vb": 2 * np.sin(1.1 * w)}
 
 
-def read(columns: dict[str, np.ndarray]) -> tuple[Run, list[Note]]:
+def read(columns: dict[str, np.ndarray]) -> tuple[Run, list[Finding]]:
     run = read_run(columns, SIGNALS)
     return run, glitches(run)
 
 
-def glitches(run: Run) -> list[Note]:
+def glitches(run: Run) -> list[Finding]:
     return [note for note in run.notes if re.search("(is an|are) outliers?", note.what)]
 
 
@@ -46,7 +47,7 @@ def test_samples_that_jump_and_come_back_are_interpolated(size: float, width: in
     for at, sign in ((700, 1), (712, -1), (3000, 1)):
         columns["qb"][at : at + width] += sign * size
     run, (note,) = read(columns)
-    assert note.kind == Kind.REPAIR
+    assert note.kind == F.OUTLIERS
     assert note.what.startswith(f"interpolated {3 * width} positions of joint 'b' that are outliers: the first")
     assert (note.joint, note.time, note.share) == ("b", 1.4, 3 * width / N)
     np.testing.assert_allclose(run.position, clean, atol=8 * NOISE)

@@ -12,12 +12,12 @@ from five_bar_logs import EXPERIMENT, STEEL, Plant, five_bar, write_experiment, 
 from plausible_parameters import body_parameters, random_parameters
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.identify import identify
 from gtau.estimation.results.conclusions import remarks, sums_with_mass
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.results.result import Result
+from gtau.findings import FindingKind as F
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.report.render.terminal import plain
 from gtau.report.validation import weighing_page
@@ -191,7 +191,7 @@ def test_a_mass_that_no_joint_feels_is_said_to_be_one(hung: list[Run]) -> None:
     free, loaded = hung
     result = identify(remote_centre(), [free, replace(loaded, payload=Payload(name="tip"))])
     assert "m" not in result.payloads[0].parameters
-    (said,) = (each for each in remarks(result) if each.finding == F.MASS_UNSEEN)
+    (said,) = (each for each in remarks(result) if each.kind == F.MASS_UNSEEN)
     sums = sums_with_mass(result.payloads[0])
     assert sums
     assert all(each in said.what for each in sums)
@@ -213,7 +213,7 @@ def test_a_known_center_gives_the_mass(hung: list[Run]) -> None:
     for kind, at in zip(FIRST_MOMENTS, CENTER, strict=True):
         assert found[kind].value == pytest.approx(at * found["m"].value)
         assert found[kind].std == pytest.approx(abs(at) * found["m"].std)
-    assert not [each for each in remarks(result) if each.finding == F.MASS_UNSEEN]
+    assert not [each for each in remarks(result) if each.kind == F.MASS_UNSEEN]
     # so the model predicts the loaded run as well as it fitted it
     for error in result.validate(replace(loaded, payload=payload)):
         assert error.relative < 0.5

@@ -17,7 +17,7 @@ from gtau.documents.files import EXPERIMENT, LOG, folder_of, kind_of, refuse_as_
 from gtau.errors import GtauError
 
 if TYPE_CHECKING:
-    from gtau.signals.notes import Note
+    from gtau.findings import Finding
     from gtau.signals.reading.discovery import Draft
 
 WIDTH = 80
@@ -221,7 +221,6 @@ def check(
         )
         with progress_bar() as progress:
             from gtau.estimation.check_logs import check_logs
-            from gtau.estimation.grades import EXIT_CODES
             from gtau.report.check import check_document, check_page, write_check, write_preparation
             from gtau.report.write import inputs_of, write_report
 
@@ -237,7 +236,7 @@ def check(
             print_json(check_document(checked))
         else:
             show(page, written)
-        if code := EXIT_CODES[checked.worst]:
+        if code := checked.worst.exit_code:
             raise typer.Exit(code)
 
 
@@ -248,7 +247,7 @@ def experiment_of(
     kind: Commands | None,
     preset: str | None,
     folder: Path,
-) -> tuple[Path, tuple[Note, ...]]:
+) -> tuple[Path, tuple[Finding, ...]]:
     """Take an experiment file as it is; draft one from logs to ``folder``, with a note on every guess in it.
 
     Raises

@@ -128,7 +128,7 @@ def payload(
         start = perf_counter()
         with progress_bar() as progress:
             from gtau.estimation.diagnostics.verdict import Outcome
-            from gtau.estimation.results.model_document import payload_documents
+            from gtau.estimation.results.model_file import payload_documents
             from gtau.estimation.results.result import Result
             from gtau.export.exported import refuse_unknown
             from gtau.export.payload import WRITERS, refuse_unnamed
@@ -278,7 +278,7 @@ def use(
     others. FILE gets motor, model and external torque of every sample.
     """
     with refusals(json_):
-        from gtau.estimation.results.model_document import torque_error
+        from gtau.estimation.results.model_file import torque_error
         from gtau.estimation.results.result import Result
         from gtau.report.page import page
         from gtau.report.torques import bands_section

@@ -55,7 +55,9 @@ def robot(
             _list_catalog(json_)
             return
         with progress_bar():
+            from gtau.model.base_parameters import base_parameters
             from gtau.model.home import load_robot
+            from gtau.model.inverse_dynamics import InverseDynamics
             from gtau.report.robot import robot_document, robot_page
 
             found = load_robot(source, base=base_choice(base), joints=joints or ())
@@ -75,12 +77,13 @@ def robot(
 
             save_figure(robot_figure(found), figure)
         with progress_bar() as progress:
-            description = robot_document(found, progress)
-        if json_:
-            print_json(description)
+            model = InverseDynamics(found)
+            parameters = base_parameters(model, progress=progress)
+            shown = robot_document(model, parameters) if json_ else robot_page(model, parameters, verbose)
+        if isinstance(shown, dict):
+            print_json(shown)
         else:
-            written = [path for path in (save, figure) if path is not None]
-            show(robot_page(description, verbose), written)
+            show(shown, [path for path in (save, figure) if path is not None])
 
 
 def _list_catalog(as_json: bool) -> None:
@@ -135,7 +138,14 @@ def excite(
             from gtau.excitation.design import Design, Stopped
             from gtau.excitation.design import design as run
             from gtau.excitation.design_file import read_design
-            from gtau.report.design import design_document, design_page, design_report, write_design, write_trajectories
+            from gtau.report.design import (
+                Outlook,
+                design_document,
+                design_page,
+                design_report,
+                write_design,
+                write_trajectories,
+            )
             from gtau.report.write import write_report
 
             task, assumed = read_design(design)
@@ -149,14 +159,14 @@ def excite(
             except Stopped as stopped:
                 raise KeyboardInterrupt(str(stopped).rstrip(".")) from None
             progress("predicting standard deviations", 0, 1)
-            document = design_document(found, assumed, masses)
-            page, inputs = design_report(found, document), (("design", design),)
+            outlook = Outlook(found, assumed, tuple(masses))
+            page, inputs = design_report(outlook), (("design", design),)
             report = write_report(page, folder_of(out), perf_counter() - start, inputs)
-            written = (report, *write_design(found, document, out))
+            written = (report, *write_design(outlook, out))
         if json_:
-            print_json(document)
+            print_json(design_document(outlook))
         else:
-            show(design_page(document), written)
+            show(design_page(outlook), written)
 
 
 def _masses(first: list[float], words: list[str]) -> list[float]:

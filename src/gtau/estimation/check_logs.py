@@ -14,10 +14,8 @@ from gtau.documents.validation import FUNCTION, NUMBER, TEXT, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.log_checks import command_lag, doubtful_commands, require_felt_payload
-from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.diagnostics.unit_checks import doubtful_currents, doubtful_payloads
 from gtau.estimation.experiment_runs import Subject, describe, geometry_of, options_of, read_runs
-from gtau.estimation.grades import Grade, by_grade, grade_of
 from gtau.estimation.preconditions import estimator_for, plan, reduced, require_inputs
 from gtau.estimation.regression.dataset import Dataset, model_of, prepare_runs, robot_notes
 from gtau.estimation.regression.friction import Friction
@@ -25,12 +23,14 @@ from gtau.estimation.regression.rows import Labels
 from gtau.estimation.regression.system import FEWEST_ROWS
 from gtau.estimation.results.conclusions import near_singularities, not_separated
 from gtau.estimation.results.estimate import Distances, NearestPose, distances_of, nearest_poses
+from gtau.findings import Finding, Severity
+from gtau.findings import FindingKind as F
+from gtau.findings.finding import by_severity
 from gtau.model.interpreter.program import single_threaded_blas
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import singularities
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
-from gtau.signals.notes import Kind, Note
 from gtau.signals.preparation.bandwidth import JointSpectrum, spectra
 from gtau.signals.preparation.choice import choose_preparation, moving_spectra
 from gtau.signals.preparation.filters import Decimator
@@ -106,7 +106,7 @@ class ExperimentCheck:
     robot: Robot
     preparation: Preparation | None
     logs: tuple[LogCheck, ...]
-    notes: tuple[Note, ...]
+    notes: tuple[Finding, ...]
     geometry: GeometryTest | None = None
 
     def __repr__(self) -> str:
@@ -114,9 +114,9 @@ class ExperimentCheck:
         return f"ExperimentCheck({self.robot.name!r}, {found})"
 
     @property
-    def worst(self) -> Grade:
+    def worst(self) -> Severity:
         """The grade of the worst finding."""
-        return next(iter(by_grade(self.notes)), Grade.INFORMATION)
+        return next(iter(by_severity(self.notes)), Severity.INFORMATION)
 
     def _repr_html_(self) -> str:
         html: str = display.views().html(self)
@@ -151,7 +151,7 @@ def check_logs(
     count = len(listed)
     model, of_robot = model_of(robot), robot_notes(robot, loaded=any(run.payload for run in listed))
     listed = (*listed, *(experiment.validation if experiment else ()))
-    kinds = [Kind.REFUSED] * count + [Kind.VALIDATION] * (len(listed) - count)
+    kinds = [F.REFUSED] * count + [F.VALIDATION] * (len(listed) - count)
     read, notes = _read(experiment, listed, kinds, model, progress)
     used = [run for run in read[:count] if run is not None]
     if not used:
@@ -162,9 +162,9 @@ def check_logs(
     except GtauError as error:
         notes.append(refusal(error))
     notes += [
-        *map(note, doubtful_commands(used, robot)),
-        *map(note, doubtful_currents(used, robot.base)),
-        *map(note, doubtful_payloads(robot, (run.payload for run in used))),
+        *doubtful_commands(used, robot),
+        *doubtful_currents(used, robot.base),
+        *doubtful_payloads(robot, (run.payload for run in used)),
     ]
     preparation = choose_preparation(used)
     checked, prepared_runs = [], []
@@ -179,7 +179,7 @@ def check_logs(
             notes.append(refusal(error, kinds[k], run.name))
             continue
         checked.append(log)
-        notes += [note.of(run.name) for note in (*run.notes, *prepared.notes)]
+        notes += [note.of_source(run.name) for note in (*run.notes, *prepared.notes)]
         notes += near_singularities(log.nearest)
         prepared_runs += [prepared] if k < count else []
     progress("checking logs", len(read), len(read))
@@ -190,9 +190,9 @@ def check_logs(
             geometry = geometry_of(experiment, readable, model, progress)
         notes += [geometry.note] if geometry else []
     except GtauError as error:
-        notes.append(refusal(error, Kind.REFUSED))
+        notes.append(refusal(error, F.REFUSED))
     notes += few_rows([log for log in checked if not log.validation])
-    if not any(grade_of(note) == Grade.ERROR for note in notes):
+    if not any(note.severity == Severity.ERROR for note in notes):
         subject = replace(subject, runs=[prepared.run for prepared in prepared_runs])
         notes += _together(subject, reduced(subject, estimator_for(options, used), progress, preparation))
     return ExperimentCheck(robot, preparation, tuple(checked), (*of_robot, *notes), geometry)
@@ -201,10 +201,10 @@ def check_logs(
 def _read(
     experiment: Experiment | None,
     listed: Sequence[LoggedRun | Run],
-    kinds: Sequence[Kind],
+    kinds: Sequence[F],
     model: InverseDynamics,
     progress: Progress,
-) -> tuple[list[Run | None], list[Note]]:
+) -> tuple[list[Run | None], list[Finding]]:
     """Read the runs that are not there yet, None for those that cannot be used, and note why."""
     runs: list[Run | None] = []
     notes = []
@@ -228,48 +228,44 @@ def _read(
     return runs, notes
 
 
-def refusal(error: GtauError, kind: Kind = Kind.REFUSED, source: str = "", logs: Sequence[Path] = ()) -> Note:
+def refusal(error: GtauError, kind: F = F.REFUSED, source: str = "", logs: Sequence[Path] = ()) -> Finding:
     """Note why an identification refuses a log; where no ``source`` is given, the sentence may name one of its logs."""
     sentence = str(error).rstrip(".")
     for log in logs:  # what is wrong with several logs is listed once, with all their names
         if not source and sentence.startswith(f"{log}: "):
             sentence, source = sentence.removeprefix(f"{log}: "), str(log)
     what, _, action = sentence.rpartition("; ")
-    return Note(kind, what or action, action if what else "", source="" if source in what else source)
+    values = {"what": what or action, "action": action if what else ""}
+    return Finding(kind, values=values, source="" if source in what else source)
 
 
-def few_rows(logs: Sequence[LogCheck]) -> list[Note]:
+def few_rows(logs: Sequence[LogCheck]) -> list[Finding]:
     """Note every joint that has fewer rows in all logs together than an identification needs."""
     notes = []
     for each in zip(*(log.joints for log in logs), strict=True):
         rows = sum(round(joint.usable * log.rows) for joint, log in zip(each, logs, strict=True))
         if rows < FEWEST_ROWS:
-            what = (
-                f"joint '{each[0].joint}' has {rows} usable rows in all runs together, away from its reversals and gaps"
-            )
-            notes.append(Note(Kind.ROWS, what, "add runs in which it moves, or longer ones", joint=each[0].joint))
+            notes.append(Finding(F.ROWS, (each[0].joint,), values={"rows": rows}))
     return notes
 
 
-def _together(subject: Subject, dataset: Dataset) -> list[Note]:
-    """Note findings that need all runs: the scale of the gains, the payload's effect, inseparable parameters."""
+def _together(subject: Subject, dataset: Dataset) -> list[Finding]:
+    """List findings that need all runs: the scale of the gains, the payload's effect, inseparable parameters."""
     system = dataset.system(Friction())
-    notes = [*map(note, command_lag(dataset, system)), *not_separated(system.unexcited)]
+    notes = [*command_lag(dataset, system), *not_separated(system.unexcited)]
     try:
         planned = plan(subject, dataset, system)
     except GtauError as error:
         payloads = [run.payload for run in dataset.runs if run.payload is not None]
         if system.problem.scaled or not payloads or any(each.mass is not None for each in payloads):
-            return [*notes, refusal(error, Kind.SCALE)]
-        weighed = f"they can weigh '{payloads[0].name}'"
-        what = f"no payload has a known mass, so these logs cannot give the drive gains; {weighed}"
-        return [*notes, Note(Kind.WEIGHING, what, "run 'gtau payload MODEL.json' with them")]
+            return [*notes, refusal(error, F.SCALE)]
+        return [*notes, Finding(F.WEIGHING, (), payloads[0].name)]
     if planned.gains is not None:
         return notes
     try:
         require_felt_payload(system)
     except GtauError as error:
-        notes.append(refusal(error, Kind.MODEL))
+        notes.append(refusal(error, F.MODEL))
     return notes
 
 

@@ -9,10 +9,7 @@ from typing import Any
 from gtau.display import late
 from gtau.documents.validation import FUNCTION, NUMBER, TEXT, TRUTH, takes
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.log_checks import command_lag, require_felt_payload
-from gtau.estimation.diagnostics.sentences import note
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.experiment_runs import Subject, geometry_of, options_of, read, read_runs
 from gtau.estimation.pipeline import estimate
@@ -23,11 +20,12 @@ from gtau.estimation.regression.system import System
 from gtau.estimation.results.estimate import Requirement, TorqueError
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import ACCURACY
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.model.interpreter.program import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
-from gtau.signals.notes import Note
 from gtau.signals.reading.experiment import Experiment
 from gtau.signals.reading.statements import Drive, Prior, Requirements, data_sheet_notes
 from gtau.signals.run import Run
@@ -120,7 +118,7 @@ def identify(
         system = dataset.system(Friction())
         result = _identified(subject, dataset, system, progress)
         geometry = geometry_of(experiment, experiment.runs, dataset.model, progress) if experiment else None
-        beside = [*([geometry.note] if geometry else []), *map(note, command_lag(dataset, system))]
+        beside = [*([geometry.note] if geometry else []), *command_lag(dataset, system)]
         notes = (*beside, *_data_sheet_notes(experiment.drives if experiment else {}, result), *result.notes)
         result = result.replaced(geometry=geometry, notes=notes)
         return _judged(late("uses.prediction").with_prediction_cutoffs(result, dataset.runs), experiment, progress)
@@ -152,7 +150,7 @@ def _identified(subject: Subject, dataset: Dataset, system: System, progress: Pr
     except GtauError as refusal:
         why = str(refusal).rstrip(".")
     result = estimated(without_scale(subject, dataset))
-    return result.replaced(notes=(note(Finding(F.SCALE_UNTESTED, values={"why": why})), *result.notes))
+    return result.replaced(notes=(Finding(F.SCALE_UNTESTED, values={"why": why}), *result.notes))
 
 
 def _judged(result: Result, experiment: Experiment | None, progress: Progress) -> Result:
@@ -188,7 +186,7 @@ def _of_torques(limit: float, errors: Iterable[TorqueError], run: str = "") -> R
     return Requirement("torque_error", limit, worst.relative, worst.joint, run)
 
 
-def _data_sheet_notes(drives: Mapping[str, Drive], result: Result) -> tuple[Note, ...]:
+def _data_sheet_notes(drives: Mapping[str, Drive], result: Result) -> tuple[Finding, ...]:
     gains = {Parameter("gain", joint): gain for joint, gain in result.drive_gains.items() if gain.std is not None}
     estimates = gains | dict(result.parameters)
     values = {str(name): (estimate.value, estimate.std) for name, estimate in estimates.items()}

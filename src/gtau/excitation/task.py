@@ -161,7 +161,7 @@ class DesignProblem:
     def regressor(self) -> SmoothRegressor:
         """Base columns, with Coulomb friction smoothed where it would jump."""
         joints = self.model.robot.joints
-        length = self.model.loops.equations.length if self.model.loops else 1.0
+        length = self.model.loops.length if self.model.loops else 1.0
         speed = np.where(np.isfinite(self.limits.velocity), self.limits.velocity, 1.0)
         turn = float(np.median(speed)) / (1.0 if joints[self.model.layout.actuated[0]].turns else length)
         width = np.array([SMOOTH * turn * (1.0 if joint.turns else length) for joint in joints])

@@ -72,7 +72,7 @@ def _fields(model: Identified, made: Functions) -> dict[str, str]:
     limits = [result.robot.joint(joint).limits for joint in model.joints]
     velocities = [each.velocity or 10.0 for each in limits]
     efforts = [each.effort or 0.0 for each in limits]
-    length = 1.0 if loops is None else loops.equations.length
+    length = 1.0 if loops is None else loops.length
     fields = {
         "title": f"Inverse dynamics of the robot '{in_c(result.robot.name)}'",
         "robot": in_c(result.robot.name),

@@ -203,7 +203,7 @@ def inputs_key(experiment: Experiment, method: str) -> str:
     """
     settings = experiment.model_dump_json(exclude={"robot": True, "validation": True, "runs": {"__all__": {"log"}}})
     found = hashlib.sha256(_program())
-    for text in (method, settings, native_text(replace(load_robot(experiment.robot), source=""))):
+    for text in (method, settings, native_text(load_robot(experiment.robot).with_file(source=""))):
         found.update(text.encode() + b"\0")
     for path in (log for run in experiment.runs for log in run.log):
         for file in in_order(path.iterdir()) if path.is_dir() else [path]:

@@ -213,6 +213,17 @@ def _term(coefficient: float, name: str) -> str:
     return f" {sign} {name}" if abs(size - 1.0) < 1e-6 else f" {sign} {size:.5g} {name}"
 
 
+def regrouped(base: BaseParameters, standard: Sequence[Parameter]) -> dict[Parameter, dict[Parameter, float]]:
+    """List the standard parameters in each base parameter with their factors, first the one whose column it keeps.
+
+    ``standard`` are the names of the standard parameters, the columns of ``base.matrix``.
+    """
+    return {
+        name: {own: 1.0} | {other: float(row[k]) for k, other in enumerate(standard) if row[k] and other != own}
+        for name, own, row in zip(base.names, base.standard, base.matrix, strict=True)
+    }
+
+
 def whole_mass(base: BaseParameters, standard: Sequence[Parameter]) -> Parameter | None:
     """Return the base parameter equal to the total mass (kg) of a floating robot, None where there is none.
 

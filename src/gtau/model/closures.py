@@ -8,12 +8,9 @@ those of the actuated ones B_p; differentiated twice, ``G ydd + gamma = 0``.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import casadi as ca
 import numpy as np
 
-from gtau.model.interpreter.program import Program, compile_program
 from gtau.model.kinematics import (
     Coordinates,
     Frame,
@@ -24,42 +21,17 @@ from gtau.model.kinematics import (
     configuration_rates,
     constant,
     frames,
-    position_of,
+    placed,
     twists,
 )
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import Attachment
 
 
-@dataclass(frozen=True)
-class ClosureEquations:
-    """Closure equations of a robot, compiled for evaluation at many samples.
-
-    ``columns`` maps c to the residual (rows,), ``G`` of the passive coordinates (rows, n_passive) and of the
-    actuated ones (rows, n). ``step`` maps c to the configuration after a step of Newton's method, the largest
-    correction and the condition number of the passive columns, ``fast_step`` to the same without the condition
-    number, and ``gap`` to the largest residual less what angles of many turns are rounded by. ``motion``
-    maps c, qd and qdd to the condition number, yd, ydd and J (n_y, n) (eqs. 5 to 8). ``scale`` (n_c,) turns the
-    entries of c into rad, or lengths over ``length``; it is zero for the actuated ones.
-
-    Lengths are in units of the robot's ``length``, so that rows and columns are pure numbers: rad, or
-    lengths over ``length``.
-    """
-
-    rows: int
-    length: float
-    columns: Program
-    step: Program
-    fast_step: Program
-    gap: Program
-    motion: Program
-    scale: np.ndarray
-
-
 def _acceleration(
     end: Attachment, frame: dict[str, Frame], twist: dict[str, Twist], acceleration: dict[str, Twist]
 ) -> Twist:
-    body, omega, arm = acceleration[end.body], twist[end.body].angular, position_of(end.placement)
+    body, omega, arm = acceleration[end.body], twist[end.body].angular, placed(end.placement)[1]
     R_0 = frame[end.body].R_0
     linear = body.linear + ca.cross(body.angular, arm) + ca.cross(omega, ca.cross(omega, arm))
     return Twist(R_0 @ body.angular, R_0 @ linear)
@@ -99,17 +71,6 @@ def _largest(values: ca.SX) -> ca.SX:
     return found
 
 
-def _scale(layout: Coordinates, length: float) -> np.ndarray:
-    scale = np.full(layout.n_c, 1.0 / length)
-    joints = np.arange(len(layout.robot.joints))
-    scale[joints[layout.angular[joints]]] = 1.0
-    scale[layout.actuated] = 0.0
-    for slots in layout.platforms:
-        if slots.quaternion is not None:
-            scale[slots.quaternion] = 2.0  # of a turn by an angle, at most half of it
-    return scale
-
-
 def _on_unit_quaternions(layout: Coordinates, c: ca.SX) -> ca.SX:
     """Normalise the quaternions of a configuration ``c``: those of a guess have other lengths."""
     parts = [c[: len(layout.robot.joints)]]
@@ -120,85 +81,60 @@ def _on_unit_quaternions(layout: Coordinates, c: ca.SX) -> ca.SX:
     return ca.vertcat(*parts)
 
 
-@dataclass(frozen=True)
-class ClosureMaps:
-    """The functions of :class:`ClosureEquations` as expressions in ``c``, ``qd`` and ``qdd``.
+def scaled_equations(layout: Coordinates, c: ca.SX, yd: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+    """Express residual (rows,), ``G`` of the passive (rows, n_passive) and the actuated coordinates, and gamma.
 
-    ``residual`` (rows,), scaled ``G_p`` (rows, n_passive) and ``G_a`` (rows, n); ``moved`` (n_c,), ``size`` and
-    ``condition`` of a step of Newton's method; ``yd``, ``ydd`` (n_y,) and ``J`` (n_y, n), which want c closed.
+    The passive columns are scaled: they and the rows are pure numbers, rad or lengths over the characteristic length.
     """
-
-    c: ca.SX
-    qd: ca.SX
-    qdd: ca.SX
-    residual: ca.SX
-    G_p: ca.SX
-    G_a: ca.SX
-    moved: ca.SX
-    size: ca.SX
-    condition: ca.SX
-    yd: ca.SX
-    ydd: ca.SX
-    J: ca.SX
-    gap: ca.SX
-
-
-def closure_equations(layout: Coordinates) -> ClosureEquations:
-    """Derive the closure equations of a robot from its geometry."""
-    maps = closure_maps(layout)
-    length = characteristic_length(layout.robot)
-    given, motion = [maps.c], [maps.condition, maps.yd, maps.ydd, maps.J.T]
-    return ClosureEquations(
-        maps.residual.shape[0],
-        length,
-        columns=compile_program(given, [maps.residual, maps.G_p.T, maps.G_a.T]),
-        step=compile_program(given, [maps.moved, maps.size, maps.condition]),
-        fast_step=compile_program(given, [maps.moved, maps.size]),
-        gap=compile_program(given, [maps.gap]),
-        motion=compile_program([maps.c, maps.qd, maps.qdd], motion),
-        scale=_scale(layout, length),
-    )
-
-
-def closure_maps(layout: Coordinates) -> ClosureMaps:
-    """Derive the closure equations, a step of Newton's method and eqs. (5) to (8) as expressions."""
-    length = characteristic_length(layout.robot)
-    given, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
-    c = _on_unit_quaternions(layout, given)
     residual, velocity, gamma = closure_expressions(layout, c, yd)
-    unit = np.where(layout.angular, 1.0, length)
     actuated, passive = layout.actuated.tolist(), layout.passive.tolist()
     G = ca.jacobian(velocity, yd)
-    G_p, G_a = G[:, passive] @ constant(np.diag(unit[passive])), G[:, actuated]
+    return residual, G[:, passive] @ constant(np.diag(_unit(layout)[passive])), G[:, actuated], gamma
 
+
+def loop_equations(layout: Coordinates) -> tuple[ca.SX, list[ca.SX], ca.SX]:
+    """Express the closures at a configuration ``c``: residual, scaled ``G_p`` and ``G_a``, and the gap.
+
+    The gap is the largest residual less what angles of many turns are rounded by.
+    """
+    given, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
+    c = _on_unit_quaternions(layout, given)
+    residual, G_p, G_a, _ = scaled_equations(layout, c, yd)
+    G_a = G_a @ constant(np.diag(_unit(layout)[layout.actuated]))
+    return given, [residual, G_p, G_a], _largest(residual) - 1e-15 * _largest(c)
+
+
+def newton_step(layout: Coordinates) -> tuple[ca.SX, list[ca.SX]]:
+    """Express a step of Newton's method from ``c``: configuration, largest correction, condition of passive columns."""
+    given, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
+    c = _on_unit_quaternions(layout, given)
+    residual, G_p, _, _ = scaled_equations(layout, c, yd)
     correction, condition = solve(G_p, -residual, refine=False)
     step = ca.SX(layout.n_y, 1)
-    step[passive] = correction * unit[passive]
+    step[layout.passive.tolist()] = correction * _unit(layout)[layout.passive]
     moved = _on_unit_quaternions(layout, c + configuration_rates(layout, c, step))
-    rounding = 1e-15 * _largest(c)  # of angles of many turns
+    return given, [moved, _largest(correction), condition]
 
+
+def closed_motion(layout: Coordinates) -> tuple[list[ca.SX], list[ca.SX]]:
+    """Express eqs. (5) to (8): from closed c, and qd and qdd, to condition, yd and ydd (n_y,), and J (n_y, n)."""
+    given, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
+    actuated, passive, unit = layout.actuated.tolist(), layout.passive.tolist(), _unit(layout)[layout.passive]
+    _, G_p, G_a, gamma = scaled_equations(layout, _on_unit_quaternions(layout, given), yd)
     qd, qdd = ca.SX.sym("qd", len(actuated)), ca.SX.sym("qdd", len(actuated))
     J = ca.SX(layout.n_y, len(actuated))
     J[actuated, :] = ca.SX.eye(len(actuated))
-    J[passive, :] = constant(np.diag(unit[passive])) @ solve(G_p, -G_a, refine=True)[0]  # J_p and J_t of the paper
+    J_passive, condition = solve(G_p, -G_a, refine=True)
+    J[passive, :] = constant(np.diag(unit)) @ J_passive  # J_p and J_t of the paper
     yd_all, ydd_all = J @ qd, J @ qdd  # eqs. (5) and (7); eqs. (6) and (8) without the velocity terms
     drift, _ = solve(G_p, -ca.substitute(gamma, yd, yd_all), refine=True)
-    ydd_all[passive] += drift * unit[passive]  # eqs. (6) and (8)
-    return ClosureMaps(
-        given,
-        qd,
-        qdd,
-        residual,
-        G_p,
-        G_a @ constant(np.diag(unit[actuated])),
-        moved,
-        _largest(correction),
-        condition,
-        yd_all,
-        ydd_all,
-        J,
-        gap=_largest(residual) - rounding,
-    )
+    ydd_all[passive] += drift * unit  # eqs. (6) and (8)
+    return [given, qd, qdd], [condition, yd_all, ydd_all, J]
+
+
+def _unit(layout: Coordinates) -> np.ndarray:
+    """Return the size (n_y,) of one unit of each scaled coordinate, rad or m."""
+    return np.where(layout.angular, 1.0, characteristic_length(layout.robot))
 
 
 def closure_expressions(layout: Coordinates, c: ca.SX, yd: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:

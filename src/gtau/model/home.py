@@ -136,7 +136,7 @@ def close_home(robot: Robot) -> Robot:
     if (exact := with_exact_loops(robot, errors, nearest)) is not robot:
         return close_home(exact)
     nearest = nearest if is_closed(errors, nearest) else nearest_closed(errors, given)
-    if robot.home_given and errors.apart(given, nearest).max() > FAR:
+    if robot.file.home_given and errors.apart(given, nearest).max() > FAR:
         raise GtauError(
             f"robot '{robot.name}': the loops close only far from the home configuration in the file, with "
             f"{_displacements(errors, given, nearest)}; correct the placements, or write a 'home' closer to the "
@@ -148,7 +148,7 @@ def close_home(robot: Robot) -> Robot:
         found = well_conditioned(errors, nearest)
     moved = errors.apart(given, found)
     if moved.max() < KEPT and is_closed(errors, closed(errors, given, errors.passive)):
-        return replace(robot, home_given=True)
+        return robot.with_file(home_given=True)
     if moved.max() > NEAR:
         found = with_round_motors(errors, found)
     solved = _at(robot, layout, found)
@@ -162,19 +162,18 @@ def close_home(robot: Robot) -> Robot:
             f"number {worse:.3g} instead of {better:.3g})"
         )
     note += "; if the robot is assembled in another way, save it as a robot file and write another 'home' there"
-    return replace(solved, notes=(*solved.notes, note))
+    return solved.noted(note)
 
 
 def _roughly_closed(errors: LoopErrors, given: np.ndarray) -> np.ndarray:
     """Find the closed configuration (n_c,) nearest to the one given, or one closed up to the digits of the file."""
-    rough = replace(errors, tolerance=DRAWN)
     held = closed(errors, given, errors.passive)
-    if is_closed(rough, held) and not is_closed(errors, held):
+    if is_closed(errors, held, DRAWN) and not is_closed(errors, held):
         return held
     try:
         return nearest_closed(errors, given)
     except GtauError:
-        return nearest_closed(rough, given)
+        return nearest_closed(errors, given, DRAWN)
 
 
 def _within_limits(robot: Robot, looped: set[int]) -> Robot:
@@ -188,7 +187,7 @@ def _within_limits(robot: Robot, looped: set[int]) -> Robot:
     if not moved:
         return robot
     note = f"home lay outside the position limits and was moved to the nearest one: joint {', '.join(moved)}"
-    return replace(robot, joints=tuple(joints), notes=(*robot.notes, note))
+    return replace(robot, joints=tuple(joints)).noted(note)
 
 
 def _at(robot: Robot, layout: Coordinates, c: np.ndarray) -> Robot:
@@ -200,13 +199,9 @@ def _at(robot: Robot, layout: Coordinates, c: np.ndarray) -> Robot:
         pose = pose_of(rotation, c[slots.position])
         roll, pitch, yaw = (round(angle, DECIMALS) + 0.0 for angle in pose.rpy)
         platforms.append(replace(slots.platform, home=Pose(pose.xyz, (roll, pitch, yaw))))
-    joints = zip(robot.joints, c[: len(robot.joints)].tolist(), strict=True)
-    return replace(
-        robot,
-        joints=tuple(replace(joint, home=value) for joint, value in joints),
-        platforms=tuple(platforms),
-        home_given=True,
-    )
+    homes = zip(robot.joints, c[: len(robot.joints)].tolist(), strict=True)
+    joints = tuple(replace(joint, home=value) for joint, value in homes)
+    return replace(robot, joints=joints, platforms=tuple(platforms)).with_file(home_given=True)
 
 
 def _displacements(errors: LoopErrors, given: np.ndarray, found: np.ndarray) -> str:

@@ -37,9 +37,17 @@ class Regressor:
     names: tuple[str, ...]
     inputs: list[ca.SX]
     matrix: ca.SX
-    rows: np.ndarray
-    columns: np.ndarray
     compiled: Program | None = None
+
+    @cached_property
+    def rows(self) -> np.ndarray:
+        """Row (actuated joint) of each entry."""
+        return np.array(self.matrix.sparsity().get_triplet()[0], dtype=int)
+
+    @cached_property
+    def columns(self) -> np.ndarray:
+        """Column of each entry."""
+        return np.array(self.matrix.sparsity().get_triplet()[1], dtype=int)
 
     @cached_property
     def program(self) -> Program:
@@ -82,11 +90,6 @@ class Regressor:
     def _sources(self, layout: Coordinates, motion: Motion) -> tuple[np.ndarray, ...]:
         passive = motion.J[layout.passive].reshape(layout.passive.size * len(layout.actuated), motion.c.shape[1])
         return motion.c, motion.yd, motion.ydd, passive
-
-
-def _regressor(names: tuple[str, ...], inputs: list[ca.SX], matrix: ca.SX) -> Regressor:
-    rows, columns = (np.array(index, dtype=int) for index in matrix.sparsity().get_triplet())
-    return Regressor(names, inputs, matrix, rows, columns)
 
 
 class InverseDynamics:
@@ -177,7 +180,7 @@ class InverseDynamics:
             inputs, whole = self._symbolic
             position = {name: k for k, name in enumerate(self.parameter_names)}
             W = whole[:, [position[name] for name in names]]
-            self._regressors[names] = _regressor(names, inputs, W)
+            self._regressors[names] = Regressor(names, inputs, W)
         return self._regressors[names]
 
     def adopt(self, regressor: Regressor) -> None:
@@ -204,7 +207,7 @@ class InverseDynamics:
             wrench = ca.SX.sym("w", 6 * len(frames))
             matrix = ca.jacobian(wrench_torques(self.layout, inputs[0], J, frames, wrench), wrench)
             names = tuple(Parameter(kind, frame.body) for frame in frames for kind in WRENCH)
-            self._wrenches[frames] = _regressor(names, inputs, matrix)
+            self._wrenches[frames] = Regressor(names, inputs, matrix)
         return self._wrenches[frames]
 
     @cached_property
@@ -238,7 +241,7 @@ class InverseDynamics:
         tau = torques(self.layout, c, ca.SX(*yd.shape), ca.SX(*ydd.shape), J, chi, gravity)
         matrix = ca.jacobian(tau, gravity)
         program = compile_program([c, yd, ydd, passive], [matrix.nz[:]], [values])
-        return replace(_regressor(("x", "y", "z"), [c, yd, ydd, passive], matrix), compiled=program)
+        return Regressor(("x", "y", "z"), [c, yd, ydd, passive], matrix, program)
 
     @property
     def full(self) -> Regressor:

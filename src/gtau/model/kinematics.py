@@ -148,19 +148,21 @@ def constant(matrix: np.ndarray) -> ca.SX:
 
 
 @dataclass(frozen=True)
-class Shifted(Pose):
-    """A placement whose position is shifted by a symbol ``shift`` (3,), to vary the geometry of a robot."""
+class Varied(Pose):
+    """A placement with a symbolic orientation ``R`` and position ``p`` near its pose, to vary a robot's geometry."""
 
-    shift: ca.SX = field(default_factory=lambda: ca.SX(3, 1))
-
-
-def position_of(placement: Placement) -> Vector:
-    """Express the origin of a placed frame."""
-    position = constant(placement.position)
-    return position if not isinstance(placement, Shifted) else position + placement.shift
+    R: ca.SX = field(default_factory=lambda: ca.SX.eye(3))
+    p: Vector = field(default_factory=lambda: ca.SX(3, 1))
 
 
-def _turn(axis: np.ndarray, angle: ca.SX) -> ca.SX:
+def placed(placement: Placement) -> tuple[ca.SX, Vector]:
+    """Express orientation and origin of a placed frame."""
+    if isinstance(placement, Varied):
+        return placement.R, placement.p
+    return constant(placement.rotation), constant(placement.position)
+
+
+def turned(axis: np.ndarray, angle: ca.SX) -> ca.SX:
     """Express the rotation by ``angle`` about the unit vector ``axis`` (Rodrigues)."""
     outer = constant(np.outer(axis, axis))
     return outer + ca.cos(angle) * (constant(np.eye(3)) - outer) + ca.sin(angle) * ca.skew(constant(axis))
@@ -175,12 +177,12 @@ def _rotation_of(quaternion: ca.SX) -> ca.SX:
     )
 
 
-def _placed(joint: Joint, q: ca.SX) -> tuple[ca.SX, Vector]:
-    rotation, position = constant(joint.placement.rotation), position_of(joint.placement)
+def _moved(joint: Joint, q: ca.SX) -> tuple[ca.SX, Vector]:
+    rotation, position = placed(joint.placement)
     axis = np.array(joint.axis)
     if joint.kind == "prismatic":
         return rotation, position + rotation @ constant(axis) * q
-    return rotation @ _turn(axis, q), position
+    return rotation @ turned(axis, q), position
 
 
 def frames(layout: Coordinates, c: ca.SX) -> dict[str, Frame]:
@@ -189,7 +191,7 @@ def frames(layout: Coordinates, c: ca.SX) -> dict[str, Frame]:
     found = {GROUND: Frame(axes, origin, axes, origin)}
     for k, joint in enumerate(layout.robot.joints):
         before = found[joint.antecedent]
-        R, p = _placed(joint, c[k])
+        R, p = _moved(joint, c[k])
         found[joint.name] = Frame(R, p, before.R_0 @ R, before.p_0 + before.R_0 @ p)
     for slots in layout.platforms:
         p = c[slots.position]
@@ -256,13 +258,13 @@ def twists(layout: Coordinates, frame: dict[str, Frame], rates: ca.SX) -> dict[s
 def attached_frame(end: Attachment, frame: dict[str, Frame]) -> tuple[ca.SX, Vector]:
     """Express orientation and position of an attached frame in the base."""
     body = frame[end.body]
-    rotation, arm = constant(end.placement.rotation), position_of(end.placement)
+    rotation, arm = placed(end.placement)
     return body.R_0 @ rotation, body.p_0 + body.R_0 @ arm
 
 
 def attached_velocity(end: Attachment, frame: dict[str, Frame], twist: dict[str, Twist]) -> Twist:
     """Express the twist of an attached frame, at its origin, in base axes."""
-    body, arm = twist[end.body], position_of(end.placement)
+    body, (_, arm) = twist[end.body], placed(end.placement)
     R_0 = frame[end.body].R_0
     return Twist(R_0 @ body.angular, R_0 @ (body.linear + ca.cross(body.angular, arm)))
 

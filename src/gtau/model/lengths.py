@@ -16,7 +16,7 @@ import numpy as np
 from gtau.model.closures import closure_expressions
 from gtau.model.interpreter.program import Program, compile_program
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.kinematics import Coordinates, Shifted, coordinates, frames, twists
+from gtau.model.kinematics import Coordinates, Varied, constant, coordinates, frames, twists
 from gtau.robots.geometry import characteristic_length, moved_ends, pose_of
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Mdh, Placement, Pose, Robot
@@ -213,9 +213,9 @@ def _shifted(robot: Robot, shifts: Sequence[ca.SX]) -> Robot:
     """Shift the placements of joints and closures, and of springs where there are shifts of these too."""
     of_place = chain(shifts, repeat(ca.SX(3, 1)))
 
-    def shifted(placement: Placement) -> Shifted:
+    def shifted(placement: Placement) -> Varied:
         pose = placement if isinstance(placement, Pose) else pose_of(placement.rotation, placement.position)
-        return Shifted(pose.xyz, pose.rpy, next(of_place))
+        return Varied(pose.xyz, pose.rpy, constant(pose.rotation), constant(pose.position) + next(of_place))
 
     joints = tuple(replace(joint, placement=shifted(joint.placement)) for joint in robot.joints)
     closures, springs = moved_ends(robot, lambda end: replace(end, placement=shifted(end.placement)))
@@ -232,7 +232,7 @@ def _constants(robot: Robot, places: Sequence[tuple[str, Placement]]) -> Iterato
                 key = next((known for known in same if abs(known - value) < SAME * known), value)
                 same.setdefault(key, []).append((f"{what} of {where}", (k, direction)))
     for value, found in same.items():
-        called = [name for name, constant in robot.constants if abs(abs(constant) - value) < SAME * value]
+        called = [name for name, constant in robot.file.constants if abs(abs(constant) - value) < SAME * value]
         prefix = f"{'/'.join(called)}, " if called else ""
         for where, at in found:
             yield Constant(f"{prefix}{where}", value, "m", (at,))

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -22,29 +25,24 @@ STALLED = 15  # steps with little improvement, after which a start is abandoned
 class LoopErrors:
     """The closures and couplings of a robot, to be evaluated one configuration at a time.
 
-    Attributes
-    ----------
-    layout : Coordinates
-        Of the robot.
-    length : float
-        Its characteristic length, m.
-    unit : ndarray
-        (n_y,): size of one unit of a scaled coordinate, in rad or m.
-    looped : ndarray
-        Indices into yd of the coordinates that a closure or coupling depends on.
-    function : casadi.Function
-        From c (n_c,) to the errors (rows,), see :func:`assembly_errors`, and what their derivatives by the scaled
-        coordinates (rows, n_y) are at a closed pose.
-    tolerance : float
-        Largest error of a loop that counts as closed.
+    ``looped`` are indices into yd of the coordinates that a closure or coupling depends on. ``function`` maps c (n_c,)
+    to the errors (rows,), see :func:`assembly_errors`, and what their derivatives by the scaled coordinates
+    (rows, n_y) are at a closed pose.
     """
 
     layout: Coordinates
-    length: float
-    unit: np.ndarray
     looped: np.ndarray
-    function: ca.Function
-    tolerance: float = CLOSED
+    function: Callable[..., Any]
+
+    @cached_property
+    def length(self) -> float:
+        """Characteristic length of the robot, m."""
+        return characteristic_length(self.layout.robot)
+
+    @cached_property
+    def unit(self) -> np.ndarray:
+        """Size (n_y,) of one unit of a scaled coordinate, in rad or m."""
+        return np.where(self.layout.angular, 1.0, self.length)
 
     def __call__(self, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Evaluate errors (rows,) and scaled Jacobian (rows, n_y) at ``c`` (n_c,)."""
@@ -99,34 +97,26 @@ class LoopErrors:
 
 def loop_errors(layout: Coordinates) -> LoopErrors:
     """Compile the errors of a robot's loops and their Jacobian from its closure equations."""
-    length = characteristic_length(layout.robot)
-    unit = np.where(layout.angular, 1.0, length)
     c, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
+    errors, G = error_expressions(layout, c, yd)
+    looped = np.unique(G.sparsity().get_triplet()[1]).astype(int)
+    return LoopErrors(layout, looped, ca.Function("loops", [c], [ca.densify(errors), ca.densify(G)]))
+
+
+def error_expressions(layout: Coordinates, c: ca.SX, yd: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Express the errors (rows,) of the loops at ``c`` and their scaled Jacobian (rows, n_y) at closed poses."""
+    unit = np.where(layout.angular, 1.0, characteristic_length(layout.robot))
     _, velocity, _ = closure_expressions(layout, c, yd)
     G = ca.jacobian(velocity, yd) @ ca.diag(ca.DM(unit))
-    looped = np.unique(G.sparsity().get_triplet()[1]).astype(int)
     errors, flips = assembly_errors(layout, c)
-    rows = ca.vertcat(G, ca.SX(flips.numel(), layout.n_y))
-    function = ca.Function("loops", [c], [ca.densify(ca.vertcat(errors, flips)), ca.densify(rows)])
-    return LoopErrors(layout, length, unit, looped, function)
+    return ca.vertcat(errors, flips), ca.vertcat(G, ca.SX(flips.numel(), layout.n_y))
 
 
 def closed(errors: LoopErrors, c: np.ndarray, moving: np.ndarray) -> np.ndarray:
-    """Minimise the loop errors by Levenberg-Marquardt.
+    """Minimise the loop errors by Levenberg-Marquardt, from a configuration ``c`` (n_c,).
 
-    Parameters
-    ----------
-    errors : LoopErrors
-        From :func:`loop_errors`.
-    c : ndarray
-        Configuration (n_c,) to begin from.
-    moving : ndarray
-        Indices into yd of the coordinates that may move.
-
-    Returns
-    -------
-    ndarray
-        Configuration (n_c,); the loops close there where the largest error is below ``CLOSED``.
+    Only the coordinates ``moving``, indices into yd, move. The loops close at the configuration (n_c,) that is returned
+    where the largest error is below ``CLOSED``.
     """
     damping, stalled = 1e-3, 0
     error, G = errors(c)
@@ -155,9 +145,9 @@ def closed(errors: LoopErrors, c: np.ndarray, moving: np.ndarray) -> np.ndarray:
     return c
 
 
-def is_closed(errors: LoopErrors, c: np.ndarray) -> bool:
+def is_closed(errors: LoopErrors, c: np.ndarray, tolerance: float = CLOSED) -> bool:
     """Decide whether the loops close at ``c`` (n_c,)."""
-    return bool(np.abs(errors(c)[0]).max(initial=0.0) < errors.tolerance)
+    return bool(np.abs(errors(c)[0]).max(initial=0.0) < tolerance)
 
 
 # Below, lengths are in characteristic lengths of the robot, angles in rad.
@@ -170,17 +160,17 @@ STARTS = 40
 MOTOR_DECIMALS = 6  # of the motors' positions in a home that was searched for: beyond them processors may differ
 
 
-def nearest_closed(errors: LoopErrors, given: np.ndarray) -> np.ndarray:
+def nearest_closed(errors: LoopErrors, given: np.ndarray, tolerance: float = CLOSED) -> np.ndarray:
     """Find the closed configuration (n_c,) nearest to the one given, within the position limits if there is one."""
     held = closed(errors, given, errors.passive)
-    near = not errors.layout.robot.home_given or errors.apart(given, held).max() < FAR
-    if near and is_closed(errors, held) and not _outside(errors, held):
+    near = not errors.layout.robot.file.home_given or errors.apart(given, held).max() < FAR
+    if near and is_closed(errors, held, tolerance) and not _outside(errors, held):
         return _unwound(errors, given, held)
     best: tuple[tuple[bool, float], np.ndarray] | None = None
     rng, open_ones = np.random.default_rng(0), [held]
     for start in range(STARTS):
         found = closed(errors, _scattered(errors, given, rng) if start else given, errors.looped)
-        if not is_closed(errors, found):
+        if not is_closed(errors, found, tolerance):
             open_ones.append(found)
             continue
         found = _unwound(errors, given, found)

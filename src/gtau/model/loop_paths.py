@@ -29,23 +29,34 @@ SEGMENT = 16
 @lru_cache(maxsize=16)  # hypotheses evaluate many short paths
 def _follower(loops: Loops, shortest: float, thread: int) -> tuple[np.ndarray, list[object]]:
     """Make the working memory of the compiled loops, one per thread, and the arrays that it points to."""
-    equations, n_c, n = loops.equations, loops.layout.n_c, len(loops.layout.actuated)
+    layout, n_c, n = loops.layout, loops.layout.n_c, len(loops.layout.actuated)
     trial, made = aligned(n_c), aligned(n_c + 3)  # made: the configuration, then size, condition and gap
     trial[:], made[:] = 0.0, 0.0
     at, to = addresses(trial), addresses(made)
     bound = (
-        Bound(equations.step, at, to[: n_c + 2]),
-        Bound(equations.fast_step, at, to[: n_c + 1]),
-        Bound(equations.gap, at, to[n_c + 2 :]),
+        Bound(loops.step, at, to[: n_c + 2]),
+        Bound(loops.fast_step, at, to[: n_c + 1]),
+        Bound(loops.gap, at, to[n_c + 2 :]),
     )
     programs = [part for each in bound for part in each.run()[1:4]]
-    scale, actuated = np.ascontiguousarray(equations.scale, float), np.array(loops.layout.actuated, np.int64)
+    actuated, scale = np.array(layout.actuated, np.int64), _scale(loops)
     tables = (np.zeros((rows, LANES)) for rows in (n_c, n_c, 2 * n_c, TILE * n_c, n, n))
     pointed = [trial, made, scale, actuated, *tables]
     where = [address(each) for each in pointed]
     parameters = shortest, RESIDUAL, CONTRACTION, REACH
     follower = np.array((compiled().machine, *programs, *where[:4], n_c, n, *where[4:], *parameters), dtype=FOLLOWER)
     return follower, [bound, *pointed]
+
+
+def _scale(loops: Loops) -> np.ndarray:
+    """Return by how much entries (n_c,) of c become rad, or lengths over the robot's; zero for the actuated ones."""
+    layout, scale = loops.layout, np.full(loops.layout.n_c, 1.0 / loops.length)
+    scale[np.flatnonzero(layout.angular[: len(layout.robot.joints)])] = 1.0
+    scale[layout.actuated] = 0.0
+    for slots in layout.platforms:
+        if slots.quaternion is not None:
+            scale[slots.quaternion] = 2.0  # of a turn by an angle, at most half of it
+    return scale
 
 
 def advance(loops: Loops, c: np.ndarray, q: np.ndarray, shortest: float = SHORTEST) -> tuple[np.ndarray, np.ndarray]:

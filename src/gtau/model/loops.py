@@ -7,12 +7,15 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Protocol
 
+import casadi as ca
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.model.closures import ClosureEquations, closure_equations
+from gtau.model.closures import closed_motion, loop_equations, newton_step
+from gtau.model.interpreter.program import Program, compile_program
 from gtau.model.kinematics import Coordinates, coordinates
 from gtau.model.loop_closure import FAR, closed, is_closed, loop_errors
+from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import Robot
 
 CONDITION = 1e3  # of the scaled passive columns: above this a pose counts as singular
@@ -62,21 +65,37 @@ def joined(parts: Sequence[Motion]) -> Motion:
 
 @dataclass(frozen=True, eq=False)
 class Loops:
-    """Closures of a robot with its solved home configuration ``home`` (n_c,)."""
+    """Closures of a robot with its solved home configuration ``home`` (n_c,), compiled for many samples.
+
+    ``equations`` maps c to the residual (rows,), ``G`` of the passive coordinates (rows, n_passive) and of the
+    actuated ones (rows, n). ``step`` maps c to the configuration after a step of Newton's method, the largest
+    correction and the condition number of the passive columns, ``fast_step`` to the same without the condition
+    number, and ``gap`` to the largest residual less what angles of many turns are rounded by. ``motion``
+    maps c, qd and qdd to the condition number, yd, ydd and J (n_y, n) (eqs. 5 to 8). Rows and columns are pure
+    numbers: rad, or lengths over the robot's ``length``.
+    """
 
     layout: Coordinates
-    equations: ClosureEquations
     home: np.ndarray
-    rank: int
+    equations: Program
+    step: Program
+    fast_step: Program
+    gap: Program
+    motion: Program
 
     @property
-    def unit(self) -> np.ndarray:
-        """Size of one unit of each scaled passive coordinate, rad or m, (n_passive,)."""
-        return np.where(self.layout.angular[self.layout.passive], 1.0, self.equations.length)
+    def length(self) -> float:
+        """Characteristic length of the robot, m."""
+        return characteristic_length(self.layout.robot)
+
+    @property
+    def rows(self) -> int:
+        """Number of closure equations."""
+        return self.equations.outputs // (1 + self.layout.n_y)
 
     def condition(self, c: np.ndarray) -> np.ndarray:
         """Compute the condition number (N,) of the scaled passive columns at closed configurations ``c`` (n_c, N)."""
-        return self.equations.step(c)[-1]
+        return self.step(c)[-1]
 
     def newton(self, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Evaluate residual (rows, N) and scaled passive columns of ``G`` (rows, n_passive, N) at ``c`` (n_c, N)."""
@@ -85,8 +104,8 @@ class Loops:
 
     def columns(self, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Evaluate residual (rows, N) and scaled ``G`` of the passive and the actuated coordinates (rows, ., N)."""
-        rows, passive, actuated = self.equations.rows, len(self.layout.passive), len(self.layout.actuated)
-        residual, G_p, G_a = np.split(self.equations.columns(c), np.cumsum([rows, rows * passive]))
+        rows, passive, actuated = self.rows, len(self.layout.passive), len(self.layout.actuated)
+        residual, G_p, G_a = np.split(self.equations(c), np.cumsum([rows, rows * passive]))
         return residual, G_p.reshape(rows, passive, c.shape[1]), G_a.reshape(rows, actuated, c.shape[1])
 
 
@@ -114,16 +133,31 @@ def close_loops(robot: Robot) -> Loops:
             f"robot '{robot.name}': the loops close only far from the home configuration, with '{layout.names[k]}' "
             f"{moved[k] * errors.unit[k]:.4g} {'rad' if layout.angular[k] else 'm'} away from it; {CLOSER}."
         )
-    equations = closure_equations(layout)
-    loops, c = Loops(layout, equations, home, rank=0), home[:, None]
-    _, G_p, G_a = loops.columns(c)
+    c, equations, gap = loop_equations(layout)
+    configuration, step = newton_step(layout)
+    inputs, motion = closed_motion(layout)
+    loops = Loops(
+        layout,
+        home,
+        equations=_compiled([c], equations),
+        step=_compiled([configuration], step),
+        fast_step=_compiled([configuration], step[:2]),
+        gap=_compiled([c], [gap]),
+        motion=_compiled(inputs, motion),
+    )
+    _, G_p, G_a = loops.columns(home[:, None])
     rank = int(np.linalg.matrix_rank(G_p[:, :, 0], tol=1e-7))
     total = int(np.linalg.matrix_rank(np.hstack([G_p[:, :, 0], G_a[:, :, 0]]), tol=1e-7))
     if rank < len(layout.passive):
         _refuse_free(robot, layout, G_p[:, :, 0], rank)
     if total > rank:
         _refuse_redundant(robot, np.hstack([G_p[:, :, 0], G_a[:, :, 0]]), total, total - rank)
-    return Loops(layout, equations, home, rank)
+    return loops
+
+
+def _compiled(inputs: list[ca.SX], outputs: list[ca.SX]) -> Program:
+    """Compile expressions whose entries come row by row."""
+    return compile_program(inputs, [output.T for output in outputs])
 
 
 def _refuse_free(robot: Robot, layout: Coordinates, G_p: np.ndarray, rank: int) -> None:
@@ -204,7 +238,7 @@ def differentiate(
         passive ones.
     """
     layout, samples = loops.layout, c.shape[1]
-    found = loops.equations.motion(c, qd, qdd)
+    found = loops.motion(c, qd, qdd)
     condition, yd, ydd, J = np.split(found, np.cumsum([1, layout.n_y, layout.n_y]))
     condition = np.nan_to_num(condition[0], nan=np.inf)
     singular = condition >= CONDITION

@@ -9,19 +9,20 @@ rounding, nor is one in poses out of reach, where the loops are stretched.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import astuple, dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import astuple, replace
+from functools import partial
 from itertools import product
 from math import pi
-from typing import Literal
 
 import casadi as ca
 import numpy as np
 
-from gtau.model.kinematics import Coordinates, constant, coordinates, frames
-from gtau.model.loop_closure import CLOSED, LoopErrors, closed, loop_errors
-from gtau.robots.geometry import angles_of, digits_of, euler_angles, is_written
-from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Closure, Joint, Mdh, Placement, Pose, Robot
+from gtau.model.kinematics import Coordinates, Varied, constant, frames, turned
+from gtau.model.loop_closure import CLOSED, LoopErrors, closed, error_expressions
+from gtau.robots.file import digits_of, is_written
+from gtau.robots.geometry import angles_of, characteristic_length, euler_angles
+from gtau.robots.robot import GROUND, Attachment, Joint, Mdh, Placement, Pose, Robot
 
 # Lengths are in characteristic lengths of the robot, angles in rad.
 DRAWN = 1e-2  # with three decimals, the worst of 40 planar loops: gap 3e-3, placements moved by 1.3e-3
@@ -35,25 +36,13 @@ TURNS = 4  # roundings of one angle by which axes may be turned that are meant t
 EXACT = 1e-14  # gap at which the placements are final
 MDH_ANGLES = (True, False, True, False, True, False)
 POSE_ANGLES = (False, False, False, True, True, True)
-AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 def with_exact_loops(robot: Robot, errors: LoopErrors, home: np.ndarray) -> Robot:
-    """Move the placements in loops that close up to rounding, so that they close in every pose.
+    """Move the placements in loops that close up to rounding, so that they close in every pose, with a note.
 
-    Parameters
-    ----------
-    robot : Robot
-    errors : LoopErrors
-        Of the robot.
-    home : ndarray
-        Configuration (n_c,) that minimises the loop errors.
-
-    Returns
-    -------
-    Robot
-        The same one where its loops close in every pose already, or the digits of its numbers do not explain why not;
-        else with a note.
+    ``home`` (n_c,) minimises the ``errors`` of the robot's loops. The robot itself where its loops close in every pose
+    already, or the digits of its numbers do not explain why not.
     """
     moving = _moving(errors, home)
     if moving is None:
@@ -62,26 +51,22 @@ def with_exact_loops(robot: Robot, errors: LoopErrors, home: np.ndarray) -> Robo
     gaps = [float(np.abs(errors(c)[0]).max()) for c in poses]
     joints = [robot.joints[k] for k in errors.looped if k < len(robot.joints)]
     places = _places(robot, joints)
-    bounds, nonzero = _bounds(robot, places, joints)
-    axes = _axes(errors.layout, _with_carriers(robot, joints))
-    pairs, tilt = _aligned([axes(c)[0].full() for c in poses], bounds)
+    bounds, nonzero = _bounds(robot, [place.placement for place in places.values()], joints)
+    names = {name for joint in joints for name in (joint.name, joint.antecedent)}
+    carrying = [joint for joint in robot.joints if joint.name in names]
+    pairs, tilt = _aligned(errors.layout, carrying, poses, bounds)
     if not LITERAL < max(*gaps, tilt) < DRAWN:
         return robot
-    varied = _varied(robot, joints, places)
-    written, grounded = bounds * nonzero, np.array([[place.at.body == GROUND] for place in places])
-    for aligned, bound in product((pairs, []), (written * grounded, written, bounds)):
-        if max(gaps) < LITERAL and not aligned:
+    varied = _varied(errors.layout, places, carrying, pairs)
+    written, grounded = bounds * nonzero, np.array([[place.body == GROUND] for place in places.values()])
+    for aligned, bound in product((True, False), (written * grounded, written, bounds)):
+        if max(gaps) < LITERAL and not (aligned and pairs):
             continue
         if (change := _fitted(varied, errors, poses, moving, bound, aligned)) is not None:
-            exact, shift, angle = _moved(robot, places, change)
             gap = errors.gap(poses[int(np.argmax(gaps))])
             if max(gaps) < LITERAL:
                 gap = f"axes in the loops are {np.degrees(tilt):.2g} degrees from parallel or perpendicular"
-            note = (
-                f"{gap}, as the numbers in the file are rounded; placements in the loops were moved by up to "
-                f"{1e3 * shift:.2g} mm and {np.degrees(angle):.2g} degrees, so that they close in every pose"
-            )
-            return replace(exact, notes=(*robot.notes, note))
+            return _moved(robot, places, change, gap)
     return robot
 
 
@@ -126,63 +111,77 @@ def _around(errors: LoopErrors, home: np.ndarray, moving: np.ndarray) -> Iterato
             step /= 2
 
 
-@dataclass(frozen=True)
-class _Place:
-    """A placement in a loop, whose six numbers may change."""
-
-    name: str
-    at: Attachment
-    computed: bool  # from numbers of the file by a reader
-
-    @property
-    def numbers(self) -> tuple[float, ...]:
-        """The six numbers, lengths and angles."""
-        placement = self.at.placement
-        return astuple(placement) if isinstance(placement, Mdh) else (*placement.xyz, *placement.rpy)
-
-    @property
-    def angular(self) -> tuple[bool, ...]:
-        """True where a number is an angle."""
-        return MDH_ANGLES if isinstance(self.at.placement, Mdh) else POSE_ANGLES
-
-    def changed(self, change: np.ndarray) -> Placement:
-        """Change the numbers by ``change`` (6,); of a computed orientation, turn it about its three axes."""
-        placement, numbers = self.at.placement, change.tolist()
-        if isinstance(placement, Mdh):
-            return Mdh(*np.add(self.numbers, change).tolist())
-        x, y, z = (placement.position + change[:3]).tolist()
-        roll, pitch, yaw = np.add(placement.rpy, change[3:]).tolist()
-        if self.computed:
-            roll, pitch, yaw = angles_of(placement.rotation @ Pose(rpy=tuple(numbers[3:])).rotation)
-        return Pose((x, y, z), (roll, pitch, yaw))
-
-    def displacement(self, change: np.ndarray) -> np.ndarray:
-        """Compute the shift, m, and the turns about x, y and z, rad, that a change (6,) of the numbers makes."""
-        before, after = self.at.placement, self.changed(change)
-        return np.array([*(after.position - before.position), *euler_angles(before.rotation.T @ after.rotation)])
-
-
-def _places(robot: Robot, joints: list[Joint]) -> list[_Place]:
-    computed = robot.rounding is not None
-    places = [_Place(joint.name, Attachment(joint.antecedent, joint.placement), computed) for joint in joints]
+def _places(robot: Robot, joints: list[Joint]) -> dict[str, Attachment]:
+    """List the placements in loops by name, on the bodies that carry them."""
+    places = {joint.name: Attachment(joint.antecedent, joint.placement) for joint in joints}
     for number, closure in enumerate(robot.closures):
-        places += [_Place(f"{number} {side}", at, computed) for side, at in (("a", closure.a), ("b", closure.b))]
+        places |= {f"{number} a": closure.a, f"{number} b": closure.b}
     return places
 
 
-def _bounds(robot: Robot, places: list[_Place], joints: list[Joint]) -> tuple[np.ndarray, np.ndarray]:
+def _replaced(robot: Robot, placements: Mapping[str, Placement]) -> Robot:
+    """Replace placements in loops by their names, see :func:`_places`."""
+
+    def end(name: str, at: Attachment) -> Attachment:
+        return replace(at, placement=placements.get(name, at.placement))
+
+    joints = (replace(joint, placement=placements.get(joint.name, joint.placement)) for joint in robot.joints)
+    closures = (
+        replace(closure, a=end(f"{number} a", closure.a), b=end(f"{number} b", closure.b))
+        for number, closure in enumerate(robot.closures)
+    )
+    return replace(robot, joints=tuple(joints), closures=tuple(closures))
+
+
+def _numbers(placement: Placement) -> tuple[float, ...]:
+    """List the six numbers of a placement, lengths and angles."""
+    return astuple(placement) if isinstance(placement, Mdh) else (*placement.xyz, *placement.rpy)
+
+
+def _changed(placement: Placement, change: np.ndarray, computed: bool) -> Placement:
+    """Change the six numbers; of an orientation ``computed`` by a reader, turn it about its three axes."""
+    if isinstance(placement, Mdh):
+        return Mdh(*np.add(_numbers(placement), change).tolist())
+    x, y, z = (placement.position + change[:3]).tolist()
+    roll, pitch, yaw = np.add(placement.rpy, change[3:]).tolist()
+    if computed:
+        roll, pitch, yaw = angles_of(placement.rotation @ Pose(rpy=tuple(change[3:].tolist())).rotation)
+    return Pose((x, y, z), (roll, pitch, yaw))
+
+
+def _varied_placement(placement: Placement, change: ca.SX, computed: bool) -> Varied:
+    """Express :func:`_changed` symbolically."""
+    x, _, z = np.eye(3)
+    if isinstance(placement, Mdh):
+        gamma, b, alpha, d, theta, r = ca.vertsplit(ca.DM(_numbers(placement)) + change)
+        before = turned(z, gamma) @ turned(x, alpha)
+        return Varied(
+            tuple(placement.position.tolist()),
+            R=before @ turned(z, theta),
+            p=ca.vertcat(0, 0, b) + before @ ca.vertcat(d, 0, r),
+        )
+    written = np.zeros(3) if computed else placement.rpy
+    roll, pitch, yaw = ca.vertsplit(ca.DM(written) + change[3:])
+    rotation = turned(z, yaw) @ turned(np.eye(3)[1], pitch) @ turned(x, roll)
+    rotation = constant(placement.rotation) @ rotation if computed else rotation
+    return Varied(placement.xyz, R=rotation, p=constant(placement.position) + change[:3])
+
+
+def _bounds(robot: Robot, placements: list[Placement], joints: list[Joint]) -> tuple[np.ndarray, np.ndarray]:
     """Find how far the numbers of placements (places, 6) may move, m and rad, and which are not zero.
 
     A number moves by half a unit of its last digit, one computed by a reader by what the numbers of two placements
     allow, and one written with all digits not at all. Multiples of pi/12 may have been rounded, and count as zero.
     """
-    numbers, angular = np.array([place.numbers for place in places]), np.array([place.angular for place in places])
+    numbers = np.array([_numbers(placement) for placement in placements])
+    angular = np.array([MDH_ANGLES if isinstance(placement, Mdh) else POSE_ANGLES for placement in placements])
     remainder = np.where(angular, np.abs(numbers - np.round(numbers / (pi / 12)) * (pi / 12)), np.abs(numbers))
     nonzero = remainder > CLOSED
     axes = [component for joint in joints for component in joint.axis]
     lengths, angles = digits_of(numbers[~angular]), digits_of([*numbers[angular & nonzero], *axes])
     written, unit = np.vectorize(is_written)(numbers), 1.0
-    if robot.rounding is None:
+    rounding = robot.file.rounding
+    if rounding is None:
         if not angles.significant:  # in rad; then perhaps in degrees
             unit = pi / 180
             angles = digits_of(np.round(numbers[angular & nonzero] / unit, 10))
@@ -190,172 +189,95 @@ def _bounds(robot: Robot, places: list[_Place], joints: list[Joint]) -> tuple[np
         turns = unit * np.vectorize(angles.half_unit)(numbers / unit)
         half = np.where(angular, turns, np.vectorize(lengths.half_unit)(numbers))
         return np.where(written | ~nonzero, half, 0.0), nonzero
-    lengths, turn = robot.rounding, robot.rounding.turn
-    half = np.vectorize(lengths.half_unit)(numbers)
-    arms = np.array([[np.linalg.norm(place.at.placement.position)] for place in places])
-    return np.where(angular, turn, np.where(written, half, 2 * half + turn * arms)), nonzero
+    half = np.vectorize(rounding.half_unit)(numbers)
+    arms = np.array([[np.linalg.norm(placement.position)] for placement in placements])
+    moved = np.where(written, half, 2 * half + rounding.turn * arms)
+    return np.where(angular, rounding.turn, moved), nonzero
 
 
-def _with_carriers(robot: Robot, joints: list[Joint]) -> list[str]:
-    """Name the joints and those that carry them."""
-    names = {joint.name for joint in joints} | {joint.antecedent for joint in joints}
-    return [joint.name for joint in robot.joints if joint.name in names]
-
-
-def _axes(layout: Coordinates, names: list[str]) -> ca.Function:
-    """Compile the axes (3 joints,) of joints and their derivatives by the joints' coordinates."""
-    c, joints = ca.SX.sym("c", layout.n_c), [layout.robot.joint(name) for name in names]
+def _axes(layout: Coordinates, joints: list[Joint], c: ca.SX) -> list[ca.SX]:
+    """Express the axes (3,) of joints in the base."""
     frame = frames(layout, c)
-    axes = ca.vertcat(*(frame[joint.name].R_0 @ constant(np.array(joint.axis)) for joint in joints))
-    return ca.Function("axes", [c], [ca.densify(axes), ca.densify(ca.jacobian(axes, c))])
+    return [frame[joint.name].R_0 @ constant(np.array(joint.axis)) for joint in joints]
 
 
-@dataclass(frozen=True)
-class _Pair:
-    """Two axes that are meant to be parallel or perpendicular."""
-
-    one: int
-    other: int
-    parallel: bool
-
-    def error(self, axes: np.ndarray) -> np.ndarray:
-        """Compute the error, rad, of axes (joints, 3)."""
-        a, b = axes[self.one], axes[self.other]
-        return np.cross(a, b) if self.parallel else np.array([a @ b])
-
-    def slope(self, axes: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-        """Differentiate the error by the coordinates (rows, n), as the axes are by ``slopes`` (joints, 3, n)."""
-        (a, b), (da, db) = (each[[self.one, self.other]] for each in (axes, slopes))
-        return np.cross(da.T, b).T + np.cross(a, db.T).T if self.parallel else (a @ db + b @ da)[None]
-
-
-def _aligned(axes: list[np.ndarray], bounds: np.ndarray) -> tuple[list[_Pair], float]:
-    """Pair the axes that are parallel or perpendicular in all poses up to the digits, and find their largest error."""
-    each = np.array(axes).reshape(len(axes), -1, 3)
+def _aligned(
+    layout: Coordinates, joints: list[Joint], poses: list[np.ndarray], bounds: np.ndarray
+) -> tuple[list[tuple[int, int, bool]], float]:
+    """Pair the axes that are parallel (True) or perpendicular in all poses up to the digits; find the largest error."""
+    c = ca.SX.sym("c", layout.n_c)
+    function = ca.Function("axes", [c], [ca.densify(ca.horzcat(*_axes(layout, joints, c)).T)])
+    axes = np.array([function(pose).full() for pose in poses])
     tolerance = min(DRAWN, TURNS * float(bounds[:, 3:].max()))
-    crossed = np.linalg.norm(np.cross(each[:, :, None], each[:, None]), axis=-1).max(axis=0)
-    along = np.abs(each @ each.transpose(0, 2, 1)).max(axis=0)
+    cross = np.cross(axes[:, :, None], axes[:, None])
+    crossed, along = np.linalg.norm(cross, axis=-1).max(axis=0), np.abs(axes @ axes.transpose(0, 2, 1)).max(axis=0)
     first = [int(np.argmax(row <= max(tolerance, LITERAL))) for row in crossed]
-    pairs = [_Pair(k, j, parallel=True) for j, k in enumerate(first) if k < j]
+    pairs = [(k, j, True) for j, k in enumerate(first) if k < j]
     kinds = sorted(set(first))
-    pairs += [_Pair(k, j, parallel=False) for k in kinds for j in kinds if k < j and along[k, j] < tolerance]
-    errors = [float(np.abs(pair.error(pose)).max()) for pair in pairs for pose in each]
-    return pairs, max(errors, default=0.0)
+    pairs += [(k, j, False) for k in kinds for j in kinds if k < j and along[k, j] < tolerance]
+    errors = [np.abs(cross[:, k, j]).max() if parallel else along[k, j] for k, j, parallel in pairs]
+    return pairs, float(max(errors, default=0.0))
 
 
-@dataclass(frozen=True, eq=False)
-class _Varied:
-    """A robot of joints alone, six of them at each placement in a loop, by which the placement moves.
+def _varied(
+    layout: Coordinates, places: Mapping[str, Attachment], joints: list[Joint], pairs: list[tuple[int, int, bool]]
+) -> ca.Function:
+    """Compile the errors of the loops where the numbers of placements have changed, and those of pairs of axes.
 
-    ``virtual`` (places, 6) are the indices of these joints in ``c``, ``numbers`` those of all others by the names of
-    the robot's coordinates; ``axes`` see :func:`_axes`.
+    From c and the changes (6 places,) to errors and scaled Jacobian as of :class:`LoopErrors`, the errors of the pairs
+    and their scaled Jacobian, and the derivatives of both errors by the changes.
     """
-
-    errors: LoopErrors
-    places: list[_Place]
-    virtual: np.ndarray
-    numbers: dict[str, int]
-    axes: ca.Function
-
-    def configuration(self, layout: Coordinates, c: np.ndarray) -> np.ndarray:
-        """Convert a configuration ``c`` (n_c,) of the robot itself."""
-        full = np.zeros(self.errors.layout.n_c)
-        full[[self.numbers[joint.name] for joint in layout.robot.joints]] = c[: len(layout.robot.joints)]
-        for slots in layout.platforms:
-            turned = euler_angles(slots.rotation(c) @ slots.platform.home.rotation.T)
-            values = dict(zip(TRANSLATIONS + ROTATIONS, (*c[slots.position], *turned), strict=True))
-            for dof in slots.platform.dof:
-                full[self.numbers[f"{dof}_{slots.platform.name}"]] = values[dof]
-        return full
-
-    def aligned(self, pairs: Sequence[_Pair], c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Evaluate errors and scaled Jacobian of the loops and of the pairs of axes."""
-        error, G = self.errors(c)
-        axes, slopes = (found.full() for found in self.axes(c))
-        axes, slopes = axes.reshape(-1, 3), slopes.reshape(-1, 3, c.size) * self.errors.unit
-        rows = [pair.slope(axes, slopes) for pair in pairs]
-        return np.concatenate([error, *(pair.error(axes) for pair in pairs)]), np.vstack([G, *rows])
+    c, yd, change = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y), ca.SX.sym("change", 6 * len(places))
+    computed, parts = layout.robot.file.rounding is not None, ca.vertsplit(change, 6)
+    placements = {
+        name: _varied_placement(place.placement, part, computed)
+        for (name, place), part in zip(places.items(), parts, strict=True)
+    }
+    varied = replace(layout, robot=_replaced(layout.robot, placements))
+    unit = np.where(layout.angular, 1.0, characteristic_length(layout.robot))
+    axes = _axes(varied, joints, c)
+    tilts = [ca.cross(axes[k], axes[j]) if parallel else ca.dot(axes[k], axes[j]) for k, j, parallel in pairs]
+    tilt = ca.vertcat(ca.SX(0, 1), *tilts)
+    count = len(layout.robot.joints)
+    by_joints = ca.horzcat(ca.jacobian(tilt, c)[:, :count], ca.SX(tilt.numel(), layout.n_y - count))
+    errors, G = error_expressions(varied, c, yd)
+    outputs = [errors, G, tilt, by_joints @ ca.diag(ca.DM(unit)), ca.jacobian(ca.vertcat(errors, tilt), change)]
+    return ca.Function("varied", [c, change], [ca.densify(output) for output in outputs])
 
 
-def _varied(robot: Robot, looped: list[Joint], places: list[_Place]) -> _Varied:
-    joints: list[Joint] = []
-    at = {place.name: place.at for place in places}
-
-    def add(name: str, before: str, kind: Literal["revolute", "prismatic"], placement: Placement, axis: int) -> str:
-        joints.append(Joint(name, before, kind, placement, AXES[axis], actuated=False, parameters="none"))
-        return name
-
-    def vary(name: str, before: str, first: Pose) -> str:
-        for k in range(6):
-            placement = {0: first, 3: at[name].placement}.get(k, Pose())
-            before = add(f"{name} {k}", before, "prismatic" if k < 3 else "revolute", placement, k % 3)
-        return before
-
-    for joint in robot.joints:
-        if joint in looped:
-            joint = replace(joint, antecedent=vary(joint.name, joint.antecedent, Pose()), placement=Pose())
-        joints.append(joint)
-    carried = {name: (name, Pose()) for name in (GROUND, *(joint.name for joint in robot.joints))}
-    for platform in robot.platforms:
-        x, y, z = (
-            0.0 if dof in platform.dof else value for dof, value in zip(TRANSLATIONS, platform.home.xyz, strict=True)
-        )
-        before, placement = GROUND, Pose((x, y, z))
-        for k, dof in enumerate(TRANSLATIONS + ROTATIONS):
-            if dof in platform.dof:
-                kind: Literal["revolute", "prismatic"] = "prismatic" if k < 3 else "revolute"
-                before, placement = add(f"{dof}_{platform.name}", before, kind, placement, k % 3), Pose()
-        carried[platform.name] = before, Pose(placement.xyz, platform.home.rpy)
-    closures = []
-    for number, closure in enumerate(robot.closures):
-        a, b = (vary(f"{number} {side}", *carried[end.body]) for side, end in (("a", closure.a), ("b", closure.b)))
-        closures.append(Closure(closure.kind, Attachment(a), Attachment(b)))
-    whole = Robot(robot.name, tuple(joints), (), tuple(closures), robot.couplings)
-    numbers, layout = {joint.name: k for k, joint in enumerate(joints)}, coordinates(whole)
-    virtual = np.array([[numbers[f"{place.name} {k}"] for k in range(6)] for place in places])
-    return _Varied(loop_errors(layout), places, virtual, numbers, _axes(layout, _with_carriers(robot, looped)))
+def _first_two(varied: ca.Function, change: np.ndarray, c: np.ndarray) -> Sequence[ca.DM]:
+    return list(varied(c, change))[:2]
 
 
 def _fitted(
-    varied: _Varied,
+    varied: ca.Function,
     errors: LoopErrors,
-    poses: list[np.ndarray],
+    poses: Sequence[np.ndarray],
     moving: np.ndarray,
     bound: np.ndarray,
-    pairs: Sequence[_Pair],
+    aligned: bool,
 ) -> np.ndarray | None:
     """Find the smallest change (places, 6) within ``bound`` with which the loops close in all poses."""
-    whole, free = varied.errors, bound > 0.0
-    of_whole = np.array([varied.numbers[errors.layout.names[k]] for k in moving])
-    configurations = [varied.configuration(errors.layout, c) for c in poses]
-    change, before = np.zeros(bound.shape), np.inf
+    unknown, change, before, poses = bound > 0.0, np.zeros(bound.shape), np.inf, list(poses)
     for _ in range(STEPS):
-        slopes, moved = zip(*(_slope(place, by) for place, by in zip(varied.places, change, strict=True)), strict=True)
-        A, b, worst = [], [], 0.0
-        for k, c in enumerate(configurations):
-            c[varied.virtual] = moved
-            configurations[k] = c = closed(whole, c, of_whole)
-            error, G = varied.aligned(pairs, c)
-            U, *_ = np.linalg.svd(G[:, of_whole])
-            surplus = U[:, of_whole.size :].T
-            by_numbers = np.einsum("rpi,pij->rpj", (G / whole.unit)[:, varied.virtual], np.array(slopes))
-            A.append(surplus @ by_numbers[:, free])
-            b.append(surplus @ error)
-            worst = max(worst, float(np.abs(whole(c)[0]).max()), float(np.abs(b[-1]).max(initial=0.0)))
+        A, b, worst, by = [], [], 0.0, change.ravel()
+        changed = replace(errors, function=partial(_first_two, varied, by))
+        for k, c in enumerate(poses):
+            poses[k] = c = closed(changed, c, moving)
+            error, G, tilt, by_joints, slopes = (part.full() for part in varied(c, by))
+            rows = len(error) + len(tilt) * aligned
+            stacked = np.vstack([G, by_joints])[:rows, moving]
+            surplus = np.linalg.svd(stacked)[0][:, moving.size :].T
+            A.append(surplus @ slopes[:rows, unknown.ravel()])
+            b.append(surplus @ np.vstack([error, tilt])[:rows, 0])
+            worst = max(worst, float(np.abs(error).max()), float(np.abs(b[-1]).max(initial=0.0)))
         if worst < EXACT:
             return change
         if worst > before / 2:
             return None
-        before, stacked = worst, np.vstack(A)
-        change[free] = _least(stacked, stacked @ change[free] - np.concatenate(b), bound[free], worst)
+        before, slope = worst, np.vstack(A)
+        change[unknown] = _least(slope, slope @ change[unknown] - np.concatenate(b), bound[unknown], worst)
     return None
-
-
-def _slope(place: _Place, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Differentiate the displacement of a placement by its numbers (6, 6), and return the displacement (6,) itself."""
-    step = 1e-6 * np.eye(6)
-    ahead, behind = (np.array([place.displacement(change + sign * each) for each in step]) for sign in (1, -1))
-    return (ahead - behind).T / 2e-6, place.displacement(change)
 
 
 def _least(A: np.ndarray, b: np.ndarray, bound: np.ndarray, worst: float) -> np.ndarray:
@@ -373,18 +295,16 @@ def _least(A: np.ndarray, b: np.ndarray, bound: np.ndarray, worst: float) -> np.
     return x
 
 
-def _moved(robot: Robot, places: list[_Place], change: np.ndarray) -> tuple[Robot, float, float]:
-    """Move the placements, and return the largest shift (m) and turn (rad) with the robot."""
-    by_name = {place.name: place.changed(by) for place, by in zip(places, change, strict=True) if by.any()}
-
-    def end(name: str, at: Attachment) -> Attachment:
-        return replace(at, placement=by_name.get(name, at.placement))
-
-    joints = (replace(joint, placement=by_name.get(joint.name, joint.placement)) for joint in robot.joints)
-    closures = (
-        replace(closure, a=end(f"{number} a", closure.a), b=end(f"{number} b", closure.b))
-        for number, closure in enumerate(robot.closures)
+def _moved(robot: Robot, places: Mapping[str, Attachment], change: np.ndarray, gap: str) -> Robot:
+    """Move the placements, with a note on the ``gap`` that it closes, and the largest shift and turn."""
+    computed, placements, shift, angle = robot.file.rounding is not None, {}, 0.0, 0.0
+    for (name, place), by in zip(places.items(), change, strict=True):
+        if by.any():
+            before, after = place.placement, _changed(place.placement, by, computed)
+            placements[name] = after
+            shift = max(shift, float(np.linalg.norm(after.position - before.position)))
+            angle = max(angle, float(np.linalg.norm(euler_angles(before.rotation.T @ after.rotation))))
+    return _replaced(robot, placements).noted(
+        f"{gap}, as the numbers in the file are rounded; placements in the loops were moved by up to "
+        f"{1e3 * shift:.2g} mm and {np.degrees(angle):.2g} degrees, so that they close in every pose"
     )
-    moves = np.array([place.displacement(by) for place, by in zip(places, change, strict=True)])
-    shift, angle = (float(np.linalg.norm(part, axis=1).max()) for part in np.split(moves, [3], axis=1))
-    return replace(robot, joints=tuple(joints), closures=tuple(closures)), shift, angle

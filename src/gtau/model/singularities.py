@@ -76,7 +76,7 @@ def random_motion(idm: InverseDynamics, samples: int, rng: np.random.Generator, 
         Hardly any pose around home is feasible.
     """
     joints = [idm.robot.joint(name) for name in idm.actuated]
-    length = idm.loops.equations.length if idm.loops else 1.0
+    length = idm.loops.length if idm.loops else 1.0
     bounds = np.array([_range(joint, length) for joint in joints])
     home = np.clip((idm.loops.home if idm.loops else idm.layout.home)[idm.layout.actuated], *bounds.T)[:, None]
     speed = np.array([joint.limits.velocity or 3.0 for joint in joints]) / 3

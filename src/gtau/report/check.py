@@ -11,8 +11,10 @@ import numpy as np
 
 from gtau.estimation.check_logs import ExperimentCheck, LogCheck
 from gtau.estimation.diagnostics.geometry_findings import to_document as geometry_document
-from gtau.estimation.grades import Grade, by_grade, to_document
 from gtau.estimation.results.estimate import write_distances
+from gtau.findings import Finding, FindingKind, Severity
+from gtau.findings.finding import by_severity, note_document
+from gtau.findings.words import counted
 from gtau.report import logs
 from gtau.report.chart import Chart
 from gtau.report.evidence import preparation_words
@@ -35,9 +37,6 @@ from gtau.report.page import (
 )
 from gtau.robots.parameter import command_unit, position_unit
 from gtau.robots.robot import Robot
-from gtau.signals.notes import Kind as NoteKind
-from gtau.signals.notes import Note
-from gtau.signals.reading.samples import counted
 
 
 def check_document(checked: ExperimentCheck) -> dict[str, Any]:
@@ -46,7 +45,7 @@ def check_document(checked: ExperimentCheck) -> dict[str, Any]:
     return {
         "robot": checked.robot.name,
         "worst": checked.worst.value if checked.notes else None,
-        "findings": [to_document(note) for members in by_grade(checked.notes).values() for note in members],
+        "findings": [note_document(note) for members in by_severity(checked.notes).values() for note in members],
         "preparation": preparation
         and {
             "bandwidth": preparation.bandwidth,
@@ -113,21 +112,21 @@ def check_page(checked: ExperimentCheck) -> Page:
 
 def _verdict(checked: ExperimentCheck) -> Section:
     used = [log for log in checked.logs if not log.validation]
-    style = {Grade.ERROR: "bad", Grade.WARNING: "weak", Grade.INFORMATION: "good"}[checked.worst]
+    style = {Severity.ERROR: "bad", Severity.WARNING: "weak", Severity.INFORMATION: "good"}[checked.worst]
     time = sum(logs.seconds(log.run) for log in used)
     said = f"{counted(len(used), 'run')} of {time:.4g} s in all for the identification"
     words = Text(gate_words(checked.notes), (said,) if used else (), style)  # type: ignore[arg-type]
     return section("Verdict", words, id="verdict")
 
 
-def gate_words(notes: Sequence[Note]) -> str:
+def gate_words(notes: Sequence[Finding]) -> str:
     """Say in one sentence what to expect of an identification from these logs."""
-    found = by_grade(same_in_several(notes))
-    weighing = any(each.kind == NoteKind.WEIGHING for each in notes)
+    found = by_severity(same_in_several(notes))
+    weighing = any(each.kind == FindingKind.WEIGHING for each in notes)
     command = "gtau payload" if weighing else "gtau identify"
-    if errors := found.get(Grade.ERROR):
+    if errors := found.get(Severity.ERROR):
         return f"{command} will refuse these logs: {counted(len(errors), 'error')} to resolve first."
-    if warnings := found.get(Grade.WARNING):
+    if warnings := found.get(Severity.WARNING):
         return f"{command} can read these logs; {counted(len(warnings), 'warning')} to look into first."
     return f"{command} can use these logs as they are."
 

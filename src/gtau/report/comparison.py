@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from gtau.estimation.compare import EstimatorComparison
-from gtau.estimation.diagnostics.sentences import percent_text
+from gtau.findings.words import percent_text
 from gtau.report.chart import Chart, intervals
 from gtau.report.page import Column, Kind, Page, Table, Text, joint_label, page, section, table
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +14,107 @@ import numpy as np
 from gtau.documents.files import write_atomically, write_table
 from gtau.excitation.design import Design, check
 from gtau.excitation.forecast import Expected, Forecast, Weak, forecast, sampled_motions, weak_unknowns
-from gtau.excitation.prior import KnownGain
 from gtau.excitation.task import DesignProblem, close
 from gtau.report.chart import Chart
 from gtau.report.motion import joint_panels
-from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text, joint_label, page, section, table
+from gtau.report.page import (
+    Column,
+    Facts,
+    Kind,
+    Page,
+    Section,
+    Table,
+    Text,
+    joint_label,
+    page,
+    section,
+    table,
+    table_of,
+)
 from gtau.robots.parameter import Parameter, parameter_of, torque_unit, unit_of
+from gtau.robots.robot import Robot
+from gtau.signals.reading.statements import Payload
 
 ORDERS = (("position", ""), ("velocity", "/s"), ("acceleration", "/s²"))
 DIGITS = 9
 MOST = 1000  # %, of an assumed value, that are worth printing
+
+
+@dataclass(frozen=True, eq=False)
+class Outlook:
+    """A design with what it promises.
+
+    ``assumed`` is what the design file left out, as :func:`gtau.read_design` returns it, and ``masses`` are those of
+    other payloads to be tried with it, kg.
+    """
+
+    design: Design
+    assumed: Mapping[str, str]
+    masses: tuple[float, ...] = ()
+
+    @property
+    def task(self) -> DesignProblem:
+        """The data of the design."""
+        return self.design.task
+
+    @property
+    def robot(self) -> Robot:
+        """The robot that moves."""
+        return self.task.model.robot
+
+    @cached_property
+    def motions(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+        """Whole runs at the controller's rate, see :func:`sampled_motions`."""
+        return sampled_motions(self.task, self.design.x)
+
+    @cached_property
+    def forecast(self) -> Forecast:
+        """Standard deviations to expect."""
+        return forecast(self.task, self.design.x)
+
+    @cached_property
+    def weak(self) -> tuple[Weak, ...]:
+        """What this design leaves unidentified."""
+        return weak_unknowns(self.design, self.forecast)
+
+    @cached_property
+    def tool(self) -> tuple[float, np.ndarray]:
+        """Greatest speed, m/s, and least and greatest coordinates (2, 3), m, of the tool's frame in the base."""
+        path = self.task.tool[0]
+        places = [path(close(self.task.model, joints[0], joints[1], joints[2], None).c) for _, joints in self.motions]
+        speeds = [np.gradient(place, time, axis=1) for (time, _), place in zip(self.motions, places, strict=True)]
+        every = np.concatenate(places, axis=1)
+        greatest = max(float(np.linalg.norm(speed, axis=0).max()) for speed in speeds)
+        return greatest, np.array([every.min(axis=1), every.max(axis=1)])
+
+    @cached_property
+    def variants(self) -> tuple[Outlook, ...]:
+        """The same motion with all known payloads of each other mass."""
+        x, tasks = self.design.x, map(self.task.with_payload_mass, self.masses)
+        designs = [replace(self.design, task=task, constraint_usages=check(task, x)) for task in tasks]
+        return tuple(Outlook(design, self.assumed) for design in designs)
+
+    @property
+    def duration(self) -> float:
+        """The longest run, s."""
+        return max(float(time[-1]) for time, _ in self.motions)
+
+    @property
+    def rms(self) -> float:
+        """Relative standard deviation of the gains, per cent, rms over the joints."""
+        return float(np.sqrt(np.mean([gain.relative**2 for gain in self.forecast.gains])))
+
+    @property
+    def exceeded(self) -> list[str]:
+        """Limits that the motion exceeds."""
+        return [usage.what for usage in self.design.constraint_usages if usage.excess > 1]
+
+    def unit(self, unknown: Expected) -> str:
+        """Return the unit of a gain or a parameter."""
+        if unknown in self.forecast.gains:
+            return f"{torque_unit(self.robot, unknown.name)}/A"
+        parameter = parameter_of(unknown.name)
+        return unit_of(parameter.kind, self.robot, parameter.body)
 
 
 def file_stems(task: DesignProblem) -> tuple[str, ...]:
@@ -46,260 +138,225 @@ def write_trajectories(design: Design, folder: Path) -> tuple[Path, ...]:
     return paths
 
 
-def design_document(design: Design, assumed: Mapping[str, str], masses: Sequence[float]) -> dict[str, Any]:
-    """Describe the predictions of a design as a JSON document.
-
-    ``assumed`` is what the design file left out, as :func:`gtau.read_design` returns it, and ``masses`` are those of
-    other payloads to be tried with it.
-    """
-    task, robot = design.task, design.task.model.robot
-    expected = forecast(task, design.x)
+def design_document(outlook: Outlook) -> dict[str, Any]:
+    """Describe the predictions of a design as a JSON document."""
+    design, task, expected = outlook.design, outlook.task, outlook.forecast
+    speed, places = outlook.tool
     return {
         "schema": "gtau-design/1",
-        "robot": robot.name,
+        "robot": outlook.robot.name,
         "criterion": design.criterion,
         "value": design.value,
         "cut_short": design.cut_short,
         "period": task.series.period,
         "repetitions": task.repetitions,
-        "duration": max(float(time[-1]) for time, _ in sampled_motions(task, design.x)),
+        "duration": outlook.duration,
         "motions": "one" if task.one_motion else "each run",
         "runs": ["none" if payload is None else payload.name for payload in task.payloads],
-        "gains_rms": _rms(expected),
+        "gains_rms": outlook.rms,
         "guards": list(task.guards),
-        "tool": _tool(design),
-        "priors": [_prior_gain(*each) for each in zip(robot.actuated, task.known, strict=False)],
-        "gains": [_entry(each, f"{torque_unit(robot, each.name)}/A", "gains" in assumed) for each in expected.gains],
-        "parameters": [
-            _entry(each, _unit(parameter_of(each.name), task), "parameters" in assumed) for each in expected.parameters
+        "tool": {"frame": outlook.robot.tool, "speed": speed, **dict(zip("xyz", places.T.tolist(), strict=True))},
+        "priors": [
+            {"name": joint, "value": known.value, "interval": list(known.interval), "source": known.source}
+            for joint, known in zip(outlook.robot.actuated, task.known, strict=False)
         ],
+        "gains": [_entry(outlook, gain, "gains" in outlook.assumed) for gain in expected.gains],
+        "parameters": [_entry(outlook, each, "parameters" in outlook.assumed) for each in expected.parameters],
         "rows_kept": [
-            {"joint": joint, "share": float(kept)}
-            for joint, kept in zip(task.model.actuated, expected.kept, strict=True)
+            {"joint": joint, "share": share}
+            for joint, share in zip(task.model.actuated, expected.kept.tolist(), strict=True)
         ],
-        "weak": [_advice(each) for each in weak_unknowns(design, expected)],
+        "weak": [
+            {"name": weak.name, "rel_std": _finite(100 * weak.relative), "advice": _advice(weak)}
+            for weak in outlook.weak
+        ],
         "without_effect": list(task.base.without_effect),
         "limits": [
-            {"limit": load.what, "value": load.limit, "unit": load.unit, "used": load.excess}
-            for load in sorted(design.constraint_usages, key=lambda load: -load.excess)
+            {"limit": usage.what, "value": usage.limit, "unit": usage.unit, "used": usage.excess}
+            for usage in sorted(design.constraint_usages, key=lambda usage: -usage.excess)
         ],
-        "payload_masses": [_with_mass(design, mass) for mass in masses],
-        "assumed": list(assumed.values()),
+        "payload_masses": [
+            {
+                "mass": mass,
+                "rel_std": {gain.name: gain.relative for gain in variant.forecast.gains},
+                "rms": variant.rms,
+                "exceeded": variant.exceeded,
+            }
+            for mass, variant in zip(outlook.masses, outlook.variants, strict=True)
+        ],
+        "assumed": list(outlook.assumed.values()),
         "x": design.x.tolist(),
     }
 
 
-def _prior_gain(joint: str, known: KnownGain) -> dict[str, Any]:
-    return {"name": joint, "value": known.value, "interval": list(known.interval), "source": known.source}
-
-
-def _tool(design: Design) -> dict[str, Any]:
-    """Compute the greatest speed, m/s, and the least and greatest coordinates, m, of the tool's frame in the base."""
-    task, speeds, places = design.task, [], []
-    for time, joints in sampled_motions(task, design.x):
-        place = task.tool[0](close(task.model, joints[0], joints[1], joints[2], None).c)
-        speeds.append(float(np.linalg.norm(np.gradient(place, time, axis=1), axis=0).max()))
-        places.append(place)
-    every = np.concatenate(places, axis=1)
-    limits = zip("xyz", every.min(axis=1).tolist(), every.max(axis=1).tolist(), strict=True)
-    return {"frame": task.model.robot.tool, "speed": max(speeds)} | {axis: [low, high] for axis, low, high in limits}
-
-
-def _entry(each: Expected, unit: str, assumed: bool) -> dict[str, Any]:
-    known = bool(np.isfinite(each.std))
+def _entry(outlook: Outlook, unknown: Expected, assumed: bool) -> dict[str, Any]:
     return {
-        "name": each.name,
-        "value": each.value,
-        "std": each.std if known else None,
-        "rel_std": each.relative if known and each.value else None,
-        "unit": unit,
+        "name": unknown.name,
+        "value": unknown.value,
+        "std": _finite(unknown.std),
+        "rel_std": _finite(unknown.relative),
+        "unit": outlook.unit(unknown),
         "assumed": assumed,
     }
 
 
-def _unit(name: Parameter, task: DesignProblem) -> str:
-    return unit_of(name.kind, task.model.robot, name.body)
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
 
 
-def _advice(weak: Weak) -> dict[str, Any]:
+def _advice(weak: Weak) -> str:
     if weak.joint is None or not 100 * weak.then <= MOST:
-        text = "no motion of one joint within the limits helps; wider limits, or another pose of the robot, may"
-    else:
-        text = (
-            f"a run of joint '{weak.joint}' alone, {weak.how}, would bring it to {100 * weak.then:.3g} %; "
-            "or use it as criterion: --criterion " + weak.name
-        )
-    relative = 100 * weak.relative if np.isfinite(weak.relative) else None
-    return {"name": weak.name, "rel_std": relative, "advice": text}
+        return "no motion of one joint within the limits helps; wider limits, or another pose of the robot, may"
+    return (
+        f"a run of joint '{weak.joint}' alone, {weak.how}, would bring it to {100 * weak.then:.3g} %; "
+        "or use it as criterion: --criterion " + weak.name
+    )
 
 
-def _with_mass(design: Design, mass: float) -> dict[str, Any]:
-    """Predict the gains where all known payloads weigh ``mass``, and list the limits that the motion then exceeds."""
-    task = design.task.with_payload_mass(mass)
-    expected = forecast(task, design.x)
-    exceeded = [load.what for load in check(task, design.x) if load.excess > 1]
-    return {
-        "mass": mass,
-        "rel_std": {each.name: each.relative for each in expected.gains},
-        "rms": _rms(expected),
-        "exceeded": exceeded,
-    }
-
-
-def _rms(expected: Forecast) -> float:
-    return float(np.sqrt(np.mean([each.relative**2 for each in expected.gains])))
-
-
-def design_page(document: dict[str, Any]) -> Page:
-    """Show the predictions of a design, from the document of :func:`design_document`."""
-    short = any(_meaningless(each) for each in document["parameters"])
+def design_page(outlook: Outlook) -> Page:
+    """Show the predictions of a design."""
+    design, task, expected = outlook.design, outlook.task, outlook.forecast
+    assumed = "parameters" in outlook.assumed
+    gains = _expected_table(outlook, expected.gains, "gains" in outlook.assumed)
     words = f"-: the value is zero, or assumed and its standard deviation exceeds {MOST} %"
-    unknown = Text(words, style="soft") if short else None
+    unknown = Text(words, style="soft") if any(_meaningless(each, assumed) for each in expected.parameters) else None
+    parameters = _expected_table(outlook, expected.parameters, assumed, name="parameter-table")
+    said = Text("", tuple(outlook.assumed.values())) if outlook.assumed else Text("Nothing was assumed.")
     return page(
-        f"Exciting motion for {document['robot']}",
-        section("Verdict", _verdict(document), _facts(document), id="verdict"),
-        section("Drive gains to expect", _expected(document["gains"], known=document["priors"]), id="gains"),
-        section("Parameters to expect", _expected(document["parameters"], "parameter-table"), unknown, id="parameters"),
-        section("Limits", _limits(document["limits"]), id="limits"),
-        _masses(document),
-        section(
-            "Assumptions",
-            Text("", tuple(document["assumed"])) if document["assumed"] else Text("Nothing was assumed."),
-            id="assumed",
-        ),
+        f"Exciting motion for {outlook.robot.name}",
+        section("Verdict", _verdict(outlook), _facts(outlook), id="verdict"),
+        section("Drive gains to expect", gains, id="gains"),
+        section("Parameters to expect", parameters, unknown, id="parameters"),
+        section("Limits", _limits(design), id="limits"),
+        _masses(outlook),
+        section("Assumptions", said, id="assumed"),
         lead=[
-            f"The tool moves at up to {document['tool']['speed']:.2g} m/s (frame of '{document['tool']['frame']}').",
-            *(f"{said[0].upper()}{said[1:]}." for said in document["guards"]),
-            f"Criterion: {document['criterion']}. Runs: {', '.join(map(_load, document['runs']))}.",
+            f"The tool moves at up to {outlook.tool[0]:.2g} m/s (frame of '{outlook.robot.tool}').",
+            *(f"{said[0].upper()}{said[1:]}." for said in task.guards),
+            f"Criterion: {design.criterion}. Runs: {', '.join(map(_load, task.payloads))}.",
         ],
     )
 
 
-def design_report(design: Design, document: dict[str, Any]) -> Page:
+def design_report(outlook: Outlook) -> Page:
     """Add the motion and the robot to the page."""
-    short, robot = design_page(document), design.task.model.robot
-    motions = (section(title, chart) for title, chart in motion_charts(design))
-    drawn = (section("Motion", *motions, id="motion"), section("Robot", robot, id="robot"))
+    short = design_page(outlook)
+    motions = (section(title, chart) for title, chart in motion_charts(outlook))
+    drawn = (section("Motion", *motions, id="motion"), section("Robot", outlook.robot, id="robot"))
     return replace(short, sections=(*short.sections[:2], *drawn, *short.sections[2:]))
 
 
-def _load(run: str) -> str:
-    return "no payload" if run == "none" else f"payload '{run}'"
+def _load(payload: Payload | None) -> str:
+    return "no payload" if payload is None else f"payload '{payload.name}'"
 
 
-def _verdict(document: dict[str, Any]) -> Text:
+def _verdict(outlook: Outlook) -> Text:
     words = (
-        f"With this motion of {document['duration']:.4g} s a run, the drive gains can be identified with a standard "
-        f"deviation of {document['gains_rms']:.2g} % (rms over the joints)."
+        f"With this motion of {outlook.duration:.4g} s a run, the drive gains can be identified with a standard "
+        f"deviation of {outlook.rms:.2g} % (rms over the joints)."
     )
     weak: dict[str, list[str]] = {}
-    for each in document["weak"]:
-        share = f">\N{NO-BREAK SPACE}{MOST}" if (each["rel_std"] or np.inf) > MOST else f"{each['rel_std']:.3g}"
-        weak.setdefault(each["advice"], []).append(f"{each['name']} ({share} %)")
+    for each in outlook.weak:
+        share = 100 * each.relative
+        size = f"{share:.3g}" if share <= MOST else f">\N{NO-BREAK SPACE}{MOST}"
+        weak.setdefault(_advice(each), []).append(f"{each.name} ({size} %)")
     said = [
         f"not identified (30 % or more, of the value or of a typical one): {', '.join(names)}; {advice}"
         for advice, names in weak.items()
     ]
-    if document["without_effect"]:
-        said.append(f"no effect on the motors along any motion: {', '.join(document['without_effect'])}")
-    if document["cut_short"]:
+    if outlook.task.base.without_effect:
+        said.append(f"no effect on the motors along any motion: {', '.join(outlook.task.base.without_effect)}")
+    if outlook.design.cut_short:
         said.append("the search was cut short; a longer one may find a better motion")
     said.append("these standard deviations are for white noise; model errors add to them")
     return Text(words, tuple(said), "neutral")
 
 
-def _facts(document: dict[str, Any]) -> Facts:
+def _facts(outlook: Outlook) -> Facts:
+    task = outlook.task
     return Facts(
         {
-            "period": f"{document['period']:.4g} s",
-            "repetitions": document["repetitions"],
-            "duration of a run": f"{document['duration']:.4g} s",
-            "tool along z of the base": "{:.3g} to {:.3g} m".format(*document["tool"]["z"]),
-            "motions": "one for all runs" if document["motions"] == "one" else "one for each run",
+            "period": f"{task.series.period:.4g} s",
+            "repetitions": task.repetitions,
+            "duration of a run": f"{outlook.duration:.4g} s",
+            "tool along z of the base": "{:.3g} to {:.3g} m".format(*outlook.tool[1][:, 2]),
+            "motions": "one for all runs" if task.one_motion else "one for each run",
         }
     )
 
 
-def _expected(entries: Sequence[Mapping[str, Any]], name: str = "", known: Sequence[Mapping[str, Any]] = ()) -> Table:
+def _expected_table(outlook: Outlook, unknowns: Sequence[Expected], assumed: bool, name: str = "") -> Table:
     """Tabulate standard deviations to expect; of a gain that is only assumed, just the relative one means something."""
-    columns = (
-        Column("name", Kind.NAME),
-        Column("prior value", Kind.NUMBER, 4),
-        Column("std", Kind.NUMBER, 3),
-        Column("%", Kind.NUMBER, 3),
-        Column("unit"),
-        Column("prior value is"),
+    hidden = assumed and unknowns is outlook.forecast.gains
+    sources = dict.fromkeys((each.name for each in unknowns), "assumed" if assumed else "given")
+    for joint, known in zip(outlook.robot.actuated, outlook.task.known, strict=False):
+        if known.source not in ("given", "assumed"):
+            sources[joint] = "{}, {:.4g} to {:.4g}".format(known.source, *known.interval)
+    return table_of(
+        unknowns,
+        (Column("name", Kind.NAME), lambda each: each.name),
+        (Column("prior value", Kind.NUMBER, 4), lambda each: None if hidden else each.value),
+        (Column("std", Kind.NUMBER, 3), lambda each: None if hidden else each.std),
+        (Column("%", Kind.NUMBER, 3), lambda each: None if _meaningless(each, assumed) else each.relative),
+        (Column("unit"), outlook.unit),
+        (Column("prior value is"), lambda each: sources[each.name]),
+        name=name,
     )
-    sources = {prior["name"]: prior["source"] for prior in known if prior["source"] not in ("given", "assumed")}
-    ranges = {prior["name"]: "{:.4g} to {:.4g}".format(*prior["interval"]) for prior in known}
-    rows = [
-        (
-            each["name"],
-            *((None, None) if each["assumed"] and "/A" in each["unit"] else (each["value"], each["std"])),
-            None if _meaningless(each) else each["rel_std"],
-            each["unit"],
-            f"{sources[each['name']]}, {ranges[each['name']]}"
-            if each["name"] in sources
-            else "assumed"
-            if each["assumed"]
-            else "given",
-        )
-        for each in entries
-    ]
-    return table(columns, rows, name=name)
 
 
-def _meaningless(each: Mapping[str, Any]) -> bool:
-    return bool(each["assumed"] and (each["rel_std"] or 0.0) > MOST)
+def _meaningless(unknown: Expected, assumed: bool) -> bool:
+    return assumed and MOST < unknown.relative < np.inf
 
 
-def _limits(limits: Sequence[Mapping[str, Any]]) -> Table:
-    used = Column("used, %", Kind.SHARE, decimals=1)
-    columns = (Column("limit"), Column("value", Kind.NUMBER, 4), Column("unit"), used)
-    return table(columns, [(each["limit"], each["value"], each["unit"], each["used"]) for each in limits])
+def _limits(design: Design) -> Table:
+    return table_of(
+        sorted(design.constraint_usages, key=lambda usage: -usage.excess),
+        (Column("limit"), lambda usage: usage.what),
+        (Column("value", Kind.NUMBER, 4), lambda usage: usage.limit),
+        (Column("unit"), lambda usage: usage.unit),
+        (Column("used, %", Kind.SHARE, decimals=1), lambda usage: usage.excess),
+    )
 
 
-def _masses(document: dict[str, Any]) -> Section | None:
+def _masses(outlook: Outlook) -> Section | None:
     """Tabulate standard deviations of the gains with payloads of other masses, a column each; None without any."""
-    if not document["payload_masses"]:
+    if not outlook.masses:
         return None
-    names = [each["name"] for each in document["gains"]]
-    now = {"rms": document["gains_rms"], "rel_std": {each["name"]: each["rel_std"] for each in document["gains"]}}
-    cases = [("as designed", now), *((f"{each['mass']:g} kg", each) for each in document["payload_masses"])]
-    columns = [Column("std of the gain, %"), *(Column(label, Kind.NUMBER, 3) for label, _ in cases)]
-    rows: list[tuple[Any, ...]] = [("rms", *(each["rms"] for _, each in cases))]
-    rows += [(joint_label(name), *(each["rel_std"][name] for _, each in cases)) for name in names]
+    labels = ["as designed", *(f"{mass:g} kg" for mass in outlook.masses)]
+    cases = (outlook, *outlook.variants)
+    columns = [Column("std of the gain, %"), *(Column(label, Kind.NUMBER, 3) for label in labels)]
+    rows: list[tuple[Any, ...]] = [("rms", *(case.rms for case in cases))]
+    for gains in zip(*(case.forecast.gains for case in cases), strict=True):
+        rows.append((joint_label(gains[0].name), *(gain.relative for gain in gains)))
     exceeded = [
-        f"with {label} this motion exceeds: {', '.join(each['exceeded'])}"
-        for label, each in cases
-        if each.get("exceeded")
+        f"with {label} this motion exceeds: {', '.join(case.exceeded)}"
+        for label, case in zip(labels[1:], cases[1:], strict=True)
+        if case.exceeded
     ]
     return section("Other payload masses", table(columns, rows), Text("", tuple(exceeded)), id="masses")
 
 
-def motion_charts(design: Design) -> list[tuple[str, Chart]]:
+def motion_charts(outlook: Outlook) -> list[tuple[str, Chart]]:
     """Draw positions, velocities and accelerations of each motion, with its title."""
-    robot, joints = design.task.model.robot, design.task.model.actuated
+    robot, task = outlook.robot, outlook.task
     charts = []
-    for k, (time, values) in enumerate(sampled_motions(design.task, design.x)):
-        loads = [design.task.payloads[run] for run in design.task.motions[k]]
-        named = [_load("none" if load is None else load.name) for load in loads]
-        runs = [f"run {run + 1} ({load})" for run, load in zip(design.task.motions[k], named, strict=True)]
+    for k, (time, values) in enumerate(outlook.motions):
+        runs = [f"run {run + 1} ({_load(task.payloads[run])})" for run in task.motions[k]]
         panels = [
             panel
             for each, (what, per) in zip(values, ORDERS, strict=False)
-            for panel in joint_panels(robot, joints, time, each.T, what, 1.9, per)
+            for panel in joint_panels(robot, task.model.actuated, time, each.T, what, 1.9, per)
         ]
         charts.append((f"Motion {k + 1}: {', '.join(runs)}", Chart(tuple(panels), robot.name, live=True)))
     return charts
 
 
-def write_design(design: Design, document: dict[str, Any], folder: Path) -> tuple[Path, ...]:
+def write_design(outlook: Outlook, folder: Path) -> tuple[Path, ...]:
     """Write the trajectories, ``design.json``, and a figure of each trajectory."""
     from gtau.report.render.charts import save
 
-    written = [*write_trajectories(design, folder), folder / "design.json"]
-    write_atomically(written[-1], json.dumps(document, indent=1, allow_nan=False) + "\n")
-    for stem, (title, chart) in zip(file_stems(design.task), motion_charts(design), strict=True):
+    written = [*write_trajectories(outlook.design, folder), folder / "design.json"]
+    write_atomically(written[-1], json.dumps(design_document(outlook), indent=1, allow_nan=False) + "\n")
+    for stem, (title, chart) in zip(file_stems(outlook.task), motion_charts(outlook), strict=True):
         written.append(save(replace(chart, title=f"{chart.title}: {title}"), folder / f"{stem}.png"))
     return tuple(written)

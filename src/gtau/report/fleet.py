@@ -12,10 +12,10 @@ import numpy as np
 import polars as pl
 
 from gtau.documents.files import write_table
+from gtau.findings.words import counted
 from gtau.fleet.gains import FleetGain, FleetTable, JointOfFleet
 from gtau.report.chart import Axis, Chart, Panel, Rule, Series
 from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text, joint_label, page, section, table_of
-from gtau.signals.reading.samples import counted
 
 LISTED = 20  # outliers, or robots that were refused; the others are in the table
 NAMED = 40  # robots whose names find room below the axis

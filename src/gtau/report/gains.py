@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from gtau.estimation.diagnostics.sentences import percent_text
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.results.conclusions import reasons
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import ACCURACY
+from gtau.findings.words import percent_text
 from gtau.model.base_parameters import whole_mass
 from gtau.report.chart import Chart, intervals
 from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, section, table

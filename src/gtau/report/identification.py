@@ -12,6 +12,7 @@ from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.results.conclusions import VISIBLE, findings, headline, missed, remarks, required
 from gtau.estimation.results.result import Result
+from gtau.findings import FindingKind
 from gtau.report.evidence import RunEvidence, preparation_words, worst_joint
 from gtau.report.findings import findings_section, same_in_several
 from gtau.report.gains import GOOD_OUTCOMES, gains_section, masses_table, payloads_section, unknown_payloads
@@ -24,7 +25,6 @@ from gtau.report.residuals import residuals_section
 from gtau.report.torques import determination, fit_table, torques_section
 from gtau.report.uncertainty import PAPER, alternatives_section, correlation_section, singular_values_section
 from gtau.robots.parameter import Parameter
-from gtau.signals.notes import Kind as NoteKind
 
 NOTES = 5  # that the short page shows
 MOVED = 0.5  # standard deviations: a smaller move is not worth a line
@@ -33,7 +33,7 @@ LISTED = 12
 
 def summary_page(result: Result) -> Page:
     """Show verdict, drive gains, payloads, fit and the most important notes on one screen."""
-    notes = [each for each in findings(result) if each.kind != NoteKind.DRAFT]
+    notes = [each for each in findings(result) if each.kind != FindingKind.DRAFT]
     more = len(same_in_several(notes)) - NOTES
     rest = "parameters and the fit of each joint: --verbose, or model.json."
     return page(
@@ -52,7 +52,7 @@ def summary_page(result: Result) -> Page:
 
 def _draft_section(result: Result) -> Section | None:
     """List all assumptions of a drafted experiment file."""
-    guessed = [each for each in result.notes if each.kind == NoteKind.DRAFT]
+    guessed = [each for each in result.notes if each.kind == FindingKind.DRAFT]
     if not guessed:
         return None
     said = tuple("; ".join(filter(None, (each.what, each.action))) for each in guessed)

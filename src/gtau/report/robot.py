@@ -7,39 +7,32 @@ from typing import Any
 
 import numpy as np
 
-from gtau.model.base_parameters import base_parameters
+from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import TYPES, singularities
-from gtau.progress import Progress, silent
-from gtau.report.page import Column, Facts, Kind, Page, Table, Text, page, section, table, table_of
+from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text, page, section, table, table_of
 from gtau.robots.parameter import Parameter, position_unit, unit_of
 from gtau.robots.plausibility import oddities, tool_note
-from gtau.robots.robot import DAMPING, PRELOAD, STIFFNESS, Robot, base_rows
+from gtau.robots.robot import DAMPING, PRELOAD, STIFFNESS, Joint, Robot
 
 TERMS = {PRELOAD: "preload", STIFFNESS: "stiffness", DAMPING: "damping"}
 
 
-def robot_document(robot: Robot, progress: Progress = silent) -> dict[str, Any]:
-    """Describe joints, limits, loops, gravity, payload's body and base parameters of ``robot`` as a JSON document.
+def robot_document(model: InverseDynamics, base: BaseParameters) -> dict[str, Any]:
+    """Describe joints, limits, loops, gravity, payload's body and base parameters of a robot as a JSON document.
 
-    Lengths in m, angles in rad, gravity in m/s2 in base axes; a limit that is not known is null. ``progress`` is called
-    as the work goes on, which takes minutes above a hundred joints.
+    Lengths in m, angles in rad, gravity in m/s2 in base axes; a limit that is not known is null.
 
     Raises
     ------
     GtauError
         Where its loops do not close or its actuation is not what gtau treats.
     """
-    model = InverseDynamics(robot)
-    loops = model.loops
-    base = base_parameters(model, progress=progress)
-    home = model.layout.home if loops is None else loops.home
-    still = np.zeros((len(model.actuated), 1))
-    near = singularities(model).distances(model.rates(home[:, None], still, still))[:, 0]
+    robot, distances = model.robot, zip(TYPES, _distances_at_home(model), strict=True)
     return {
         "robot": robot.name,
         "source": robot.source,
-        "notes": [*robot.notes, *oddities(robot), *tool_note(robot)],
+        "notes": _notes(robot),
         "degrees_of_freedom": len(model.actuated),
         "floating_base": robot.floating or None,
         "joints": [
@@ -49,27 +42,15 @@ def robot_document(robot: Robot, progress: Progress = silent) -> dict[str, Any]:
                 "kind": joint.kind,
                 "actuated": joint.name in robot.motors,
                 "parameters": joint.parameters,
-                "home": float(home[k]),
+                "home": home,
                 "unit": position_unit(robot, joint.name),
                 "limits": asdict(joint.limits),
             }
-            for k, joint in enumerate(robot.joints)
+            for joint, home in zip(robot.joints, _home(model).tolist(), strict=False)
         ],
         "platforms": [{"name": platform.name, "dof": list(platform.dof)} for platform in robot.platforms],
-        "loops": {
-            "closures": [
-                {"kind": closure.kind, "between": [closure.a.body, closure.b.body]} for closure in robot.closures
-            ],
-            "couplings": [
-                {"joint": coupling.joint, "ratios": dict(coupling.ratios), "offset": coupling.offset}
-                for coupling in robot.couplings
-            ],
-            "rows": 0 if loops is None else loops.equations.rows,
-            "rank": 0 if loops is None else loops.rank,
-        },
-        "distances_at_home": {
-            f"type_{kind}": None if np.isnan(d) else float(d) for kind, d in zip(TYPES, near, strict=True)
-        },
+        "loops": _loops_document(model),
+        "distances_at_home": {f"type_{kind}": distance for kind, distance in distances},
         "springs": [
             {"name": spring.name, "between": [spring.a.body, spring.b.body], "parameters": list(spring.parameters)}
             for spring in robot.springs
@@ -82,101 +63,125 @@ def robot_document(robot: Robot, progress: Progress = silent) -> dict[str, Any]:
             "standard": len(model.parameter_names),
             "without_effect": len(base.without_effect),
             "regroupings": base.regroupings,
-            "units": {name: _unit(own, robot) for name, own in zip(base.names, base.standard, strict=True)},
+            "units": _units(base, robot),
         },
     }
 
 
-def robot_page(found: dict[str, Any], verbose: bool = False) -> Page:
-    """Show the description that :func:`robot_document` makes, ``verbose`` with every base parameter."""
-    loops, base, free = found["loops"], found["base_parameters"], base_rows(found["floating_base"] or "")
-    source = f" ({found['source']})" if found["source"] else ""
-    near = found["distances_at_home"]
-    gravity = ", ".join(f"{round(component, 10) + 0.0:.6g}" for component in found["gravity"])
-    facts: dict[str, object] = {
-        "gravity": f"[{gravity}] m/s2 in {'world' if free else 'base'} axes",
-        "payload on": found["payload_on"],
-    }
-    if free:
-        facts["floating base"] = f"{free[-1]}; its six equations are the rows {free[0]} to {free[-1]}"
-    parallel = "" if near["type_2"] is None else f", type 2 (parallel) {near['type_2']:.2g}"
-    facts["at home"] = (
-        f"distance to singularities (1 at best, 0 at one): type 1 (serial) {near['type_1']:.2g}{parallel}"
-    )
-    count = (
-        f"{base['count']} base parameters of {base['standard']} standard ones ({base['without_effect']} have no "
-        f"effect); {base['count_inertial_only']} without rotor inertia, friction and offset"
-    )
-    listed = _base_table(base) if verbose else Text("Their names, units and regroupings: --verbose.", style="soft")
-    terms = [
-        f"{each['name']}: {' - '.join(each['between'])} ({', '.join(TERMS[kind] for kind in each['parameters'])})"
-        for each in found["springs"]
+def _loops_document(model: InverseDynamics) -> dict[str, Any]:
+    robot, loops = model.robot, model.loops
+    closures = [{"kind": closure.kind, "between": [closure.a.body, closure.b.body]} for closure in robot.closures]
+    couplings = [
+        {"joint": coupling.joint, "ratios": dict(coupling.ratios), "offset": coupling.offset}
+        for coupling in robot.couplings
     ]
+    rows, rank = (loops.rows, len(loops.layout.passive)) if loops else (0, 0)
+    return {"closures": closures, "couplings": couplings, "rows": rows, "rank": rank}
+
+
+def _home(model: InverseDynamics) -> np.ndarray:
+    """Return the positions of all joints at home, (joints,), m or rad."""
+    return np.asarray(model.layout.home if model.loops is None else model.loops.home)
+
+
+def _distances_at_home(model: InverseDynamics) -> list[float | None]:
+    """Compute the distance to singularities of each type at home; None where the robot has none."""
+    still = np.zeros((len(model.actuated), 1))
+    near = singularities(model).distances(model.rates(_home(model)[:, None], still, still))[:, 0]
+    return [None if np.isnan(distance) else float(distance) for distance in near]
+
+
+def _notes(robot: Robot) -> list[str]:
+    return [*robot.notes, *oddities(robot), *tool_note(robot)]
+
+
+def _units(base: BaseParameters, robot: Robot) -> dict[Parameter, str]:
+    parameters = zip(base.names, base.standard, strict=True)
+    return {name: unit_of(standard.kind, robot, standard.body) for name, standard in parameters}
+
+
+def robot_page(model: InverseDynamics, base: BaseParameters, verbose: bool = False) -> Page:
+    """Show a robot, ``verbose`` with every base parameter."""
+    robot, notes = model.robot, _notes(model.robot)
+    source = f" ({robot.source})" if robot.source else ""
+    platforms = (Text(f"{each.name}: platform, free in {' '.join(each.dof)}") for each in robot.platforms)
+    count = (
+        f"{base.count} base parameters of {len(model.parameter_names)} standard ones ({len(base.without_effect)} have "
+        f"no effect); {base.inertial_count} without rotor inertia, friction and offset"
+    )
+    terms = [
+        f"{each.name}: {each.a.body} - {each.b.body} ({', '.join(TERMS[kind] for kind in each.parameters)})"
+        for each in robot.springs
+    ]
+    hint = Text("Their names, units and regroupings: --verbose.", style="soft")
     return page(
-        f"{found['robot']}: {found['degrees_of_freedom']} degrees of freedom, {len(found['joints'])} joints{source}",
-        section("Joints", _joints(found), *_platforms(found), Facts(facts), id="joints"),
-        section("Loops", Text(_loops_words(loops), tuple(_equations(loops))), id="loops") if loops["rows"] else None,
+        f"{robot.name}: {len(model.actuated)} degrees of freedom, {len(robot.joints)} joints{source}",
+        section("Joints", _joints(model), *platforms, _facts(model), id="joints"),
+        _loops(model),
         section("Springs between two points, and the terms of their force", Text("", tuple(terms))) if terms else None,
-        section("Notes", Text("", tuple(found["notes"]))) if found["notes"] else None,
-        section("Base parameters", Text(count), listed, id="parameters"),
+        section("Notes", Text("", tuple(notes))) if notes else None,
+        section("Base parameters", Text(count), _base_table(base, robot) if verbose else hint, id="parameters"),
     )
 
 
-def _joints(found: dict[str, Any]) -> Table:
-    free = base_rows(found["floating_base"] or "")
+def _facts(model: InverseDynamics) -> Facts:
+    robot, (serial, parallel) = model.robot, _distances_at_home(model)
+    gravity = ", ".join(f"{round(component, 10) + 0.0:.6g}" for component in robot.gravity)
+    facts: dict[str, object] = {
+        "gravity": f"[{gravity}] m/s2 in {'world' if robot.base else 'base'} axes",
+        "payload on": robot.tool,
+    }
+    if robot.base:
+        facts["floating base"] = f"{robot.base[-1]}; its six equations are the rows {robot.base[0]} to {robot.base[-1]}"
+    more = "" if parallel is None else f", type 2 (parallel) {parallel:.2g}"
+    facts["at home"] = f"distance to singularities (1 at best, 0 at one): type 1 (serial) {serial:.2g}{more}"
+    return Facts(facts)
 
-    def role(joint: dict[str, Any]) -> str:
-        return "actuated" if joint["actuated"] else "free" if joint["name"] in free else "passive"
+
+def _joints(model: InverseDynamics) -> Table:
+    robot, home = model.robot, _home(model)
+
+    def role(joint: Joint) -> str:
+        return "actuated" if joint.name in robot.motors else "free" if joint.name in robot.base else "passive"
 
     return table_of(
-        found["joints"],
-        (Column("joint"), lambda joint: joint["name"]),
-        (Column("antecedent"), lambda joint: joint["antecedent"]),
-        (Column("kind"), lambda joint: joint["kind"]),
+        robot.joints,
+        (Column("joint"), lambda joint: joint.name),
+        (Column("antecedent"), lambda joint: joint.antecedent),
+        (Column("kind"), lambda joint: joint.kind),
         (Column("role"), role),
-        (Column("home", Kind.NUMBER, 4), lambda joint: round(joint["home"], 10) + 0.0),
-        (Column("unit"), lambda joint: joint["unit"]),
-        (Column("limits"), _limits),
+        (Column("home", Kind.NUMBER, 4), lambda joint: round(home[robot.joints.index(joint)], 10) + 0.0),
+        (Column("unit"), lambda joint: position_unit(robot, joint.name)),
+        (Column("limits"), lambda joint: _limits(joint, position_unit(robot, joint.name))),
     )
 
 
-def _platforms(found: dict[str, Any]) -> list[Text]:
-    return [Text(f"{each['name']}: platform, free in {' '.join(each['dof'])}") for each in found["platforms"]]
-
-
-def _loops_words(loops: dict[str, Any]) -> str:
-    counts = [
-        f"{count} {kind}{'s' if count > 1 else ''}"
-        for kind in ("closure", "coupling")
-        if (count := len(loops[f"{kind}s"]))
-    ]
-    return f"{' and '.join(counts)}, {loops['rows']} equations of rank {loops['rank']}:"
-
-
-def _equations(loops: dict[str, Any]) -> list[str]:
-    found = [f"{closure['kind']} {' - '.join(closure['between'])}" for closure in loops["closures"]]
-    for coupling in loops["couplings"]:
-        terms = [f"{ratio:+g} {name}" for name, ratio in coupling["ratios"].items()]
-        terms += [f"{coupling['offset']:+.6g}"] if coupling["offset"] else []
-        found.append(f"{coupling['joint']} = {' '.join(terms).removeprefix('+')}")
-    return found
-
-
-def _base_table(base: dict[str, Any]) -> Table:
-    rows = [
-        (name, base["units"][name], formula if formula != name else "") for name, formula in base["regroupings"].items()
-    ]
-    return table((Column("parameter", Kind.NAME), Column("unit"), Column("regroups")), rows)
-
-
-def _unit(parameter: Parameter, robot: Robot) -> str:
-    return unit_of(parameter.kind, robot, parameter.body)
-
-
-def _limits(joint: dict[str, Any]) -> str:
-    limits, unit = joint["limits"], joint["unit"]
-    low, high = limits["position"] or (None, None)
+def _limits(joint: Joint, unit: str) -> str:
+    limits = joint.limits
+    low, high = limits.position or (None, None)
     parts = [] if low is None else [f"{low:.4g} to {high:.4g} {unit}"]
     units = {"velocity": f"{unit}/s", "acceleration": f"{unit}/s2", "effort": "N m" if unit == "rad" else "N"}
-    parts += [f"{limits[key]:.4g} {what}" for key, what in units.items() if limits[key] is not None]
-    return ", ".join(parts)
+    values = {what: getattr(limits, what) for what in units}
+    return ", ".join(parts + [f"{value:.4g} {units[what]}" for what, value in values.items() if value is not None])
+
+
+def _loops(model: InverseDynamics) -> Section | None:
+    """List closures and couplings; None for a robot without any."""
+    robot, loops = model.robot, model.loops
+    if loops is None or not loops.rows:
+        return None
+    counts = {"closure": len(robot.closures), "coupling": len(robot.couplings)}
+    counted = [f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in counts.items() if count]
+    equations = [f"{closure.kind} {closure.a.body} - {closure.b.body}" for closure in robot.closures]
+    for coupling in robot.couplings:
+        terms = [f"{ratio:+g} {name}" for name, ratio in dict(coupling.ratios).items()]
+        terms += [f"{coupling.offset:+.6g}"] if coupling.offset else []
+        equations.append(f"{coupling.joint} = {' '.join(terms).removeprefix('+')}")
+    words = f"{' and '.join(counted)}, {loops.rows} equations of rank {len(loops.layout.passive)}:"
+    return section("Loops", Text(words, tuple(equations)), id="loops")
+
+
+def _base_table(base: BaseParameters, robot: Robot) -> Table:
+    formulas = {name: formula if formula != name else "" for name, formula in base.regroupings.items()}
+    rows = [(name, unit, formulas[name]) for name, unit in _units(base, robot).items()]
+    return table((Column("parameter", Kind.NAME), Column("unit"), Column("regroups")), rows)

@@ -7,7 +7,6 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from gtau.estimation.results.estimate import AlternativeMoves
 from gtau.estimation.results.result import Result
 from gtau.report.chart import Axis, Chart, Panel, Series
 from gtau.report.page import Column, Kind, Section, Text, joint_label, section, table
@@ -93,7 +92,7 @@ def alternatives_section(result: Result) -> Section | None:
     if not result.alternatives:
         return None
     motors = result.robot.motors
-    ranked = sorted(result.alternatives, key=lambda each: -each.probability * _largest(each))
+    ranked = sorted(result.alternatives, key=lambda each: -each.probability * each.largest_move)
     rows = [
         (
             each.subject,
@@ -133,7 +132,3 @@ def _drift_text(texts: Iterable[str], result: Result) -> Text | None:
     run = result.runs[int(found[2]) - 1]
     words = f"{found[0]}: by how much {found[1]} in run {found[2]}, '{run}', differs from its mean over the runs"
     return Text(words, style="soft")
-
-
-def _largest(each: AlternativeMoves) -> float:
-    return max(map(abs, each.moves.values()), default=0.0)

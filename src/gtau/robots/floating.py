@@ -79,7 +79,7 @@ def float_base(robot: Robot, name: str = "base") -> Robot:
         closures=closures,
         springs=springs,
         floating=name,
-        inertias=tuple((_own(name, each), value) for each, value in robot.inertias),
+        file=replace(robot.file, inertias=tuple((_own(name, each), value) for each, value in robot.file.inertias)),
     )
 
 

@@ -10,7 +10,7 @@ from math import atan2, cos, pi, sin
 import numpy as np
 
 from gtau.documents.validation import some_of
-from gtau.robots.robot import GROUND, Attachment, Closure, Digits, Mdh, Placement, Pose, Robot, Spring
+from gtau.robots.robot import GROUND, Attachment, Closure, Mdh, Placement, Pose, Robot, Spring
 
 ROUNDING = 1e-10  # exporters write pi/2 as 1.57079632679 and zero as 2.8e-17
 
@@ -21,12 +21,6 @@ MEANT = 1e-3  # rad: with fewer decimals, 0.79 or 0.26 need not stand for a mult
 SAME = 9  # decimals that two legs share, of lengths in m and of directions
 
 DEGREES_ADVICE = "write deg(...) where these are degrees"
-
-COMPUTED = (
-    14  # significant digits: numbers with as many were computed, not written; of 1,000 computed ones, 1 has fewer
-)
-
-FEWEST = 3  # decimals of numbers that were rounded, m or rad
 
 Frame = tuple[np.ndarray, np.ndarray]
 """Orientation (3, 3) and origin (3,) in m, in base axes."""
@@ -85,24 +79,6 @@ def smallest_unit(numbers: Iterable[float]) -> float:
     return 10.0 ** min(exponents, default=0)
 
 
-def _digits(number: float) -> tuple[int, int]:
-    """Count the significant digits of a number and return the exponent of its last one."""
-    _, digits, exponent = Decimal(repr(float(number))).normalize().as_tuple()
-    return len(digits), int(exponent)
-
-
-def is_written(number: float) -> bool:
-    """Decide whether a number has as few digits as one that is written."""
-    return _digits(number)[0] < COMPUTED
-
-
-def digits_of(numbers: Iterable[float]) -> Digits:
-    """Find the digits that numbers are written with; computed ones show none, nor do 0.25 and 0.4, which are exact."""
-    found = [_digits(number) for number in numbers if number != round(number) and is_written(number)]
-    significant, exponents = zip(*found, strict=True) if found else ((0,), (0,))
-    return Digits(-min(exponents), max(significant)) if -min(exponents) >= FEWEST else Digits(0, 0)
-
-
 def exact_rotation(rotation: np.ndarray) -> np.ndarray:
     """Compute the rotation (3, 3) by the multiples of pi/12 that are nearest to roll, pitch and yaw of another."""
     return Pose(rpy=tuple(round(angle / (pi / 12)) * (pi / 12) for angle in angles_of(rotation))).rotation  # type: ignore[arg-type]
@@ -152,7 +128,7 @@ def with_exact_angles(robot: Robot) -> Robot:
     joints = tuple(replace(joint, placement=exact(joint.name, joint.placement)) for joint in robot.joints)
     closures = tuple(replace(each, a=end(each.a), b=end(each.b)) for each in robot.closures)
     notes = short_angles_note(changes)
-    return replace(robot, joints=joints, closures=closures, notes=(*robot.notes, *notes)) if notes else robot
+    return replace(robot, joints=joints, closures=closures).noted(*notes) if notes else robot
 
 
 def compose(first: Placement, second: Placement) -> Pose:

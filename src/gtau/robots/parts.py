@@ -74,7 +74,7 @@ def hold_joints(robot: Robot, positions: Mapping[str, float], why: str) -> Robot
     positions = _with_coupled(robot, positions)
     shown = [f"'{name}' at {position:.4g}" for name, position in positions.items()]
     note = f"{len(shown)} joint{'s' * (len(shown) > 1)} held {why} (rad, m): {some_of(shown, NAMED)}"
-    return replace(lock_joints(robot, positions), notes=(*robot.notes, note))
+    return lock_joints(robot, positions).noted(note)
 
 
 def lock_joints(robot: Robot, positions: Mapping[str, float]) -> Robot:
@@ -117,13 +117,13 @@ def lock_joints(robot: Robot, positions: Mapping[str, float]) -> Robot:
         springs=tuple(each for each in springs if each.a.body != each.b.body),
         named_tool="" if tool == GROUND else tool,
         floating="" if robot.floating in positions else robot.floating,
-        inertias=_inertias(robot, carried),
+        file=replace(robot.file, inertias=_inertias(robot, carried)),
     )
 
 
 def _inertias(robot: Robot, carried: Mapping[str, Attachment]) -> tuple[tuple[str, float], ...]:
     """Add the stated inertias of locked links to those of the links that carry them; their rotors no longer turn."""
-    stated = dict(robot.inertias)
+    stated = robot.inertias
     bodies = dict.fromkeys(parameter_of(name).body for name in stated if parameter_of(name).kind in INERTIAL)
     rotors = {name: value for name, value in stated.items() if parameter_of(name).kind not in INERTIAL}
     turning = {body for body, at in carried.items() if at.body == body}
@@ -220,7 +220,7 @@ def without_idle_pins(robot: Robot) -> Robot:
             if idle:
                 note = f"joint '{pin.name}' is idle, since {why} in closure {number + 1}; it was locked at zero"
                 note += f", its link a part of '{pin.antecedent}'" * pin.has_mass
-                return without_idle_pins(replace(lock_joints(robot, {pin.name: 0.0}), notes=(*robot.notes, note)))
+                return without_idle_pins(lock_joints(robot, {pin.name: 0.0}).noted(note))
     return robot
 
 

@@ -7,15 +7,16 @@ Everything here is frozen data. The mathematics lives in :mod:`gtau.model`.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, field
-from math import cos, floor, log10, sin
-from typing import Literal
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from math import cos, sin
+from typing import Any, Literal
 
 import numpy as np
 
 from gtau.documents.validation import name_problem
 from gtau.errors import GtauError
+from gtau.robots.file import RobotFile
 
 GROUND = "ground"
 STANDARD_GRAVITY = 9.80665  # m/s2
@@ -209,43 +210,14 @@ class Spring:
     parameters: tuple[str, ...] = (PRELOAD, STIFFNESS)
 
 
-PRINTED = 6  # significant digits that programs write, MuJoCo and others that print by %g
-
-
-@dataclass(frozen=True)
-class Digits:
-    """The digits of the numbers in a file: so many ``decimals``, or so many ``significant`` ones where those are many.
-
-    Trailing zeros are often left out, so a single number does not show them; the longest of all numbers does. ``turn``
-    is the largest turn about an axis by rounding, rad, where a reader computes placements from the numbers.
-    """
-
-    decimals: int
-    significant: int
-    turn: float = 0.0
-
-    def half_unit(self, number: float) -> float:
-        """Return half a unit of the last digit with which a number is written; of numbers of no such file, 0."""
-        if not self.significant:
-            return 0.0
-        last = -self.decimals
-        if number and self.significant >= PRINTED:
-            last = max(last, floor(log10(abs(number))) + 1 - self.significant)
-        return 0.5 * 10.0**last
-
-
 @dataclass(frozen=True, repr=False)
 class Robot:
     """A spanning tree of joints, platforms and closures, and springs between its bodies.
 
     Joints are ordered so that every antecedent precedes its followers. ``gravity`` is the
     acceleration of gravity in base axes, m/s2. ``named_tool`` is the body that carries a payload where the robot's
-    file names it, see :attr:`tool`. ``notes`` say what a reader found odd in the robot's file or decided for the user,
-    a sentence each. Without ``home_given`` the joints' and platforms' homes are only where the search for one begins.
-    ``floating`` names the link that is a floating base, see :mod:`gtau.robots.floating`, and ``constants`` are the
-    numbers that the robot's file names. ``inertias`` are the inertial parameters of bodies, and the rotor inertias,
-    that the file states, by name, SI units: estimates are compared with them. ``rounding`` says how the numbers in the
-    file are rounded where placements are computed from them; without it, placements are the numbers in the file.
+    file names it, see :attr:`tool`, and ``floating`` the link that is a floating base, see
+    :mod:`gtau.robots.floating`. ``file`` is what the robot's file says besides.
     """
 
     name: str
@@ -254,15 +226,10 @@ class Robot:
     closures: tuple[Closure, ...] = ()
     couplings: tuple[Coupling, ...] = ()
     gravity: tuple[float, float, float] = (0.0, 0.0, -STANDARD_GRAVITY)
-    source: str = ""
-    notes: tuple[str, ...] = field(default=(), compare=False)
-    named_tool: str = ""
-    floating: str = ""
-    home_given: bool = field(default=True, compare=False)
     springs: tuple[Spring, ...] = ()
-    constants: tuple[tuple[str, float], ...] = field(default=(), compare=False)
-    inertias: tuple[tuple[str, float], ...] = field(default=(), compare=False)
-    rounding: Digits | None = field(default=None, compare=False)
+    floating: str = ""
+    named_tool: str = ""
+    file: RobotFile = field(default_factory=RobotFile)
 
     def __post_init__(self) -> None:
         if problem := name_problem(self.name):
@@ -275,6 +242,29 @@ class Robot:
             f"Robot({self.name!r}, {len(self.joints)} joints, actuated: {', '.join(self.actuated)}, platforms: "
             f"{len(self.platforms)}, closures: {len(self.closures)})"
         )
+
+    @property
+    def source(self) -> str:
+        """Where the robot's file is from."""
+        return self.file.source
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader found odd in the robot's file or decided for the user, a sentence each."""
+        return self.file.notes
+
+    @property
+    def inertias(self) -> dict[str, float]:
+        """Parameters that the robot's file states, by name, SI units."""
+        return dict(self.file.inertias)
+
+    def with_file(self, **changes: Any) -> Robot:
+        """Return the robot with other fields of its ``file``."""
+        return replace(self, file=replace(self.file, **changes))
+
+    def noted(self, *notes: str) -> Robot:
+        """Return the robot with further notes."""
+        return self.with_file(notes=(*self.notes, *notes))
 
     @property
     def actuated(self) -> tuple[str, ...]:
@@ -337,59 +327,21 @@ def _problems(robot: Robot) -> Iterator[str]:
         yield "it has no joints; list at least one under 'joints'"
     known = {GROUND}
     for joint in robot.joints:
-        if joint.name in known:
-            yield f"the name '{joint.name}' is used twice; give every joint and platform its own"
-        if joint.antecedent not in known:
-            yield (
-                f"joint '{joint.name}' has the antecedent '{joint.antecedent}', which is not a joint listed "
-                f"before it; write '{GROUND}' or move the antecedent up"
-            )
-        if abs(np.linalg.norm(joint.axis) - 1.0) > 1e-9:
-            yield f"the axis of joint '{joint.name}' is not a unit vector; divide it by its length"
-        yield from _limit_problems(joint)
+        yield from _joint_problems(joint, known)
         known.add(joint.name)
     for platform in robot.platforms:
-        if platform.name in known:
-            yield f"the name '{platform.name}' is used twice; give every joint and platform its own"
+        yield from _platform_problems(platform, known)
         known.add(platform.name)
-        unknown = [dof for dof in platform.dof if dof not in TRANSLATIONS + ROTATIONS]
-        if unknown:
-            yield f"platform '{platform.name}' has the degree of freedom '{unknown[0]}'; choose from x y z rx ry rz"
-        if len(set(platform.dof)) < len(platform.dof) or not platform.dof:
-            yield (
-                f"the degrees of freedom of platform '{platform.name}' must be one or more different ones "
-                "of x y z rx ry rz"
-            )
-        if len([dof for dof in platform.dof if dof in ROTATIONS]) == 2:
-            yield (
-                f"platform '{platform.name}' has two rotations; give it none, one or all three "
-                "(the closures constrain the rest)"
-            )
         if not any(platform.name in (closure.a.body, closure.b.body) for closure in robot.closures):
             yield f"no closure holds platform '{platform.name}'; add one or remove the platform"
     for number, closure in enumerate(robot.closures, start=1):
-        for end in (closure.a, closure.b):
-            if end.body not in known:
-                yield f"closure {number} is attached to '{end.body}', which is no joint, platform or '{GROUND}'"
+        yield from _loose_ends(f"closure {number}", closure, known)
         if closure.a.body == closure.b.body:
             yield f"closure {number} ties '{closure.a.body}' to itself; attach its ends to two bodies"
-    yield from _spring_problems(robot, known)
+    yield from _spring_problems(robot.springs, known)
     joints = {joint.name for joint in robot.joints}
     for number, coupling in enumerate(robot.couplings, start=1):
-        others = [name for name, _ in coupling.ratios]
-        for name in (coupling.joint, *others):
-            if name not in joints:
-                yield f"coupling {number} names '{name}', which is not a joint"
-        if not others or coupling.joint in others or len(set(others)) < len(others):
-            yield f"coupling {number} must give '{coupling.joint}' from one or more other joints, each named once"
-        for name, ratio in coupling.ratios:
-            if ratio and not 1.0 / RATIO <= abs(ratio) <= RATIO:
-                yield (
-                    f"coupling {number} gives '{coupling.joint}' from '{name}' by a ratio of {ratio:g}, which no gear "
-                    f"has; write one between {1.0 / RATIO:g} and {RATIO:g} in size, rad and m"
-                )
-        if not all(ratio for _, ratio in coupling.ratios):
-            yield f"coupling {number} of '{coupling.joint}' has a ratio of zero; leave that joint out"
+        yield from _coupling_problems(f"coupling {number}", coupling, joints)
     carriers = [joint.name for joint in robot.joints if joint.has_mass]
     carriers += [platform.name for platform in robot.platforms]
     if robot.named_tool and robot.named_tool not in carriers:
@@ -400,33 +352,78 @@ def _problems(robot: Robot) -> Iterator[str]:
         yield "no joint is actuated; mark the motors' joints with 'actuated: true'"
 
 
-def _spring_problems(robot: Robot, known: set[str]) -> Iterator[str]:
+def _joint_problems(joint: Joint, known: Collection[str]) -> Iterator[str]:
+    if joint.name in known:
+        yield f"the name '{joint.name}' is used twice; give every joint and platform its own"
+    if joint.antecedent not in known:
+        yield (
+            f"joint '{joint.name}' has the antecedent '{joint.antecedent}', which is not a joint listed before it; "
+            f"write '{GROUND}' or move the antecedent up"
+        )
+    if abs(np.linalg.norm(joint.axis) - 1.0) > 1e-9:
+        yield f"the axis of joint '{joint.name}' is not a unit vector; divide it by its length"
+    low, high = joint.limits.position or (0.0, 1.0)
+    if not low < high:
+        yield (
+            f"the position limits of joint '{joint.name}' are {low:g} to {high:g}; write the lower one first, or "
+            "leave them out"
+        )
+    for quantity in ("velocity", "acceleration", "effort"):
+        value = getattr(joint.limits, quantity)
+        if value is not None and not value > 0.0:
+            yield f"the {quantity} limit of joint '{joint.name}' is {value:g}; write a positive number, or leave it out"
+
+
+def _platform_problems(platform: Platform, known: Collection[str]) -> Iterator[str]:
+    if platform.name in known:
+        yield f"the name '{platform.name}' is used twice; give every joint and platform its own"
+    if unknown := [dof for dof in platform.dof if dof not in TRANSLATIONS + ROTATIONS]:
+        yield f"platform '{platform.name}' has the degree of freedom '{unknown[0]}'; choose from x y z rx ry rz"
+    if len(set(platform.dof)) < len(platform.dof) or not platform.dof:
+        yield (
+            f"the degrees of freedom of platform '{platform.name}' must be one or more different ones of x y z rx ry rz"
+        )
+    if len([dof for dof in platform.dof if dof in ROTATIONS]) == 2:
+        yield (
+            f"platform '{platform.name}' has two rotations; give it none, one or all three "
+            "(the closures constrain the rest)"
+        )
+
+
+def _loose_ends(what: str, tie: Closure | Spring, known: Collection[str]) -> Iterator[str]:
+    for end in (tie.a, tie.b):
+        if end.body not in known:
+            yield f"{what} is attached to '{end.body}', which is no joint, platform or '{GROUND}'"
+
+
+def _coupling_problems(what: str, coupling: Coupling, joints: Collection[str]) -> Iterator[str]:
+    others = [name for name, _ in coupling.ratios]
+    for name in (coupling.joint, *others):
+        if name not in joints:
+            yield f"{what} names '{name}', which is not a joint"
+    if not others or coupling.joint in others or len(set(others)) < len(others):
+        yield f"{what} must give '{coupling.joint}' from one or more other joints, each named once"
+    for name, ratio in coupling.ratios:
+        if ratio and not 1.0 / RATIO <= abs(ratio) <= RATIO:
+            yield (
+                f"{what} gives '{coupling.joint}' from '{name}' by a ratio of {ratio:g}, which no gear has; write one "
+                f"between {1.0 / RATIO:g} and {RATIO:g} in size, rad and m"
+            )
+    if not all(ratio for _, ratio in coupling.ratios):
+        yield f"{what} of '{coupling.joint}' has a ratio of zero; leave that joint out"
+
+
+def _spring_problems(springs: Iterable[Spring], known: Collection[str]) -> Iterator[str]:
     names = set(known)
-    for spring in robot.springs:
+    for spring in springs:
         if spring.name in names:
             yield f"the name '{spring.name}' is used twice; give every joint, platform and spring its own"
         names.add(spring.name)
-        for end in (spring.a, spring.b):
-            if end.body not in known:
-                yield f"spring '{spring.name}' is attached to '{end.body}', which is no joint, platform or '{GROUND}'"
+        yield from _loose_ends(f"spring '{spring.name}'", spring, known)
         if spring.a.body == spring.b.body:
             yield f"both ends of spring '{spring.name}' are on '{spring.a.body}'; attach them to two bodies"
         if not spring.parameters:
             yield f"spring '{spring.name}' has none of preload, stiffness and damping; give it one, or remove it"
-
-
-def _limit_problems(joint: Joint) -> Iterator[str]:
-    limits = joint.limits
-    if limits.position is not None and not limits.position[0] < limits.position[1]:
-        low, high = limits.position
-        yield (
-            f"the position limits of joint '{joint.name}' are {low:g} to {high:g}; "
-            "write the lower one first, or leave them out"
-        )
-    for quantity in ("velocity", "acceleration", "effort"):
-        value = getattr(limits, quantity)
-        if value is not None and not value > 0.0:
-            yield f"the {quantity} limit of joint '{joint.name}' is {value:g}; write a positive number, or leave it out"
 
 
 def _palm(carriers: Mapping[str, str], last: str, links: Collection[str], base: Collection[str]) -> str:
@@ -435,16 +432,8 @@ def _palm(carriers: Mapping[str, str], last: str, links: Collection[str], base: 
     Fingers are branches of an arm: another has as many joints, or three others are alike as beside a thumb, and none
     has more joints than there are before them. So the arms of a torso, and legs, are none.
 
-    Parameters
-    ----------
-    carriers : mapping
-        Carrier of each joint; every carrier precedes its followers.
-    last : str
-        A joint.
-    links : collection of str
-        Joints whose link has a mass.
-    base : collection of str
-        Joints of a floating base, which do not belong to an arm.
+    ``carriers`` has the carrier of each joint, before its followers; ``links`` have a mass, and joints of a floating
+    ``base`` belong to no arm.
     """
     before: dict[str, tuple[str, ...]] = {}  # from the ground to each joint
     for joint, carrier in carriers.items():

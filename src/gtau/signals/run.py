@@ -11,10 +11,10 @@ import numpy as np
 
 from gtau.documents.validation import FUNCTION, name_problem, read_group, takes
 from gtau.errors import GtauError
+from gtau.findings import Finding
 from gtau.robots.floating import WrenchFrame
 from gtau.robots.robot import base_rows
 from gtau.signals.channel import BASE, SENSOR, Channel, channels_of
-from gtau.signals.notes import Note
 from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.log_file import as_log
 from gtau.signals.reading.log_set import read_logs
@@ -39,7 +39,7 @@ class Log:
     signals: Signals | None = None
     units: Units | None = None
     settings: PreparationSettings = CHOSEN
-    notes: tuple[Note, ...] = ()
+    notes: tuple[Finding, ...] = ()
     whole_share: float | None = None
     temperature: Temperature | None = None
 
@@ -137,7 +137,7 @@ class Run:
         return f"Run({self.name!r}, {len(self.time)} samples of joints {', '.join(self.joints)}, {self.kind}s{load})"
 
     @property
-    def notes(self) -> tuple[Note, ...]:
+    def notes(self) -> tuple[Finding, ...]:
         """Notes on repairs of the log."""
         return self.log.notes
 
@@ -250,7 +250,7 @@ def read_run(
         with as_log(log) as path:
             run = read_run(path, signals, payload, units, progress, settings, part)
         return replace(run, log=replace(run.log, paths=(), signals=None, units=None))
-    paths, notes = [Path(path) for path in paths], list[Note]()
+    paths, notes = [Path(path) for path in paths], list[Finding]()
     source, parts = read_logs(paths, signals, units, notes, part.rows, progress)
     channels = tuple(replace(channel, delay=settings.delay) for channel in source.channels)
     samples = check(replace(source, channels=channels), parts, notes, settings, part)

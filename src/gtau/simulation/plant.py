@@ -66,7 +66,7 @@ def _axes_of_bodies(loops: Loops, c: ca.SX) -> ca.SX:
     frame, blocks = frames(loops.layout, c), []
     for closure in loops.layout.robot.closures:
         blocks += [frame[closure.b.body].R_0.T] * (2 if closure.kind == "weld" else 1)
-    return ca.diagcat(*blocks, ca.SX.eye(loops.equations.rows - 3 * len(blocks)))
+    return ca.diagcat(*blocks, ca.SX.eye(loops.rows - 3 * len(blocks)))
 
 
 TOLERANCE = 1e-6  # of a step: error of the velocities, in rad/s or m/s

@@ -24,7 +24,7 @@ from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.model import dynamics
-from gtau.model.closures import closure_maps
+from gtau.model.closures import closed_motion, newton_step
 from gtau.model.kinematics import configuration_rates
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter, parameter_of, torque_unit
@@ -214,11 +214,10 @@ def functions(model: Identified) -> Functions:
         c, qd, qdd = (ca.SX.sym(name, n) for name in ("q", "qd", "qdd"))
         yd, ydd, J, home, cd = qd, qdd, ca.SX.eye(n), layout.home, qd
     else:
-        maps = closure_maps(layout)
-        c, qd, qdd, yd, ydd, J, home = maps.c, maps.qd, maps.qdd, maps.yd, maps.ydd, maps.J, loops.home
-        cd = configuration_rates(layout, c, yd)
-        step = _function("step", [c], [maps.moved, maps.size])
-        last_step = _function("last_step", [c], [maps.moved, maps.size, maps.condition])
+        (c, qd, qdd), (_, yd, ydd, J) = closed_motion(layout)
+        home, cd = loops.home, configuration_rates(layout, c, yd)
+        start, stepped = newton_step(layout)
+        step, last_step = _function("step", [start], stepped[:2]), _function("last_step", [start], stepped)
     p = ca.SX.sym("p", len(model.parameters))
     base, chi = model.result.base, ca.vertsplit(p[: model.result.base.count])
     load = dynamics.torques(layout, c, yd, ydd, J, _standard(model, transmitted(ca, base.standard, chi)))

@@ -11,6 +11,7 @@ from gtau.errors import GtauError
 from gtau.estimation.experiment_runs import describe
 from gtau.estimation.regression.dataset import at_rate_of, check_wrenches, motor_to_joint_speed
 from gtau.estimation.results.result import Result
+from gtau.robots.file import RobotFile
 from gtau.robots.robot import Limits, Robot
 from gtau.signals.preparation.prepared_run import PreparedRun, prepare
 from gtau.signals.reading.experiment import Experiment, read_experiment
@@ -119,4 +120,4 @@ def require_same(model: Result, robot: Robot, kind: str, where: str) -> None:
 def _mechanism(robot: Robot) -> Robot:
     """Reduce a robot to its mechanism: drop the parts that do not enter its equations of motion."""
     joints = tuple(replace(joint, limits=Limits()) for joint in robot.joints)
-    return replace(robot, name="", source="", notes=(), joints=joints)
+    return replace(robot, name="", joints=joints, file=RobotFile())

@@ -1,4 +1,4 @@
-"""Model uncertainty of the estimates: alternative models, weighted by the data.
+"""Model uncertainty of the estimates: alternative models, weighted by the data, and the hypotheses that make them.
 
 Each alternative has one unknown more, of size s. The data find s and its standard deviation; experience allows sizes up
 to a plausible standard deviation. The Bayes factor between the model with it and without it (s = 0) measures the
@@ -12,29 +12,24 @@ they support it, its full shift counts. Alternatives that would explain the resi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gtau.estimation.diagnostics.finding import Finding, Words
-from gtau.estimation.diagnostics.linearisation import (
-    CandidateColumns,
-    Offer,
-    at_full_rate,
-)
+from gtau.estimation.diagnostics.linearisation import Offer
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.regression.rows import Labels, configurations
 from gtau.estimation.thresholds.estimates import ALTERNATIVE_PRIOR, REFUTED_STD
-from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.loops import Motion
-from gtau.signals.preparation.prepared_run import InMemoryRun
+from gtau.findings import Finding
+from gtau.findings.finding import named_causes
+from gtau.findings.words import Words
 
 CERTAIN = 1e9  # log factor that stands for certainty
+SHOWN = float("inf")
+"""Plausible size of what a test of its own shows to be significant."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Alternative:
     """The model with one unknown more.
 
@@ -44,154 +39,109 @@ class Alternative:
         The name of its hypothesis.
     causes : tuple of Finding
         What it is, and what else has the same effect; the first has the largest plausible effect.
-    size, std, unit : float, float, str
-        The unknown as the data find it; ``std`` is infinite where the other unknowns explain as much, and NaN where
-        the share of the residual variance alone shows how significant it is.
-    plausible : float
-        Standard deviation of the sizes that experience allows.
-    group : tuple of str
-        Alternatives of one group compete: they would explain the same residuals.
-    log_factor, second_moment : float
-        See :func:`support`.
+    size, std, unit : float, float or None, str
+        The unknown as the data find it. Without ``std`` the other unknowns explain as much, or the share of the
+        residual variance alone shows how significant it is.
     probability : float
-        That it holds, given the data; see :func:`compete`.
+        That it holds: before the data, and by :func:`compete` given them.
     share : float
         Share of the residual variance that goes with it.
-    slopes : ndarray
-        By how much (theta, gains, delays) move for a unit of it, (k,).
-    moves : ndarray
-        By what share of itself each gain moves at that size, (n,).
-    description : bool
-        Whether it contradicts the user's description of robot and logs.
+    moves : mapping
+        By how much the gain of each motor moves at that size, per cent of itself.
+    shifts : ndarray
+        By how much (theta, gains, delays) move if it holds, rms, (k,); ``model.json`` does not hold them.
+    plausible : float
+        Standard deviation of the sizes that experience allows, or ``SHOWN``; not in ``model.json``.
     """
 
     hypothesis: str
     causes: tuple[Finding, ...]
     size: float
-    std: float
+    std: float | None
     unit: str
-    plausible: float
-    group: tuple[str, ...]
-    log_factor: float
-    second_moment: float
-    share: float
-    slopes: np.ndarray
-    moves: np.ndarray
-    description: bool
-    probability: float = 0.0
+    probability: float = float(ALTERNATIVE_PRIOR)
+    share: float = 0.0
+    moves: Mapping[str, float] = field(default_factory=dict)
+    shifts: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    plausible: float = SHOWN
+
+    def __repr__(self) -> str:
+        return f"Alternative({self.subject}: probability {self.probability:.2g})"
+
+    @property
+    def subject(self) -> str:
+        """The causes by name."""
+        return named_causes(self.causes)
 
     @property
     def t(self) -> float:
         """Size in standard deviations."""
-        return self.size / self.std if 0 < self.std < np.inf else 0.0
+        return self.size / self.std if self.std else 0.0
 
     @property
     def significant(self) -> bool:
-        """Whether it is significant: by its size, or by the share that made it an alternative."""
-        return bool(np.isnan(self.std)) or abs(self.t) > REFUTED_STD
+        """Whether it is significant: by its size, or by the test that showed it."""
+        return (self.std is None and self.plausible == SHOWN) or abs(self.t) > REFUTED_STD
 
     @property
-    def mean_square(self) -> float:
-        """Posterior mean square of its size, given the data."""
-        return self.probability * self.second_moment
+    def largest_move(self) -> float:
+        """Largest move of a gain, per cent of itself."""
+        return max(map(abs, self.moves.values()), default=0.0)
+
+    def moving(self, fit: Fit, slopes: np.ndarray) -> Alternative:
+        """Add what it does to the estimates: they move by ``slopes`` (k,) for a unit of it."""
+        gains, moment = slopes[fit.system.problem.gain_rows], support(self.size, self.std, self.plausible)[1]
+        moves = {
+            joint: 100 * float(slope * self.size / gain)
+            for joint, slope, gain in zip(fit.dataset.model.actuated, gains, fit.gains, strict=True)
+            if joint in fit.dataset.robot.motors
+        }
+        return replace(self, moves=moves, shifts=np.sqrt(moment) * slopes)
 
 
-def support(size: float, std: float, plausible: float) -> tuple[float, float]:
-    """Compute the log Bayes factor of an alternative over none, and the second moment of its size under it.
-
-    Parameters
-    ----------
-    size, std : float
-        The size as the data find it; ``std`` is infinite where they say nothing of it.
-    plausible : float
-        Standard deviation of the sizes that experience allows.
-    """
-    if not np.isfinite(std):
-        return 0.0, plausible**2
+def support(size: float, std: float | None, plausible: float) -> tuple[float, float]:
+    """Compute the log Bayes factor of an alternative over none, and the second moment of its size under it."""
+    if std is None:
+        return (np.inf, size**2) if plausible == SHOWN else (0.0, plausible**2)
     ratio = plausible**2 / (plausible**2 + std**2)
     factor = 0.5 * np.log1p(-min(ratio, 1 - 1e-16)) + 0.5 * ratio * (size / std) ** 2
     return float(factor), float((ratio * size) ** 2 + ratio * std**2)
 
 
-def compete(alternatives: Sequence[Alternative]) -> tuple[Alternative, ...]:
-    """Assign probabilities to the alternatives of each group: one of them holds, or none."""
-    groups: dict[tuple[str, ...], list[Alternative]] = {}
-    for each in alternatives:
-        groups.setdefault(each.group, []).append(each)
-    found: list[Alternative] = []
+def compete(
+    alternatives: Sequence[Alternative], group_of: Callable[[Alternative], Hashable]
+) -> tuple[Alternative, ...]:
+    """Assign probabilities to the alternatives of each group: one of them holds, or none; without one (None) alone."""
+    groups: dict[Hashable, list[Alternative]] = {}
+    for k, each in enumerate(alternatives):
+        group = group_of(each)
+        groups.setdefault(k if group is None else group, []).append(each)
+    weighed: list[Alternative] = []
     for members in groups.values():
-        prior = np.log(ALTERNATIVE_PRIOR / len(members) / (1 - ALTERNATIVE_PRIOR))
+        prior = [np.log(each.probability / len(members) / (1 - ALTERNATIVE_PRIOR)) for each in members]
         # log odds over none, of which certain ones are beyond all others; the largest is taken off against overflow
-        odds = np.append(prior + np.minimum([each.log_factor for each in members], CERTAIN), 0.0)
+        factors = [min(support(each.size, each.std, each.plausible)[0], CERTAIN) for each in members]
+        odds = np.append(np.add(prior, factors), 0.0)
         odds = np.exp(odds - odds.max())
-        found += [replace(each, probability=float(p)) for each, p in zip(members, odds[:-1] / odds.sum(), strict=True)]
-    return tuple(found)
+        weighed += [replace(each, probability=float(p)) for each, p in zip(members, odds / odds.sum(), strict=False)]
+    return tuple(weighed)
 
 
 def established(
-    fit: Fit,
-    hypothesis: str,
-    cause: Finding,
-    moves: np.ndarray,
-    share: float,
-    size: float = 1.0,
-    std: float = np.nan,
-    unit: str = "",
+    fit: Fit, hypothesis: str, cause: Finding, moves: np.ndarray, share: float, size: float = 1.0, unit: str = ""
 ) -> Alternative:
-    """Make an alternative of what a separate test found to be significant; ``moves`` (n,) are those of the gains."""
+    """Make an alternative of what a test of its own showed to be significant; ``moves`` (n,) are the gains'."""
     slopes = np.zeros(len(fit.solution.stacked))
     slopes[fit.system.problem.gain_rows] = moves * fit.gains / size
-    group = (cause.kind, *cause.joints)
-    return Alternative(
-        hypothesis, (cause,), size, std, unit, abs(size), group, np.inf, size**2, share, slopes, moves, description=True
-    )
+    return Alternative(hypothesis, (cause,), size, None, unit, share=share).moving(fit, slopes)
 
 
 def model_covariance(alternatives: Sequence[Alternative], size: int) -> np.ndarray:
     """Compute the covariance of (theta, gains, delays) that all alternatives together add, (k, k)."""
     total = np.zeros((size, size))
     for each in alternatives:
-        total += each.mean_square * np.outer(each.slopes, each.slopes)
+        total += each.probability * np.outer(each.shifts, each.shifts)
     return total
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A column of candidate torques.
-
-    Attributes
-    ----------
-    finding : Finding
-        What it is; one that is tried joint by joint is given its joint later.
-    unit : str
-        Of its size.
-    plausible : float
-        Standard deviation of the size that experience allows before the data.
-    """
-
-    finding: Finding
-    unit: str
-    plausible: float
-
-
-@dataclass(frozen=True, eq=False)
-class Candidates:
-    """Candidate torques of a hypothesis.
-
-    Attributes
-    ----------
-    columns : sequence of Candidate
-        What each of the m columns is.
-    offer : callable
-        Makes them, in this order.
-    describe : callable, optional
-        Finds what sizes (m,) of all columns together mean, where they are to be tried together too; its second argument
-        are the shares (m,) of what they explain together that each column explains alone.
-    """
-
-    columns: Sequence[Candidate]
-    offer: Offer
-    describe: Callable[[np.ndarray, np.ndarray], Finding] | None = None
 
 
 @dataclass(frozen=True)
@@ -215,10 +165,10 @@ class Cause:
     plausible: float = 0.0
     unit: str = ""
 
-    @property
-    def candidate(self) -> Candidate:
-        """Its column, tried joint by joint."""
-        return Candidate(Finding(self.kind), self.unit, self.plausible)
+    def column(self, joint: str = "", subject: str = "", **values: object) -> Alternative:
+        """Make the alternative that a column of it stands for, before its size is known."""
+        finding = Finding(self.kind, (joint,) if joint else (), subject, values)
+        return Alternative("", (finding,), 0.0, None, self.unit, plausible=float(self.plausible))
 
 
 @dataclass(frozen=True)
@@ -230,13 +180,17 @@ class Hypothesis:
     name : str
         In ``model.json``.
     shared : bool
-        Whether a candidate acts on all joints with one size, or on each joint with a size of its own. Common effects
+        Whether a column acts on all joints with one size, or on each joint with a size of its own. Common effects
         are of the links, and reach torque sensors too; those of a single joint are of its drive.
-    candidates : callable
-        From a fit to its candidates; None where the hypothesis does not apply to this robot. What it adds is its
-        docstring.
+    torques : callable
+        From a fit to the candidate torques, a column for each cause. What they add is its docstring.
     causes : tuple of Cause
-        What its candidates are, and what they may mean together.
+        What its columns are, and what they may mean together.
+    columns : callable, optional
+        From a fit to what the columns are, where they are not the causes; none where it does not apply to the robot.
+    describe : callable, optional
+        Finds what sizes (m,) of all columns together mean, where they are to be tried together too; its last argument
+        are the shares (m,) of what they explain together that each column explains alone.
     description : bool
         Whether it contradicts the user's description of robot and logs; otherwise it is physics that the model lacks,
         which widens the intervals.
@@ -244,33 +198,26 @@ class Hypothesis:
 
     name: str
     shared: bool
-    candidates: Callable[[Fit], Candidates | None]
+    torques: Callable[[Fit], Offer]
     causes: tuple[Cause, ...]
+    columns: Callable[[Fit], Sequence[Alternative]] | None = None
+    describe: Callable[[Fit, np.ndarray, np.ndarray], Finding] | None = None
     description: bool = False
 
-
-def joint_by_joint(
-    fit: Fit, causes: Sequence[Cause], torques: Callable[[InMemoryRun, np.ndarray], Mapping[Cause, np.ndarray]]
-) -> Candidates:
-    """Make candidates that are tried joint by joint, from the ``torques`` (n, M) of each cause along a window."""
-
-    def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
-        of = torques(window, values)
-        return at_full_rate(window, fit.dataset, np.stack([of[each] for each in causes]))
-
-    return Candidates([each.candidate for each in causes], offer)
+    def offered(self, fit: Fit) -> list[Alternative]:
+        """List what its columns are, none where it does not apply to the robot."""
+        columns = [cause.column() for cause in self.causes] if self.columns is None else self.columns(fit)
+        return [replace(each, hypothesis=self.name) for each in columns]
 
 
 def friction_levels(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
     """Return viscous coefficients and Coulomb torques of the actuated joints, (n,) each; 0 where not estimated."""
     estimates = zip(fit.system.problem.parameters, fit.solution.theta, strict=True)
     values = {(name.kind, name.body): abs(value) for name, value in estimates if name.run is None}
-
-    def of(kind: str) -> np.ndarray:
-        joints = fit.dataset.model.actuated
-        return np.array([values.get((kind, joint), 0.0) for joint in joints])
-
-    return of("fv"), of("fs")
+    fv, fs = (
+        np.array([values.get((kind, joint), 0.0) for joint in fit.dataset.model.actuated]) for kind in ("fv", "fs")
+    )
+    return fv, fs
 
 
 def rms_torques(fit: Fit) -> np.ndarray:
@@ -281,36 +228,3 @@ def rms_torques(fit: Fit) -> np.ndarray:
 def rms_speeds(fit: Fit) -> np.ndarray:
     """Find the largest rms speed of each joint in a run, (n,), rad/s or m/s."""
     return np.sqrt(np.max([np.diag(run.speeds) for run in fit.dataset.prepared], axis=0))
-
-
-@lru_cache(maxsize=2)  # hypotheses are tried window by window
-def window_motion(model: InverseDynamics, window: InMemoryRun) -> Motion:
-    """Compute configurations, velocities and accelerations of a ``model`` along a window.
-
-    Raises
-    ------
-    GtauError
-        Where the loops cannot be closed at a sample, or a pose is too close to a singularity.
-    """
-    return _motion(model, window, configurations(model, window))
-
-
-def moved(window: InMemoryRun, factor: np.ndarray, shift: np.ndarray) -> InMemoryRun:
-    """Scale the positions of a window by a ``factor`` (n,), and shift them by ``shift`` (n,)."""
-    of = window.samples()
-    return InMemoryRun(window.run, replace(of, q=of.q * factor + shift, qd=of.qd * factor, qdd=of.qdd * factor))
-
-
-def moved_motion(model: InverseDynamics, window: InMemoryRun, start: np.ndarray) -> Motion:
-    """Compute the motion along a window whose positions were :func:`moved`, from a configuration ``start`` (n_c,).
-
-    That is near the first one, so that loops are closed as before.
-    """
-    of = window.samples()
-    return _motion(model, window, model.path(np.ascontiguousarray(of.q.T), Labels(window.run.name, of.time), start))
-
-
-def _motion(model: InverseDynamics, window: InMemoryRun, c: np.ndarray) -> Motion:
-    of = window.samples()
-    qd, qdd = (np.ascontiguousarray(each.T) for each in (of.qd, of.qdd))
-    return model.rates(np.ascontiguousarray(c), qd, qdd, Labels(window.run.name, of.time))

@@ -2,30 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gtau.estimation.diagnostics.examine import Examination
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.gain_checks import (
     common_scale,
     estimated_gains,
     given_gains,
     half_widths,
-    impossible_parameters,
-    in_context,
     logged_torques,
-    motors,
     wrench_contradictions,
 )
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit, prior_findings
 from gtau.estimation.diagnostics.other_estimators import position_noise
-from gtau.estimation.diagnostics.parameter_checks import delay_verdicts, unlike_legs
-from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings, ripple_findings
-from gtau.estimation.diagnostics.sentences import note
+from gtau.estimation.diagnostics.parameter_checks import delay_verdicts, impossible_parameters, motors, unlike_legs
+from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings
 from gtau.estimation.diagnostics.stated_constants import (
     SensorScale,
     prior_contradictions,
@@ -36,8 +30,9 @@ from gtau.estimation.diagnostics.unit_checks import units_and_signs
 from gtau.estimation.diagnostics.verdict import GIVEN, GOOD, OUTCOMES, Outcome, Verdict, decide
 from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Fit
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import whole_mass
-from gtau.signals.notes import Note
 
 WIDTH = 1.96  # standard deviations in half a 95 % interval
 
@@ -54,7 +49,7 @@ class Diagnosis:
     gains: Mapping[str, Verdict]
     delays: tuple[Verdict, ...]
     payloads: Mapping[str, Verdict]
-    notes: tuple[Note, ...]
+    notes: tuple[Finding, ...]
     accuracy: float
     sensors: tuple[SensorScale, ...] = ()
 
@@ -83,61 +78,73 @@ def diagnose(
     audit : InertiaAudit, optional
         What the data say of the inertias of the robot's file.
     """
-    dataset, problem, joints = fit.dataset, fit.system.problem, motors(fit)
+    dataset, problem = fit.dataset, fit.system.problem
     sensors = sensor_scales(fit) if fit.free_gains else ()
-    priors = prior_contradictions(fit, estimates.covariance, accuracy)
-    mass = whole_mass(dataset.base, dataset.model.parameter_names) if dataset.robot.floating else ""
-    impossible = tuple(impossible_parameters(fit, estimates))
-    sizes = tuple(units_and_signs(fit, estimates, prior_gains, audit))
-    against = [
+    findings = [
         *wrench_contradictions(fit),
-        *impossible,
-        *(each for each in sizes if each.kind in OUTCOMES),
-        *(replace(each, kind=F.WHOLE_MASS, joints=joints) for each in priors if each.subject == mass),
+        *impossible_parameters(fit, estimates),
+        *unlike_legs(dataset, problem, fit.solution.theta, estimates.covariance),
+        *_wrong_priors(fit, estimates, accuracy),
+        *prior_findings(audit),
+        *units_and_signs(fit, estimates, prior_gains, audit),
+        *position_noise(fit, examined.alternatives),
+        *(examined.ripple.causes if examined.ripple else ()),
+        *repeated_motion_findings(fit, examined.alternatives),
     ]
     if fit.free_gains:
-        against += [
+        findings += [
             *estimated_gains(fit, examined, estimates, accuracy, prior_gains),
             *sensor_contradictions(sensors, problem.joints, accuracy),
-            *(
-                Finding(F.PAYLOAD, joints, name, severity=each.finding.severity)
-                for name, each in payloads.items()
-                if each.finding is not None and each.outcome == Outcome.CONTRADICTORY
-            ),
+            *_wrong_payloads(fit, payloads),
+            *_small_refutations(examined, accuracy),
+            *common_scale(fit, estimates, accuracy),
         ]
     else:
-        against += given_gains(fit, examined, payloads)
+        findings += given_gains(fit, examined, payloads)
+    findings += [*logged_torques(fit, examined, estimates), *examined.findings]
+    in_context = [_in_context(fit, finding) for finding in findings]
+    against = [finding for finding in in_context if finding.kind in OUTCOMES]
+    halves = half_widths(fit, estimates) if fit.free_gains else np.zeros(0)
     delay_std = np.sqrt(np.diag(estimates.random))[problem.n_theta + len(problem.channels) :]
     period = 1 / min(run.rate for run in dataset.runs)
-    delays = delay_verdicts(problem, fit.solution, delay_std, period) if delay_std.any() else (GOOD,) * len(delay_std)
-    beside = [
-        *unlike_legs(dataset, fit.system, fit.solution.theta, estimates.covariance),
-        *priors,
-        *prior_findings(audit),
-        *(each for each in sizes if each.kind not in OUTCOMES),
-        *position_noise(fit, examined.alternatives),
-        *ripple_findings(examined.ripple, fit),
-        *repeated_motion_findings(fit, examined.alternatives),
-        *(_small_refutations(examined, accuracy) if fit.free_gains else []),
-        *(common_scale(fit, estimates, accuracy) if fit.free_gains else []),
-        *logged_torques(fit, examined, estimates),
-        *examined.untested,
-    ]
-    halves = half_widths(fit, estimates) if fit.free_gains else np.zeros(0)
-    beside = [replace(each, moves=_moves(each, halves)) for each in beside]
-    against, beside = ([in_context(fit, each) for each in found] for found in (against, beside))
-    gains = dict(zip(joints, decide(joints, against, GOOD if fit.free_gains else GIVEN), strict=True))
-    return Diagnosis(gains, tuple(delays), payloads, tuple(map(note, beside)), accuracy, sensors)
+    return Diagnosis(
+        dict(zip(motors(fit), decide(motors(fit), against, GOOD if fit.free_gains else GIVEN), strict=True)),
+        delay_verdicts(problem, fit.solution, delay_std, period) if delay_std.any() else (GOOD,) * len(delay_std),
+        payloads,
+        tuple(replace(note, size=_moves(note, halves)) for note in in_context if note.kind not in OUTCOMES),
+        accuracy,
+        sensors,
+    )
 
 
-def _small_refutations(examined: Examination, accuracy: float) -> list[Finding]:
-    """List the parts of the description that the data refute without moving any gain by more than the accuracy."""
-    moves = [(each, float(np.abs(each.moves).max())) for each in examined.refuted]
-    return [
-        Finding(F.SMALL_REFUTATION, values={"share": each.share, "move": move}, causes=each.causes)
-        for each, move in moves
-        if move <= accuracy
-    ]
+def _wrong_priors(fit: Fit, estimates: Estimates, accuracy: float) -> Iterator[Finding]:
+    """Find contradictory priors; one on the mass of a floating robot is against all gains."""
+    dataset = fit.dataset
+    mass = whole_mass(dataset.base, dataset.model.parameter_names) if dataset.robot.floating else ""
+    for finding in prior_contradictions(fit, estimates.covariance, accuracy):
+        yield finding
+        if finding.subject == mass:
+            yield replace(finding, kind=F.WHOLE_MASS, joints=motors(fit))
+
+
+def _wrong_payloads(fit: Fit, payloads: Mapping[str, Verdict]) -> Iterator[Finding]:
+    for name, verdict in payloads.items():
+        if verdict.finding is not None and verdict.outcome == Outcome.CONTRADICTORY:
+            yield Finding(F.PAYLOAD, motors(fit), name, size=verdict.finding.size)
+
+
+def _small_refutations(examined: Examination, accuracy: float) -> Iterator[Finding]:
+    """Find the parts of the description that the data refute without moving any gain by more than the accuracy."""
+    for part in examined.refuted:
+        move = part.largest_move / 100
+        if move <= accuracy:
+            yield Finding(F.SMALL_REFUTATION, values={"share": part.share, "move": move}, causes=part.causes)
+
+
+def _in_context(fit: Fit, finding: Finding) -> Finding:
+    """Note in a finding whether there is a payload, or a wrench on a body or a floating base, for its advice."""
+    wrenches = bool(fit.system.problem.wrenches or fit.system.problem.base)
+    return replace(finding, values={"payload": bool(fit.system.payloads), "wrenches": wrenches, **finding.values})
 
 
 def _moves(finding: Finding, halves: np.ndarray) -> float:

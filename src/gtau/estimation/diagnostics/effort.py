@@ -20,8 +20,6 @@ from typing import Any
 import numpy as np
 
 from gtau.estimation.diagnostics.effort_rows import JointRows, basis_of, joint_rows, triangles, unexplained
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.linearisation import least_squares_step
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.priors import stated_inertias
@@ -36,6 +34,8 @@ from gtau.estimation.thresholds.estimates import (
     TINY,
 )
 from gtau.estimation.thresholds.logs import AS_WELL, LATE, MEANING_CLOSE, NO_GRAVITY, WITH_GRAVITY
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import of_drive
 
 AS_STATED, NONE = "as stated", "none of these"
@@ -93,7 +93,7 @@ class Ranking:
                     F.LATE,
                     (names[j],),
                     values={**values, "lag": lag, "shifted": float(best.left[j]), "as_logged": float(stated[j])},
-                    severity=float(stated[j]),
+                    size=float(stated[j]),
                 )
                 for j, lag in zip(best.altered, best.values["lags"], strict=True)
             )
@@ -101,9 +101,7 @@ class Ranking:
             return ()
         shares = {"exchanged": best.values["after"], "as_logged": best.values["before"]}
         return (
-            Finding(
-                F(best.kind), joints, values=values | shares, severity=1 - shares["exchanged"] / shares["as_logged"]
-            ),
+            Finding(F(best.kind), joints, values=values | shares, size=1 - shares["exchanged"] / shares["as_logged"]),
         )
 
 

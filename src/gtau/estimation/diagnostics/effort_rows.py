@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gtau.estimation.diagnostics.alternatives import window_motion
-from gtau.estimation.diagnostics.linearisation import central_windows
+from gtau.estimation.diagnostics.linearisation import window_motion
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.equations import triangle
 from gtau.estimation.regression.rows import stream_rows
@@ -165,7 +164,7 @@ def _windows(dataset: Dataset, reach: float) -> Iterator[_Window]:
     model, names = dataset.model, dataset.base.standard
     joints, regressor = range(len(model.actuated)), model.columns(names)
     falling = np.array([name.kind in INERTIAL for name in names])[regressor.columns]
-    for run, piece in central_windows(dataset):
+    for run, piece in dataset.windows():
         decimator = dataset.preparation.at(piece.run.rate).decimator
         parts = list(stream_rows(model, regressor, piece, decimator))
         currents, entries = (

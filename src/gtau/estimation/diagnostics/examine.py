@@ -1,27 +1,22 @@
-"""Examine a fit: all alternatives tried, what they refute, and how uncertain the estimates are."""
+"""Examine a fit: the checks in their order, which effect silences which others, and how uncertain the estimates are."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import Alternative, compete, model_covariance
 from gtau.estimation.diagnostics.effort import UNRANKED, Ranking, rank_meanings
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.hypotheses import HYPOTHESES
+from gtau.estimation.diagnostics.hypotheses import HYPOTHESES, find_alternatives, ranked
 from gtau.estimation.diagnostics.hypotheses.description import GRAVITY, WRENCH_OFFSETS, WRENCH_POINTS
-from gtau.estimation.diagnostics.hypotheses.drives import gain_changes
-from gtau.estimation.diagnostics.linearisation import central_windows, usable_rows
+from gtau.estimation.diagnostics.hypotheses.drives import GAIN_CHANGE, gain_changes
 from gtau.estimation.diagnostics.log_checks import frozen_encoders, lack_of_fit
-from gtau.estimation.diagnostics.other_estimators import (
-    alternatives_of,
-    other_estimators,
-    two_stage_difference,
-)
+from gtau.estimation.diagnostics.other_estimators import ESTIMATORS, other_estimators, two_stage_difference
 from gtau.estimation.diagnostics.other_robots import (
+    LENGTHS,
+    TOOL_BODIES,
     gravity_asked_for,
     gravity_not_shown,
     likelier_gravity,
@@ -31,13 +26,14 @@ from gtau.estimation.diagnostics.other_robots import (
     other_loads,
 )
 from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
-from gtau.estimation.diagnostics.repeating_residuals import PositionRipple, position_ripple
-from gtau.estimation.diagnostics.score_test import WINDOWS, find_alternatives
+from gtau.estimation.diagnostics.repeating_residuals import RIPPLE, position_ripple
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
 from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import degrees_of_freedom
+from gtau.estimation.regression.windows import WINDOWS, usable_rows
 from gtau.estimation.thresholds.estimates import (
+    DIFFERENT_PROBABILITY,
     DOMINANT,
     FEWEST_FOR_TESTS,
     GRAVITY_MISFIT,
@@ -47,7 +43,15 @@ from gtau.estimation.thresholds.estimates import (
     PROBABLE,
     REFUTED_SHARE,
 )
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.progress import Progress, silent
+
+DESCRIPTION = {hypothesis.name for hypothesis in HYPOTHESES if hypothesis.description} | {
+    GAIN_CHANGE, LENGTHS, TOOL_BODIES
+}  # fmt: skip
+"""Hypotheses that contradict the user's description of robot and logs."""
+WRENCHES = {WRENCH_OFFSETS.name, WRENCH_POINTS.name}
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,27 +64,25 @@ class Examination:
         Standard deviations by the jackknife over those for independent residuals.
     alternatives : tuple of Alternative
         All that were tried.
-    ripple : PositionRipple
-        What of the residuals repeats at the same positions.
-    against : tuple of Finding
-        What the columns of some joints hold instead of their currents or torques, and frozen encoders.
-    untested : tuple of Finding
-        Tests that refused these data or have no power on them, and why.
+    findings : tuple of Finding
+        What the columns of some joints hold instead of their currents or torques, frozen encoders, a torque that
+        repeats at the same positions, and tests that refused these data or have no power on them.
     effort : Ranking
         What the columns of all joints may hold.
+    ripple : Alternative, optional
+        What of the residuals repeats at the same positions.
     """
 
     lack_of_fit: float
-    alternatives: tuple[Alternative, ...]
-    ripple: PositionRipple
-    against: tuple[Finding, ...]
-    untested: tuple[Finding, ...] = ()
+    alternatives: tuple[Alternative, ...] = ()
+    findings: tuple[Finding, ...] = ()
     effort: Ranking = UNRANKED
+    ripple: Alternative | None = None
 
-    @property
-    def covariance(self) -> np.ndarray:
-        """Covariance of (theta, gains, delays) that model deficits may add, (k, k)."""
-        return self.ripple.covariance + model_covariance(self.alternatives, len(self.ripple.moves))
+    def covariance(self, fit: Fit) -> np.ndarray:
+        """Compute the covariance of (theta, gains, delays) that model deficits may add, (k, k)."""
+        alternatives = self.alternatives if self.ripple is None else (*self.alternatives, self.ripple)
+        return model_covariance(alternatives, len(fit.solution.stacked))
 
     @property
     def refuted(self) -> tuple[Alternative, ...]:
@@ -93,73 +95,136 @@ class Examination:
         held = [each for each in self.alternatives if each.probability > PROBABLE and each.significant]
         of_physics: dict[str, float] = {}
         for each in held:
-            if not each.description:
+            if each.hypothesis not in DESCRIPTION:
                 of_physics[each.hypothesis] = of_physics.get(each.hypothesis, 0.0) + each.share
-        repeating = float(np.maximum(self.ripple.shares, 0.0).mean())
-        stated = [each for each in held if each.description]
+        stated = [each for each in held if each.hypothesis in DESCRIPTION]
         of_stated = OF_BEST * max((each.share for each in stated), default=0.0)
-        least = max([REFUTED_SHARE, OF_REPEATING * repeating, of_stated, *of_physics.values()])
-        found = [each for each in stated if each.share > least]
-        return tuple(sorted(found, key=lambda each: -each.share))
+        of_ripple = OF_REPEATING * (0.0 if self.ripple is None else self.ripple.share)
+        least = max([REFUTED_SHARE, of_ripple, of_stated, *of_physics.values()])
+        return tuple(sorted((each for each in stated if each.share > least), key=lambda each: -each.share))
+
+
+@dataclass(frozen=True, eq=False)
+class Check:
+    """A test of a fit, with what it silences.
+
+    Attributes
+    ----------
+    name : str
+        By which other checks silence it.
+    test : callable
+        Yields findings and alternatives, from a fit, what was found before, and the progress.
+    silences : frozenset of str
+        Checks that are not made, and hypotheses and kinds of findings that do not count, where it finds something: it
+        explains what they would find.
+    least : float
+        Share of the residual variance from which on an alternative of it silences them.
+    """
+
+    name: str
+    test: Callable[[Fit, Examination, Progress], Iterable[Finding | Alternative]]
+    silences: frozenset[str] = frozenset()
+    least: float = -np.inf
+
+
+def _lacking(fit: Fit) -> bool:
+    return lack_of_fit(fit.system.problem, fit.solution) > LACKING
+
+
+def _loads(fit: Fit, seen: Examination, progress: Progress) -> Iterator[Alternative]:
+    misfit = float(unexplained_shares(fit.system.problem, fit.solution).max())
+    if (_lacking(fit) or misfit > GRAVITY_MISFIT) and (loads := other_loads(fit)):
+        yield loads
+
+
+def _gravity(fit: Fit, seen: Examination, progress: Progress) -> Iterator[Alternative]:
+    missing = missing_gravity(fit) if seen.effort.best == F.WITHOUT_GRAVITY else None
+    asked = _lacking(fit) and gravity_asked_for(fit, seen.alternatives)
+    if gravity := likelier_gravity(fit, missing, other_gravity(fit, progress) if asked else None):
+        yield gravity
+
+
+def _lengths(fit: Fit, seen: Examination, progress: Progress) -> Iterator[Alternative]:
+    if _lacking(fit) and (length := other_length(fit, progress)):
+        yield length
+
+
+def _ripple(fit: Fit, seen: Examination, progress: Progress) -> Iterator[Alternative]:
+    if _lacking(fit):
+        yield position_ripple(fit)
+
+
+OTHER_GRAVITY, GRAVITY_NOT_SHOWN, EFFORT, FROZEN = "other gravity", "gravity not shown", "effort", "frozen encoders"
+OF_EFFORT = {F.LATE, F.SWAPPED, F.MAGNITUDES, F.REVERSED}
+CHECKS: tuple[Check, ...] = (
+    Check("hypotheses", lambda fit, seen, progress: find_alternatives(fit)),
+    Check("other estimators", lambda fit, seen, progress: other_estimators(fit)),
+    Check("two-stage least squares", lambda fit, seen, progress: two_stage_difference(fit)),
+    # see the evidence of DOMINANT
+    Check(GAIN_CHANGE, lambda fit, seen, progress: gain_changes(fit), frozenset({RIPPLE}), DOMINANT),
+    # what the columns hold instead explains the residuals
+    Check(EFFORT, lambda fit, seen, progress: seen.effort.findings(fit.dataset), frozenset({OTHER_GRAVITY, LENGTHS})),
+    # links that turned unseen look like another body in that run
+    Check(FROZEN, lambda fit, seen, progress: frozen_encoders(fit), frozenset({TOOL_BODIES})),
+    # what another current in these runs, say, would explain is its effect
+    Check(
+        TOOL_BODIES, _loads, frozenset({*DESCRIPTION, *OF_EFFORT, OTHER_GRAVITY, GRAVITY_NOT_SHOWN, LENGTHS, RIPPLE})
+    ),
+    # what a few degrees, other lengths or ripple would explain is its effect
+    Check(OTHER_GRAVITY, _gravity, frozenset({GRAVITY.name, GRAVITY_NOT_SHOWN, LENGTHS, RIPPLE})),
+    Check(GRAVITY_NOT_SHOWN, lambda fit, seen, progress: gravity_not_shown(fit) if seen.effort.gravity_open else ()),
+    Check(LENGTHS, _lengths),
+    Check(RIPPLE, _ripple),
+)
+"""All checks, in the order in which they are made; the comment of each is why what it finds silences others."""
+LIKE_WRENCHES = {GAIN_CHANGE, LENGTHS}
+"""Effects that seem to be there where a wrench is wrong, and count if they explain ``OF_BEST`` of what that does."""
 
 
 def examine(fit: Fit, progress: Progress = silent) -> Examination:
-    """Try all hypotheses on a fit.
-
-    Parameters
-    ----------
-    fit : Fit
-        What was estimated.
-    progress : callable
-        Called as the work goes on.
-    """
-    lack = lack_of_fit(fit.system.problem, fit.solution)
-    windows = central_windows(fit.dataset, WINDOWS)
-    rows, unknowns = usable_rows(fit.dataset, windows), len(fit.solution.stacked)
+    """Make all checks of a fit; ``progress`` is called as the work goes on."""
+    rows, unknowns = usable_rows(fit.dataset.windows(WINDOWS), fit.dataset.prepared), len(fit.solution.stacked)
+    seen = Examination(lack_of_fit(fit.system.problem, fit.solution))
     if rows < FEWEST_FOR_TESTS * unknowns:
-        few = Finding(F.FEW_ROWS, values={"rows": rows, "unknowns": unknowns})
-        return Examination(lack, (), PositionRipple.none(fit), (), (few,))
-    alternatives = list(find_alternatives(fit, HYPOTHESES, windows))
-    scaled = False
-    (*differences,), untested = other_estimators(fit, windows)
-    if fit.free_gains:
-        by_two_stage = two_stage_difference(fit)
-        if isinstance(by_two_stage, Finding):
-            untested = (*untested, by_two_stage)
-        else:
-            differences.append(by_two_stage)
-        changes = gain_changes(fit)
-        scaled = any(each.share > DOMINANT for each in changes)
-        alternatives += [each for each in changes if each.share > OF_BEST * _most_of_wrenches(alternatives)]
-    effort = rank_meanings(fit.dataset, fit.system.problem.slowest)
-    against = effort.findings(fit.dataset)  # what the columns hold instead explains the residuals
-    misfit = float(unexplained_shares(fit.system.problem, fit.solution).max())
-    frozen = frozen_encoders(fit)
-    loads = other_loads(fit) if not frozen and (lack > LACKING or misfit > GRAVITY_MISFIT) else None
-    if loads:  # what another current in these runs, say, would explain is its effect
-        alternatives, against = [*(each for each in alternatives if not each.description), loads], ()
-    asked = lack > LACKING and not loads and gravity_asked_for(fit, alternatives)
-    missing = missing_gravity(fit) if effort.best == F.WITHOUT_GRAVITY and not loads else None
-    turned = likelier_gravity(fit, missing, other_gravity(fit, progress) if asked and not against else None)
-    if effort.gravity_open and not turned and not loads:
-        untested = (*untested, *gravity_not_shown(fit))
-    if turned:  # what a few degrees, other lengths or ripple would explain is its effect
-        alternatives = [*(each for each in alternatives if each.hypothesis != GRAVITY.name), turned]
-    elif lack > LACKING and not against and not loads:
-        length = other_length(fit, progress)
-        if length is not None and length.share > OF_BEST * _most_of_wrenches(alternatives):
-            alternatives.append(length)
-    ripple = PositionRipple.none(fit) if scaled or turned or loads or lack < LACKING else position_ripple(fit)
-    weighed = (*compete(alternatives), *alternatives_of(fit, differences))
-    return Examination(lack, weighed, ripple, (*against, *frozen), untested, effort)
+        return replace(seen, findings=(Finding(F.FEW_ROWS, values={"rows": rows, "unknowns": unknowns}),))
+    seen = replace(seen, effort=rank_meanings(fit.dataset, fit.system.problem.slowest))
+    silenced: set[str] = set()
+    for check in CHECKS:
+        if check.name not in silenced:
+            evidence = list(check.test(fit, seen, progress))
+            findings = [each for each in evidence if isinstance(each, Finding)]
+            alternatives = [each for each in evidence if isinstance(each, Alternative)]
+            if findings or any(each.share > check.least for each in alternatives):
+                silenced |= check.silences
+                seen = replace(
+                    seen,
+                    findings=tuple(each for each in seen.findings if each.kind not in check.silences),
+                    alternatives=tuple(each for each in seen.alternatives if each.hypothesis not in check.silences),
+                )
+            seen = replace(
+                seen,
+                findings=(*seen.findings, *findings),
+                alternatives=(*seen.alternatives, *alternatives),
+            )
+    return _weighed(seen)
 
 
-def _most_of_wrenches(alternatives: Sequence[Alternative]) -> float:
-    """Find the largest share that an error of wrenches explains: lengths and single currents then look wrong too."""
-    of_wrenches = (WRENCH_OFFSETS.name, WRENCH_POINTS.name)
-    return max(
-        (each.share for each in alternatives if each.hypothesis in of_wrenches and each.significant), default=0.0
+def _weighed(seen: Examination) -> Examination:
+    """Assign probabilities to all alternatives together; other estimators compete for each estimate, and come last."""
+    of_wrenches = [each.share for each in seen.alternatives if each.hypothesis in WRENCHES and each.significant]
+    least = OF_BEST * max(of_wrenches, default=0.0)  # lengths and single currents look wrong too
+    models = [
+        each
+        for each in seen.alternatives
+        if each.hypothesis not in {*ESTIMATORS, RIPPLE} and (each.hypothesis not in LIKE_WRENCHES or each.share > least)
+    ]
+    estimators = compete(
+        [each for each in seen.alternatives if each.hypothesis in ESTIMATORS],
+        lambda each: (each.causes[0].joints, each.causes[0].subject),
     )
+    listed = [each for each in estimators if any(each.moves.values()) or each.probability > DIFFERENT_PROBABILITY]
+    ripple = next((each for each in seen.alternatives if each.hypothesis == RIPPLE), None)
+    return replace(seen, alternatives=(*ranked(models), *listed), ripple=ripple)
 
 
 def estimates_of(fit: Fit, examined: Examination, correlated: bool) -> Estimates:
@@ -178,5 +243,5 @@ def estimates_of(fit: Fit, examined: Examination, correlated: bool) -> Estimates
         parts = (solution.covariance, of_scale, np.zeros_like(of_scale))
         return Estimates(problem.unknowns, solution.stacked, *parts, None)
     freedom = degrees_of_freedom(problem, solution, fit.free_gains)
-    parts = (solution.jackknife, of_scale, examined.covariance)
+    parts = (solution.jackknife, of_scale, examined.covariance(fit))
     return Estimates(problem.unknowns, solution.stacked, *parts, freedom)

@@ -15,17 +15,14 @@ instead: so wherever wrenches are measured, the advice names them first. Units a
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 
 import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import friction_levels, rms_speeds, rms_torques
 from gtau.estimation.diagnostics.examine import Examination
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
-from gtau.estimation.diagnostics.parameter_checks import judge_parameter, unexplained_shares
-from gtau.estimation.diagnostics.verdict import Outcome, Verdict
+from gtau.estimation.diagnostics.parameter_checks import motors, unexplained_shares
+from gtau.estimation.diagnostics.verdict import Verdict
 from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.thresholds.estimates import (
@@ -39,33 +36,25 @@ from gtau.estimation.thresholds.estimates import (
     NEGATIVE_STD,
 )
 from gtau.estimation.thresholds.logs import ALIKE, BEYOND_GEARS, FRICTIONLESS, GEARED, MODEL_RESIDUAL
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import whole_mass
-from gtau.robots.parameter import Parameter, unit_of
+from gtau.robots.parameter import Parameter
 
 
 def estimated_gains(
     fit: Fit, examined: Examination, estimates: Estimates, accuracy: float, prior_gains: Mapping[str, float]
 ) -> Iterator[Finding]:
-    """Check drive gains that were estimated by their own equations.
-
-    Parameters
-    ----------
-    fit, examined, estimates : Fit, Examination, Estimates
-        What was estimated, what the data say against it, and how well it is known.
-    accuracy : float
-        Half the relative width of the 95 % interval up to which a gain is good.
-    prior_gains : mapping
-        Gains expected, by joint; where one is negative, a motor turns against its joint, and all may.
-    """
+    """Check drive gains that were estimated by their own equations; see :func:`diagnose` for what it takes."""
     problem, solution, gains = fit.system.problem, fit.solution, fit.gains
     stds = np.sqrt(np.diag(estimates.random))[problem.gain_rows] / np.abs(gains)
     halves = half_widths(fit, estimates)
     random_halves = halves * stds / (np.sqrt(np.diag(estimates.covariance)[problem.gain_rows]) / np.abs(gains))
     misfits = unexplained_shares(problem, solution)
-    yield from examined.against
-    free = problem.unknown_gains[: len(gains)]
-    turned = any(np.all(each.moves[: len(gains)][free] < -1) for each in examined.refuted)  # by another gravity
-    if min(prior_gains.values(), default=1.0) > 0 and np.all(gains[free] < 0) and not turned:
+    unknown = problem.unknown_gains[: len(gains)]
+    turned = any(all(move < -100 for move in part.moves.values()) for part in examined.refuted)  # by another gravity
+    # a negative prior gain says that a motor turns against its joint, and all may
+    if min(prior_gains.values(), default=1.0) > 0 and np.all(gains[unknown] < 0) and not turned:
         yield Finding(F.ALL_NEGATIVE, motors(fit))
     if not solution.converged:
         yield Finding(F.UNSETTLED, motors(fit))
@@ -76,20 +65,22 @@ def estimated_gains(
         if std > LOST_GAIN:
             yield Finding(F.LOST, mine, values={"std": std})
             if "singular_ratio" in solution.statistics:
-                yield Finding(F.TLS_CONFUSED, mine)
-        for each in examined.refuted:
-            if abs(each.moves[j]) > accuracy:
-                values = {"size": each.size, "unit": each.unit, "share": each.share, "move": float(each.moves[j])}
-                yield Finding(F.REFUTED, mine, values=values, causes=each.causes, severity=each.share)
+                yield Finding(F.TLS_CONFUSED, mine, values={"limit": float(LOST_GAIN)})
+        for part in examined.refuted:
+            move = part.moves[joint] / 100
+            if abs(move) > accuracy:
+                values = {"size": part.size, "unit": part.unit, "share": part.share, "move": move}
+                yield Finding(F.REFUTED, mine, values=values, causes=part.causes, size=part.share)
         if misfits[j] > MISFIT:
             values = {"share": float(misfits[j]), "kind": fit.dataset.runs[0].kind, "given": False}
             yield Finding(F.UNEXPLAINED, mine, values=values)
         if half >= 1:  # an interval that includes zero leaves not even the sign
             yield Finding(F.SIGN_OPEN, mine)
-        for each in examined.alternatives:
-            if each.causes[0].kind == F.TWO_STAGE and abs(each.moves[j]) > accuracy and abs(each.t) > APART_REFUTED:
-                values = {"move": float(each.moves[j]), "t": each.t}
-                yield Finding(F.OTHER_ESTIMATOR, mine, values=values, causes=each.causes, severity=abs(each.t))
+        for other in examined.alternatives:
+            move = other.moves[joint] / 100
+            if other.hypothesis == F.TWO_STAGE and abs(move) > accuracy and abs(other.t) > APART_REFUTED:
+                values = {"move": move, "t": other.t}
+                yield Finding(F.OTHER_ESTIMATOR, mine, values=values, causes=other.causes, size=abs(other.t))
         if half > accuracy:
             values = {"half": half, "accuracy": accuracy, "random": bool(random_halves[j] > accuracy)}
             kind, causes = _widest(examined, estimates, problem.n_theta + j)
@@ -113,8 +104,9 @@ def _widest(examined: Examination, estimates: Estimates, row: int) -> tuple[F, t
         return F.WIDE_SCALE, ()
     if model < NAMED_SHARE * (random + model):
         return F.WIDE_RANDOM, ()
-    most = max(examined.alternatives, key=lambda each: each.mean_square * each.slopes[row] ** 2, default=None)
-    if most is None or examined.ripple.moves[row] ** 2 > most.mean_square * most.slopes[row] ** 2:
+    effects = (*examined.alternatives, *([examined.ripple] if examined.ripple else []))
+    most = max(effects, key=lambda other: other.probability * other.shifts[row] ** 2, default=None)
+    if most is None or most is examined.ripple:
         return F.WIDE_RIPPLE, ()
     return F.WIDE_CAUSE, most.causes
 
@@ -125,53 +117,22 @@ def given_gains(fit: Fit, examined: Examination, payloads: Mapping[str, Verdict]
     Where a wrong value of a payload (``payloads``: verdicts by name) leaves a joint unexplained, that is named instead.
     """
     misfit = unexplained_shares(fit.system.problem, fit.solution)[: len(fit.gains)]
+    wrong = {name: verdict.finding for name, verdict in payloads.items() if verdict.finding is not None}
     of_payload = {
         joint: Finding(F.PAYLOAD, (joint,), name, {"given": True})
-        for name, each in payloads.items()
-        if each.finding is not None
-        for joint in each.finding.joints
+        for name, finding in wrong.items()
+        for joint in finding.joints
     }
-    yield from examined.against
-    best = min((each.finding.values["remains"] for each in payloads.values() if each.finding), default=1.0)
-    for turned in (each for each in examined.refuted if "remains" in each.causes[0].values):
-        values = {"size": turned.size, "unit": turned.unit, "share": turned.share}
-        cause = turned.causes[0]
-        if cause.values["remains"] < best:
-            yield Finding(F.REFUTED, cause.joints, values=values, causes=turned.causes, severity=turned.share)
+    best = min((finding.values["remains"] for finding in wrong.values()), default=1.0)
+    for part in examined.refuted:
+        cause = part.causes[0]
+        if cause.values.get("remains", best) < best:
+            values = {"size": part.size, "unit": part.unit, "share": part.share}
+            yield Finding(F.REFUTED, cause.joints, values=values, causes=part.causes, size=part.share)
     for joint, share in zip(fit.system.problem.joints, misfit, strict=True):
         if share > MISFIT_GIVEN:
             values = {"share": float(share), "kind": fit.dataset.runs[0].kind, "given": True}
             yield of_payload.get(joint, Finding(F.UNEXPLAINED, (joint,), values=values))
-
-
-def motors(fit: Fit) -> tuple[str, ...]:
-    """List the joints whose gains are judged: all but those of a floating base."""
-    return tuple(each.joint for each in fit.system.problem.channels if each.kind.unknown_gain)
-
-
-def in_context(fit: Fit, finding: Finding) -> Finding:
-    """Note in a finding whether there is a payload, or a wrench on a body or a floating base, for its advice."""
-    wrenches = bool(fit.system.problem.wrenches or fit.system.problem.base)
-    return replace(finding, values={"payload": bool(fit.system.payloads), "wrenches": wrenches, **finding.values})
-
-
-def impossible_parameters(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
-    """Find base parameters that no body or joint has, against the gain of their joint, or all where it has no motor.
-
-    Gains and parameters are estimated together: friction that drives a joint is what a wrong description looks like.
-    """
-    dataset, stds = fit.dataset, np.sqrt(np.diag(estimates.covariance))
-    listed: dict[str, list[list[object]]] = {}
-    for name in dataset.base.names:
-        if name not in estimates.places:
-            continue
-        k, kind, body = estimates.places[name], name.kind, name.body
-        value, std = float(fit.solution.theta[k]), float(stds[k])
-        if judge_parameter(value, std, dataset.base.regroupings[name]).outcome == Outcome.CONTRADICTORY:
-            listed.setdefault(body, []).append([name, value, std, unit_of(kind, dataset.robot, body)])
-    for body, parameters in listed.items():
-        joints = (body,) if body in motors(fit) else motors(fit)
-        yield Finding(F.IMPOSSIBLE_PARAMETERS, joints, values={"parameters": parameters}, severity=len(parameters))
 
 
 def wrench_contradictions(fit: Fit) -> Iterator[Finding]:
@@ -188,7 +149,7 @@ def wrench_contradictions(fit: Fit) -> Iterator[Finding]:
             yield Finding(F.NEGATIVE_MASS, motors(fit), name, {"mass": mass})
     for part, share in base_misfit(fit).items():
         if share > BASE_MISFIT:
-            yield Finding(F.BASE_UNEXPLAINED, motors(fit), floating, {"share": share, "part": part}, severity=share)
+            yield Finding(F.BASE_UNEXPLAINED, motors(fit), floating, {"share": share, "part": part}, size=share)
 
 
 def base_misfit(fit: Fit) -> dict[str, float]:
@@ -200,13 +161,13 @@ def base_misfit(fit: Fit) -> dict[str, float]:
     """
     problem, theta = fit.system.problem, fit.solution.theta
     rows = problem.base
-    left, whole = fit.solution.sigma[rows] ** 2, problem.balance(theta)[rows] ** 2
+    residual, measured = fit.solution.sigma[rows] ** 2, problem.balance(theta)[rows] ** 2
     terms = problem.largest_terms(theta)[rows] ** 2
     parts = {"forces": slice(0, 3), "moments": slice(3, 6)} if len(rows) else {}
     # a base that hangs still at its centre of mass has hardly a moment but noise
     return {
-        what: float(np.sqrt(left[of].sum() / max(whole[of].sum(), terms[of].sum() / 9, 1e-300)))
-        for what, of in parts.items()
+        part: float(np.sqrt(residual[axes].sum() / max(measured[axes].sum(), terms[axes].sum() / 9, 1e-300)))
+        for part, axes in parts.items()
     }
 
 
@@ -253,5 +214,5 @@ def common_scale(fit: Fit, estimates: Estimates, accuracy: float) -> Iterator[Fi
     apart = float((gains - scale) @ precision @ (gains - scale))
     if chi2.sf(apart, len(judged) - 1) > ALIKE and abs(scale - 1) > max(APART * np.sqrt(variance), accuracy):
         ((name, mass),) = known.items()
-        values = {"scale": scale, "std": np.sqrt(variance), "mass": mass / scale, "declared": mass}
-        yield Finding(F.COMMON_SCALE, (), name, {key: float(each) for key, each in values.items()})
+        values = {"scale": scale, "std": float(np.sqrt(variance)), "mass": float(mass / scale), "declared": float(mass)}
+        yield Finding(F.COMMON_SCALE, (), name, values)

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from gtau.signals.notes import Kind, Note
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 
 CORRECT = {True: "correct the robot file", False: "correct the positions by the encoder's zero"}
 
@@ -109,30 +110,32 @@ class GeometryTest:
     traces: tuple[PoseTrace, ...] = ()
 
     @property
-    def note(self) -> Note:
+    def note(self) -> Finding:
         """Outcome as a note."""
         before, after = _sizes(self.position_rms, self.angle_rms), _sizes(self.position_after, self.angle_after)
         logged = f"the logged pose of '{self.body}'"
         if self.outcome == "confirmed":
-            return Note(Kind.ROBOT, f"{logged} confirms the robot's geometry to {before} rms")
+            return Finding(F.ROBOT, values={"what": f"{logged} confirms the robot's geometry to {before} rms"})
         changes = " and ".join(map(str, self.explained_by))
         if self.outcome == "unexplained":
             found = f"; {changes} would explain {percent(self.share)} of its variance" if changes else ""
-            return Note(
-                Kind.GEOMETRY,
+            what = (
                 f"{logged} is {before} rms from the one computed from the positions, which lengths and encoder zeros "
-                f"do not explain{found}",
-                "check its columns, units and sequence of angles, whether it is of this body (source: tool) and in the "
-                "robot's base (source: tracker), and the angles of the robot's geometry",
+                f"do not explain{found}"
             )
+            action = (
+                "check its columns, units and sequence of angles, whether it is of this body (source: tool) and in the "
+                "robot's base (source: tracker), and the angles of the robot's geometry"
+            )
+            return Finding(F.GEOMETRY, values={"what": what, "action": action})
         explained = "explains" if len(self.explained_by) == 1 else "explain"
-        return Note(
-            Kind.GEOMETRY,
+        what = (
             f"the geometry is off: {changes} {explained} {percent(self.share)} of the residual variance of {logged}, "
             f"which is {before} rms from the one computed, and {after} with "
-            f"{'that change' if len(self.explained_by) == 1 else 'these changes'}",
-            " and ".join(dict.fromkeys(CORRECT[bool(each.value)] for each in self.explained_by)),
+            f"{'that change' if len(self.explained_by) == 1 else 'these changes'}"
         )
+        action = " and ".join(dict.fromkeys(CORRECT[bool(each.value)] for each in self.explained_by))
+        return Finding(F.GEOMETRY, values={"what": what, "action": action})
 
 
 def to_document(test: GeometryTest) -> dict[str, Any]:

@@ -14,8 +14,6 @@ from typing import Literal
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.estimators.estimator import Fit, Iterate, Solution
 from gtau.estimation.estimators.newton import degrees_of_freedom, residuals, stacked
 from gtau.estimation.regression.equations import MODEL
@@ -23,6 +21,8 @@ from gtau.estimation.regression.priors import inertia_priors, sizes_of, stated_i
 from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import INERTIA_CHANCE, INERTIA_EXPLAINED
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.robots.parameter import Parameter, unit_of
 from gtau.robots.robot import DRIVE, INERTIAL
 

@@ -1,151 +1,143 @@
-"""Linearised residuals of a fit along windows of the runs, with candidate columns that the model lacks."""
+"""Linearised residuals of a fit, and what further unknowns explain of them: the engine of all tests of hypotheses.
+
+Residuals are linearised along windows of the runs, or in the jackknife's blocks, beside candidate columns that the
+model lacks. Columns are fitted together with all unknowns, or each is tested alone by a score test, which gives its
+size, its significance, and by how much it would move the estimates.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache, cached_property, partial
 
 import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.estimators.newton import jacobian, jacobian_of_known, residuals
-from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.estimators.newton import jacobian, jacobian_of_known, residuals, whitening
 from gtau.estimation.regression.equations import FIXED, triangle
 from gtau.estimation.regression.factors import EXTRA, equations
-from gtau.estimation.regression.rows import Rows, stream_rows
+from gtau.estimation.regression.rows import Labels, Rows, configurations, stream_rows
+from gtau.estimation.regression.windows import Windows, window_clusters
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.signals.preparation.filters import STENCIL
-from gtau.signals.preparation.prepared_run import InMemoryRun, PreparedRun, joined
+from gtau.model.loops import Motion
+from gtau.signals.preparation.prepared_run import InMemoryRun
 
-SAMPLES = 24_000  # of all windows together, which bounds the time of the tests for long logs
-# Of a window: longer rests are cut out. In the shared measured logs robots rest for 0.49 of one at most (1.8 s); in
-# simulated logs with a rest in half of each run (16 windows) no window had a usable row.
-REST = 0.5
 RANK = 1e-6  # of the largest singular value: directions below it are left out
+SPANNED = 1e-6  # of the square of a column: less is left by the other unknowns, so it could be any of them
 
 CandidateColumns = Callable[[Rows], np.ndarray]
 """Gives torques (n, K, m), or (c, K, m) of all channels, in N m or N at each block of a window's rows, in order."""
 
-Windows = Sequence[tuple[int, InMemoryRun]]
-"""Windows of runs, each with its run's number."""
-
-Offer = Callable[[InMemoryRun, np.ndarray], CandidateColumns]
-"""Makes the candidate columns along a window, from the values (n_b,) of the base columns in its run."""
+Offer = Callable[[InMemoryRun, Callable[[], Motion], np.ndarray], CandidateColumns]
+"""Makes the candidate columns along a window: from its motion, and the values (n_b,) of the base columns in its run."""
 
 
 @dataclass(frozen=True, eq=False)
-class LinearisedWindow:
-    """Rows of a window reduced to triangles, in standard deviations of the current.
+class ScoreTests:
+    """Of each candidate column m in each joint's equations, (m, n); n is 1 for columns that act on all joints.
 
-    ``errors`` (c, p), their ``jacobian`` (c, p, k) by the unknowns of
-    :func:`gtau.estimation.estimators.newton.jacobian`, and by the m candidate torques ``offered`` (c, p, m).
+    Its ``size``, the standard deviation ``std`` of that (infinite where the other unknowns span the column), the
+    ``share`` of the residual variance that goes with it, and by how much the other unknowns move for a unit of it,
+    ``slopes`` (m, n, k), in the order of :func:`gtau.estimation.estimators.newton.jacobian`.
+    """
+
+    size: np.ndarray
+    std: np.ndarray
+    share: np.ndarray
+    slopes: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """Residuals in W windows or blocks, each reduced to a triangle a channel, in standard deviations of the current.
+
+    ``errors`` (W, c, p), their ``jacobian`` (W, c, p, k) by the unknowns of
+    :func:`gtau.estimation.estimators.newton.jacobian`, and by the m candidate torques ``offered`` (W, c, p, m).
+    ``known`` are residuals (q,) of known parameters and their Jacobian (q, k), of unit variance. In a cluster (W,) of
+    windows, numbered from 0, residuals may be correlated.
     """
 
     errors: np.ndarray
     jacobian: np.ndarray
     offered: np.ndarray
+    known: tuple[np.ndarray, np.ndarray]
+    clusters: np.ndarray
 
+    @property
+    def rows(self) -> tuple[np.ndarray, np.ndarray]:
+        """Errors (.,) and Jacobian (., k) of all windows, and then of the known parameters."""
+        J = self.jacobian.reshape(-1, self.jacobian.shape[-1])
+        return np.concatenate([self.errors.ravel(), self.known[0]]), np.concatenate([J, self.known[1]])
 
-def central_windows(dataset: Dataset, pieces: int = 1, cut: Sequence[list[range]] | None = None) -> Windows:
-    """Cut the middle of every run into ``pieces`` windows, each with its run's number.
+    def fitted(self, columns: slice | Sequence[int] = ()) -> tuple[np.ndarray, np.ndarray]:
+        """Fit all unknowns together with some candidate columns: their step (k + m,), and the errors (.,) left."""
+        e, J = self.rows
+        offered = self.offered[..., columns].reshape(self.errors.size, -1)
+        wide = np.hstack([J, np.pad(offered, ((0, len(self.known[0])), (0, 0)))])
+        step = least_squares_step(wide, e)
+        return step, e + wide @ step
 
-    Long rests, in which no channel has a usable sample, are cut out; the remainder at either side separates the
-    filters' supports. All windows together have at most ``SAMPLES`` samples; runs too short for a row of each window
-    are left out.
+    @cached_property
+    def back(self) -> np.ndarray:
+        """Matrix (k, r) that makes the Jacobian's columns orthonormal over all windows."""
+        return whitening(self.rows[1], np.zeros(self.errors.shape[1]))
 
-    Parameters
-    ----------
-    dataset : Dataset
-        Whose runs are cut.
-    pieces : int
-        Windows of each run.
-    cut : sequence of list of range, optional
-        From :func:`moving_stretches` of the same runs prepared otherwise, so that windows of both are the same.
-    """
-    found: list[tuple[int, InMemoryRun]] = []
-    cut = moving_stretches(dataset, pieces) if cut is None else cut
-    for run, (whole, stretches) in enumerate(zip(dataset.prepared, cut, strict=True)):
-        size = sum(map(len, stretches)) // pieces
-        if dataset.preparation.at(whole.run.rate).decimator.outputs(size) == 0:
-            continue
-        kept = _middle(stretches, size * pieces)
-        middle = InMemoryRun(whole.run, joined([whole.samples(each.start, each.stop) for each in kept]))
-        parts = range(0, size * pieces, size)
-        found += [(run, InMemoryRun(whole.run, middle.samples(at, at + size), middle, at)) for at in parts]
-    return found
+    @cached_property
+    def _white(self) -> tuple[np.ndarray, ...]:
+        """Orthonormal Jacobian W (W, c, p, r), ``W^T e`` (r,), and of what is left of e, ``W^T e`` and ``W^T W``."""
+        W = self.jacobian @ self.back
+        W_e = np.einsum("wjpk,wjp->k", W, self.errors)
+        left = self.errors - W @ W_e
+        return W, W_e, left, np.einsum("wipk,wip->wk", W, left), np.einsum("wipk,wipl->wkl", W, W, optimize=True)
 
+    def score_tests(self, columns: slice, shared: bool) -> ScoreTests:
+        """Test each candidate column alone, in each channel's equations alone or ``shared`` by all channels.
 
-def moving_stretches(dataset: Dataset, pieces: int = 1) -> list[list[range]]:
-    """List for each run the stretches in its middle, without long rests, that ``pieces`` windows are cut from."""
-    sizes = [min(SAMPLES // len(dataset.prepared), len(each)) // pieces for each in dataset.prepared]
-    return [
-        _moving_stretches(each, size * pieces, max(int(REST * size), 1))
-        for each, size in zip(dataset.prepared, sizes, strict=True)
-    ]
+        All other unknowns adapt to it. Standard deviations follow from the scatter over clusters of windows (a sandwich
+        estimate).
+        """
+        W, W_e, left, W_left, W_W = self._white
+        offered = self.offered[..., columns].swapaxes(2, 3)  # (W, c, m, p)
 
+        def folded(of_channels: np.ndarray) -> np.ndarray:
+            """Order (W, c, m, ...) as (W, m, n, ...), that of shared columns summed over the channels."""
+            of_columns = of_channels.swapaxes(1, 2)
+            return of_columns.sum(axis=2, keepdims=True) if shared else of_columns
 
-def _moving_stretches(prepared: PreparedRun, wanted: int, longest_rest: int) -> list[range]:
-    """Search outwards from the middle of a run for ``wanted`` samples in stretches without longer rests."""
-    margin = max(prepared.preparation.decimator.support, STENCIL)
-    width = wanted
-    while True:
-        begin = (len(prepared) - width) // 2
-        usable = prepared.samples(begin, begin + width).usable.any(axis=1)
-        awake = np.concatenate([[-1], np.flatnonzero(usable), [width]])
-        long = np.flatnonzero(np.diff(awake) - 1 > max(longest_rest, 2 * margin))
-        rests = zip((awake[long] + 1).tolist(), awake[long + 1].tolist(), strict=True)
-        edges = [0, *(edge for a, b in rests for edge in (min(a + margin, b), max(b - margin, a))), width]
-        found = [range(begin + a, begin + b) for a, b in zip(edges[::2], edges[1::2], strict=True) if a < b]
-        if width == len(prepared) or sum(map(len, found)) >= wanted:
-            return found
-        width = min(2 * width, len(prepared))
-
-
-def _middle(stretches: Sequence[range], count: int) -> list[range]:
-    """Keep the ``count`` samples in the middle of stretches."""
-    ends = np.cumsum([0, *map(len, stretches)]).tolist()
-    first = (ends[-1] - count) // 2
-    cut = [each[max(first - at, 0) : max(first + count - at, 0)] for each, at in zip(stretches, ends, strict=False)]
-    return [each for each in cut if each]
-
-
-def in_step(dataset: Dataset, windows: Windows) -> np.ndarray:
-    """Assign numbers (W,) to the windows, equal ones to the nearest windows of runs that repeat a motion."""
-    found: list[int] = []
-    first: dict[int, tuple[int, list[tuple[float, int]]]] = {}  # of a group, its first run and that one's windows
-    for run, window in windows:
-        place = dataset.places[run]
-        middle = float(window.all.time[len(window) // 2]) - place.begin
-        leader, numbered = first.setdefault(place.group, (run, []))
-        if run == leader:
-            numbered.append((middle, max(found, default=-1) + 1))
-        found.append(min(numbered, key=lambda each: abs(each[0] - middle))[1])
-    return np.array(found)
-
-
-def usable_rows(dataset: Dataset, windows: Windows) -> int:
-    """Count the decimated rows of all channels in windows that are kept."""
-    return sum(
-        int(dataset.preparation.at(window.run.rate).decimator.keep(window.all.usable).sum()) for _, window in windows
-    )
+        # of each window, products of its column, (m, j) of joint j in all rows i, with W, itself and the residuals
+        c_W, c_c = folded(offered @ W), folded(np.sum(offered**2, axis=-1))
+        c_e, c_left = (folded((offered @ e[..., None])[..., 0]) for e in (self.errors, left))
+        along, squares = c_W.sum(axis=0), c_c.sum(axis=0)
+        rest = squares - np.sum(along**2, axis=-1)
+        spanned = rest <= SPANNED * np.maximum(squares, 1e-300)
+        rest = np.where(spanned, 1.0, rest)
+        size = -np.where(spanned, 0.0, (c_e.sum(axis=0) - along @ W_e) / rest)
+        score = c_left - np.einsum("mjk,wk->wmj", along, W_left)
+        turned = np.einsum("mjk,wkl->wmjl", along, W_W, optimize=True)
+        square = c_c + np.sum((turned - 2 * c_W) * along, axis=-1)
+        count = int(self.clusters.max()) + 1
+        scores = np.zeros((count, *rest.shape))
+        np.add.at(scores, self.clusters, score + size * square)
+        std = np.sqrt(np.sum(scores**2, axis=0) * count / max(count - 1, 1)) / rest
+        least = max(float(np.sum(self.errors**2)) - float(W_e @ W_e), 1e-300)
+        share = np.where(spanned, 0.0, size**2 * rest / least)
+        return ScoreTests(size, np.where(spanned, np.inf, std), share, -along @ self.back.T)
 
 
 def linearise(
-    fit: Fit,
-    offer: Offer | None,
-    windows: Windows,
-    model: InverseDynamics | None = None,
-) -> list[LinearisedWindow]:
+    fit: Fit, windows: Windows, offer: Offer | None = None, model: InverseDynamics | None = None
+) -> Linearised:
     """Linearise the residuals of a fit along windows of its runs.
 
     Parameters
     ----------
     fit : Fit
         What was estimated.
+    windows : sequence
+        From :meth:`gtau.estimation.regression.dataset.Dataset.windows`.
     offer : callable, optional
         Makes candidate columns of all channels; see :func:`on_channels`.
-    windows : sequence
-        From :func:`central_windows`.
     model : InverseDynamics, optional
         Another model of the robot, with the same base columns.
 
@@ -154,35 +146,32 @@ def linearise(
     GtauError
         Where the model refuses a sample.
     """
-    fast = fit.dataset.model if model is None else model
+    model = fit.dataset.model if model is None else model
     reduced = []
     for run, window in windows:
-        candidates = None if offer is None else offer(window, fit.system.motion(run, fit.solution.theta))
-        A, keep = window_rows(fit, run, window, candidates, fast)
-        reduced.append((run, window, [triangle(of_joint[kept]) for of_joint, kept in zip(A, keep, strict=True)]))
-    height = max((len(T) for _, _, of_window in reduced for T in of_window), default=0)
-    found = []
-    for run, window, of_window in reduced:
-        T = np.zeros((len(of_window), height, of_window[0].shape[1]))
-        for rows, each in zip(T, of_window, strict=True):
-            rows[: len(each)] = each
-        e, J, weights = errors_and_jacobian(fit, run, window, T)
-        offered = -(fit.solution.iterate.b * weights)[:, None, None] * T[:, :, fit.dataset.base.count + EXTRA :]
-        found.append(LinearisedWindow(e, J, offered))
-    return found
+        motion, values = cache(partial(window_motion, model, window)), fit.system.motion(run, fit.solution.theta)
+        A, keep = window_rows(fit, run, window, None if offer is None else offer(window, motion, values), model)
+        reduced.append([triangle(of_channel[kept]) for of_channel, kept in zip(A, keep, strict=True)])
+    T = stacked_triangles(reduced)
+    parts = [errors_and_jacobian(fit, run, window, rows) for (run, window), rows in zip(windows, T, strict=True)]
+    e, J = (np.stack(part) for part in zip(*parts, strict=True))
+    weights = fit.solution.iterate.b / np.maximum(fit.solution.sigma, fit.system.problem.smallest_sigma)
+    offered = -weights[:, None, None] * T[..., fit.dataset.base.count + EXTRA :]
+    return Linearised(e, J, offered, known_rows(fit, windows), window_clusters(windows, fit.dataset.places))
+
+
+def stacked_triangles(reduced: Sequence[Sequence[np.ndarray]]) -> np.ndarray:
+    """Stack the triangles (., columns) of W windows and c channels, (W, c, p, columns), filled up with zero rows."""
+    height = max(len(R) for of_window in reduced for R in of_window)
+    return np.stack([[np.pad(R, ((0, height - len(R)), (0, 0))) for R in of_window] for of_window in reduced])
 
 
 def window_rows(
     fit: Fit, run: int, window: InMemoryRun, candidates: CandidateColumns | None, model: InverseDynamics
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the decimated rows of a window: the columns of the factors and m candidates, and which rows are kept.
+    """Compute the decimated rows of a window (c, K, columns + m), and which of them are kept (c, K).
 
-    Returns
-    -------
-    A : ndarray
-        (c, K, columns + m), see :class:`gtau.estimation.regression.factors.Factors`.
-    keep : ndarray
-        (c, K) of bool.
+    Their columns are those of :class:`gtau.estimation.regression.factors.Factors`, and m candidates.
     """
     regressor, c = model.columns(fit.dataset.base.standard), len(fit.system.problem.channels)
     loaded = any(term.kind == "fl" for term in fit.system.friction.terms)
@@ -196,31 +185,43 @@ def window_rows(
     return np.concatenate(parts, axis=1), np.concatenate(keep, axis=1)
 
 
-def errors_and_jacobian(
-    fit: Fit, run: int, window: InMemoryRun, rows: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute errors (c, p), their Jacobian (c, p, k), both in standard deviations, and the weights (c,) behind them.
+def errors_and_jacobian(fit: Fit, run: int, window: InMemoryRun, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Compute errors (c, p) and their Jacobian (c, p, k), both in standard deviations, along a ``window`` of a run.
 
-    ``rows`` (c, p, .) begin with the columns of the factors, along a ``window`` of a run.
+    ``rows`` (c, p, .) begin with the columns of the factors.
     """
-    system, problem, state = fit.system, fit.system.problem, fit.solution.iterate
+    system, problem = fit.system, fit.system.problem
     kept = [system.whole.parameters.index(name) for name in problem.parameters]
     columns = [*kept, *range(system.whole.n_theta, system.whole.n_theta + FIXED)]
     warm, time = fit.dataset.temperatures, window.all.time
     maps = system.map(run, None if warm is None else warm.between(run, time[0], time[-1]))[..., columns]
-    blocks = rows[..., : maps.shape[1]] @ maps
+    return weighted(fit, rows[..., : maps.shape[1]] @ maps)
+
+
+def weighted(fit: Fit, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Compute errors (..., c, p) of a problem's blocks and their Jacobian (..., c, p, k), in standard deviations."""
+    problem, state = fit.system.problem, fit.solution.iterate
     weights = 1 / np.maximum(fit.solution.sigma, problem.smallest_sigma)
     e, J = residuals(blocks, state), jacobian(blocks, state, problem, fit.free_gains)
-    return e * weights[:, None], J * weights[:, None, None], weights
+    return e * weights[:, None], J * weights[:, None, None]
 
 
-def stack(windows: Sequence[LinearisedWindow]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Stack errors (.,), Jacobian (., k) and candidate columns (., m) of all channels in all windows."""
-    return (
-        np.concatenate([each.errors.ravel() for each in windows]),
-        np.concatenate([of_joint for each in windows for of_joint in each.jacobian]),
-        np.concatenate([of_joint for each in windows for of_joint in each.offered]),
-    )
+def window_motion(model: InverseDynamics, window: InMemoryRun) -> Motion:
+    """Compute configurations, velocities and accelerations of a ``model`` along a window.
+
+    Raises
+    ------
+    GtauError
+        Where the loops cannot be closed at a sample, or a pose is too close to a singularity.
+    """
+    return motion_along(model, window, configurations(model, window))
+
+
+def motion_along(model: InverseDynamics, window: InMemoryRun, c: np.ndarray) -> Motion:
+    """Compute the motion with configurations ``c`` (n_c, N) along a window."""
+    of = window.samples()
+    qd, qdd = (np.ascontiguousarray(each.T) for each in (of.qd, of.qdd))
+    return model.rates(np.ascontiguousarray(c), qd, qdd, Labels(window.run.name, of.time))
 
 
 def least_squares_step(J: np.ndarray, e: np.ndarray) -> np.ndarray:
@@ -230,30 +231,8 @@ def least_squares_step(J: np.ndarray, e: np.ndarray) -> np.ndarray:
     return np.asarray((np.linalg.lstsq(J / scale, -e, rcond=RANK)[0].T / scale).T)
 
 
-def at_full_rate(window: InMemoryRun, dataset: Dataset, torques: np.ndarray) -> CandidateColumns:
-    """Decimate torques (m, n, M), made at every sample of a window, into candidate columns."""
-    decimated = dataset.preparation.at(window.run.rate).decimator.apply(torques)  # (m, n, outputs)
-    return lambda rows: decimated[:, :, rows.outputs].transpose(1, 2, 0)
-
-
-def on_channels(offer: Offer, felt: bool) -> Offer:
-    """Add a joint's torque to its torque sensor's rows where the sensor has ``felt`` it, otherwise zeros."""
-
-    def with_sensors(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
-        columns = offer(window, values)
-        behind = [each.row for each in window.run.channels if each.kind.link_side]
-
-        def of_channels(rows: Rows) -> np.ndarray:
-            torques = columns(rows)
-            return np.concatenate([torques, torques[behind] * felt]) if behind else torques
-
-        return of_channels
-
-    return with_sensors
-
-
 def known_rows(fit: Fit, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the residuals (k,) of the known parameters and their Jacobian (k, size), rows beside the windows'.
+    """Compute the residuals (q,) of the known parameters and their Jacobian (q, k), rows beside the windows'.
 
     They count against as many rows as the windows have.
     """
@@ -265,11 +244,34 @@ def known_rows(fit: Fit, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
     return weight * errors, weight * jacobian_of_known(problem, size)
 
 
+def at_full_rate(window: InMemoryRun, fit: Fit, torques: np.ndarray) -> CandidateColumns:
+    """Decimate torques (m, n, M), made at every sample of a window, into candidate columns."""
+    decimator = fit.dataset.preparation.at(window.run.rate).decimator
+    decimated = decimator.apply(torques)  # (m, n, outputs)
+    return lambda rows: decimated[:, :, rows.outputs].transpose(1, 2, 0)
+
+
+def on_channels(offer: Offer, felt: bool) -> Offer:
+    """Add a joint's torque to its torque sensor's rows where the sensor has ``felt`` it, otherwise zeros."""
+
+    def with_sensors(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+        columns = offer(window, motion, values)
+        behind = [each.row for each in window.run.channels if each.kind.link_side]
+
+        def of_channels(rows: Rows) -> np.ndarray:
+            torques = columns(rows)
+            return np.concatenate([torques, torques[behind] * felt]) if behind else torques
+
+        return of_channels
+
+    return with_sensors
+
+
 def side_by_side(offers: Sequence[Offer]) -> Offer:
     """Build the columns of several hypotheses in one pass over the windows."""
 
-    def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
-        each = [make(window, values) for make in offers]
+    def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+        each = [make(window, motion, values) for make in offers]
         return lambda rows: np.concatenate([columns(rows) for columns in each], axis=-1)
 
     return offer

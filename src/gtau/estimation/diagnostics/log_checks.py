@@ -17,8 +17,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.estimators.estimator import Fit, Solution
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.equations import SIGNAL, SIGNALS
@@ -37,6 +35,8 @@ from gtau.estimation.thresholds.logs import (
     UNSEEN_RATIO,
     WHOLE,
 )
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.robots.robot import Robot
 from gtau.signals.reading.samples import extremes
 from gtau.signals.repair.faults import whole_numbers
@@ -172,7 +172,7 @@ def _frozen(fit: Fit, moving: np.ndarray, acting: np.ndarray) -> Iterator[Findin
         if shares[run, worst] > least[worst]:
             share, named = float(shares[run, worst]), (joints[joint], joints[worst])
             values = {"run": runs[run].name, "kind": runs[run].kind, "share": share, "usual": float(usual[worst])}
-            yield Finding(F.FROZEN, named, values=values, severity=share)
+            yield Finding(F.FROZEN, named, values=values, size=share)
 
 
 def unexplained_by_run(fit: Fit) -> np.ndarray:

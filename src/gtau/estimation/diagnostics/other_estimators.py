@@ -14,23 +14,18 @@ Each takes one step from the solution, on the middle of the runs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.alternatives import Alternative, compete, support
-from gtau.estimation.diagnostics.finding import RELATIVE, Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.linearisation import (
-    Windows,
-    central_windows,
     errors_and_jacobian,
-    in_step,
     known_rows,
     linearise,
-    moving_stretches,
+    stacked_triangles,
     window_rows,
 )
 from gtau.estimation.diagnostics.log_checks import lack_of_fit
@@ -40,79 +35,48 @@ from gtau.estimation.estimators.two_stage import first_stage, two_stage
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.equations import SIGNALS, triangle
 from gtau.estimation.regression.friction import TERMS
-from gtau.estimation.thresholds.estimates import DIFFERENT_PROBABILITY, DIFFERENT_STD, NOISE_STD, WEAK_INSTRUMENTS
+from gtau.estimation.regression.windows import WINDOWS, Windows, central_windows, moving_stretches, window_clusters
+from gtau.estimation.thresholds.estimates import DIFFERENT_STD, NOISE_STD, WEAK_INSTRUMENTS
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
+from gtau.findings.words import RELATIVE
 from gtau.signals.preparation.filters import below_nyquist
 from gtau.signals.preparation.prepared_run import Preparation
 
-WINDOWS = 10  # of a run
 FURTHER = 4.0  # cut-off of the instruments over the bandwidth of the motion
 # and at most that of the position filter times this: instruments above would share more than 3 % of the noise of the
 # accelerations.
 HALF = 0.5
 SPANNED = 1e-6  # of the largest singular value: directions that the instruments do not reach are left as they are
+ESTIMATORS = (F.BANDWIDTH, F.SLOW_ROWS, F.TWO_STAGE, F.INSTRUMENTS)
 
 Moments = tuple[np.ndarray, np.ndarray]
 """Of a window: ``Z^T J`` (k, k) and ``Z^T e`` (k,) of instruments Z; those of least squares are J."""
 
 
-@dataclass(frozen=True, eq=False)
-class Difference:
-    """Difference between the estimates of another estimator and those used.
-
-    Attributes
-    ----------
-    estimator : Finding
-        Which one; of its values it is the first cause of an alternative.
-    moves, std : ndarray
-        Of (theta, gains, delays), (k,), and their standard deviations, SI units.
-    """
-
-    estimator: Finding
-    moves: np.ndarray
-    std: np.ndarray
-
-
-def alternatives_of(fit: Fit, differences: Sequence[Difference]) -> list[Alternative]:
+def _alternatives(fit: Fit, estimator: Finding, moves: np.ndarray, stds: np.ndarray) -> Iterator[Alternative]:
     """Make an alternative of each difference in a gain, and of each significant one in a parameter.
 
-    They compete for each estimate: one of the other estimators is right, or the one used. Before the data a difference
-    is thought to be as large as the random standard deviation.
+    ``moves`` and ``stds`` (k,) are those of (theta, gains, delays). They compete for each estimate: one of the other
+    estimators is right, or the one used. Before the data a difference is thought to be as large as the random standard
+    deviation.
     """
-    problem, solution = fit.system.problem, fit.solution
-    n_theta = problem.n_theta
-    plausible = np.sqrt(np.diag(solution.jackknife))
-    estimates = [((), name) for name in problem.parameters] + [((joint,), "") for joint in problem.joints]
-    estimated = np.concatenate([np.ones(n_theta, dtype=bool), problem.unknown_gains[: len(problem.joints)]])
-    found = []
-    for each in differences:
-        for k, (joints, parameter) in enumerate(estimates):
-            value, size, std = solution.stacked[k], each.moves[k], each.std[k]
-            if not (estimated[k] and std > 0 and plausible[k] > 0 and value):
-                continue
-            if k < n_theta and abs(size) < DIFFERENT_STD * std:
-                continue
-            relative, error, prior = float(size / value), float(std / abs(value)), float(plausible[k] / abs(value))
-            factor, moment = support(relative, error, prior)
-            slopes = np.zeros(len(solution.stacked))
-            slopes[k] = value
-            found.append(
-                Alternative(
-                    hypothesis=each.estimator.kind,
-                    causes=(replace(each.estimator, joints=joints, subject=parameter),),
-                    size=relative,
-                    std=error,
-                    unit=RELATIVE,
-                    plausible=prior,
-                    group=("estimate", *joints, parameter),
-                    log_factor=factor,
-                    second_moment=moment,
-                    share=0.0,
-                    slopes=slopes,
-                    moves=slopes[problem.gain_rows] * (size / value) / fit.gains,
-                    description=False,
-                )
-            )
-    return [each for each in compete(found) if each.moves.any() or each.probability > DIFFERENT_PROBABILITY]
+    problem, values = fit.system.problem, fit.solution.stacked
+    plausible = np.sqrt(np.diag(fit.solution.jackknife))
+    for k, name in enumerate(problem.unknowns[: problem.n_theta + len(problem.joints)]):
+        gain = k >= problem.n_theta
+        estimated = problem.unknown_gains[k - problem.n_theta] if gain else abs(moves[k]) >= DIFFERENT_STD * stds[k]
+        if not (estimated and stds[k] > 0 and plausible[k] > 0 and values[k]):
+            continue
+        scale, joints = abs(values[k]), (problem.joints[k - problem.n_theta],) if gain else ()
+        yield Alternative(
+            estimator.kind,
+            (replace(estimator, joints=joints, subject="" if gain else name),),
+            float(moves[k] / values[k]),
+            float(stds[k] / scale),
+            RELATIVE,
+            plausible=float(plausible[k] / scale),
+        ).moving(fit, np.where(np.arange(len(values)) == k, values, 0.0))
 
 
 def position_noise(fit: Fit, alternatives: Sequence[Alternative]) -> list[Finding]:
@@ -135,7 +99,7 @@ def position_noise(fit: Fit, alternatives: Sequence[Alternative]) -> list[Findin
     return [Finding(F.POSITION_NOISE, estimate.joints, estimate.subject, values)]
 
 
-def two_stage_difference(fit: Fit) -> Difference | Finding:
+def two_stage_difference(fit: Fit) -> Iterator[Alternative | Finding]:
     """Compare 2SLS on the same equations with the estimator used, by the jackknife of both.
 
     The standard deviation counts as no smaller than that of the estimates themselves, and the bias that instruments of
@@ -143,9 +107,12 @@ def two_stage_difference(fit: Fit) -> Difference | Finding:
     says so instead.
     """
     problem, solution = fit.system.problem, fit.solution
+    if not fit.free_gains:
+        return
     strength, bias = first_stage(problem, solution, max(lack_of_fit(problem, solution), 1.0))
     if strength < WEAK_INSTRUMENTS:
-        return Finding(F.WEAK_INSTRUMENTS, values={"strength": strength, "needed": float(WEAK_INSTRUMENTS)})
+        yield Finding(F.WEAK_INSTRUMENTS, values={"strength": strength, "needed": float(WEAK_INSTRUMENTS)})
+        return
     # with the same delays: where motions are slow, a joint's own equations hardly determine its delay
     other = two_stage(problem, solution.delays)
     between = np.sqrt(np.diag(jackknife(solution.replicates() - other.replicates())))
@@ -153,52 +120,50 @@ def two_stage_difference(fit: Fit) -> Difference | Finding:
     moves = np.zeros(len(std))
     moves[problem.gain_rows] = other.gains[: len(problem.joints)] - fit.gains
     std[problem.gain_rows] = np.hypot(std[problem.gain_rows], bias * fit.gains)
-    return Difference(Finding(F.TWO_STAGE), moves, std)
+    yield from _alternatives(fit, Finding(F.TWO_STAGE), moves, std)
 
 
-def other_estimators(fit: Fit, windows: Windows | None = None) -> tuple[tuple[Difference, ...], tuple[Finding, ...]]:
-    """Compare estimates with other preparations and instrumental variables; also list the estimators that refuse.
+def other_estimators(fit: Fit) -> Iterator[Alternative | Finding]:
+    """Compare estimates with other preparations and instrumental variables, and find the estimators that refuse."""
+    for each in differences(fit):
+        yield from (each,) if isinstance(each, Finding) else _alternatives(fit, *each)
 
-    Parameters
-    ----------
-    fit : Fit
-        What was estimated.
-    windows : sequence, optional
-        Where: the :func:`central_windows` of the runs, ``WINDOWS`` of each, unless others are given.
-    """
-    dataset = fit.dataset
-    windows = central_windows(dataset, WINDOWS) if windows is None else windows
-    cut = moving_stretches(dataset, WINDOWS)
+
+def differences(fit: Fit) -> Iterator[tuple[Finding, np.ndarray, np.ndarray] | Finding]:
+    """Compare with each other estimator: differences of (theta, gains, delays) and their stds, (k,), or a refusal."""
+    dataset, windows = fit.dataset, fit.dataset.windows(WINDOWS)
+    cut = moving_stretches(dataset.prepared, WINDOWS)
     further, preparations = _filtered_further(dataset.preparation), _preparations(dataset.preparation)
     try:
         filtered = dataset if further is None else _prepared_as(dataset, further)
-        pairs = _pairs(fit, windows, central_windows(filtered, WINDOWS, cut))
+        pairs = _pairs(fit, windows, central_windows(filtered.prepared, WINDOWS, cut))
     except GtauError as refusal:  # the loops do not close along motion that is filtered otherwise
-        return (), (_untested(refusal, Finding(F.INSTRUMENTS), *(changed for changed, _ in preparations)),)
+        yield _untested(refusal, Finding(F.INSTRUMENTS), *(changed for changed, _ in preparations))
+        return
     if not pairs:
-        return (), ()
+        return
     rows = [J for _, J, _ in pairs]
-    known, clusters = known_rows(fit, windows)[1], in_step(dataset, windows)
+    known, clusters = known_rows(fit, windows)[1], window_clusters(windows, dataset.places)
     back = whitening(np.concatenate([*rows, known]), np.zeros(len(fit.solution.gains)))
     T = to_gains(fit.solution.iterate, fit.system.problem.n_theta, fit.free_gains) @ back
     usual = [(J.T @ J, J.T @ e) for _, J, e in pairs]
-    found, untested = [], []
     if further is not None and not fit.noise_free:
         weighed = [(Z.T @ J, Z.T @ e) for Z, J, e in pairs]
-        found.append(Difference(Finding(F.INSTRUMENTS), *_difference(usual, weighed, clusters, known, back, T)))
+        difference = _difference(usual, weighed, clusters, known, back, T)
+        yield Finding(F.INSTRUMENTS), *difference
     for changed, preparation in preparations:
         other = replace(fit, dataset=_prepared_as(dataset, preparation))
-        try:
-            linear = linearise(other, None, central_windows(other.dataset, WINDOWS, cut))
-        except GtauError as refusal:
-            untested.append(_untested(refusal, changed))
-            continue
-        if len(linear) != len(pairs):
+        others = central_windows(other.dataset.prepared, WINDOWS, cut)
+        if len(others) != len(pairs):
             continue  # its filters are longer than a window
-        moments = [(each.jacobian.reshape(-1, len(back)), each.errors.ravel()) for each in linear]
-        weighed = [(J.T @ J, J.T @ e) for J, e in moments]
-        found.append(Difference(changed, *_difference(usual, weighed, clusters, known, back, T)))
-    return tuple(found), tuple(untested)
+        try:
+            linear = linearise(other, others)
+        except GtauError as refusal:
+            yield _untested(refusal, changed)
+            continue
+        moments = zip(linear.jacobian.reshape(len(others), -1, len(back)), linear.errors, strict=True)
+        weighed = [(J.T @ J, J.T @ e.ravel()) for J, e in moments]
+        yield changed, *_difference(usual, weighed, clusters, known, back, T)
 
 
 def _untested(refusal: GtauError, *estimators: Finding) -> Finding:
@@ -249,10 +214,9 @@ def _pairs(fit: Fit, usual: Windows, further: Windows) -> list[tuple[np.ndarray,
         Z[..., dry] = A[..., dry]
         both = np.concatenate([Z[..., :b], A], axis=-1)
         factors = [triangle(of_joint[kept]) for of_joint, kept in zip(both, keep & keep_filtered, strict=True)]
-        height = max(map(len, factors))
-        R = np.stack([np.pad(each, ((0, height - len(each)), (0, 0))) for each in factors])
-        e, J, _ = errors_and_jacobian(fit, run, window, R[..., b:])
-        _, J_filtered, _ = errors_and_jacobian(fit, run, window, np.concatenate([R[..., :b], R[..., SIGNALS]], axis=-1))
+        R = stacked_triangles([factors])[0]
+        e, J = errors_and_jacobian(fit, run, window, R[..., b:])
+        _, J_filtered = errors_and_jacobian(fit, run, window, np.concatenate([R[..., :b], R[..., SIGNALS]], axis=-1))
         found.append((J_filtered.reshape(-1, J.shape[-1]), J.reshape(-1, J.shape[-1]), e.ravel()))
     return found
 

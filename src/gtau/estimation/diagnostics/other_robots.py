@@ -24,19 +24,9 @@ from typing import TypeVar
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.alternatives import Alternative, established, rms_torques, window_motion
-from gtau.estimation.diagnostics.finding import RELATIVE, Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
+from gtau.estimation.diagnostics.alternatives import Alternative, established, rms_torques
 from gtau.estimation.diagnostics.hypotheses.description import DEGREE, GRAVITY, OTHER_GRAVITY
-from gtau.estimation.diagnostics.linearisation import (
-    Windows,
-    central_windows,
-    known_rows,
-    least_squares_step,
-    linearise,
-    on_channels,
-    stack,
-)
+from gtau.estimation.diagnostics.linearisation import linearise, on_channels, window_motion
 from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
 from gtau.estimation.estimators.estimator import Fit, Given, Solution
 from gtau.estimation.estimators.least_squares import fit_by
@@ -66,6 +56,9 @@ from gtau.estimation.thresholds.logs import (
     LENGTH_TRIED,
     UNFELT,
 )
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
+from gtau.findings.words import RELATIVE
 from gtau.model.base_parameters import base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.lengths import SAME, models_alike
@@ -74,7 +67,7 @@ from gtau.robots.robot import Attachment, Closure, Mdh, Placement, Robot, Spring
 from gtau.signals.preparation.prepared_run import InMemoryRun
 from gtau.signals.reading.statements import Payload
 
-TOOL_BODIES = "tool bodies"
+TOOL_BODIES, LENGTHS = "tool bodies", "lengths"
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,17 +182,16 @@ def other_length(fit: Fit, progress: Progress = silent) -> Alternative | None:
 def _explaining(fit: Fit, progress: Progress) -> Iterator[Alternative]:
     """Try all lengths, and iterate over those that explain a part of the residuals."""
     robot = fit.dataset.robot
-    windows = central_windows(fit.dataset)
     longer, shorter = list(_longer(robot, STEP)), list(_longer(robot, -STEP))
     if not longer:
         return
-    before, _ = _left(fit, windows, fit.dataset.model)
+    before, _ = _fitted(fit, fit.dataset.model)
     models = models_alike([other for _, other in (*longer, *shorter)], fit.dataset.base.standard)
     lengths = list(zip((cause for cause, _ in longer), models, models[len(longer) :], strict=False))
     for k, (cause, *pair) in enumerate(lengths):
         progress("other lengths", k, len(lengths))
         try:
-            (above, gains_above), (below, gains_below) = (_left(fit, windows, model) for model in pair)
+            (above, gains_above), (below, gains_below) = (_fitted(fit, model) for model in pair)
         except GtauError:
             continue  # the robot cannot be assembled or follow its motion with another length
         slope, curvature = (above - below) / 2, (above + below) / 2 - before
@@ -210,18 +202,15 @@ def _explaining(fit: Fit, progress: Progress) -> Iterator[Alternative]:
         if share <= LENGTH_SHARE or not LENGTH_CHANGE < abs(change) < LENGTH_MOST:
             continue
         moves = (gains_above - gains_below) / (2 * STEP) * change / fit.gains
-        yield established(fit, "lengths", cause, moves, share, change, unit=RELATIVE)
+        yield established(fit, LENGTHS, cause, moves, share, change, RELATIVE)
     progress("other lengths", len(lengths), len(lengths))
 
 
-def _left(fit: Fit, windows: Windows, model: InverseDynamics) -> tuple[float, np.ndarray]:
+def _fitted(fit: Fit, model: InverseDynamics) -> tuple[float, np.ndarray]:
     """Fit another ``model`` to first order: sum of its squared residuals, and its gains (n,)."""
-    e, J, _ = stack(linearise(fit, None, windows, model))
-    errors, known = known_rows(fit, windows)
-    e, J = np.concatenate([e, errors]), np.concatenate([J, known])
-    step, gains = least_squares_step(J, e), fit.gains
-    change = step[fit.system.problem.gain_rows] if fit.free_gains else np.zeros(len(gains))
-    return float(np.sum((e + J @ step) ** 2)), gains - gains**2 * change
+    step, rest = linearise(fit, fit.dataset.windows(), model=model).fitted()
+    change = step[fit.system.problem.gain_rows] if fit.free_gains else np.zeros(len(fit.gains))
+    return float(np.sum(rest**2)), fit.gains - fit.gains**2 * change
 
 
 def _longer(robot: Robot, step: float) -> Iterator[tuple[Finding, Robot]]:
@@ -290,7 +279,7 @@ def other_gravity(fit: Fit, progress: Progress = silent) -> Alternative | None:
     """
     declared = np.array(fit.dataset.robot.gravity)
     size = float(np.linalg.norm(declared))
-    windows = [window for _, window in central_windows(fit.dataset)]  # the middle of the runs bounds the time
+    windows = [window for _, window in fit.dataset.windows()]  # the middle of the runs bounds the time
     middle = replace(fit.dataset, prepared=tuple(windows))  # type: ignore[arg-type]  # used as prepared runs
     own = fitted(fit, middle, declared) if size and windows else None
     if own is None:
@@ -350,15 +339,13 @@ def _freely(fit: Fit, start: Fit, windows: Sequence[tuple[int, InMemoryRun]]) ->
     """Rotate gravity to the direction that the residuals favour."""
     at: Fit | None = start
     for _ in range(STEPS):
-        if at is None or (candidates := GRAVITY.candidates(at)) is None:
+        if at is None or not (columns := GRAVITY.offered(at)):
             return
-        e, J, offered = stack(linearise(at, on_channels(candidates.offer, GRAVITY.shared), windows))
-        errors, known = known_rows(at, windows)
-        wide = np.hstack([np.concatenate([J, known]), np.pad(offered[:, :2], ((0, len(known)), (0, 0)))])
-        tilt = DEGREE * least_squares_step(wide, np.concatenate([e, errors]))[-2:]
+        linear = linearise(at, windows, on_channels(GRAVITY.torques(at), GRAVITY.shared))
+        tilt = DEGREE * linear.fitted(slice(2))[0][-2:]
         gravity = np.array(at.dataset.robot.gravity)
         size = float(np.linalg.norm(gravity))
-        turned = gravity + size * tilt @ [each.finding.values["towards"] for each in candidates.columns[:2]]
+        turned = gravity + size * tilt @ [each.causes[0].values["towards"] for each in columns[:2]]
         if not np.isfinite(turned).all() or np.allclose(turned, gravity, rtol=0, atol=1e-4 * size):
             return
         at = fitted(fit, at.dataset, size * turned / np.linalg.norm(turned))
@@ -382,7 +369,7 @@ def _degrees(one: np.ndarray, other: np.ndarray) -> float:
 
 def missing_gravity(fit: Fit) -> Alternative | None:
     """Fit without gravity, for what that explains of each joint and how it moves the gains; None where it cannot be."""
-    windows = [window for _, window in central_windows(fit.dataset)]
+    windows = [window for _, window in fit.dataset.windows()]
     middle = replace(fit.dataset, prepared=tuple(windows))  # type: ignore[arg-type]  # used as prepared runs
     own, other = (fitted(fit, middle, gravity) for gravity in (np.array(fit.dataset.robot.gravity), np.zeros(3)))
     if own is None or other is None:
@@ -421,7 +408,7 @@ def gravity_shares(fit: Fit) -> np.ndarray:
     if not gravity.any():
         return np.zeros(n)
     regressor, found = dataset.model.gravity_torques(dataset.base.standard), np.zeros(n)
-    for run, window in central_windows(dataset):
+    for run, window in dataset.windows():
         entries = regressor(
             dataset.model.layout, window_motion(dataset.model, window), fit.system.motion(run, fit.solution.theta)
         )

@@ -12,153 +12,116 @@ opposite sign depend on the load, and bias the gains as a wrong payload does.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import Alternative
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
 from gtau.estimation.diagnostics.hypotheses.drives import FALLING_CONSTANT, LOAD_FRICTION
 from gtau.estimation.diagnostics.linearisation import (
-    SAMPLES,
     CandidateColumns,
-    LinearisedWindow,
+    Linearised,
     at_full_rate,
-    central_windows,
     errors_and_jacobian,
-    known_rows,
     least_squares_step,
     linearise,
     on_channels,
-    stack,
     window_rows,
 )
 from gtau.estimation.estimators.estimator import Fit, jackknife
 from gtau.estimation.estimators.newton import to_gains
 from gtau.estimation.regression.equations import BLOCKS, triangle
+from gtau.estimation.regression.windows import SAMPLES
 from gtau.estimation.thresholds.estimates import CORRELATED, CORRELATED_STD, PROBABLE, RIPPLE_SHARE
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
+from gtau.model.loops import Motion
 from gtau.signals.preparation.prepared_run import InMemoryRun
 
 KNOTS = 24  # of the piecewise linear function, over a joint's range in all runs
 LARGEST = 10.0  # times the joint's error: how large such a torque may be, more or less
+RIPPLE = "position ripple"
 OF_LOAD = (LOAD_FRICTION.kind, FALLING_CONSTANT.kind, F.GAIN_CHANGE)  # effects that depend on the load
 
 
-@dataclass(frozen=True, eq=False)
-class PositionRipple:
-    """Residual torque that repeats at the same positions.
+def position_ripple(fit: Fit) -> Alternative:
+    """Estimate the part of the residuals that repeats at the same positions; where it is a ripple, its finding says so.
 
-    ``shares`` (c,) of the variance of each channel's errors that one half of the runs predicts in the other, and by how
-    much (theta, gains, delays) move when it is taken into account, ``moves`` (n_theta + 2 c,), which are zero where
-    nothing repeats. A torque sensor does not feel the ripple of its motor.
+    Its share is the mean over the channels, of the variance of whose errors one half of the runs predicts in the other.
+    A torque sensor does not feel the ripple of its motor.
     """
-
-    shares: np.ndarray
-    moves: np.ndarray
-
-    @staticmethod
-    def none(fit: Fit) -> PositionRipple:
-        """Return a ripple of nothing."""
-        return PositionRipple(np.zeros(len(fit.solution.gains)), np.zeros(len(fit.solution.stacked)))
-
-    @property
-    def found(self) -> bool:
-        """Whether a ripple was found."""
-        return bool(np.max(self.shares) >= RIPPLE_SHARE)
-
-    @property
-    def covariance(self) -> np.ndarray:
-        """Covariance of (theta, gains, delays) that it adds, (k, k)."""
-        return np.outer(self.moves, self.moves)
-
-
-def position_ripple(fit: Fit) -> PositionRipple:
-    """Estimate the part of the residuals that repeats at the same positions.
-
-    Parameters
-    ----------
-    fit : Fit
-        What was estimated.
-    """
-    dataset, problem, solution = fit.dataset, fit.system.problem, fit.solution
-    nothing = PositionRipple.none(fit)
-    pieces = central_windows(dataset, pieces=2)
+    problem, solution = fit.system.problem, fit.solution
+    pieces = fit.dataset.windows(2)
     low = np.min([piece.all.q.min(axis=0) for _, piece in pieces], axis=0)
     high = np.max([piece.all.q.max(axis=0) for _, piece in pieces], axis=0)
     knots = np.linspace(low, high, KNOTS)  # (KNOTS, n)
     width = np.maximum(knots[1] - knots[0], 1e-300)
 
-    def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
+    def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
         q = window.samples().q.T
         hats = np.maximum(0.0, 1 - np.abs(q[:, None, :] - knots.T[:, :, None]) / width[:, None, None])
-        return at_full_rate(window, dataset, hats.swapaxes(0, 1))
+        return at_full_rate(window, fit, hats.swapaxes(0, 1))
 
-    found, known = linearise(fit, on_channels(offer, felt=False), pieces), known_rows(fit, pieces)
-    first, second = found[0::2], found[1::2]
-    sigma = np.maximum(solution.sigma, problem.smallest_sigma)
-    heights = 1 / (LARGEST * np.abs(solution.gains) * sigma)
-    again = [
-        LinearisedWindow(each.errors + np.einsum("jpk,jk->jp", each.offered, torque), each.jacobian, each.offered)
-        for half, other in ((first, second), (second, first))
-        for each, torque in zip(half, _fit([other], heights, known)[1], strict=True)
-    ]
-    (_, rest), (step, before) = _left(again, known), _left(found, known)
+    linear = linearise(fit, pieces, on_channels(offer, felt=False))
+    halves = [np.arange(0, len(pieces), 2), np.arange(1, len(pieces), 2)]
+    heights = 1 / (LARGEST * np.abs(solution.gains) * np.maximum(solution.sigma, problem.smallest_sigma))
+    errors = linear.errors.copy()
+    for half, other in (halves, halves[::-1]):
+        torques = _fit(linear, [other], heights)[1]
+        errors[half] += np.einsum("wjpk,wjk->wjp", linear.offered[half], torques)
+    (_, rest), (step, before) = _left(replace(linear, errors=errors)), _left(linear)
     shares = 1 - rest / np.maximum(before, 1e-300)
+    nothing = Alternative(RIPPLE, (), 0.0, None, "", 1.0, float(np.maximum(shares, 0.0).mean()))
+    nothing = replace(nothing, shifts=np.zeros(len(solution.stacked)))
     if np.max(shares) < RIPPLE_SHARE:
-        return PositionRipple(shares, nothing.moves)
+        return nothing
     repeats = shares > 0  # what of a joint does not repeat would only take up what its parameters explain
-    moved, _ = _fit([first, second], np.where(repeats, heights, np.inf), known)
-    state = solution.iterate
-    return PositionRipple(shares, to_gains(state, problem.n_theta, fit.free_gains) @ (moved - step))
+    moved, _ = _fit(linear, halves, np.where(repeats, heights, np.inf))
+    shifts = to_gains(solution.iterate, problem.n_theta, fit.free_gains) @ (moved - step)
+    return replace(nothing, causes=(_ripple(fit, shares, shifts),), shifts=shifts)
 
 
-def _fit(
-    halves: Sequence[Sequence[LinearisedWindow]], heights: np.ndarray, known: tuple[np.ndarray, np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
+def _fit(linear: Linearised, pieces: Sequence[np.ndarray], heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Fit steps of the estimates (k,) and each run's torques at the knots (runs, n, KNOTS) together.
 
-    Each half has one piece a run. A torque acts in one joint of one run only, so it is eliminated there; it is drawn
-    to zero with the weight ``heights`` (c,), as it can stand in for a parameter, and is zero where that is infinite.
+    The numbers of the ``pieces`` are those of each run, one or two. A torque acts in one joint of one run only, so it
+    is eliminated there; it is drawn to zero with the weight ``heights`` (c,), as it can stand in for a parameter, and
+    is zero where that is infinite.
     """
     tops, rests = [], []
-    for of_run in zip(*halves, strict=True):
+    all_rows = np.concatenate([linear.offered, linear.jacobian, linear.errors[..., None]], axis=-1)
+    for of_run in zip(*pieces, strict=True):
         for j, height in enumerate(heights):
-            rows = [np.column_stack([each.offered[j], each.jacobian[j], each.errors[j]]) for each in of_run]
+            rows = [all_rows[piece, j] for piece in of_run]
             if np.isinf(height):
                 height, rows = 1.0, [np.pad(each[:, KNOTS:], ((0, 0), (KNOTS, 0))) for each in rows]
-            R = triangle(np.eye(KNOTS, rows[0].shape[1]) * height, *rows)
+            R = triangle(np.eye(KNOTS, all_rows.shape[-1]) * height, *rows)
             tops.append(R[:KNOTS])
             rests.append(R[KNOTS:, KNOTS:])
-    rest = np.concatenate([*rests, np.column_stack([known[1], known[0]])])
+    rest = np.concatenate([*rests, np.column_stack([linear.known[1], linear.known[0]])])
     step = least_squares_step(rest[:, :-1], rest[:, -1])
     torques = [-np.linalg.solve(top[:, :KNOTS], top[:, KNOTS:-1] @ step + top[:, -1]) for top in tops]
     return step, np.reshape(torques, (-1, len(heights), KNOTS))
 
 
-def _left(pieces: Sequence[LinearisedWindow], known: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Fit steps of the estimates alone (k,), and compute the remaining squared errors, (n,)."""
-    e, J, _ = stack(pieces)
-    step = least_squares_step(np.concatenate([J, known[1]]), np.concatenate([e, known[0]]))
-    return step, np.sum((e + J @ step).reshape(len(pieces), *pieces[0].errors.shape) ** 2, axis=(0, 2))
+def _left(linear: Linearised) -> tuple[np.ndarray, np.ndarray]:
+    """Fit steps of the estimates alone (k,), and compute the remaining squared errors of each channel, (c,)."""
+    step, rest = linear.fitted()
+    return step, np.sum(rest[: linear.errors.size].reshape(linear.errors.shape) ** 2, axis=(0, 2))
 
 
-def ripple_findings(found: PositionRipple, fit: Fit) -> list[Finding]:
+def _ripple(fit: Fit, shares: np.ndarray, shifts: np.ndarray) -> Finding:
     """Find the torque that repeats at the same positions, and its effect on the gains."""
-    if not found.found:
-        return []
     problem = fit.system.problem
-    j = int(np.argmax(found.shares[: len(problem.joints)]))
-    moves = np.abs(found.moves[problem.gain_rows] / fit.gains)
+    j = int(np.argmax(shares[: len(problem.joints)]))
+    moves = np.abs(shifts[problem.gain_rows] / fit.gains)
     k = int(np.argmax(moves))
     base = not problem.channels[j].kind.of_joint  # its rows are no joints of the user
-    moved = {"move": float(moves[k]), "moved": problem.joints[k]}
-    values = {"share": float(found.shares[j]), "base": base, **moved}
-    if base:
-        return [Finding(F.RIPPLE, (), fit.dataset.robot.floating, values)]
-    return [Finding(F.RIPPLE, (problem.joints[j],), "", values)]
+    values = {"share": float(shares[j]), "base": base, "move": float(moves[k]), "moved": problem.joints[k]}
+    joints, subject = ((), fit.dataset.robot.floating) if base else ((problem.joints[j],), "")
+    return Finding(F.RIPPLE, joints, subject, values)
 
 
 def residual_correlations(fit: Fit) -> tuple[np.ndarray, np.ndarray] | None:
@@ -207,7 +170,7 @@ def _residuals(fit: Fit, run: int) -> tuple[np.ndarray, np.ndarray]:
     start = min(max(middle - size // 2, 0), len(prepared) - size)
     window = InMemoryRun(prepared.run, prepared.samples(start, start + size))
     A, keep = window_rows(fit, run, window, None, fit.dataset.model)
-    e, _, _ = errors_and_jacobian(fit, run, window, A)
+    e, _ = errors_and_jacobian(fit, run, window, A)
     decimator = prepared.preparation.decimator
     return window.all.time[decimator.instants(size)], np.where(keep, e, np.nan)
 

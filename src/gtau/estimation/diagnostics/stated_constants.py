@@ -16,17 +16,15 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.parameter_checks import known_verdict, unexplained_shares
-from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, verdict_of
-from gtau.estimation.estimators.estimator import Fit, Iterate, Solve, jackknife
+from gtau.estimation.diagnostics.linearisation import weighted
+from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
+from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, known_verdict, verdict_of
+from gtau.estimation.estimators.estimator import Fit, Solve, jackknife
 from gtau.estimation.estimators.newton import (
     curvature_of_delays,
     jacobian,
     jacobian_of_known,
     one_step,
-    residuals,
     stacked,
     to_gains,
     whitening,
@@ -38,6 +36,8 @@ from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import APART, MISFIT_GIVEN, PAYLOAD_MOVES
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import independent_columns
 from gtau.robots.parameter import unit_of
 from gtau.signals.channel import Channel
@@ -201,15 +201,13 @@ def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
     problem, solution, sensors = fit.system.problem, fit.solution, fit.system.problem.sensor_channels
     if not sensors:
         return ()
-    state = solution.iterate
-    weights = 1 / np.maximum(solution.sigma, problem.smallest_sigma)
-    whole, *units = (_linear(block, problem, state, weights) for block in (stacked(problem), *problem.units))
+    whole, *units = (_with_sensors(fit, blocks) for blocks in (stacked(problem), *problem.units))
     size = whole.shape[1] - len(sensors) - 1
     of_known = np.zeros((len(problem.known), whole.shape[1]))
     of_known[:, :size] = jacobian_of_known(problem, size)
     of_known[:, -1] = problem.known[:, :-1] @ solution.theta - problem.known[:, -1]
     R = triangle(whole, of_known)
-    T = to_gains(state, problem.n_theta, True)[problem.gain_rows] / fit.gains[:, None]
+    T = to_gains(solution.iterate, problem.n_theta, True)[problem.gain_rows] / fit.gains[:, None]
     found = []
     for k, sensor in enumerate(sensors):
         columns = [*range(size), size + k]
@@ -229,13 +227,15 @@ def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
     return tuple(found)
 
 
-def _linear(block: np.ndarray, problem: Problem, state: Iterate, weights: np.ndarray) -> np.ndarray:
-    """Build weighted rows ``[J | sensor torques | residuals]`` (., size + m + 1) of all channels in a block."""
-    torques, sensors = modelled(block, state.theta) * state.b[:, None], problem.sensor_channels
+def _with_sensors(fit: Fit, blocks: np.ndarray) -> np.ndarray:
+    """Build weighted rows ``[J | sensor torques | residuals]`` (., size + m + 1) of all channels in blocks."""
+    problem, state = fit.system.problem, fit.solution.iterate
+    sensors, weights = problem.sensor_channels, state.b / np.maximum(fit.solution.sigma, problem.smallest_sigma)
+    torques = modelled(blocks, state.theta) * weights[:, None]
     offered = np.zeros((*torques.shape, len(sensors)))
     offered[sensors, :, range(len(sensors))] = -torques[sensors]
-    J, e = jacobian(block, state, problem, True), residuals(block, state)
-    rows = np.concatenate([J, offered, e[..., None]], axis=-1) * weights[:, None, None]
+    e, J = weighted(fit, blocks)
+    rows = np.concatenate([J, offered, e[..., None]], axis=-1)
     return np.asarray(rows.reshape(-1, rows.shape[-1]))
 
 
@@ -246,7 +246,7 @@ def sensor_contradictions(found: Sequence[SensorScale], joints: Sequence[str], a
         moved = tuple(joint for joint, move in zip(joints, moves, strict=True) if move > accuracy)
         if sensor_verdict(each, accuracy).outcome == Outcome.CONTRADICTORY and moved:
             what = {"sensor": each.channel.kind.name}
-            yield Finding(F.SENSOR, moved, each.channel.joint, what, severity=float(moves.max()))
+            yield Finding(F.SENSOR, moved, each.channel.joint, what, size=float(moves.max()))
 
 
 def prior_contradictions(fit: Fit, covariance: np.ndarray, accuracy: float) -> list[Finding]:
@@ -343,7 +343,13 @@ def _freed(fit: Fit, method: str, payload: Payload, kind: str, accuracy: float) 
     )
     rows = system.problem.total_rows
     remains = float(np.exp(2 * (left - rows @ np.log(fit.solution.sigma)) / rows.sum()))
-    unit = unit_of(kind, dataset.robot, dataset.robot.tool)
-    given = "" if fit.free_gains else dataset.runs[0].kind
-    std_of_value = float(np.hypot(std[best], of_mass))
-    return left, known_verdict(kind, declared, value, std_of_value, unit, given, explained, remains)
+    tested = {
+        "parameter": kind,
+        "declared": declared,
+        "found": value,
+        "std": float(np.hypot(std[best], of_mass)),
+        "unit": unit_of(kind, dataset.robot, dataset.robot.tool),
+        "remains": remains,
+        "given": "" if fit.free_gains else dataset.runs[0].kind,
+    }
+    return left, known_verdict(tested, explained)

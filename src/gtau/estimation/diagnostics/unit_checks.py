@@ -14,10 +14,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.gain_checks import half_widths, motors
+from gtau.estimation.diagnostics.gain_checks import half_widths
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
+from gtau.estimation.diagnostics.parameter_checks import motors
 from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.thresholds.estimates import (
@@ -28,6 +27,8 @@ from gtau.estimation.thresholds.estimates import (
     PRIOR_FACTOR,
 )
 from gtau.estimation.thresholds.logs import CURRENTS_APART, LARGEST_CURRENT, PAYLOAD_DENSITY
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.robots.parameter import gain_unit, parameter_of, torque_unit
 from gtau.robots.robot import GROUND, Robot
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
@@ -40,30 +41,23 @@ def units_and_signs(
 ) -> Iterator[Finding]:
     """Find gains, given or estimated, that only a wrong unit or sign explains.
 
-    Parameters
-    ----------
-    fit, estimates : Fit, Estimates
-        What was estimated, and how well it is known.
-    prior_gains : mapping
-        Gains expected, N m/A or N/A, by joint; they settle the size of a gain that is estimated.
-    audit : InertiaAudit, optional
-        The inertias of the robot's file beside those from the data.
+    Prior gains (N m/A or N/A, by joint) settle the size of a gain that is estimated.
     """
     dataset = fit.dataset
     settled = set(prior_gains) if fit.free_gains else set()
     if fit.free_gains:
         yield from _prior_gains_off(fit, prior_gains)
         yield from _turned(fit, estimates, prior_gains)
-    of_sizes = [
-        *(_gains_apart(fit, estimates) if fit.free_gains else []),
+    of_sizes = (
+        *(_gains_apart(fit, estimates) if fit.free_gains else ()),
         *doubtful_payloads(dataset.robot, (run.payload for run in dataset.runs)),
         *doubtful_currents(dataset.runs, dataset.robot.base),
         *unlike_file(audit),
-    ]
-    for each in of_sizes:
-        joints = tuple(joint for joint in each.joints or motors(fit) if joint not in settled)
+    )
+    for finding in of_sizes:
+        joints = tuple(joint for joint in finding.joints or motors(fit) if joint not in settled)
         if joints:
-            yield replace(each, joints=joints)
+            yield replace(finding, joints=joints)
     yield from _efforts_exceeded(fit, settled)
 
 
@@ -112,15 +106,7 @@ def _gains_apart(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
 
 
 def doubtful_currents(runs: Sequence[Run], base: Collection[str] = ()) -> Iterator[Finding]:
-    """Find currents that are too large, or of very different size between joints.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-        All runs, their joints in the same order.
-    base : collection of str
-        Joints of a floating base, without currents.
-    """
+    """Find currents that are too large, or of very different size between joints but those of a floating ``base``."""
     if runs[0].kind != "current":
         return
     squares, samples = np.zeros(len(runs[0].joints)), 0
@@ -147,7 +133,7 @@ def doubtful_payloads(robot: Robot, payloads: Iterable[Payload | None]) -> Itera
     if not reach:
         return
     most = PAYLOAD_DENSITY * reach**3
-    for name, mass in dict.fromkeys((each.name, each.mass) for each in payloads if each and each.mass):
+    for name, mass in dict.fromkeys((payload.name, payload.mass) for payload in payloads if payload and payload.mass):
         if mass is not None and mass > most:
             yield Finding(F.HEAVY_PAYLOAD, (), name, {"mass": mass, "reach": reach, "most": most})
 
@@ -166,21 +152,19 @@ def _reach(robot: Robot) -> float | None:
     return reach
 
 
-def unlike_file(audit: InertiaAudit | None) -> list[Finding]:
+def unlike_file(audit: InertiaAudit | None) -> Iterator[Finding]:
     """Find first moments that are all together out of scale with those of the robot's file."""
     moments = [
-        (each.value, each.stated)
-        for each in (() if audit is None else audit.parameters)
-        if parameter_of(each.name).kind in FIRST_MOMENTS and each.value and each.std and each.stated
-        if abs(each.value) > NEGATIVE_STD * each.std
+        (audited.value, audited.stated)
+        for audited in (() if audit is None else audit.parameters)
+        if parameter_of(audited.name).kind in FIRST_MOMENTS and audited.value and audited.std and audited.stated
+        if abs(audited.value) > NEGATIVE_STD * audited.std
     ]
-    if len(moments) < 2:
-        return []
-    identified, stated = np.linalg.norm(moments, axis=0)
-    factor = float(identified / stated)
-    if 1 / FILE_FACTOR <= factor <= FILE_FACTOR:
-        return []
-    return [Finding(F.UNLIKE_FILE, values={"factor": factor, "count": len(moments)})]
+    if len(moments) >= 2:
+        identified, stated = np.linalg.norm(moments, axis=0)
+        factor = float(identified / stated)
+        if not 1 / FILE_FACTOR <= factor <= FILE_FACTOR:
+            yield Finding(F.UNLIKE_FILE, values={"factor": factor, "count": len(moments)})
 
 
 def _efforts_exceeded(fit: Fit, settled: Collection[str]) -> Iterator[Finding]:

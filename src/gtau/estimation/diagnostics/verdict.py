@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.finding import Outcome as Outcome  # which verdicts have
-from gtau.estimation.diagnostics.sentences import advice, reason
+from gtau.estimation.diagnostics.hypotheses import HYPOTHESES
+from gtau.estimation.thresholds.estimates import APART, NEGATIVE_STD, WEAK_PARAMETER
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
+from gtau.findings import Outcome as Outcome  # which verdicts have
+from gtau.findings.finding import WORDS
+from gtau.robots.parameter import Parameter
 
 
 @dataclass(frozen=True)
@@ -21,12 +25,12 @@ class Verdict:
     @property
     def why(self) -> str:
         """The reason, empty without a finding."""
-        return "" if self.finding is None else reason(self.finding)
+        return "" if self.finding is None else self.finding.what
 
     @property
     def advice(self) -> str:
         """Advice of the deciding finding."""
-        return "" if self.finding is None else advice(self.finding)
+        return "" if self.finding is None else self.finding.action
 
     @property
     def sentence(self) -> str:
@@ -34,8 +38,9 @@ class Verdict:
         return self.outcome.value + (f": {self.why}; {self.advice}" if self.finding else "")
 
 
+WORDS.update({cause.kind: cause.words for hypothesis in HYPOTHESES for cause in hypothesis.causes})
 GIVEN, GOOD = Verdict(Outcome.GIVEN), Verdict(Outcome.GOOD)
-
+NONNEGATIVE = {"m", "xx", "yy", "zz", "ia", "fv", "fs"}
 OUTCOMES: Mapping[str, Outcome] = {kind: kind.outcome for kind in F if kind.outcome}
 ALONE = frozenset({F.NEGATIVE_GAIN, F.GAINS_APART, F.LARGE_CURRENT})
 """Factors of one joint's channel, which its gain takes up whole: those of the other joints stay as they are."""
@@ -50,28 +55,20 @@ def verdict_of(finding: Finding) -> Verdict:
 def decide(joints: Sequence[str], findings: Iterable[Finding], otherwise: Verdict = GOOD) -> tuple[Verdict, ...]:
     """Judge the gain of each joint by the highest-ranked finding on it, in whatever order the checks found them.
 
-    Of findings of one kind the most severe counts. No gain is good beside a contradictory one, since all joints share
-    the parameters of one model, but for what concerns the channel of one joint alone.
-
-    Parameters
-    ----------
-    joints : sequence of str
-        Joints of the robot, (n,).
-    findings : iterable of Finding
-        All findings against gains.
-    otherwise : Verdict
-        Of a gain without a finding.
+    Of findings of one kind that of the largest size counts. No gain is good beside a contradictory one, since all
+    joints share the parameters of one model, but for what concerns the channel of one joint alone. A gain without a
+    finding is judged as ``otherwise``.
     """
-    of_joint: dict[str, Finding] = {}
-    for each in sorted(findings, key=_precedence):
-        for joint in each.joints:
-            of_joint.setdefault(joint, each)
-    found = {joint: verdict_of(of_joint[joint]) if joint in of_joint else otherwise for joint in joints}
-    wrong = next((joint for joint in joints if couples(found[joint])), None)
+    deciding: dict[str, Finding] = {}
+    for finding in sorted(findings, key=lambda finding: (RANKS[finding.kind], -finding.size, repr(finding))):
+        for joint in finding.joints:
+            deciding.setdefault(joint, finding)
+    verdicts = {joint: verdict_of(deciding[joint]) if joint in deciding else otherwise for joint in joints}
+    wrong = next((joint for joint in joints if couples(verdicts[joint])), None)
     if wrong is not None:
-        coupled = {joint: verdict_of(Finding(F.COUPLED, (joint,), wrong)) for joint in joints}
-        found = {joint: coupled[joint] if each.outcome == Outcome.GOOD else each for joint, each in found.items()}
-    return tuple(found.values())
+        good = [joint for joint, verdict in verdicts.items() if verdict.outcome == Outcome.GOOD]
+        verdicts |= {joint: verdict_of(Finding(F.COUPLED, (joint,), wrong)) for joint in good}
+    return tuple(verdicts.values())
 
 
 def couples(verdict: Verdict) -> bool:
@@ -80,12 +77,48 @@ def couples(verdict: Verdict) -> bool:
     return verdict.outcome == Outcome.CONTRADICTORY and kind not in ALONE
 
 
-def _precedence(finding: Finding) -> tuple[int, float, str]:
-    return RANKS[finding.kind], -finding.severity, repr(finding)
-
-
 def worst(verdicts: Mapping[str, Verdict] | Sequence[Verdict]) -> Outcome:
     """Return the worst outcome of several."""
-    found = list(verdicts.values()) if isinstance(verdicts, Mapping) else list(verdicts)
-    order = list(Outcome)
-    return max((verdict.outcome for verdict in found), key=order.index, default=Outcome.GOOD)
+    listed = verdicts.values() if isinstance(verdicts, Mapping) else verdicts
+    return max((verdict.outcome for verdict in listed), key=list(Outcome).index, default=Outcome.GOOD)
+
+
+def parameter_verdict(value: float | None, std: float | None) -> Verdict:
+    """Judge a parameter by its value and standard deviation."""
+    if value is None:
+        return verdict_of(Finding(F.INSEPARABLE))
+    if std is None:
+        return GOOD
+    if abs(value) < 2 * std:
+        return verdict_of(Finding(F.NEAR_ZERO))
+    if std > WEAK_PARAMETER * abs(value):
+        return verdict_of(Finding(F.UNCERTAIN, values={"std": std / abs(value)}))
+    return GOOD
+
+
+def judge_parameter(value: float | None, std: float | None, terms: Mapping[Parameter, float]) -> Verdict:
+    """Judge a base parameter from its value, standard deviation, and the ``terms`` that it regroups."""
+    if value is None or not std or value >= -NEGATIVE_STD * std or not cannot_be_negative(terms):
+        return parameter_verdict(value, std)
+    friction = next(iter(terms)).kind in ("fv", "fs")
+    return verdict_of(Finding(F.IMPOSSIBLE, values={"t": -value / std, "friction": friction}))
+
+
+def cannot_be_negative(terms: Mapping[Parameter, float]) -> bool:
+    """Decide from its terms whether a base parameter is a sum of masses, moments of inertia or friction."""
+    return all(factor > 0 and name.kind in NONNEGATIVE for name, factor in terms.items())
+
+
+def known_verdict(values: Mapping[str, Any], explained: tuple[str, ...] = ()) -> Verdict:
+    """Judge a known value of a payload by its estimate from the other known constants and the data.
+
+    ``values`` are the ``parameter``, its ``declared`` value and the one ``found``, with its ``std`` and ``unit``, the
+    kind of the commands where gains are ``given``, and what the value that is found ``remains`` of the residual
+    variance, the geometric mean of all channels; ``explained`` the joints whose torque only the declared value leaves
+    unexplained.
+    """
+    size = abs(values["found"] - values["declared"]) / values["std"]
+    if size <= APART:
+        return GOOD
+    kind = F.PAYLOAD_MASS if values["parameter"] == "m" else F.PAYLOAD_PARAMETER
+    return verdict_of(Finding(kind, explained, values=values, size=size))

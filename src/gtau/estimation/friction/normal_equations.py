@@ -1,23 +1,25 @@
 """Normal equations of friction on all samples, at fixed gains and inertia, in blocks of the runs.
 
-Their columns are candidates: of presliding, and of friction that falls with the speed, at each site of friction.
+Their columns are candidates: of presliding, and of friction that falls with the speed, at each joint with friction.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.friction.law import FrictionLaw, PreslidingState
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.rows import Law, stream_rows
+from gtau.estimation.regression.equations import delayed_signal
+from gtau.estimation.regression.factors import add_products
+from gtau.estimation.regression.rows import Law, Rows, stream_rows
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import PLAIN_FRICTION
+from gtau.signals.preparation.filters import Decimator
 from gtau.signals.storage import block, spans
 
 # Widths, of a joint's travel, and speeds, of its rms speed, that are tried. Presliding of real joints was found at 4e-5
@@ -25,232 +27,222 @@ from gtau.signals.storage import block, spans
 # sign at 0.003 to 0.03 of it.
 WIDTHS = 10.0 ** np.arange(-5.25, -1.99, 0.25)
 SPEEDS = 10.0 ** np.arange(-2.5, 0.51, 0.5)
-BLOCKS = 20  # of a run, as many as the blocks of identification
+BLOCKS = 20  # of a run, as many as those of identification
 MOST_BLOCKS = 60  # of all runs
 # Rows for one of identification: a reversal is short. With 1, 2, 3 and 4, errors over all samples of runs not used are
 # 5.26, 5.17, 5.21 and 5.20 % (geometric mean of UR10e, TX40, Panda, xMate7, xMate3 and da Vinci), those of the TX40's
 # motor 6 are 17.4, 11.5, 10.2 and 10.2 %, and from 3 on a wrist joint of the UR10e loses its presliding.
 FINER = 2
 RESTING = 0.01  # of the rms speed: a joint whose mean speed behind the filter is less rests, and slides nowhere
+PLAIN = ("off", "fv", "fvt")
+"""Kinds of the first columns of a joint."""
 
 
 @dataclass(frozen=True, eq=False)
-class JointFriction:
+class FrictionJoint:
     """A joint whose friction is identified on all samples.
 
-    Attributes
-    ----------
-    joint : str
-        Its name.
-    row : int
-        Its row among the robot's joints.
-    ratios : ndarray
-        (n,) Its speed for unit speeds of the actuated joints: constant.
-    motor : int, optional
-        The motor that alone moves it.
-    widths, speeds : ndarray
-        Candidates (w,) of presliding, rad or m, and (s,) of v_s, rad/s or m/s.
-    rms_speed : float
-        Over all runs, rad/s or m/s.
-    plain : tuple of str
-        Kinds of friction of it that are base parameters: ``off``, ``fv``, ``fs``.
-    warm : bool
-        Whether its temperature is logged.
+    ``row`` is its row among the robot's joints, ``ratios`` (n,) its speed for unit speeds of the actuated joints, and
+    ``motor`` the one that alone moves it, if any. Its ``travel`` (rad or m) and rms ``speed`` are over all runs.
+    ``plain`` are the kinds of its friction that are base parameters, of ``off``, ``fv`` and ``fs``; ``warm`` says
+    whether its temperature is logged.
+
+    Its columns are those of ``PLAIN``, and then of each direction (sliding, and presliding of each width) times what
+    weighs it: 1, a fall with each speed, the load, and the temperature.
     """
 
-    joint: str
+    name: str
     row: int
     ratios: np.ndarray
     motor: int | None
-    widths: np.ndarray
-    speeds: np.ndarray
-    rms_speed: float
+    travel: float
+    speed: float
     plain: tuple[str, ...]
     warm: bool
 
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """Columns: those of the plain law, then of each state z (sliding, and each width) times what weighs it."""
-        weighed = ["1", *(f"s{k}" for k in range(len(self.speeds))), "fl", "fst"]
-        states = [f"{each}:{what}" for each in range(len(self.widths) + 1) for what in weighed]
-        return ("off", "fv", "fvt", *states)
+    @property
+    def widths(self) -> np.ndarray:
+        """Candidates (w,) of presliding, rad or m."""
+        return self.travel * WIDTHS
+
+    @property
+    def speeds(self) -> np.ndarray:
+        """Candidates (s,) of v_s, rad/s or m/s."""
+        return self.speed * SPEEDS
+
+    @property
+    def count(self) -> int:
+        """Number of columns."""
+        return len(PLAIN) + (1 + len(WIDTHS)) * (3 + len(SPEEDS))
 
     def columns(self, v: np.ndarray, z: np.ndarray, load: np.ndarray | float, above: np.ndarray | float) -> np.ndarray:
         """Build the columns (., N) from speeds (N,), states (w + 1, N), torques transmitted and temperatures (N,)."""
         falling = np.exp(-np.abs(v) / self.speeds[:, None])
         weighed = np.stack([np.ones_like(v), *falling, np.abs(load) + 0 * v, above + 0 * v])
-        return np.concatenate(
-            [np.stack([np.ones_like(v), v, above * v]), (z[:, None] * weighed).reshape(-1, v.shape[0])]
-        )
+        plain = np.stack([np.ones_like(v), v, above * v])
+        return np.concatenate([plain, (z[:, None] * weighed).reshape(-1, v.shape[0])])
 
 
-def sites_of(dataset: Dataset, law: FrictionLaw) -> tuple[JointFriction, ...]:
+def friction_joints(dataset: Dataset, law: FrictionLaw) -> tuple[FrictionJoint, ...]:
     """List the joints with friction that moves with the motors at constant ratios."""
-    model, standard = dataset.model, dataset.base.standard
+    model, warm = dataset.model, dataset.temperatures
     lowest, highest, squares, samples = [], [], np.zeros((len(model.actuated),) * 2), 0
-    for each in dataset.prepared:
-        position, kept = each.run.position, each.kept
+    for run in dataset.prepared:
+        position, kept = run.run.position, run.kept
         parts = [block(position, kept.start + a, kept.start + b) @ law.ratios.T for a, b in spans(len(kept))]
         lowest.append(np.min([part.min(axis=0) for part in parts], axis=0))
         highest.append(np.max([part.max(axis=0) for part in parts], axis=0))
-        squares, samples = squares + each.speeds * len(each), samples + len(each)
+        squares, samples = squares + run.speeds * len(run), samples + len(run)
     travel = np.max(np.array(highest) - np.array(lowest), axis=0)
     rms = np.sqrt(np.einsum("ki,ij,kj->k", law.ratios, squares / samples, law.ratios))
-    warm = dataset.temperatures
-    sites = []
+    joints = []
     for row, joint in enumerate(model.robot.joints):
-        plain = tuple(kind for kind in PLAIN_FRICTION if Parameter(kind, joint.name) in standard)
-        if not {"fv", "fs"} & set(plain) or not travel[row] or not rms[row]:
-            continue
-        motor = law.motor(row)
-        heated = warm is not None and motor is not None and model.actuated[motor] in warm.reference
-        sites.append(
-            JointFriction(
-                joint.name,
-                row,
-                law.ratios[row],
-                motor,
-                travel[row] * WIDTHS,
-                rms[row] * SPEEDS,
-                float(rms[row]),
-                plain,
-                heated,
-            )
-        )
-    return tuple(sites)
+        plain = tuple(kind for kind in PLAIN_FRICTION if Parameter(kind, joint.name) in dataset.base.standard)
+        if {"fv", "fs"} & set(plain) and travel[row] and rms[row]:
+            motor = law.motor(row)
+            heated = warm is not None and motor is not None and model.actuated[motor] in warm.reference
+            sizes = float(travel[row]), float(rms[row])
+            joints.append(FrictionJoint(joint.name, row, law.ratios[row], motor, *sizes, plain, heated))
+    return tuple(joints)
 
 
-def columns_along(sites: Sequence[JointFriction], dataset: Dataset, run: int) -> Law:
-    """Make the columns (., N) of all sites along a run in blocks, and then their |speeds| (sites, N)."""
+def columns_along(joints: Sequence[FrictionJoint], dataset: Dataset, run: int) -> Law:
+    """Make the columns (., N) of all joints along a run in blocks, and then their |speeds| (joints, N)."""
     prepared, warm = dataset.prepared[run], dataset.temperatures
-    followers = [PreslidingState(site.widths) for site in sites]
+    states = [PreslidingState(joint.widths) for joint in joints]
 
-    def above(site: JointFriction, time: np.ndarray) -> np.ndarray | float:
-        if warm is None or not site.warm or prepared.run.temperature is None or site.motor is None:
+    def above(joint: FrictionJoint, time: np.ndarray) -> np.ndarray | float:
+        if warm is None or not joint.warm or prepared.run.temperature is None or joint.motor is None:
             return 0.0
-        joint = dataset.model.actuated[site.motor]
-        return prepared.run.temperature.at(joint, time) - warm.reference[joint]
+        motor = dataset.model.actuated[joint.motor]
+        return prepared.run.temperature.at(motor, time) - warm.reference[motor]
 
     def columns(time: np.ndarray, motion: Motion, effort: np.ndarray) -> np.ndarray:
-        q, found, speeds = prepared.path(time), [], []
-        for site, follow in zip(sites, followers, strict=True):
-            v = motion.yd[site.row]
-            load = 0.0 if site.motor is None else effort[site.motor] / site.ratios[site.motor]
-            z = np.vstack([np.sign(v), follow(time, site.ratios @ q)])
-            found.append(site.columns(v, z, load, above(site, time)))
+        q, parts, speeds = prepared.path(time), [], []
+        for joint, state in zip(joints, states, strict=True):
+            v = motion.yd[joint.row]
+            load = 0.0 if joint.motor is None else effort[joint.motor] / joint.ratios[joint.motor]
+            z = np.vstack([np.sign(v), state(time, joint.ratios @ q)])
+            parts.append(joint.columns(v, z, load, above(joint, time)))
             speeds.append(np.abs(v))
-        return np.vstack([*found, speeds])
+        return np.vstack([*parts, speeds])
 
     return columns
-
-
-def groups_of(sites: Sequence[JointFriction]) -> list[tuple[list[int], list[int]]]:
-    """Split sites into those that share motors: their numbers, and the motors' numbers."""
-    from scipy.sparse.csgraph import connected_components
-
-    if not sites:
-        return []
-    driven = np.array([site.ratios != 0 for site in sites]).astype(int)
-    count, label = connected_components(driven @ driven.T, directed=False)
-    found = []
-    for group in range(count):
-        members = np.flatnonzero(label == group)
-        found.append((members.tolist(), np.flatnonzero(driven[members].any(axis=0)).tolist()))
-    return found
 
 
 @dataclass(frozen=True, eq=False)
 class FrictionGroup:
     """Joints that share motors: the products of their columns, by block and motor.
 
-    ``columns`` name (site, column) of (p,); ``G`` (K, m, p + 1, p + 1) are the products of the columns and of the
-    torque that is left to friction, the last, all times the ``weights`` (m,) of the motors: one over their residuals.
-    ``cross`` (p, gains and base parameters) are products with what gains and base parameters
-    add to the torque. ``motors`` are the numbers of the actuated joints, ``signals`` (m, 2) count the rows of each and
-    add up the squares of its measured torque.
+    ``G`` (K, m, p + 1, p + 1) are the products of the joints' columns and of the torque that is left to friction, the
+    last, all times the ``weights`` (m,) of the motors: one over their residuals. ``cross`` (p, gains and base
+    parameters) are products with what gains and base parameters add to the torque. ``motors`` are the numbers of the
+    actuated joints, ``signals`` (m, 2) count the rows of each and add up the squares of its measured torque.
     """
 
-    sites: tuple[JointFriction, ...]
-    columns: tuple[tuple[int, str], ...]
-    G: np.ndarray
-    cross: np.ndarray
+    joints: tuple[FrictionJoint, ...]
     motors: tuple[int, ...]
     weights: np.ndarray
+    G: np.ndarray
+    cross: np.ndarray
     signals: np.ndarray
 
 
+def groups_of(joints: Sequence[FrictionJoint]) -> list[tuple[tuple[FrictionJoint, ...], tuple[int, ...]]]:
+    """Split joints into those that share motors, with the numbers of the motors."""
+    from scipy.sparse.csgraph import connected_components
+
+    if not joints:
+        return []
+    driven = np.array([joint.ratios != 0 for joint in joints]).astype(int)
+    count, label = connected_components(driven @ driven.T, directed=False)
+    members = [np.flatnonzero(label == group) for group in range(count)]
+    return [
+        (tuple(joints[k] for k in group.tolist()), tuple(np.flatnonzero(driven[group].any(axis=0)).tolist()))
+        for group in members
+    ]
+
+
 def normal_equations(
-    fit: Fit, law: FrictionLaw, sites: Sequence[JointFriction], finer: int = 1
+    fit: Fit, law: FrictionLaw, joints: Sequence[FrictionJoint], finer: int = 1
 ) -> tuple[FrictionGroup, ...]:
     """Stream all runs and reduce the torque that friction has to explain, to ``finer`` rows for one of identification.
 
-    The torque that is left is ``g_tau v(t + d)``, less what the inertial parameters give at their estimates, less the
-    friction of passive joints, which no motor alone shows. It and the columns of friction pass the same low-pass and
-    decimation. Rows count where speeds rest on good samples and some joint of the group moves: at rest, anything within
-    the band of friction holds it.
+    Rows count where speeds rest on good samples and some joint of the group moves: at rest, anything within the band of
+    friction holds it.
 
     Raises
     ------
     GtauError
         Where the closures refuse a sample.
     """
-    dataset, solution, model = fit.dataset, fit.solution, fit.dataset.model
-    base, n, runs = dataset.base, len(model.actuated), len(dataset.prepared)
-    gains, delays = fit.gains, solution.delays[:n, None]
-    weights = 1 / np.maximum(np.abs(gains) * solution.sigma[:n], 1e-300)
-    regressor, names = model.columns(base.standard), {site.joint for site in sites}
-    each = max(min(BLOCKS, MOST_BLOCKS // runs), 1)
-    starts = np.cumsum([0, *(len(site.names) for site in sites)])
+    dataset, n, runs = fit.dataset, len(fit.gains), len(fit.dataset.prepared)
+    count = max(min(BLOCKS, MOST_BLOCKS // runs), 1)
+    weights = 1 / np.maximum(np.abs(fit.gains) * fit.solution.sigma[:n], 1e-300)
     groups = []
-    for members, motors in groups_of(sites):
-        columns = tuple((k, name) for k, member in enumerate(members) for name in sites[member].names)
-        p, m = len(columns), len(motors)
-        sums = np.zeros((runs * each, m, p + 1, p + 1)), np.zeros((p, n + base.count))
-        own_sites = tuple(sites[k] for k in members)
-        groups.append(
-            (members, FrictionGroup(own_sites, columns, *sums, tuple(motors), weights[motors], np.zeros((m, 2))))
-        )
+    for members, motors in groups_of(joints):
+        p, m = sum(joint.count for joint in members), len(motors)
+        G, cross = np.zeros((runs * count, m, p + 1, p + 1)), np.zeros((p, n + dataset.base.count))
+        groups.append(FrictionGroup(members, motors, weights[list(motors)], G, cross, np.zeros((m, 2))))
+    regressor = dataset.model.columns(dataset.base.standard)
     for run, prepared in enumerate(dataset.prepared):
         decimator = dataset.preparation.at(prepared.run.rate).decimator
         decimator = replace(decimator, factor=max(decimator.factor // finer, 1))
-        load, follow = fit.system.load(run, solution.theta), columns_along(sites, dataset, run)
-        values = dict(zip(base.standard, fit.system.motion(run, solution.theta), strict=True))
-        passive = {
-            Parameter(kind, joint.name): values.get(Parameter(kind, joint.name), 0.0)
-            for joint in model.robot.joints
-            if joint.name not in names
-            for kind in PLAIN_FRICTION
-        }
-
-        def friction(time, motion, effort, follow=follow, passive=passive):  # type: ignore[no-untyped-def]
-            return np.vstack([follow(time, motion, effort), effort, law.torques(motion, passive, effort)])
-
         outputs = decimator.outputs(len(prepared))
-        for part in stream_rows(model, regressor, prepared, decimator, load, friction=friction):
-            assert part.friction is not None
-            made, speeds, effort, rest = np.split(part.friction, np.cumsum([starts[-1], len(sites), n]))
-            v, v_d, v_dd = part.currents[:, :n]
-            measured = gains[:, None] * (v - delays * v_d + delays**2 / 2 * v_dd)
-            y = measured - effort - rest
+        for part, columns, torques in _rows_along(fit, law, joints, run, decimator):
             first, last = (decimator.factor * k for k in (part.outputs.start, part.outputs.stop - 1))
             valid = decimator.keep(prepared.valid(first, last + 2 * decimator.support + 1)[:, :n]).T
-            place = run * each + np.arange(part.outputs.start, part.outputs.stop) * each // outputs
-            W = np.zeros((n, base.count, len(y[0])))
-            W[regressor.rows, regressor.columns] = part.entries
-            for members, group in groups:
-                moving = np.any([speeds[k] > RESTING * sites[k].rms_speed for k in members], axis=0)
+            blocks = run * count + np.arange(part.outputs.start, part.outputs.stop) * count // outputs
+            W = part.matrix(regressor, n)
+            for group in groups:
+                moving = np.any([columns[joint][-1] > RESTING * joint.speed for joint in group.joints], axis=0)
                 for m, j in enumerate(group.motors):
-                    kept = valid[j] & moving
-                    if not kept.any():
-                        continue
-                    own = [sites[k].ratios[j] * made[starts[k] : starts[k + 1], kept] for k in members]
-                    A = np.vstack([*own, y[j, kept]])
-                    group.signals[m] += kept.sum(), measured[j, kept] @ measured[j, kept]
-                    A *= weights[j]
-                    fixed = np.zeros((n + base.count, int(kept.sum())))
-                    fixed[j], fixed[n:] = v[j, kept], -W[j][:, kept]
-                    group.cross[:] += weights[j] * A[:-1] @ fixed.T
-                    for b in np.unique(place[kept]):
-                        of_block = A[:, place[kept] == b]
-                        group.G[b, m] += of_block @ of_block.T
-    return tuple(replace(group, G=group.G[group.G.any(axis=(1, 2, 3))]) for _, group in groups)
+                    if (kept := valid[j] & moving).any():
+                        base = np.vstack([part.currents[0, j, kept], -W[j, kept].T])
+                        own = [joint.ratios[j] * columns[joint][:-1, kept] for joint in group.joints]
+                        _add(group, m, np.vstack([*own, torques[:, j, kept]]), base, blocks[kept])
+    return tuple(replace(group, G=group.G[group.G.any(axis=(1, 2, 3))]) for group in groups)
+
+
+def _rows_along(
+    fit: Fit, law: FrictionLaw, joints: Sequence[FrictionJoint], run: int, decimator: Decimator
+) -> Iterator[tuple[Rows, dict[FrictionJoint, np.ndarray], np.ndarray]]:
+    """Stream a run: its rows, the columns (., K) of each joint with its |speed| last, and torques (2, n, K).
+
+    These are the torque left to friction, and the measured one. Left is ``g_tau v(t + d)``, less what the inertial
+    parameters give at their estimates, less the friction of passive joints, which no motor alone shows. It and the
+    columns of friction pass the same low-pass and decimation.
+    """
+    dataset, solution, model = fit.dataset, fit.solution, fit.dataset.model
+    n, names, columns_of_run = len(fit.gains), {joint.name for joint in joints}, columns_along(joints, dataset, run)
+    load, motion_values = fit.system.load(run, solution.theta), fit.system.motion(run, solution.theta)
+    passive: dict[str, float] = {
+        name: value
+        for name, value in zip(dataset.base.standard, motion_values, strict=True)
+        if name.kind in PLAIN_FRICTION and name.body not in names
+    }
+
+    def friction(time: np.ndarray, motion: Motion, effort: np.ndarray) -> np.ndarray:
+        return np.vstack([columns_of_run(time, motion, effort), effort, law.torques(motion, passive, effort)])
+
+    ends = np.cumsum([*(joint.count for joint in joints), len(joints), n])
+    regressor = model.columns(dataset.base.standard)
+    for part in stream_rows(model, regressor, dataset.prepared[run], decimator, load, friction=friction):
+        assert part.friction is not None
+        *made, speeds, effort, rest = np.split(part.friction, ends)
+        measured = fit.gains[:, None] * delayed_signal(np.moveaxis(part.currents[:, :n], 0, -1), solution.delays[:n])
+        columns = {joint: np.vstack([own, speed]) for joint, own, speed in zip(joints, made, speeds, strict=True)}
+        yield part, columns, np.stack([measured - effort - rest, measured])
+
+
+def _add(group: FrictionGroup, m: int, rows: np.ndarray, base: np.ndarray, blocks: np.ndarray) -> None:
+    """Add the rows (p + 2, K) of a motor in ``blocks`` (K,): columns, torque left, and measured torque.
+
+    ``base`` (1 + n_b, K) is what its gain and the base parameters add to the torque left.
+    """
+    A, measured = group.weights[m] * rows[:-1], rows[-1]
+    products = group.weights[m] * A[:-1] @ base.T
+    group.cross[:, group.motors[m]] += products[:, 0]
+    group.cross[:, 1 - len(base) :] += products[:, 1:]
+    group.signals[m] += len(measured), measured @ measured
+    add_products(group.G[:, m], A.T, blocks)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gtau.estimation.friction.normal_equations import FrictionGroup, JointFriction
+from gtau.estimation.friction.normal_equations import PLAIN, SPEEDS, WIDTHS, FrictionGroup, FrictionJoint
 from gtau.estimation.thresholds.estimates import TERM_SHARE, TERM_T
 
 FEWEST_BLOCKS = 6
@@ -27,48 +27,56 @@ widths at once; no friction has it in the end, but terms are to pay beyond it.
 """
 
 
-def options(site: JointFriction, kind: str) -> range:
-    """List the numbers that a term of a kind may have at a site."""
-    numbers = {"width": len(site.widths), "speed": len(site.speeds), "load": site.motor is not None, "warm": site.warm}
+def options(joint: FrictionJoint, kind: str) -> range:
+    """List the numbers that a term of a kind may have at a joint."""
+    numbers = {"width": len(WIDTHS), "speed": len(SPEEDS), "load": joint.motor is not None, "warm": joint.warm}
     return range(numbers[kind])
 
 
-def parameter_columns(structure: Structure, site: JointFriction) -> dict[str, dict[str, float]]:
-    """Combine a site's columns to those of the parameters of a structure, of which all but some are not negative.
+def parameter_columns(structure: Structure, joint: FrictionJoint) -> dict[str, np.ndarray]:
+    """Combine a joint's columns (p,) to those of the parameters of a structure, of which all but some are not negative.
 
     ``fr`` is friction at rest, ``fs + fb``.
     """
-    z = between(structure["width"], len(site.widths), first=1) if "width" in structure else {0: 1.0}
+    constant, load, warm = 0, 1 + len(SPEEDS), 2 + len(SPEEDS)  # what weighs a direction
+    width = structure.get("width")
+    z = np.eye(1 + len(WIDTHS))[0] if width is None else np.append(0.0, between(width, len(WIDTHS)))
+    weights = np.eye(3 + len(SPEEDS))
 
-    def sliding(what: str) -> dict[str, float]:
-        return {f"{k}:{what}": share for k, share in z.items()}
+    def sliding(weight: np.ndarray, direction: np.ndarray = z) -> np.ndarray:
+        return np.concatenate([np.zeros(len(PLAIN)), np.outer(direction, weight).ravel()])
 
-    made: dict[str, dict[str, float]] = {kind: {kind: 1.0} for kind in ("off", "fv") if kind in site.plain}
-    if "fs" in site.plain:
-        made["fs"] = sliding("1")
+    alone = dict(zip(PLAIN, np.eye(len(PLAIN), joint.count), strict=True))
+    made: dict[str, np.ndarray] = {kind: alone[kind] for kind in ("off", "fv") if kind in joint.plain}
+    if "fs" in joint.plain:
+        made["fs"] = sliding(weights[constant])
         if "speed" in structure:
-            shares = between(structure["speed"], len(site.speeds)).items()
-            made["fr"] = {each: a * b for k, b in shares for each, a in sliding(f"s{k}").items()}
-            made["fs"] = made["fs"] | {each: -share for each, share in made["fr"].items()}
+            made["fr"] = sliding(np.pad(between(structure["speed"], len(SPEEDS)), (1, 2)))
+            made["fs"] = made["fs"] - made["fr"]
         if "gradual" in structure:
-            made |= {f"z{k}": {f"{k}:1": 1.0} for k in range(1, len(site.widths) + 1) if k not in z}
+            states = np.eye(1 + len(WIDTHS))
+            made |= {f"z{k}": sliding(weights[constant], states[k]) for k in range(1, len(states)) if not z[k]}
         if "load" in structure:
-            made["fl"] = sliding("fl")
+            made["fl"] = sliding(weights[load])
     if "warm" in structure:
-        made |= {"fvt": {"fvt": 1.0}, "fst": sliding("fst")}
+        made |= {"fvt": alone["fvt"], "fst": sliding(weights[warm])}
     return made
 
 
-def between(number: float, count: int, first: int = 0) -> dict[int, float]:
-    """Interpolate between ``count`` columns by a cubic through four: the share of each, by number from ``first``.
+def between(number: float, count: int) -> np.ndarray:
+    """Interpolate between ``count`` columns by a cubic through four: the share of each.
 
     With half a decade between two speeds ``exp(-|v| / v_s)`` is off by at most 0.02.
     """
+    shares = np.zeros(count)
     if number == round(number):
-        return {first + int(number): 1.0}
+        shares[int(number)] = 1.0
+        return shares
     begin = min(max(int(number) - 1, 0), count - 4)
     nodes = range(begin, begin + 4)
-    return {first + k: float(np.prod([(number - other) / (k - other) for other in nodes if other != k])) for k in nodes}
+    for k in nodes:
+        shares[k] = np.prod([(number - other) / (k - other) for other in nodes if other != k])
+    return shares
 
 
 FREE = ("off", "fvt", "fst")
@@ -77,9 +85,9 @@ FREE = ("off", "fvt", "fst")
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A fit of a group by a structure for each site.
+    """A fit of a group by a structure for each joint.
 
-    ``names`` (site, kind) of the parameters that are not zero, ``x`` (k,) their values, ``left`` (K, k) those without
+    ``names`` (joint, kind) of the parameters that are not zero, ``x`` (k,) their values, ``left`` (K, k) those without
     each block, ``errors`` (K, m) the squared errors of each block and motor by the fit to all others; ``M`` (p, k)
     maps parameters to columns.
     """
@@ -115,18 +123,14 @@ def fit(group: FrictionGroup, structures: tuple[Structure, ...]) -> Candidate:
 
 
 def columns_of(group: FrictionGroup, structures: tuple[Structure, ...]) -> tuple[list[tuple[int, str]], np.ndarray]:
-    """List the parameters (site, kind) of structures, and the matrix M (p, k) that maps them to columns."""
-    place = {column: k for k, column in enumerate(group.columns)}
-    listed = [
-        ((s, kind), made)
-        for s, (structure, site) in enumerate(zip(structures, group.sites, strict=True))
-        for kind, made in parameter_columns(structure, site).items()
-    ]
-    M = np.zeros((len(group.columns), len(listed)))
-    for k, ((s, _), made) in enumerate(listed):
-        for column, factor in made.items():
-            M[place[s, column], k] = factor
-    return [name for name, _ in listed], M
+    """List the parameters (joint, kind) of structures, and the matrix M (p, k) that maps them to columns."""
+    made = [parameter_columns(structure, joint) for structure, joint in zip(structures, group.joints, strict=True)]
+    names = [(s, kind) for s, of_joint in enumerate(made) for kind in of_joint]
+    starts = np.cumsum([0, *(joint.count for joint in group.joints)])
+    M = np.zeros((starts[-1], len(names)))
+    for k, (s, kind) in enumerate(names):
+        M[starts[s] : starts[s + 1], k] = made[s][kind]
+    return names, M
 
 
 def reduced(group: FrictionGroup, M: np.ndarray) -> np.ndarray:
@@ -170,19 +174,19 @@ def gained(before: Candidate, after: Candidate) -> tuple[float, float]:
 def choose(group: FrictionGroup) -> tuple[Candidate, Candidate, dict[tuple[int, str], float]]:
     """Add one term after another while the errors on left-out blocks decrease.
 
-    Returns the candidate chosen, the plain one, and the gain of each term taken, in standard errors, by (site, kind).
+    Returns the candidate chosen, the plain one, and the gain of each term taken, in standard errors, by (joint, kind).
 
     A term enters where it takes the squared error of blocks left out down by a share that the eye sees and by more
     standard errors, over the blocks, than the best of many widths and speeds does by chance.
     """
-    plain = fit(group, ({},) * len(group.sites))
+    plain = fit(group, ({},) * len(group.joints))
     best = plain
     evidence: dict[tuple[int, str], float] = {}
     if len(group.G) < FEWEST_BLOCKS:
         return best, plain, evidence
     while True:
         offers = []
-        for s, kind in ((s, kind) for s in range(len(group.sites)) for kind in KINDS):
+        for s, kind in ((s, kind) for s in range(len(group.joints)) for kind in KINDS):
             if kind not in best.structures[s]:
                 candidates = _with(group, best, s, kind)
                 if candidates:
@@ -213,18 +217,18 @@ def _beyond(group: FrictionGroup, after: Candidate, s: int) -> bool:
 
 
 def _with(group: FrictionGroup, candidate: Candidate, s: int, kind: str) -> list[Candidate]:
-    numbers = options(group.sites[s], kind)
+    numbers = options(group.joints[s], kind)
     return [fit(group, _changed(candidate, s, {**candidate.structures[s], kind: number})) for number in numbers]
 
 
 def _changed(candidate: Candidate, s: int, structure: Structure) -> tuple[Structure, ...]:
-    """Return the structures of a candidate, with another one of site ``s``."""
+    """Return the structures of a candidate, with another one of joint ``s``."""
     return (*candidate.structures[:s], structure, *candidate.structures[s + 1 :])
 
 
 def _refined(group: FrictionGroup, candidate: Candidate) -> Candidate:
     """Choose widths and speeds again, given the terms added since."""
-    for s, kind in ((s, kind) for s in range(len(group.sites)) for kind in ("width", "speed")):
+    for s, kind in ((s, kind) for s in range(len(group.joints)) for kind in ("width", "speed")):
         if kind in candidate.structures[s]:
             candidate = min([candidate, *_with(group, candidate, s, kind)], key=lambda each: float(each.errors.sum()))
     return candidate
@@ -254,7 +258,7 @@ def refine(group: FrictionGroup, candidate: Candidate) -> Candidate:
 
 
 def with_shapes(group: FrictionGroup, candidate: Candidate) -> Candidate:
-    """Append derivatives by log widths and log speeds to a candidate's columns: names (site, width or speed) and x."""
+    """Append derivatives by log widths and log speeds to a candidate's columns: names (joint, width or speed) and x."""
     names, columns = list(candidate.names), [candidate.M]
     for s, structure in enumerate(candidate.structures):
         for kind in ("width", "speed"):
@@ -273,12 +277,12 @@ def with_shapes(group: FrictionGroup, candidate: Candidate) -> Candidate:
 
 
 def shape_values(group: FrictionGroup, s: int, kind: str) -> np.ndarray:
-    """Return the widths or speeds that are tried for a site."""
-    return group.sites[s].widths if kind == "width" else group.sites[s].speeds
+    """Return the widths or speeds that are tried for a joint."""
+    return group.joints[s].widths if kind == "width" else group.joints[s].speeds
 
 
 def _columns_with(group: FrictionGroup, candidate: Candidate, s: int, kind: str, number: float) -> np.ndarray:
-    """Build M (p, k) of a candidate's parameters with another width or speed of a site."""
+    """Build M (p, k) of a candidate's parameters with another width or speed of a joint."""
     listed, M = columns_of(group, _changed(candidate, s, {**candidate.structures[s], kind: number}))
     place = {name: k for k, name in enumerate(listed)}
     return M[:, [place[name] for name in candidate.names]]

@@ -17,12 +17,14 @@ from gtau.estimation.regression.plausibility import within_limits
 from gtau.estimation.regression.priors import inertia_priors
 from gtau.estimation.regression.run_blocks import Place, aligned_edges, find_places
 from gtau.estimation.regression.system import System, assemble_system
+from gtau.estimation.regression.windows import Windows, central_windows
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
 from gtau.robots.plausibility import oddities, tool_note
 from gtau.robots.robot import Robot
-from gtau.signals.notes import Kind, Note
 from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.preparation.prepared_run import InMemoryRun, Preparation, PreparedRun, prepare
 from gtau.signals.reading.statements import Payload, Prior
@@ -78,10 +80,20 @@ class Dataset:
         """Edges of the blocks of each run, as shares of its samples, (BLOCKS + 1,)."""
         return aligned_edges(self.prepared, self.places)
 
+    @cached_property
+    def _windows(self) -> dict[int, Windows]:
+        return {}
+
+    def windows(self, pieces: int = 1) -> Windows:
+        """Cut the middle of every run into windows; see :func:`gtau.estimation.regression.windows.central_windows`."""
+        if pieces not in self._windows:
+            self._windows[pieces] = central_windows(self.prepared, pieces)
+        return self._windows[pieces]
+
     @property
-    def notes(self) -> tuple[Note, ...]:
+    def notes(self) -> tuple[Finding, ...]:
         """Notes on implausible parts of the robot, and on repairs and omissions in each run."""
-        runs = (note.of(each.run.name) for each in self.prepared for note in (*each.run.notes, *each.notes))
+        runs = (note.of_source(each.run.name) for each in self.prepared for note in (*each.run.notes, *each.notes))
         of_robot = robot_notes(self.robot, loaded=any(run.payload for run in self.runs))
         return (*of_robot, *runs)
 
@@ -138,14 +150,15 @@ class Dataset:
     def with_factors(self, factors: Sequence[Factors]) -> Dataset:
         """Take other factors of the same runs, cut at the same rows."""
         other = replace(self, factors=tuple(factors))
-        other.__dict__.update({name: self.__dict__[name] for name in ("places", "edges") if name in self.__dict__})
+        kept = ("places", "edges", "_windows")
+        other.__dict__.update({name: self.__dict__[name] for name in kept if name in self.__dict__})
         return other
 
 
-def robot_notes(robot: Robot, loaded: bool) -> list[Note]:
+def robot_notes(robot: Robot, loaded: bool) -> list[Finding]:
     """Note implausible parts of a robot's description, and, where ``loaded``, the body assumed to carry payloads."""
     found = oddities(robot) + (tool_note(robot) if loaded else ())
-    return [Note(Kind.ROBOT, note, source=f"robot '{robot.name}'") for note in found]
+    return [Finding(F.ROBOT, values={"what": note}, source=f"robot '{robot.name}'") for note in found]
 
 
 def at_rate_of(runs: Sequence[Run], preparation: Preparation) -> Preparation:

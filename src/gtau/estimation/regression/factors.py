@@ -108,6 +108,13 @@ class Triangles:
         return self._factors
 
 
+def add_products(G: np.ndarray, rows: np.ndarray, block: np.ndarray) -> None:
+    """Add the products of ``rows`` (K, p) to those of their blocks, G (blocks, p, p); ``block`` (K,) are numbers."""
+    for b in np.unique(block):
+        part = rows[block == b]
+        G[b] += part.T @ part
+
+
 def reduce_run(
     idm: InverseDynamics,
     columns: tuple[Parameter, ...],

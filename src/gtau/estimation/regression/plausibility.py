@@ -18,9 +18,11 @@ from gtau.estimation.thresholds.logs import (
     LEAST_SLIDE,
     LEAST_TURN,
 )
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
+from gtau.findings.words import clock_advice, write_limits
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import Joint, Robot
-from gtau.signals.notes import Kind, Note
 from gtau.signals.preparation.prepared_run import PreparedRun
 from gtau.signals.reading.columns import SampleRate
 from gtau.signals.run import Run
@@ -47,7 +49,7 @@ def within_limits(robot: Robot, prepared: PreparedRun) -> PreparedRun:
     lowest, highest = np.min([low for low, _ in extremes], axis=0), np.max([high for _, high in extremes], axis=0)
     speeds = np.sqrt(np.diag(prepared.speeds))
     _check_units(robot, prepared.run, highest - lowest, speeds)
-    notes: list[Note] = []
+    notes: list[Finding] = []
     for name, low, high, speed in zip(prepared.run.joints, lowest, highest, speeds, strict=True):
         notes += _judge(prepared.run.name, robot.joint(name), float(low), float(high), float(speed))
     return replace(prepared, notes=(*prepared.notes, *notes))
@@ -86,25 +88,13 @@ def _check_units(robot: Robot, run: Run, span: np.ndarray, speeds: np.ndarray) -
             )
 
 
-def write_limits(joint: str) -> str:
-    """Advise how to correct wrong limits of a joint in its file."""
-    return f"state the real one under 'robot' in the experiment file ({{file: ..., limits: {{{joint}: ...}}}})"
-
-
 def stated_rate(run: Run) -> float | None:
     """Return the sampling rate (Hz) stated for a log's signals; None if the log has time stamps."""
     stated = None if run.log.signals is None else run.log.signals.time
     return stated.rate if isinstance(stated, SampleRate) else None
 
 
-def clock_advice(rate: float | None) -> str:
-    """Advise what to correct where a run with this :func:`stated_rate` has a wrong time."""
-    if rate is not None:
-        return f"correct the sampling rate, 'rate: {rate:g}' under signals.time"
-    return "correct the unit of the time (units: {time: ...})"
-
-
-def _judge(run: str, joint: Joint, low: float, high: float, speed: float) -> Iterator[Note]:
+def _judge(run: str, joint: Joint, low: float, high: float, speed: float) -> Iterator[Finding]:
     unit = joint.unit
     other = "deg" if joint.turns else "mm"
     repair = (
@@ -119,12 +109,10 @@ def _judge(run: str, joint: Joint, low: float, high: float, speed: float) -> Ite
         if excess > FAR_BEYOND_LIMITS:
             raise GtauError(f"run '{run}': {moved}, far outside {limits}; {repair}")
         if excess > BEYOND_LIMITS:
-            action = f"check the zero of its position, or {write_limits(joint.name)}"
-            yield Note(Kind.LIMITS, f"{moved}, outside {limits}", action, joint=joint.name)
+            values = {"low": low, "high": high, "lower": lower, "upper": upper, "unit": unit}
+            yield Finding(F.LIMITS, (joint.name,), values=values)
     if joint.limits.velocity is not None and speed > joint.limits.velocity:
-        moved = f"joint '{joint.name}' moves at {speed:.4g} {unit}/s (rms), {speed / joint.limits.velocity:.3g} times"
-        limit = (
-            f"its limit of {joint.limits.velocity:.4g} {unit}/s"  # in many files a placeholder, so no log is refused
+        # in many files a placeholder, so no log is refused
+        yield Finding(
+            F.SPEED_LIMIT, (joint.name,), values={"speed": speed, "limit": joint.limits.velocity, "unit": unit}
         )
-        action = f"check columns and units; if the limit is a placeholder, {write_limits(joint.name)}"
-        yield Note(Kind.LIMITS, f"{moved} {limit}", action, joint=joint.name)

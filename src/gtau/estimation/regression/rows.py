@@ -42,6 +42,12 @@ class Rows:
     motion: Motion
     friction: np.ndarray | None = None
 
+    def matrix(self, regressor: Regressor, n: int) -> np.ndarray:
+        """Return W (n, K, columns) of the actuated joints."""
+        W = np.zeros((n, len(self.time), len(regressor.names)))
+        W[regressor.rows, :, regressor.columns] = self.entries
+        return W
+
 
 Law = Callable[[np.ndarray, Motion, np.ndarray], np.ndarray]
 """Torques (n, N) at times (N,), along a motion, under the torques (n, N) that the joints transmit."""

@@ -7,13 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.diagnose import Diagnosis
 from gtau.estimation.diagnostics.examine import Examination
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
-from gtau.estimation.diagnostics.parameter_checks import judge_parameter, parameter_verdict
 from gtau.estimation.diagnostics.stated_constants import scale_shares, sensor_verdict
-from gtau.estimation.diagnostics.verdict import Outcome, Verdict
+from gtau.estimation.diagnostics.verdict import Outcome, Verdict, judge_parameter, parameter_verdict
 from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Estimator, Fit
 from gtau.estimation.estimators.newton import residuals, stacked
@@ -23,7 +21,6 @@ from gtau.estimation.regression.friction import BEARING
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
 from gtau.estimation.results.estimate import (
-    AlternativeMoves,
     Estimate,
     Named,
     SensorEstimate,
@@ -35,8 +32,8 @@ from gtau.estimation.results.friction_curves import FrictionStep, friction_unit,
 from gtau.estimation.results.groups import Evidence, FitRecord, Model, ModelEstimates
 from gtau.estimation.results.payload import payload_estimates
 from gtau.estimation.results.result import Result
+from gtau.model.base_parameters import regrouped
 from gtau.robots.parameter import Parameter, gain_unit, torque_unit, unit_of
-from gtau.robots.robot import Robot
 
 
 def build_result(
@@ -184,7 +181,7 @@ def _evidence(
     ]
     return Evidence(
         notes=(*dataset.notes, *diagnosis.notes),
-        alternatives=tuple(_moves(each, dataset.robot) for each in examined.alternatives),
+        alternatives=examined.alternatives,
         curves=friction.curves,
         equation_friction=Named(
             (name, _estimate(estimates, name, friction_unit(name.kind, name.body, dataset.robot, temperatures)))
@@ -237,14 +234,14 @@ def _parameters(fit: Fit, vector: Estimates, essential: Problem) -> dict[Paramet
     """Collect the base parameters, those without a value included."""
     base, robot, spread = fit.dataset.base, fit.dataset.robot, _spread(fit.system, fit.solution.theta)
     found = {}
-    for name in base.names:
-        unit, regrouping = unit_of(name.kind, robot, name.body), base.regroupings[name]
+    for name, terms in regrouped(base, fit.dataset.model.parameter_names).items():
+        unit = unit_of(name.kind, robot, name.body)
         made = _estimate(vector, name, unit) if name in vector.places else Estimate(name, None, None, unit)
         found[name] = replace(
             made,
-            regrouping=regrouping,
+            regrouping=base.regroupings[name],
             spread=spread.get(name),
-            verdict=judge_parameter(made.value, made.std, regrouping),
+            verdict=judge_parameter(made.value, made.std, terms),
             essential=name in essential.parameters,
         )
     return found
@@ -275,23 +272,6 @@ def _logged_speeds(fit: Fit) -> dict[str, float]:
     found = [factors.speeds.max(axis=0) for factors in fit.dataset.factors if factors.speeds is not None]
     largest = np.max(found, axis=0) if found else np.zeros(len(fit.dataset.model.actuated))
     return dict(zip(fit.dataset.model.actuated, map(float, largest), strict=True))
-
-
-def _moves(each: Alternative, robot: Robot) -> AlternativeMoves:
-    return AlternativeMoves(
-        each.hypothesis,
-        each.causes,
-        each.size,
-        each.std if np.isfinite(each.std) else None,
-        each.unit,
-        each.probability,
-        each.share,
-        {
-            joint: 100 * float(move)
-            for joint, move in zip(robot.actuated, each.moves, strict=True)
-            if joint in robot.motors
-        },
-    )
 
 
 def _levels(fit: Fit) -> tuple[np.ndarray, np.ndarray]:

@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.sentences import note, percent_text
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
 from gtau.estimation.results.estimate import Estimate, NearestPose, Requirement
@@ -16,7 +13,9 @@ from gtau.estimation.results.result import Result
 from gtau.estimation.results.torque_scale import listed, torque_headline
 from gtau.estimation.thresholds.estimates import INFLATED
 from gtau.estimation.thresholds.logs import NEAR_SINGULAR
-from gtau.signals.notes import Kind, Note
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
+from gtau.findings.words import percent_text
 from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.statements import FIRST_MOMENTS
 
@@ -153,12 +152,12 @@ def _number(count: int) -> str:
     return NUMBERS[count] if count < len(NUMBERS) else str(count)
 
 
-def findings(result: Result) -> list[Note]:
+def findings(result: Result) -> list[Finding]:
     """Collect all notes on a result beside its verdicts: on the fit, the motion, the logs and the robot."""
     return [*remarks(result), *near_singularities(result.singularities), *result.notes]
 
 
-def remarks(result: Result) -> list[Note]:
+def remarks(result: Result) -> list[Finding]:
     """Note faults of the fit beside the gains, with advice."""
     notes = []
     for payload in {each.name: each for each in result.payloads}.values():
@@ -166,14 +165,14 @@ def remarks(result: Result) -> list[Note]:
             what = f"payload '{payload.name}' {payload.verdict.outcome.value}: {payload.verdict.why}"
             notes.append(_of_verdict(what, payload.verdict))
         if "m" not in payload.parameters:
-            notes.append(note(Finding(F.MASS_UNSEEN, (), payload.name, {"sums": sums_with_mass(payload)})))
+            notes.append(Finding(F.MASS_UNSEEN, (), payload.name, {"sums": sums_with_mass(payload)}))
     for sensor in result.sensors:
         if sensor.verdict.outcome != Outcome.GOOD:
             what = f"the {sensor.source} {sensor.verdict.outcome.value}: {sensor.verdict.why}"
             notes.append(_of_verdict(what, sensor.verdict))
     lack = result.statistics["lack_of_fit"]
     if lack > INFLATED and any(each.relative > VISIBLE for each in result.residuals):
-        notes.append(note(Finding(F.AUTOCORRELATED, values={"factor": lack})))
+        notes.append(Finding(F.AUTOCORRELATED, values={"factor": lack}))
     return notes + not_separated([name for name, each in result.parameters.items() if each.value is None])
 
 
@@ -184,8 +183,9 @@ def sums_with_mass(payload: PayloadEstimate) -> list[str]:
     return [each.replace("+ -", "- ") for each in regroupings if each.split()[-1] == "m"]
 
 
-def _of_verdict(what: str, verdict: Verdict) -> Note:
-    return Note(Kind.MODEL, what, verdict.advice, finding="" if verdict.finding is None else verdict.finding.kind)
+def _of_verdict(what: str, verdict: Verdict) -> Finding:
+    kind = F.MODEL if verdict.finding is None else verdict.finding.kind
+    return Finding(kind, values={"what": what, "action": verdict.advice})
 
 
 def without_temperature(result: Result, signals: Signals) -> list[str]:
@@ -201,24 +201,17 @@ def without_temperature(result: Result, signals: Signals) -> list[str]:
     ]
 
 
-def not_separated(names: Sequence[str]) -> list[Note]:
+def not_separated(names: Sequence[str]) -> list[Finding]:
     """Note base parameters that the motions cannot separate from others, if there are any."""
     if not names:
         return []
-    return [note(Finding(F.NOT_SEPARATED, values={"parameters": list(names)}))]
+    return [Finding(F.NOT_SEPARATED, values={"parameters": list(names)})]
 
 
-def near_singularities(nearest: Iterable[NearestPose]) -> list[Note]:
+def near_singularities(nearest: Iterable[NearestPose]) -> list[Finding]:
     """Note every run so close to a singularity of type 2 that modelling errors are magnified."""
     return [
-        Note(
-            Kind.SINGULARITY,
-            f"the motion passes within {each.distance:.2g} of a type 2 singularity at {each.time:.4g} s, where errors "
-            f"of position and geometry are amplified",
-            "keep the motion away from that pose",
-            source=each.run,
-            time=each.time,
-        )
+        Finding(F.SINGULARITY, values={"distance": each.distance}, source=each.run, time=each.time)
         for each in nearest
         if each.type == 2 and each.distance < NEAR_SINGULAR
     ]

@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Generic, Literal, TypeVar
 
 import numpy as np
+from pydantic import NonNegativeFloat
 
 from gtau import display
 from gtau.documents.files import write_table
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.sentences import named
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict
 from gtau.model.singularities import TYPES
 from gtau.robots.parameter import Parameter
@@ -132,8 +131,8 @@ class FrictionCurve:
 
     joint: str
     evidence: Mapping[str, float]
-    error: float
-    plain_error: float
+    error: NonNegativeFloat
+    plain_error: NonNegativeFloat
 
 
 @dataclass(frozen=True)
@@ -177,32 +176,6 @@ class ReferenceTemperatures:
     def per(self) -> str:
         """Unit of a difference, by which the slopes of friction are divided."""
         return "K" if self.unit == "degC" else self.unit
-
-
-@dataclass(frozen=True, repr=False)
-class AlternativeMoves:
-    """The model with one further unknown: its causes, its size, and by how much the gains would move.
-
-    ``std`` is that of ``size``, None where the data say nothing of it; ``probability`` that it holds, given the data;
-    ``share`` of the residual variance that it explains; ``moves`` of each joint's gain, per cent.
-    """
-
-    hypothesis: str
-    causes: tuple[Finding, ...]
-    size: float
-    std: float | None
-    unit: str
-    probability: float
-    share: float
-    moves: Mapping[str, float]
-
-    def __repr__(self) -> str:
-        return f"AlternativeMoves({self.subject}: probability {self.probability:.2g})"
-
-    @property
-    def subject(self) -> str:
-        """The causes by name."""
-        return named(self.causes)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Fit, jackknife
 from gtau.estimation.friction.law import FrictionLaw
-from gtau.estimation.friction.normal_equations import FINER, FrictionGroup, normal_equations, sites_of
+from gtau.estimation.friction.normal_equations import FINER, FrictionGroup, friction_joints, normal_equations
 from gtau.estimation.friction.selection import (
     KINDS,
     WORDS,
@@ -61,14 +61,14 @@ def friction_step(fit: Fit, estimates: Estimates) -> FrictionStep:
         Where the closures refuse a sample.
     """
     law, base = FrictionLaw(fit.dataset.model, {}), fit.dataset.base
-    sites = sites_of(fit.dataset, law)
+    joints = friction_joints(fit.dataset, law)
     name_of = dict(zip(base.standard, base.names, strict=True))
     curves: dict[str, FrictionCurve] = {}
     errors: dict[str, tuple[float, float]] = {}
     listed: list[Parameter] = []
-    of_rows = normal_equations(fit, law, sites)  # behind whose filter errors are stated
-    fixed = _fixed(fit, estimates, {site.joint for site in sites})
-    for group, rows in zip(normal_equations(fit, law, sites, FINER), of_rows, strict=True):
+    of_rows = normal_equations(fit, law, joints)  # behind whose filter errors are stated
+    fixed = _fixed(fit, estimates, {joint.name for joint in joints})
+    for group, rows in zip(normal_equations(fit, law, joints, FINER), of_rows, strict=True):
         if len(group.G):
             candidate, plain, evidence = choose(group)
             names, values, slopes, scatter = group_estimates(group, candidate)
@@ -79,7 +79,7 @@ def friction_step(fit: Fit, estimates: Estimates) -> FrictionStep:
             curves |= _curves(group, candidate, plain, evidence)
             motors = (fit.dataset.model.actuated[j] for j in group.motors)
             errors |= dict(zip(motors, _errors(rows, candidate), strict=True))
-    curves = {site.joint: curves[site.joint] for site in sites if site.joint in curves}
+    curves = {joint.name: curves[joint.name] for joint in joints if joint.name in curves}
     return FrictionStep(estimates, tuple(listed), curves, errors)
 
 
@@ -183,18 +183,18 @@ def group_estimates(
         rows.append(row)
 
     x = dict(zip(candidate.names, map(float, candidate.x), strict=True))
-    for s, (site, structure) in enumerate(zip(group.sites, candidate.structures, strict=True)):
-        for kind in parameter_columns(structure, site):
+    for s, (joint, structure) in enumerate(zip(group.joints, candidate.structures, strict=True)):
+        for kind in parameter_columns(structure, joint):
             if kind == "fr":  # friction at rest: fb is what of it is gone in sliding
                 excess = x.get((s, "fr"), 0.0) - x.get((s, "fs"), 0.0)
-                add(Parameter("fb", site.joint), excess, {(s, "fr"): 1.0, (s, "fs"): -1.0})
+                add(Parameter("fb", joint.name), excess, {(s, "fr"): 1.0, (s, "fs"): -1.0})
             else:
-                add(Parameter(kind, site.joint), x.get((s, kind), 0.0), {(s, kind): 1.0})
+                add(Parameter(kind, joint.name), x.get((s, kind), 0.0), {(s, kind): 1.0})
         for kind, shape in (("width", "width"), ("speed", "vs")):
             if (number := structure.get(kind)) is not None:
                 tried = shape_values(group, s, kind)
                 value = float(tried[0] * (tried[1] / tried[0]) ** number)
-                add(Parameter(shape, site.joint), value, {(s, kind): value})  # its logarithm is estimated
+                add(Parameter(shape, joint.name), value, {(s, kind): value})  # its logarithm is estimated
     T = np.array(rows).reshape(len(names), len(whole.names))
     return names, np.array(values), T @ S, T @ covariance @ T.T
 
@@ -206,11 +206,11 @@ def _curves(
     signal = max(float(group.G[..., -1, -1].sum()), 1e-300)
     error, plain_error = (100 * float(np.sqrt(max(each.errors.sum(), 0.0) / signal)) for each in (candidate, plain))
     return {
-        site.joint: FrictionCurve(
-            site.joint,
+        joint.name: FrictionCurve(
+            joint.name,
             {WORDS[kind]: float(evidence[s, kind]) for kind in KINDS if (s, kind) in evidence},
             error,
             plain_error,
         )
-        for s, site in enumerate(group.sites)
+        for s, joint in enumerate(group.joints)
     }

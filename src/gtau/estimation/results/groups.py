@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.results.estimate import (
-    AlternativeMoves,
     Distances,
     Estimate,
     FrictionCurve,
@@ -25,11 +25,11 @@ from gtau.estimation.results.estimate import (
     TorqueError,
 )
 from gtau.estimation.results.payload import PayloadEstimate
+from gtau.findings import Finding
 from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import Robot
-from gtau.signals.notes import Note
 from gtau.signals.preparation.prepared_run import Preparation
 from gtau.signals.run import Run
 
@@ -146,8 +146,8 @@ class Evidence:
     Attributes
     ----------
     notes : tuple of Note
-        What was repaired, left out, or is not to be trusted; :mod:`gtau.estimation.grades` grades them.
-    alternatives : tuple of AlternativeMoves
+        What was repaired, left out, or is not to be trusted; each has its ``severity``.
+    alternatives : tuple of Alternative
         What the model may lack, and by how much that would move the gains.
     curves : dict
         What the data say of friction on all samples, at these gains and inertia; joint to FrictionCurve. Empty for the
@@ -168,8 +168,8 @@ class Evidence:
         The distances to singularities at each run's decimated samples; ``model.json`` does not hold them.
     """
 
-    notes: tuple[Note, ...] = ()
-    alternatives: tuple[AlternativeMoves, ...] = ()
+    notes: tuple[Finding, ...] = ()
+    alternatives: tuple[Alternative, ...] = ()
     curves: Mapping[str, FrictionCurve] = field(default_factory=dict)
     equation_friction: Named[Parameter] = field(default_factory=Named)
     geometry: GeometryTest | None = None

@@ -1,10 +1,14 @@
-"""Write a result to ``model.json``, and read it back, refusing a damaged file."""
+"""A result as ``model.json``: a document with a schema version, written atomically and read by one description.
+
+The description's fields are the keys of the file. Pydantic writes the records of a result as they say, and checks and
+reads them again; what follows from other values is written beside them, and not read.
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, fields
 from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -18,7 +22,9 @@ from pydantic import (
     Field,
     FiniteFloat,
     NonNegativeFloat,
+    PlainSerializer,
     PositiveInt,
+    TypeAdapter,
     model_validator,
 )
 
@@ -26,16 +32,15 @@ from gtau.documents.files import MODEL, refuse_other_kind, write_atomically
 from gtau.documents.validation import Positive, unknown, validate
 from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import Finding
+from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
+from gtau.estimation.diagnostics.geometry_findings import to_document as geometry_document
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
-from gtau.estimation.diagnostics.sentences import advice, reason
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.estimators.physical_consistency import Consistency, Move
 from gtau.estimation.estimators.registry import GROUP, NAMES
 from gtau.estimation.friction.law import SHAPES
 from gtau.estimation.results.estimate import (
-    AlternativeMoves,
     Estimate,
     FrictionCurve,
     NearestPose,
@@ -44,23 +49,27 @@ from gtau.estimation.results.estimate import (
     SensorEstimate,
     TorqueError,
 )
-from gtau.estimation.results.groups import Model
-from gtau.estimation.results.model_document import OLDER, SCHEMA, to_document
+from gtau.estimation.results.groups import Evidence, FitRecord, Model, ModelEstimates
 from gtau.estimation.results.payload import PayloadEstimate
-from gtau.estimation.results.result import Result, result_of
+from gtau.estimation.results.result import Result
 from gtau.extensions import registered
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.findings import Finding
+from gtau.findings.finding import finding_document, note_document, read_note
+from gtau.robots.parameter import Parameter, parameter_of, unit_of
 from gtau.robots.readers.native import parse_native
+from gtau.robots.readers.native_text import native_text
 from gtau.signals.channel import SENSOR, ChannelKind, link_side_kind
-from gtau.signals.notes import Note
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import Preparation
 
+SCHEMA = "gtau-model/4"
+OLDER = ("gtau-model/2", "gtau-model/3")
+"""Schemas that are read too: 2 is without friction on all samples, and 3 has it apart from ``parameters``."""
 
-class _Group(BaseModel):
-    """A group of ``model.json``, of which what follows from other values is not read."""
 
-    model_config = ConfigDict(frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True, defer_build=True)
+def _with(*properties: str) -> PlainSerializer:
+    """Write a record with what follows from its fields."""
+    return PlainSerializer(lambda record: asdict(record) | {name: getattr(record, name) for name in properties})
 
 
 def _gathered(entry: Any) -> Any:
@@ -73,8 +82,34 @@ def _gathered(entry: Any) -> Any:
     return {"name": entry.get("joint"), **entry, "verdict": entry}
 
 
+def _estimate(estimate: Estimate, *more: str, key: str = "name") -> dict[str, Any]:
+    """Describe an estimate, by its name or joint, with ``more`` of its fields; ``rel_std`` in per cent."""
+    return {
+        key: estimate.name,
+        "value": estimate.value,
+        "std": estimate.std,
+        "rel_std": estimate.rel_std,
+        "interval": estimate.interval(),
+        "freedom": None if estimate.std is None else estimate.freedom,
+        "model_std": estimate.model_std,
+        "unit": estimate.unit,
+        **_verdict(estimate.verdict),
+        **{name: getattr(estimate, name) for name in more},
+    }
+
+
+def _verdict(verdict: Verdict) -> dict[str, Any]:
+    finding = None if verdict.finding is None else finding_document(verdict.finding)
+    return {"outcome": verdict.outcome.value, "finding": finding, "why": verdict.why, "advice": verdict.advice}
+
+
+def _listed(*more: str, key: str = "name") -> PlainSerializer:
+    """Write estimates as a list of entries."""
+    return PlainSerializer(lambda named: [_estimate(estimate, *more, key=key) for estimate in named.values()])
+
+
 def _by_name(estimates: tuple[Estimate, ...]) -> dict[str, Estimate]:
-    named = {each.name: each for each in estimates}
+    named = {estimate.name: estimate for estimate in estimates}
     if len(named) < len(estimates):
         raise ValueError("a name is used twice; remove one entry")
     return named
@@ -87,20 +122,38 @@ def _by_parameter(estimates: dict[str, Estimate]) -> dict[Parameter, Estimate]:
     }
 
 
+def _alternative(alternative: Alternative) -> dict[str, Any]:
+    causes = [finding_document(cause) for cause in alternative.causes]
+    held = {key: value for key, value in asdict(alternative).items() if key not in ("shifts", "plausible")}
+    return held | {"subject": alternative.subject, "causes": causes}
+
+
 def _method(name: str) -> str:
     if name not in NAMES and name not in registered(GROUP):
         raise ValueError(unknown(f"method '{name}'", name, NAMES))
     return name
 
 
-_Estimate = Annotated[Estimate, BeforeValidator(_gathered)]
-_Estimates = Annotated[tuple[_Estimate, ...], AfterValidator(_by_name)]
-_Parameters = Annotated[tuple[_Estimate, ...], AfterValidator(_by_name), AfterValidator(_by_parameter)]
-NoteEntry = Annotated[
-    Note,
-    BeforeValidator(lambda note: {k: v for k, v in note.items() if v is not None} if isinstance(note, dict) else note),
+def _statistics(figures: dict[str, float]) -> dict[str, float]:
+    if "lack_of_fit" not in figures:
+        raise ValueError("'lack_of_fit' is missing")
+    return figures
+
+
+_Estimate = Annotated[Estimate, BeforeValidator(_gathered), PlainSerializer(_estimate)]
+_Joint = Annotated[
+    Estimate, BeforeValidator(_gathered), PlainSerializer(lambda estimate: _estimate(estimate, key="joint"))
 ]
-"""A note as :func:`gtau.estimation.grades.to_document` writes it, null for what it lacks."""
+_ByName = Annotated[tuple[_Estimate, ...], AfterValidator(_by_name)]
+_ByParameter = Annotated[_ByName, AfterValidator(_by_parameter)]
+_TorqueError = Annotated[TorqueError, _with("relative", "relative_all", "relative_raw")]
+NoteEntry = Annotated[Finding, BeforeValidator(read_note), PlainSerializer(note_document)]
+
+
+class _Group(BaseModel):
+    """A group of keys, of which what follows from other values is not read."""
+
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True, defer_build=True)
 
 
 class _Known(_Group):
@@ -116,30 +169,33 @@ class _Payload(_Group):
     known: dict[str, _Known] = Field(validation_alias="parameters")
 
     def made(self) -> PayloadEstimate:
-        known = frozenset(kind for kind, each in self.known.items() if each.known)
+        known = frozenset(kind for kind, entry in self.known.items() if entry.known)
         return PayloadEstimate(self.name, self.run, self.parameters, known, Verdict(self.outcome, self.finding))
+
+
+def payload_documents(payloads: tuple[PayloadEstimate, ...]) -> list[dict[str, Any]]:
+    """Describe payloads as in ``model.json`` and in what ``gtau payload --json`` prints."""
+    return [
+        {
+            "name": payload.name,
+            "run": payload.run,
+            **_verdict(payload.verdict),
+            "parameters": {
+                kind: _estimate(estimate, "regrouping") | {"known": kind in payload.known}
+                for kind, estimate in payload.parameters.items()
+            },
+        }
+        for payload in payloads
+    ]
 
 
 class _Sensor(_Group):
     joint: str
-    parameters: _Parameters
-    delay: _Estimate
-    residual: TorqueError
-    ratio: _Estimate | None
-    kind: Annotated[ChannelKind, BeforeValidator(link_side_kind)] = SENSOR
-
-    def made(self) -> SensorEstimate:
-        return SensorEstimate(**dict(self))
-
-
-class _Curve(_Group):
-    joint: str
-    evidence: dict[str, float]
-    error: NonNegativeFloat
-    plain_error: NonNegativeFloat
-
-    def made(self) -> FrictionCurve:
-        return FrictionCurve(**dict(self))
+    parameters: Annotated[_ByParameter, _listed()]
+    delay: _Joint
+    residual: _TorqueError
+    ratio: _Joint | None
+    kind: Annotated[ChannelKind, BeforeValidator(link_side_kind), PlainSerializer(lambda kind: kind.name)] = SENSOR
 
 
 class _Preparation(_Group):
@@ -154,14 +210,14 @@ class _Preparation(_Group):
     position_noise: tuple[NonNegativeFloat, ...] = ()
 
     def made(self) -> Preparation:
-        decimator = Decimator(self.decimation, self.decimator)
-        rest = self.speed_fraction, self.rate, self.given, self.prediction_cutoffs, self.position_noise
-        return Preparation(self.bandwidth, self.cutoff, decimator, *rest)
+        rest = {name: value for name, value in self if name != "decimation"}
+        return Preparation(**rest | {"decimator": Decimator(self.decimation, self.decimator)})
 
 
 class _Parameter(_Group):
     name: str
     value: float
+    unit: str = ""
     open: bool
 
 
@@ -186,19 +242,38 @@ class _Standard(_Group):
 
     def made(self) -> Consistency:
         return Consistency(
-            standard={each.name: each.value for each in self.parameters},
-            payloads={each.name: each.parameters for each in self.payloads},
-            gains={each.joint: (each.value, each.std) for each in self.drive_gains},
+            standard={parameter.name: parameter.value for parameter in self.parameters},
+            payloads={payload.name: payload.parameters for payload in self.payloads},
+            gains={gain.joint: (gain.value, gain.std) for gain in self.drive_gains},
             moves=self.moves,
             eigenvalues=self.smallest_eigenvalues,
             loss=self.loss,
-            open=tuple(each.name for each in self.parameters if each.open),
+            open=tuple(parameter.name for parameter in self.parameters if parameter.open),
         )
+
+
+def _standard(result: Result) -> dict[str, Any] | None:
+    """Describe physically consistent parameters by the keys of :class:`_Standard`."""
+    bodies, robot = result.consistency, result.robot
+    if bodies is None:
+        return None
+    units = {name: unit_of(parameter_of(name).kind, robot, parameter_of(name).body) for name in bodies.standard}
+    return {
+        "parameters": [
+            {"name": name, "value": value, "unit": units[name], "open": name in bodies.open}
+            for name, value in bodies.standard.items()
+        ],
+        "payloads": [{"name": name, "parameters": dict(values)} for name, values in bodies.payloads.items()],
+        "drive_gains": [{"joint": joint, "value": g, "std": std} for joint, (g, std) in bodies.gains.items()],
+        "moves": bodies.moves,
+        "smallest_eigenvalues": bodies.eigenvalues,
+        "loss": bodies.loss,
+    }
 
 
 class _Covariance(_Group):
     names: tuple[str, ...]
-    matrix: tuple[tuple[float, ...], ...]
+    matrix: Annotated[tuple[tuple[float, ...], ...], PlainSerializer(np.ndarray.tolist)]
 
     @model_validator(mode="after")
     def _is_square(self) -> Self:
@@ -207,58 +282,75 @@ class _Covariance(_Group):
         return self
 
 
-def _statistics(found: dict[str, float]) -> dict[str, float]:
-    if "lack_of_fit" not in found:
-        raise ValueError("'lack_of_fit' is missing")
-    return found
-
-
 class _Model(_Group):
     robot_file: str
     stated_inertias: dict[str, FiniteFloat] = {}
     method: Annotated[str, AfterValidator(_method)]
     kind: Literal["current", "torque"]
-    drive_gains: _Estimates
-    delays: _Estimates
-    parameters: _Parameters
-    friction: _Parameters
-    equation_friction: _Parameters = Field(default=(), validate_default=True)
-    curves: tuple[_Curve, ...] = ()
+    runs: tuple[str, ...]
+    drive_gains: Annotated[_ByName, _listed("scale", key="joint")]
+    delays: Annotated[_ByName, _listed(key="joint")]
+    parameters: Annotated[_ByParameter, _listed("regrouping", "spread", "essential")]
+    friction: Annotated[_ByParameter, _listed()]
+    equation_friction: Annotated[_ByParameter, _listed()] = Field(default=(), validate_default=True)
+    curves: tuple[FrictionCurve, ...] = ()
     sensors: tuple[_Sensor, ...] = ()
-    payloads: tuple[_Payload, ...]
-    residuals: tuple[TorqueError, ...]
-    covariance: _Covariance
+    payloads: Annotated[tuple[_Payload, ...], PlainSerializer(payload_documents)]
+    residuals: tuple[_TorqueError, ...]
     preparation: _Preparation
     logged_speeds: dict[str, NonNegativeFloat]
     statistics: Annotated[dict[str, FiniteFloat], AfterValidator(_statistics)]
-    runs: tuple[str, ...]
-    notes: tuple[NoteEntry, ...]
-    temperatures: ReferenceTemperatures | None = None
-    geometry: GeometryTest | None = None
-    standard: _Standard | None
-    alternatives: tuple[AlternativeMoves, ...]
+    requirements: tuple[Annotated[Requirement, _with("met")], ...] = ()
+    alternatives: tuple[Annotated[Alternative, PlainSerializer(_alternative)], ...]
     singularities: tuple[NearestPose, ...]
-    requirements: tuple[Requirement, ...] = ()
-    audit: InertiaAudit | None = None
+    temperatures: ReferenceTemperatures | None = None
+    geometry: Annotated[GeometryTest, PlainSerializer(geometry_document)] | None = None
+    audit: Annotated[InertiaAudit, _with("stated_error", "identified_error")] | None = None
+    notes: tuple[NoteEntry, ...]
+    covariance: _Covariance
+    standard: Annotated[_Standard | None, PlainSerializer(lambda document: document)]
 
     def made(self, path: Path) -> Result:
         """Assemble the result."""
-        rest = dict(self)
-        del rest["robot_file"], rest["standard"], rest["stated_inertias"]
-        robot = replace(parse_native(self.robot_file, path), inertias=tuple(self.stated_inertias.items()))
-        return result_of(
-            Model(robot, tuple(sensor.joint for sensor in self.sensors)),
-            **rest
-            | {
-                "curves": {each.joint: each.made() for each in self.curves},
-                "sensors": tuple(each.made() for each in self.sensors),
-                "payloads": tuple(each.made() for each in self.payloads),
-                "covariance_names": tuple(map(parameter_of, self.covariance.names)),
-                "covariance": np.array(self.covariance.matrix),
-                "preparation": self.preparation.made(),
-                "consistency": None if self.standard is None else self.standard.made(),
-            },
+        robot = parse_native(self.robot_file, path).with_file(inertias=tuple(self.stated_inertias.items()))
+        values = dict(self) | {
+            "curves": {curve.joint: curve for curve in self.curves},
+            "sensors": tuple(SensorEstimate(**dict(sensor)) for sensor in self.sensors),
+            "payloads": tuple(payload.made() for payload in self.payloads),
+            "covariance_names": tuple(map(parameter_of, self.covariance.names)),
+            "covariance": np.array(self.covariance.matrix),
+            "preparation": self.preparation.made(),
+            "consistency": None if self.standard is None else self.standard.made(),
+        }
+        estimates, fit, evidence = (
+            {field.name: values[field.name] for field in fields(group) if field.name in values}
+            for group in (ModelEstimates, FitRecord, Evidence)
         )
+        model = Model(robot, tuple(sensor.joint for sensor in self.sensors))
+        return Result(model, ModelEstimates(**estimates), FitRecord(**fit), Evidence(**evidence))
+
+
+def to_document(result: Result) -> dict[str, Any]:
+    """Describe a result as a JSON document; ``rel_std`` in per cent, null where a value is known."""
+    decimator = result.preparation.decimator
+    prepared = vars(result.preparation) | {"decimation": decimator.factor, "decimator": decimator.kind}
+    values = {name: getattr(result, name, None) for name in _Model.model_fields} | {
+        "robot_file": native_text(result.robot),
+        "stated_inertias": dict(result.robot.inertias),
+        "curves": tuple(result.curves.values()),
+        "sensors": tuple(_Sensor.model_construct(**vars(sensor)) for sensor in result.sensors),
+        "preparation": _Preparation.model_construct(**prepared),
+        "covariance": _Covariance.model_construct(names=result.covariance_names, matrix=result.covariance),
+        "standard": _standard(result),
+    }
+    document = _Model.model_construct(**values).model_dump(mode="json")
+    return {"schema": SCHEMA, "robot": result.robot.name, **document}
+
+
+def torque_error(error: TorqueError) -> dict[str, Any]:
+    """Describe a torque error as in ``model.json``: ``relative`` in per cent."""
+    document: dict[str, Any] = TypeAdapter(_TorqueError).dump_python(error, mode="json")
+    return document
 
 
 def model_text(result: Result) -> str:
@@ -357,7 +449,7 @@ def _problems(result: Result) -> Iterator[str]:
     causes = (cause for each in result.alternatives for cause in each.causes)
     for finding in (*(each.finding for each in verdicts if each.finding), *causes):
         try:
-            reason(finding), advice(finding)
+            finding.sentence  # noqa: B018
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError):  # of a template and its values
             yield f"the values of the finding '{finding.kind}' are not those of its sentence"
 

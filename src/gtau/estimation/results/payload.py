@@ -17,16 +17,15 @@ import numpy as np
 from gtau import display
 from gtau.documents.validation import PATH, takes
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.finding import Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.parameter_checks import parameter_verdict
-from gtau.estimation.diagnostics.verdict import GOOD, Verdict, verdict_of
+from gtau.estimation.diagnostics.verdict import GOOD, Verdict, parameter_verdict, verdict_of
 from gtau.estimation.estimators.standard_parameters import Body, constrained_least_squares
 from gtau.estimation.regression.column_blocks import CarriedPayload, known_values
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
 from gtau.estimation.results.estimate import Estimate
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.robots.geometry import longest_placement
 from gtau.robots.parameter import Parameter, unit_of
 from gtau.robots.readers.read import frame_on

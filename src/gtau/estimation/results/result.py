@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau.display import late, views
+from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.friction.law import SHAPES, FrictionLaw, Shape
 from gtau.estimation.results.estimate import (
-    AlternativeMoves,
     Distances,
     Estimate,
     FrictionCurve,
@@ -31,11 +31,11 @@ from gtau.estimation.results.estimate import (
 from gtau.estimation.results.groups import Evidence, FitRecord, Model, ModelEstimates
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.results.predicted import Prediction, torque_errors
+from gtau.findings import Finding
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import PLAIN_FRICTION, Robot
-from gtau.signals.notes import Note
 from gtau.signals.preparation.prepared_run import Preparation
 from gtau.signals.reading.statements import Payload, as_payload
 from gtau.signals.run import Run
@@ -193,12 +193,12 @@ class Result:
         return self.fit.data
 
     @property
-    def notes(self) -> tuple[Note, ...]:
+    def notes(self) -> tuple[Finding, ...]:
         """What was repaired, left out, or is not to be trusted."""
         return self.evidence.notes
 
     @property
-    def alternatives(self) -> tuple[AlternativeMoves, ...]:
+    def alternatives(self) -> tuple[Alternative, ...]:
         """What the model may lack, and by how much that would move the gains."""
         return self.evidence.alternatives
 

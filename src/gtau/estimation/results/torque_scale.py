@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import yaml
 
-from gtau.estimation.diagnostics.sentences import percent_text
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import APART
+from gtau.findings.words import percent_text
 
 KNOWN = (Outcome.GOOD, Outcome.WEAK)
 HEAD = """\

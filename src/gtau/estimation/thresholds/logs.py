@@ -6,13 +6,6 @@ from gtau.estimation.thresholds import Threshold
 
 # What is found in the logs.
 
-COSTLY_REPAIR = Threshold(
-    0.02,
-    "share of the samples that a repair drops or interpolates, from which it is a warning",
-    healthy="up to 0.001 (shared logs, but for those recorded by polling)",
-    faulty="0.05 and more are refused",
-    evidence="a choice between the two",
-)
 NEAR_SINGULAR = Threshold(
     0.05,
     "distance to a singularity of type 2, below which errors of the model are magnified",

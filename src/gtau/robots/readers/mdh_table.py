@@ -11,6 +11,7 @@ from typing import Literal, TypeVar
 
 from gtau.documents.files import read_at_most
 from gtau.errors import GtauError
+from gtau.robots.file import RobotFile
 from gtau.robots.geometry import DEGREES_ADVICE, compose, exact_angle, in_degrees, largest_change, short_angles_note
 from gtau.robots.readers.expressions import RESERVED, AffineInQ, evaluate, linear
 from gtau.robots.robot import GROUND, Attachment, Joint, Mdh, Robot
@@ -125,7 +126,7 @@ def read_mdh_csv(path: str | Path) -> Robot:
             raise GtauError("no joint is listed; write a line for each below the header.")
         joints, _ = table_joints(rows)
         notes = short_angles_note({row.name: row.short for row in rows})
-        return Robot(path.stem, joints, source=path.name, notes=notes)
+        return Robot(path.stem, joints, file=RobotFile(path.name, notes))
     except GtauError as error:
         raise GtauError(f"{path}: {error}") from None
 

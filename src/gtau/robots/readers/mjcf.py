@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.robots.file import RobotFile
 from gtau.robots.geometry import rounded
 from gtau.robots.parts import hold_joints, listed, without_idle_pins
 from gtau.robots.readers.inertias import mjcf_inertias, mjcf_masses
@@ -84,6 +85,7 @@ def _robot(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
     tied = {end.body for closure in closures for end in (closure.a, closure.b)}
     loose = [platform.name for platform in bodies.platforms if platform.name not in tied]
     springs = (each for each in site_springs(file, bodies.carried) if {each.a.body, each.b.body}.isdisjoint(loose))
+    notes += [*bodies.notes, *_left_out(loose), *ties_notes, *motors.notes, *_simulated_alone(file, bodies.floating)]
     robot = Robot(
         path.stem,
         tuple(replace(joint, actuated=joint.name in driven | rows) for joint in joints),
@@ -91,20 +93,15 @@ def _robot(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
         tuple(closures),
         couplings,
         _gravity(file.model),
-        path.name,
-        (
-            *notes,
-            *bodies.notes,
-            *_left_out(loose),
-            *ties_notes,
-            *motors.notes,
-            *_simulated_alone(file, bodies.floating),
+        tuple(springs),
+        bodies.floating,
+        file=RobotFile(
+            path.name,
+            tuple(notes),
+            home_given,
+            inertias=mjcf_inertias(file.inertias, bodies.carried, file.armatures),
+            rounding=mjcf_rounding(file.elements),
         ),
-        floating=bodies.floating,
-        home_given=home_given,
-        springs=tuple(springs),
-        inertias=mjcf_inertias(file.inertias, bodies.carried, file.armatures),
-        rounding=mjcf_rounding(file.elements),
     )
     return _without_idle_joints(robot, held, motors.pulled, base)
 

@@ -12,10 +12,10 @@ import numpy as np
 
 from gtau.documents.validation import some_of
 from gtau.errors import GtauError, missing_extra
+from gtau.robots.file import Digits, digits_of
 from gtau.robots.geometry import (
     MEANT,
     SHORT,
-    digits_of,
     exact_angle,
     exact_rotation,
     in_degrees,
@@ -27,7 +27,7 @@ from gtau.robots.geometry import (
 from gtau.robots.readers.inertias import mjcf_bodies
 from gtau.robots.readers.xml_document import LARGEST, all_numbers, decimals, line_of, read_xml
 from gtau.robots.rigid_body import RigidBody
-from gtau.robots.robot import DAMPING, PRELOAD, SPRING, STIFFNESS, Digits, Pose
+from gtau.robots.robot import DAMPING, PRELOAD, SPRING, STIFFNESS, Pose
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element

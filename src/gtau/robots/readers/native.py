@@ -11,6 +11,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationIn
 from gtau.documents.validation import validate
 from gtau.documents.yaml_document import Document, parse_yaml, read_yaml
 from gtau.errors import GtauError
+from gtau.robots.file import RobotFile
 from gtau.robots.floating import base_joints
 from gtau.robots.geometry import DEGREES_ADVICE, in_degrees, with_exact_angles
 from gtau.robots.readers.expressions import RESERVED, AffineInQ, evaluate, linear
@@ -253,12 +254,10 @@ def _robot(document: Document) -> Robot:
                 for coupling in entry.couplings
             ),
             gravity=entry.gravity,
-            source=entry.source,
             named_tool=entry.tool,
             floating=entry.floating,
-            notes=tuple(entry.notes),
             springs=tuple(_spring(name, spring) for name, spring in entry.springs.items()),
-            constants=tuple(_constants(document).items()),
+            file=RobotFile(entry.source, tuple(entry.notes), constants=tuple(_constants(document).items())),
         )
     except GtauError as error:
         raise GtauError(f"{document.path}: {error}") from None

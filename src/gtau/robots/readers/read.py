@@ -66,11 +66,11 @@ def read_robot(source: str | Path | RobotSource) -> Robot:
     try:
         six = () if robot.floating else drawn_base(robot)
         if source.base == FLOATING and six:
-            robot = replace(float_base(lock_joints(robot, dict.fromkeys(six, 0.0)), six[-1]), notes=robot.notes)
+            robot = float_base(lock_joints(robot, dict.fromkeys(six, 0.0)), six[-1])
             note = (
                 f"{listed(six)} were taken as the floating base '{six[-1]}', as they have no motor and carry the rest"
             )
-            robot = replace(robot, notes=(*robot.notes, note))
+            robot = robot.noted(note)
         elif source.base == FLOATING and not robot.floating:
             taken = any(joint.name == "base" for joint in robot.joints)
             robot = float_base(robot, "floating_base" if taken else "base")

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from gtau.documents.files import read_at_most
 from gtau.errors import GtauError
+from gtau.robots.file import RobotFile
 from gtau.robots.geometry import short_angles_note
 from gtau.robots.readers.expressions import COORDINATE, RESERVED, evaluate, linear
 from gtau.robots.readers.mdh_table import MdhRow, moving_parameter, table_joints, table_row
@@ -80,10 +81,8 @@ def _robot(text: str, path: Path) -> Robot:
     if not any(joint.actuated for joint in tree) and links == joints:
         tree = tuple(replace(joint, actuated=True) for joint in tree)
         notes += ("no joint has mu = 1, so all were taken as driven by motors",)
-    return Robot(
-        name[1] if name and name[1] else path.stem, tree, closures=closures, gravity=gravity, source=path.name,
-        notes=notes, home_given=links == joints,
-    )  # fmt: skip
+    file = RobotFile(path.name, notes, home_given=links == joints)
+    return Robot(name[1] if name and name[1] else path.stem, tree, closures=closures, gravity=gravity, file=file)
 
 
 def _without_comments(text: str) -> str:

@@ -49,22 +49,14 @@ def read_urdf(path: str | Path, base: BaseChoice = None) -> Robot:
     """
     path = Path(path)
     tree = read_urdf_tree(path, {}, base)
-    notes = tree.notes
+    notes = tree.file.notes
     if base is None and sum(joint.antecedent == GROUND for joint in tree.joints) > 1:
         notes += (
             "the root link was taken as fixed, as a URDF does not say whether it floats; write --base floating "
             "(base: floating) if it moved",
         )
     try:
-        robot = Robot(
-            tree.name,
-            tree.joints,
-            couplings=tree.couplings,
-            source=path.name,
-            notes=notes,
-            inertias=tree.inertias,
-            rounding=tree.rounding,
-        )
+        robot = Robot(tree.name, tree.joints, couplings=tree.couplings, file=replace(tree.file, notes=notes))
         return _without_motors_of_base(robot, tree.root, tree.carried)
     except GtauError as error:
         raise GtauError(f"{path}: {error}") from None
@@ -167,11 +159,7 @@ def read_urdf_with_loops(urdf: str | Path, loops: str | Path) -> Robot:
             tuple(replace(joint, actuated=joint.name in entry.name_mot) for joint in tree.joints),
             closures=tuple(_closure(document, tree, k, types[k], pair) for k, pair in enumerate(entry.closed_loop)),
             couplings=tree.couplings,
-            source=f"{Path(urdf).name} with {Path(loops).name}",
-            notes=tree.notes,
-            home_given=False,
-            inertias=tree.inertias,
-            rounding=tree.rounding,
+            file=replace(tree.file, source=f"{Path(urdf).name} with {Path(loops).name}", home_given=False),
         )
         return without_idle_pins(robot)
     except GtauError as error:

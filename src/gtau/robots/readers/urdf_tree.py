@@ -12,7 +12,8 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.robots.geometry import ROUNDING, compose, digits_of, in_degrees, rounded, short_angles_note, written_pose
+from gtau.robots.file import Digits, RobotFile, digits_of
+from gtau.robots.geometry import ROUNDING, compose, in_degrees, rounded, short_angles_note, written_pose
 from gtau.robots.readers.inertias import urdf_inertias, urdf_masses
 from gtau.robots.readers.source import BASE_ADVICE, FLOATING, BaseChoice
 from gtau.robots.readers.xml_document import (
@@ -25,7 +26,7 @@ from gtau.robots.readers.xml_document import (
     position_limits,
     read_xml,
 )
-from gtau.robots.robot import GROUND, Attachment, Coupling, Digits, Joint, Limits, Placement, Pose
+from gtau.robots.robot import GROUND, Attachment, Coupling, Joint, Limits, Placement, Pose
 
 Kind = Literal["revolute", "prismatic"]
 LOOSE = ("floating", "planar")
@@ -66,11 +67,9 @@ class UrdfTree:
     joints: tuple[Joint, ...]
     couplings: tuple[Coupling, ...]
     frames: Mapping[str, Attachment]
-    notes: tuple[str, ...]
     root: Element
     carried: Mapping[str, str]
-    inertias: tuple[tuple[str, float], ...]
-    rounding: Digits
+    file: RobotFile
 
 
 def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None) -> UrdfTree:
@@ -101,9 +100,8 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
         carried = _carried(ordered)
         notes = (*urdf_masses(root, carried), *_limit_notes(ordered))
         notes += (*_reduction_notes(root), *short_angles_note({edge.name: edge.short for edge in ordered}))
-        inertias = urdf_inertias(root, frames)
-        name, rounding = root.get("name") or path.stem, _rounding(root)
-        return UrdfTree(name, joints, couplings, frames, notes, root, carried, inertias, rounding)
+        file = RobotFile(path.name, notes, inertias=urdf_inertias(root, frames), rounding=_rounding(root))
+        return UrdfTree(root.get("name") or path.stem, joints, couplings, frames, root, carried, file)
     except GtauError as error:
         raise GtauError(f"{path}: {error}") from None
 

@@ -9,7 +9,8 @@ from itertools import pairwise
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.signals.notes import Kind, Note
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.signals.preparation.bandwidth import JointSpectrum, spectra, widened
 from gtau.signals.preparation.filters import (
     STENCIL,
@@ -131,7 +132,7 @@ class PreparedRun:
     speeds: np.ndarray
     motor_to_joint_speed: np.ndarray
     peaks: np.ndarray
-    notes: tuple[Note, ...] = ()
+    notes: tuple[Finding, ...] = ()
     cutoffs: tuple[float | None, ...] = ()
 
     def __len__(self) -> int:
@@ -323,28 +324,22 @@ def _parts(samples: int) -> np.ndarray:
     return np.asarray(np.arange(PARTS + 1) * samples // PARTS)
 
 
-def _notes(run: Run, found: Sequence[JointSpectrum], preparation: Preparation, rubbing: np.ndarray) -> Iterator[Note]:
+def _notes(
+    run: Run, found: Sequence[JointSpectrum], preparation: Preparation, rubbing: np.ndarray
+) -> Iterator[Finding]:
     """List notes on the motion and its noise."""
     noisy = []
     for joint, each, rubs in zip(run.joints, found, rubbing, strict=True):
         if not each.moves and not rubs:
             continue
         if not each.moves:
-            yield Note(Kind.REST, f"joint '{joint}' hardly moves: its rows are left out", joint=joint)
+            yield Finding(F.REST, (joint,))
         elif each.signal_to_noise < NOISY:
-            noisy.append(f"'{joint}' ({100 / np.sqrt(max(each.signal_to_noise, 1)):.0f} %)")
+            noisy.append((joint, float(1 / np.sqrt(max(each.signal_to_noise, 1)))))
     if noisy:
-        what = (
-            f"position noise contributes much of the rms speed of joint{'s' * (len(noisy) > 1)} "
-            f"{', '.join(noisy)}: inertias are underestimated"
-        )
-        yield Note(Kind.NOISE, what, "move faster, or use --method iv or didim")
+        yield Finding(F.NOISY, tuple(joint for joint, _ in noisy), values={"shares": noisy})
     if preparation.bandwidth > CLOSE_TO_NYQUIST * run.rate:
-        what = (
-            f"the bandwidth of the motion, {preparation.bandwidth:.3g} Hz, is close to the Nyquist frequency, "
-            f"{run.rate / 2:.4g} Hz: speeds and accelerations are inaccurate"
-        )
-        yield Note(Kind.RATE, what, f"log at {10 * preparation.bandwidth:.0f} Hz or more, or move more slowly")
+        yield Finding(F.RATE, values={"bandwidth": preparation.bandwidth, "nyquist": run.rate / 2})
 
 
 def valid_samples(run: Run, preparation: Preparation, start: int, stop: int) -> np.ndarray:

@@ -13,9 +13,10 @@ from zlib import crc32
 from gtau.documents.files import folder_of, write_atomically
 from gtau.documents.yaml_document import yaml_text
 from gtau.errors import GtauError
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
-from gtau.signals.notes import Kind, Note
 from gtau.signals.reading.columns import PRESETS
 from gtau.signals.reading.discovery import UNSURE, Draft, discover
 from gtau.signals.reading.formats.rosbag import robot_description
@@ -266,7 +267,7 @@ def _question(draft: Draft, *keys: str) -> str:
     return next((CHECK + UNSURE[key] for key in keys if key in draft.open), "")
 
 
-def guesses(draft: Draft, file: Path) -> tuple[Note, ...]:
+def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
     """List the guesses of a draft, each with the entry to change in its ``file``."""
     signals, beside = draft.signals, draft.beside
     commands = list(draft.command.values())
@@ -310,7 +311,7 @@ def guesses(draft: Draft, file: Path) -> tuple[Note, ...]:
         said.append((f"joints missing from the log are held at home; {', '.join(moving)} move", ""))
     if draft.time and draft.time[0].endswith("/header/stamp"):
         said.append((f"time is {draft.time[0]}, measurement stamps, not receipt stamps", ""))
-    return tuple(Note(Kind.DRAFT, what, action, source=str(file)) for what, action in said)
+    return tuple(Finding(F.DRAFT, values={"what": what, "action": action}, source=str(file)) for what, action in said)
 
 
 STATE = "correct them by --payload LOG=KG (0 for none)"

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.signals.notes import Kind, Note
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.signals.reading.body_columns import at_origins
 from gtau.signals.reading.columns import SampleRate, Signals
 from gtau.signals.reading.formats import ALL, Table
@@ -27,7 +28,7 @@ def read_logs(
     paths: Sequence[Path],
     signals: Signals,
     units: Units,
-    notes: list[Note],
+    notes: list[Finding],
     rows: range = ALL,
     progress: Callable[[float], None] = lambda done: None,
 ) -> tuple[Source, Iterator[np.ndarray]]:
@@ -68,7 +69,7 @@ def read_logs(
         first_line=(first.first_line or 1) + (aligned.rows.start if aligned else 0),
         line_word="row" if first.first_line is None else "line",
     )
-    notes += [note.of(file.path.name) if len(files) > 1 else note for file in files for note in file.notes]
+    notes += [note.of_source(file.path.name) if len(files) > 1 else note for file in files for note in file.notes]
     notes += [aligned.note] if aligned and aligned.note else []
     columns = [(k, name) for k, file in enumerate(files) for name in file.columns]
     wanted = [(0, name) for name in positions] + [(len(files) - 1, name) for name in commands if not stamps]
@@ -153,7 +154,7 @@ class Aligned:
     log: np.ndarray
     longest: float
     rows: range
-    note: Note | None
+    note: Finding | None
 
     def at(self, time: np.ndarray) -> np.ndarray:
         """Interpolate commands (M, c) linearly between stamps at other instants (M,); nan where they are missing."""
@@ -223,16 +224,11 @@ def _aligned(positions: tuple[Path, np.ndarray], commands: tuple[Path, np.ndarra
     rows = range(int(inside[0]), int(inside[-1]) + 1)
     steps = [float(np.median(np.diff(time))) for time in (finite, stamps)]
     apart = _distances(finite, stamps)
-    said = ""
-    if apart > CLOSE * min(steps) or len(rows) < len(clock):
-        said = (
-            f"aligned the {what} with the positions by linear interpolation between their stamps "
-            f"({1 / steps[1]:.4g} Hz; positions {1 / steps[0]:.4g} Hz; typically {apart * 1e3:.2g} ms from a "
-            "position to the nearest)"
-        )
-        if out := len(clock) - len(rows):
-            said += f"; left out {out} positions before the first or after the last of them"
-    return Aligned(log, LONGEST_STEP * max(steps), rows, Note(Kind.READING, said) if said else None)
+    if apart <= CLOSE * min(steps) and len(rows) == len(clock):
+        return Aligned(log, LONGEST_STEP * max(steps), rows, None)
+    said = {"signal": what, "rate": 1 / steps[1], "position_rate": 1 / steps[0], "apart": apart * 1e3}
+    note = Finding(F.ALIGNED, values={**said, "left_out": len(clock) - len(rows)})
+    return Aligned(log, LONGEST_STEP * max(steps), rows, note)
 
 
 def _distances(time: np.ndarray, stamps: np.ndarray) -> float:

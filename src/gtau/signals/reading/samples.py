@@ -9,8 +9,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
+from gtau.findings.words import counted
 from gtau.signals.channel import Channel
-from gtau.signals.notes import Kind, Note
 from gtau.signals.storage import Store, blocks
 
 MIN_SAMPLES = 100
@@ -123,7 +125,7 @@ def refuse_short(source: Source, count: int) -> None:
         )
 
 
-def complete(source: Source, parts: Iterable[np.ndarray], notes: list[Note], part: Part = WHOLE) -> Samples:
+def complete(source: Source, parts: Iterable[np.ndarray], notes: list[Finding], part: Part = WHOLE) -> Samples:
     """Collect the complete samples of a log or of a part of it; raises GtauError if there are too few."""
     n = len(source.joints)
     wide = n + len(source.channels)  # columns before the time
@@ -156,13 +158,13 @@ def complete(source: Source, parts: Iterable[np.ndarray], notes: list[Note], par
         )
     refuse_short(source, count)
     if empty.count:
-        notes.append(Note(Kind.READING, f"left out {counted(empty.count, 'row')} that hold only other signals"))
+        notes.append(Finding(F.OTHER_ROWS, values={"count": empty.count}))
     _refuse_empty_columns(source, numbers)
     _refuse_incomplete(source, incomplete, count, source.columns[bad_column])
     if incomplete.count:
         places = source.places(incomplete.first, incomplete.count)
-        what = f"dropped {counted(incomplete.count, 'row')} with missing or non-numeric values ({places})"
-        notes.append(Note(Kind.REPAIR, what, share=incomplete.count / count))
+        dropped = {"count": incomplete.count, "places": places}
+        notes.append(Finding(F.BAD_ROWS, values=dropped, share=incomplete.count / count))
     return samples
 
 
@@ -200,11 +202,6 @@ def _refuse_empty_columns(source: Source, numbers: np.ndarray) -> None:
                 + (f" (it begins with '{entry}')" if entry else "")
                 + f"; {repair}."
             )
-
-
-def counted(number: int, noun: str) -> str:
-    """Write ``1 row``, ``2 rows``."""
-    return f"{number} {noun}{'s' * (number != 1)}"
 
 
 def extremes(array: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -11,9 +11,10 @@ from pydantic import BeforeValidator, Field, FiniteFloat, field_validator, model
 
 from gtau.documents.validation import MAPPING, Keys, Positive, expect, name_problem, read_group
 from gtau.errors import GtauError
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.robots.parameter import Parameter, torque_unit, unit_of
 from gtau.robots.robot import INERTIAL, Robot
-from gtau.signals.notes import Kind, Note
 
 FIRST_MOMENTS = ("mx", "my", "mz")
 PAYLOAD_KINDS = ("m", *FIRST_MOMENTS, *INERTIAL[:6])
@@ -178,7 +179,7 @@ def check_drives(drives: Mapping[str, Drive], robot: Robot) -> None:
 
 def data_sheet_notes(
     drives: Mapping[str, Drive], robot: Robot, found: Mapping[str, tuple[float | None, float | None]]
-) -> tuple[Note, ...]:
+) -> tuple[Finding, ...]:
     """Compare estimates (value and standard deviation) of gains and ``ia`` with data sheets, one note for each.
 
     Parameters
@@ -200,11 +201,8 @@ def data_sheet_notes(
             if expected is None or value is None:
                 continue
             off = (value - expected[0]) / np.hypot(expected[1], std or 0.0)
-            words = (
-                f"{what} of '{joint}': {value:.4g} {unit} was identified, and {expected[0]:.4g} {unit} is by the "
-                f"data sheet (standard deviation {expected[1]:.2g}; apart by {abs(off):.1f} standard deviations)"
-            )
-            said.append(Note(Kind.DATA_SHEET, words, joint=joint))
+            values = {"quantity": what, "value": value, "unit": unit, "stated": expected[0], "std": expected[1]}
+            said.append(Finding(F.DATA_SHEET, (joint,), values={**values, "apart": float(abs(off))}))
     return tuple(said)
 
 

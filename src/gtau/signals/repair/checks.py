@@ -6,16 +6,17 @@ regression row uses them. The log is read in blocks.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.signals.notes import Kind, Note
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
-from gtau.signals.reading.samples import WHOLE, Part, Samples, Source, complete, counted, extremes, refuse_short
+from gtau.signals.reading.samples import WHOLE, Part, Samples, Source, complete, extremes, refuse_short
 from gtau.signals.reading.statements import CHOSEN, PreparationSettings
 from gtau.signals.repair.clock import Clock, clock_of
 from gtau.signals.repair.faults import (
@@ -40,7 +41,7 @@ LARGEST_VALUE = 1e9  # of any logged value; even encoder and converter counts ar
 def check(
     source: Source,
     parts: Iterable[np.ndarray],
-    notes: list[Note],
+    notes: list[Finding],
     settings: PreparationSettings = CHOSEN,
     part: Part = WHOLE,
 ) -> Samples:
@@ -57,7 +58,7 @@ def check(
         The log; its channels say by how much they lag.
     parts : iterable of ndarray
         Its samples (M, n + c + 1) in order: positions, commands, torque sensors and time in SI units.
-    notes : list of Note
+    notes : list of Finding
         One on every repair is added.
     settings : PreparationSettings
         User-specified clock.
@@ -95,7 +96,7 @@ def check(
     return replace(grid, whole_share=whole_share)
 
 
-def _refuse_stuck(samples: Samples, notes: list[Note]) -> None:
+def _refuse_stuck(samples: Samples, notes: list[Finding]) -> None:
     source, n = samples.source, len(samples.source.joints)
     low, high = (np.concatenate(pair) for pair in zip(*map(extremes, (samples.position, samples.command)), strict=True))
     for column, least, most in zip(source.columns, low, high, strict=False):
@@ -117,8 +118,8 @@ def _refuse_stuck(samples: Samples, notes: list[Note]) -> None:
                 "give the column with the measured values, or record the log again."
             )
     resting = (channel for channel, stands in zip(source.channels, still, strict=False) if stands)
-    if names := _quoted([channel.joint for channel in resting if channel.kind.of_joint]):
-        notes.append(Note(Kind.REST, f"the position of joint {names} never changes: it yields no rows"))
+    if names := tuple(channel.joint for channel in resting if channel.kind.of_joint):
+        notes.append(Finding(F.STILL, names))
 
 
 def _refuse_standing_time(samples: Samples) -> None:
@@ -130,11 +131,7 @@ def _refuse_standing_time(samples: Samples) -> None:
         )
 
 
-def _quoted(names: Sequence[str]) -> str:
-    return ", ".join(f"'{name}'" for name in names)
-
-
-def _without_repeated(samples: Samples, notes: list[Note], clock: Literal["stamps", "regular"] | None) -> Samples:
+def _without_repeated(samples: Samples, notes: list[Finding], clock: Literal["stamps", "regular"] | None) -> Samples:
     """Drop samples with the time and values of the one before.
 
     Samples with the same time but different values are all kept: their stamps are late.
@@ -171,8 +168,8 @@ def _without_repeated(samples: Samples, notes: list[Note], clock: Literal["stamp
     if not repeated:
         return samples
     places = source.places([samples.rows[i] for i in repeated[:5]], len(repeated))
-    what = f"dropped {counted(len(repeated), 'repeated row')} ({places})"
-    notes.append(Note(Kind.REPAIR, what, share=len(repeated) / len(time)))
+    dropped = {"count": len(repeated), "places": places}
+    notes.append(Finding(F.REPEATED_ROWS, values=dropped, share=len(repeated) / len(time)))
 
     def without(array: np.ndarray) -> np.ndarray:
         kept = ((span, ~np.isin(np.arange(*span), repeated)) for span in spans(len(array)))
@@ -185,7 +182,7 @@ def _without_repeated(samples: Samples, notes: list[Note], clock: Literal["stamp
     return samples
 
 
-def _unwrapped(samples: Samples, notes: list[Note]) -> Samples:
+def _unwrapped(samples: Samples, notes: list[Finding]) -> Samples:
     """Unwrap the angles of joints that jump by a full turn."""
     position, source = samples.position, samples.source
     wraps = np.zeros(len(source.joints), dtype=bool)
@@ -194,8 +191,8 @@ def _unwrapped(samples: Samples, notes: list[Note]) -> Samples:
         wraps |= np.any(np.abs(jump - 2 * np.pi) < 0.5, axis=0)  # no joint moves a turn, or 6 m, between two samples
     if not wraps.any():
         return samples
-    names = _quoted([joint for joint, wrap in zip(source.joints, wraps, strict=True) if wrap])
-    notes.append(Note(Kind.READING, f"unwrapped the angle of joint {names}, which jumped by a turn"))
+    turned = tuple(joint for joint, wrap in zip(source.joints, wraps, strict=True) if wrap)
+    notes.append(Finding(F.UNWRAPPED, turned))
 
     def unwrapped() -> Iterator[np.ndarray]:
         turns = np.zeros(len(wraps))  # as far as the sample before

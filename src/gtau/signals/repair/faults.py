@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.signals.notes import Kind, Note
-from gtau.signals.reading.samples import Samples, counted, extremes
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
+from gtau.signals.reading.samples import Samples, extremes
 from gtau.signals.repair.clock import REACH, WHITE, cubic_residuals
 from gtau.signals.repair.resampling import FROZEN, MISSING_STEP, Held
 from gtau.signals.storage import block, blocks, spans, stored_like, stride_of
@@ -180,27 +181,19 @@ def without_glitches(samples: Samples, glitches: Sequence[Glitch]) -> Samples:
     return replace(samples, position=stored_like(samples.position, parts()))
 
 
-def glitch_note(samples: Samples, glitches: Sequence[Glitch]) -> Note:
+def glitch_note(samples: Samples, glitches: Sequence[Glitch]) -> Finding:
     """Report number and joints of the glitches, and the first one; ``samples`` still hold them."""
     names, first = samples.source.joints, glitches[0]
-    counts = {names[j]: sum(each.joint == j for each in glitches) for j in sorted({each.joint for each in glitches})}
-    time, logged = float(samples.time[first.sample]), float(samples.position[first.sample, first.joint])
-    at = f"at {time:.9g} s ({samples.place(first.sample)})"
-    if len(glitches) == 1:
-        what = f"interpolated 1 position of joint '{names[first.joint]}' that is an outlier: {at} it is"
-    elif len(counts) == 1:
-        what = f"interpolated {len(glitches)} positions of joint '{names[first.joint]}' that are outliers: "
-        what += f"the first, {at}, is"
-    else:
-        listed = ", ".join(f"'{joint}' ({count})" for joint, count in counts.items())
-        what = f"interpolated {len(glitches)} positions of joints {listed} that are outliers: "
-        what += f"the first, of '{names[first.joint]}' {at}, is"
-    return Note(
-        Kind.REPAIR,
-        f"{what} {logged:.4g} instead of {first.value:.4g} (rad or m)",
-        "check the encoder and its cable, and how missing values are written",
-        joint=names[first.joint] if len(counts) == 1 else "",
-        time=time,
+    counts = [
+        (names[j], sum(glitch.joint == j for glitch in glitches)) for j in sorted({glitch.joint for glitch in glitches})
+    ]
+    logged, place = float(samples.position[first.sample, first.joint]), samples.place(first.sample)
+    values = {"counts": counts, "first": names[first.joint], "place": place}
+    return Finding(
+        F.OUTLIERS,
+        tuple(joint for joint, _ in counts),
+        values={**values, "logged": logged, "instead": float(first.value)},
+        time=float(samples.time[first.sample]),
         share=len(glitches) / len(samples.time),
     )
 
@@ -357,7 +350,7 @@ PILE_UP = 5.0  # times as many samples at the extreme value as at the one next t
 MAX_CLIPPED = 0.1
 
 
-def clipped(samples: Samples, notes: list[Note]) -> list[tuple[int, float]]:
+def clipped(samples: Samples, notes: list[Finding]) -> list[tuple[int, float]]:
     """Find joints whose commands saturate while they move, as at a drive limit, with the levels.
 
     Raises
@@ -385,9 +378,8 @@ def clipped(samples: Samples, notes: list[Note]) -> list[tuple[int, float]]:
                     f"{source.name}: {what} is clipped at {level:.4g} in {at} of {count} samples; record it again "
                     f"with slower motions or a higher limit of the drive."
                 )
-            masked = f"{what} is clipped at {level:.4g}: masked {counted(at, 'sample')}"
-            action = "log again with smaller accelerations, or a higher limit of the drive"
-            notes.append(Note(Kind.CLIPPED, masked, action, joint=channel.joint, share=at / count))
+            values = {"signal": channel.kind.name, "level": level, "samples": at}
+            notes.append(Finding(F.CLIPPED, (channel.joint,), values=values, share=at / count))
             found.append((j, level))
     return found
 

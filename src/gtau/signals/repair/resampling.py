@@ -12,8 +12,9 @@ from itertools import groupby
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.signals.notes import Kind, Note
-from gtau.signals.reading.samples import MAX_MISSING, Samples, counted
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
+from gtau.signals.reading.samples import MAX_MISSING, Samples
 from gtau.signals.repair.clock import Clock
 from gtau.signals.storage import Store, block, blocks, spans, store
 
@@ -84,16 +85,11 @@ class Held:
             fresh[start + 1 : start + count] = False
         return fresh
 
-    def note(self, count: int, rate: float) -> Note:
+    def note(self, count: int, rate: float) -> Finding:
         """Report the stale samples of a log of ``count`` samples at ``rate`` Hz."""
         if self.period > 1:
-            slow = (
-                f"the {self.what} are held: updated at about {rate / self.period:.4g} Hz, every {self.period} samples; "
-                "interpolated between updates"
-            )
-            return Note(Kind.HELD, slow, f"log the {self.what} at the rate at which they change")
-        few = f"{self.stale} samples of the {self.what} are stale (repeat the previous one): interpolated"
-        return Note(Kind.REPAIR, few, "log in the controller's own cycle", share=self.stale / count)
+            return Finding(F.HELD, values={"signal": self.what, "rate": rate / self.period, "period": self.period})
+        return Finding(F.STALE, values={"signal": self.what, "stale": self.stale}, share=self.stale / count)
 
 
 def holds_of(samples: Samples) -> tuple[Held, ...]:
@@ -149,7 +145,7 @@ def uniform(
     instants: np.ndarray,
     holds: Sequence[Held],
     clips: Clips,
-    notes: list[Note],
+    notes: list[Finding],
     given: bool = False,
 ) -> Samples:
     """Put samples taken at their ``instants`` onto the uniform grid of a clock that was ``given`` or found.
@@ -189,40 +185,25 @@ def uniform(
             f"{longest * 1e3:.3g} ms); record it at a steady rate{repair}."
         )
     if missing:
-        what = f"interpolated {counted(missing, 'missing sample')}"
-        what += f", and masked {masked} of them in gaps of more than {BRIDGED} samples" if masked else ""
-        notes.append(Note(Kind.REPAIR, what, "log every cycle of the controller", share=missing / count))
+        values = {"count": missing, "masked": masked, "bridged": BRIDGED}
+        notes.append(Finding(F.MISSING, values=values, share=missing / count))
     notes += _of_clock(clock, (shortest, longest), given)
     notes += [held.note(count, clock.rate) for held in stale]
     if delay:
-        what = f"moved the commands {delay * 1e3:.4g} ms forward, as preparation.delay says"
-        notes.append(Note(Kind.READING, what))
+        notes.append(Finding(F.MOVED_COMMANDS, values={"delay": delay * 1e3}))
     position, command, valid = (rows.array() for rows in stores)
     return Samples(source, time, position, command, valid=valid)
 
 
-def _of_clock(clock: Clock, steps: tuple[float, float], given: bool) -> list[Note]:
+def _of_clock(clock: Clock, steps: tuple[float, float], given: bool) -> list[Finding]:
     """List the notes on a clock that differs from the time column."""
-    why = "as preparation.clock says" if given else "which makes the positions smoother"
+    of_clock = {"given": given, "hertz": clock.rate}
     if not clock.regular:
-        if not given:
-            why = "the time stamps are used, because a regular clock makes the positions no smoother"
-        what = (
-            f"resampled from irregular steps of {steps[0] * 1e3:.3g} to {steps[1] * 1e3:.3g} ms "
-            f"to a uniform {clock.rate:.2f} Hz: {why}"
-        )
-        return [Note(Kind.READING, what)]
+        shortest, longest = steps
+        return [Finding(F.IRREGULAR, values={**of_clock, "shortest": shortest * 1e3, "longest": longest * 1e3})]
     if not clock.late:
         return []
-    how = "come in packets" if clock.packets else "scatter"
-    if clock.packets and not given:
-        why = "as packets are"
-    what = (
-        f"time stamps {how}, up to {clock.late * 1e3:.3g} ms late: the samples were taken at a regular "
-        f"{clock.rate:.2f} Hz instead, {why}"
-    )
-    repair = "if this rate is wrong, give the right one (time: {rate: HZ})" if clock.packets else ""
-    return [Note(Kind.READING, what, repair)]
+    return [Finding(F.LATE_STAMPS, values={**of_clock, "late": clock.late * 1e3, "packets": clock.packets})]
 
 
 def resampled(

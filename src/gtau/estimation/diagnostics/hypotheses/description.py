@@ -15,21 +15,15 @@ from math import asin, atan2, hypot
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.alternatives import (
-    Candidate,
-    Candidates,
-    Cause,
-    Hypothesis,
-    moved,
-    moved_motion,
-    window_motion,
-)
-from gtau.estimation.diagnostics.finding import Finding, Sentence, Values, which_payload
-from gtau.estimation.diagnostics.linearisation import CandidateColumns, at_full_rate
+from gtau.estimation.diagnostics.alternatives import Alternative, Cause, Hypothesis
+from gtau.estimation.diagnostics.linearisation import CandidateColumns, Offer, at_full_rate, motion_along
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.plausibility import stated_rate
-from gtau.estimation.regression.rows import external_torques
+from gtau.estimation.regression.rows import Labels, external_torques
 from gtau.estimation.thresholds import Threshold
+from gtau.findings import Finding
+from gtau.findings.words import Sentence, Values, which_payload
+from gtau.model.loops import Motion
 from gtau.robots.floating import WRENCH
 from gtau.signals.preparation.prepared_run import InMemoryRun
 
@@ -54,58 +48,68 @@ SCALE = Cause(
         "positions of the first joint are not found",
         evidence="UR10e pair; larger ones widen intervals where positions are noisy (AIRBOT Play: by 60 % with 5)",
     ),
+    unit="%",
 )
 
 
-def _encoder_zeros(fit: Fit) -> Candidates:
+def _encoder_zeros(fit: Fit) -> Offer:
     """Add a constant error of a joint's position."""
-    units = ["deg" if turns else "mm" for turns in _turns(fit)]
-    one = np.ones(len(units))
-    steps = np.diag([DEGREE if turns else MILLIMETRE for turns in _turns(fit)])
-    return _of_positions(fit, ZERO, units, [(one, STEP * each) for each in steps])
+    steps = np.diag([STEP * (DEGREE if unit == "deg" else MILLIMETRE) for unit in _units(fit)])
+    return _with_positions(fit, [(np.ones(len(steps)), step) for step in steps])
 
 
-def _position_scales(fit: Fit) -> Candidates:
+def _position_scales(fit: Fit) -> Offer:
     """Scale a joint's positions, velocities and accelerations, as a wrong gear ratio does."""
     joints = np.eye(len(fit.dataset.model.actuated))
-    return _of_positions(fit, SCALE, ["%"] * len(joints), [(1 + STEP * PER_CENT * each, 0 * each) for each in joints])
+    return _with_positions(fit, [(1 + STEP * PER_CENT * joint, 0 * joint) for joint in joints])
 
 
-def _turns(fit: Fit) -> list[bool]:
-    return [fit.dataset.robot.joint(joint).turns for joint in fit.dataset.model.actuated]
+def _units(fit: Fit) -> list[str]:
+    return ["deg" if fit.dataset.robot.joint(joint).turns else "mm" for joint in fit.dataset.model.actuated]
 
 
-def _of_positions(
-    fit: Fit, cause: Cause, units: Sequence[str], steps: Sequence[tuple[np.ndarray, np.ndarray]]
-) -> Candidates:
+def _with_positions(fit: Fit, steps: Sequence[tuple[np.ndarray, np.ndarray]]) -> Offer:
     """Move the positions of each joint in turn by a factor and a shift, both (n,), a ``STEP`` of its unit."""
-    dataset = fit.dataset
-    model, n = dataset.model, len(dataset.model.actuated)
-    regressor = model.columns(dataset.base.standard)
+    model = fit.dataset.model
+    regressor = model.columns(fit.dataset.base.standard)
 
-    def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
-        motion = window_motion(model, window)
-        before = regressor.torques_along(model.layout, motion, values)
-        columns = np.zeros((n, *before.shape))
-        for k, step in enumerate(steps):
-            try:
-                other = moved_motion(model, moved(window, *step), motion.c[:, 0])
+    def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+        before = regressor.torques_along(model.layout, motion(), values)
+        columns = np.zeros((len(steps), *before.shape))
+        for k, (factor, shift) in enumerate(steps):
+            of = window.samples()
+            other = replace(of, q=of.q * factor + shift, qd=of.qd * factor, qdd=of.qdd * factor)
+            moved, labels = InMemoryRun(window.run, other), Labels(window.run.name, of.time)
+            try:  # from near the first configuration, so that loops are closed as before
+                path = model.path(np.ascontiguousarray(other.q.T), labels, motion().c[:, 0])
+                after = regressor.torques_along(model.layout, motion_along(model, moved, path), values)
             except GtauError:
                 continue  # the loops do not close there: nothing is said of this joint
-            columns[k] = (regressor.torques_along(model.layout, other, values) - before) / STEP
-        return at_full_rate(window, dataset, columns)
+            columns[k] = (after - before) / STEP
+        return at_full_rate(window, fit, columns)
 
-    return Candidates(
-        [
-            Candidate(Finding(cause.kind, (joint,)), unit, cause.plausible)
-            for joint, unit in zip(model.actuated, units, strict=True)
-        ],
-        offer,
-    )
+    return offer
 
 
-ENCODER_ZEROS = Hypothesis("encoder zeros", True, _encoder_zeros, (ZERO,), description=True)
-POSITION_SCALES = Hypothesis("position scales", True, _position_scales, (SCALE,), description=True)
+ENCODER_ZEROS = Hypothesis(
+    "encoder zeros",
+    True,
+    _encoder_zeros,
+    (ZERO,),
+    lambda fit: [
+        replace(ZERO.column(joint), unit=unit)
+        for joint, unit in zip(fit.dataset.model.actuated, _units(fit), strict=True)
+    ],
+    description=True,
+)
+POSITION_SCALES = Hypothesis(
+    "position scales",
+    True,
+    _position_scales,
+    (SCALE,),
+    lambda fit: [SCALE.column(joint) for joint in fit.dataset.model.actuated],
+    description=True,
+)
 
 
 def _of_gravity(what: str) -> Callable[[Values], Sentence]:
@@ -192,42 +196,58 @@ CLOCK_REVERSED = Threshold(
 )
 
 
-def _gravity(fit: Fit) -> Candidates | None:
+def _gravity(fit: Fit) -> Offer:
     """Add a tilt of the base, or another strength of gravity (a wrong clock)."""
-    dataset = fit.dataset
-    gravity = np.array(dataset.robot.gravity)
-    size = float(np.linalg.norm(gravity))
-    if not size:
-        return None
-    _, _, Vt = np.linalg.svd(gravity[None, :])
-    changes = [*Vt[1:] * size * DEGREE, gravity / 100]  # m/s2 a degree, and a per cent
-    model, n = dataset.model, len(dataset.model.actuated)
-    regressor = model.gravity_torques(dataset.base.standard)
+    model, n = fit.dataset.model, len(fit.dataset.model.actuated)
+    regressor, changes = model.gravity_torques(fit.dataset.base.standard), _changes(fit)
 
-    def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
-        entries = regressor(model.layout, window_motion(model, window), values)
-        return at_full_rate(window, dataset, np.stack([regressor.torques(entries, each, n) for each in changes]))
+    def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+        entries = regressor(model.layout, motion(), values)
+        return at_full_rate(window, fit, np.stack([regressor.torques(entries, each, n) for each in changes]))
 
-    tilts = [replace(TILT.candidate, finding=Finding(TILT.kind, values={"towards": t.tolist()})) for t in Vt[1:]]
-
-    def describe(sizes: np.ndarray, shares: np.ndarray) -> Finding:
-        factor = 1 + sizes[-1] / 100
-        # as where gravity points up
-        reversed_ = factor < CLOCK_REVERSED or bool(np.any(fit.gains < 0))
-        if shares[-1] > CLOCK_SIZE and not reversed_:
-            return Finding(CLOCK.kind, values={"factor": float(factor), "rate": stated_rate(dataset.runs[0])})
-        return Finding(OTHER_GRAVITY.kind, values={"gravity": (gravity + sizes @ np.array(changes)).tolist()})
-
-    return Candidates([*tilts, STRENGTH.candidate], offer, describe)
+    return offer
 
 
-GRAVITY = Hypothesis("gravity", True, _gravity, (TILT, STRENGTH, OTHER_GRAVITY, CLOCK), description=True)
+def _directions(gravity: Sequence[float]) -> np.ndarray:
+    """Find two directions (2, 3) across gravity, towards which it may be tilted."""
+    return np.asarray(np.linalg.svd(np.array(gravity)[None, :])[2][1:])
 
+
+def _changes(fit: Fit) -> np.ndarray:
+    """Compute changes (3, 3) of gravity: by a degree towards either direction, and by a per cent, m/s2."""
+    gravity = np.array(fit.dataset.robot.gravity)
+    tilts = _directions(fit.dataset.robot.gravity) * float(np.linalg.norm(gravity)) * DEGREE
+    return np.vstack([tilts, gravity / 100])
+
+
+def _gravity_columns(fit: Fit) -> list[Alternative]:
+    gravity = fit.dataset.robot.gravity
+    tilts = [TILT.column(towards=direction.tolist()) for direction in _directions(gravity)]
+    return [*tilts, STRENGTH.column()] if any(gravity) else []
+
+
+def _gravity_found(fit: Fit, sizes: np.ndarray, shares: np.ndarray) -> Finding:
+    factor = 1 + sizes[-1] / 100
+    # as where gravity points up
+    reversed_ = factor < CLOCK_REVERSED or bool(np.any(fit.gains < 0))
+    if shares[-1] > CLOCK_SIZE and not reversed_:
+        return Finding(CLOCK.kind, values={"factor": float(factor), "rate": stated_rate(fit.dataset.runs[0])})
+    return Finding(OTHER_GRAVITY.kind, values={"gravity": (fit.dataset.robot.gravity + sizes @ _changes(fit)).tolist()})
+
+
+GRAVITY = Hypothesis(
+    "gravity",
+    True,
+    _gravity,
+    (TILT, STRENGTH, OTHER_GRAVITY, CLOCK),
+    _gravity_columns,
+    _gravity_found,
+    description=True,
+)
 
 Reading = Callable[[np.ndarray], np.ndarray]
 """From what the wrenches read (6 k, M) to by how much too large that may be, (m, 6 k, M)."""
 
-MILLIMETRE = 1e-3
 COMPONENTS = ("moment x", "moment y", "moment z", "force x", "force y", "force z")
 
 
@@ -253,41 +273,50 @@ OFFSET = Cause(
 )
 
 
-def _offsets(fit: Fit) -> Candidates | None:
+def _offsets(fit: Fit) -> Offer:
     """Add a constant error of a measured force or moment."""
-    bodies = [frame.body for frame in fit.dataset.runs[0].wrenches]
-    if not bodies:
-        return None
-    unit = np.eye(len(WRENCH) * len(bodies))
+    unit = np.eye(len(WRENCH) * len(_sensed_bodies(fit)))
 
     def read(measured: np.ndarray) -> np.ndarray:
         """Offset each component in turn by one unit; (m, 6 k, M)."""
         return np.broadcast_to(unit[:, :, None], (*unit.shape, measured.shape[-1]))
 
-    levels = _rms(fit).reshape(-1, 2, 3)
-    levels = np.sqrt(np.sum(levels**2, axis=2, keepdims=True)) * np.ones(3)
-
-    def describe(sizes: np.ndarray, shares: np.ndarray) -> Finding:
-        worst = int(np.argmax(np.max(np.abs(sizes.reshape(-1, 6)) / np.maximum(levels.reshape(-1, 6), 1e-12), axis=1)))
-        moment, force = sizes.reshape(-1, 2, 3)[worst].tolist()
-        return Finding(OFFSET.kind, (), bodies[worst], {"force": force, "moment": moment})
-
-    return Candidates(
-        [
-            Candidate(
-                Finding(OFFSET.kind, (), body, {"component": each}),
-                "N m" if each.startswith("moment") else "N",
-                OFFSET.plausible * level,
-            )
-            for body, of_body in zip(bodies, levels.reshape(-1, 6), strict=True)
-            for each, level in zip(COMPONENTS, of_body, strict=True)
-        ],
-        lambda window, values: _felt(fit, window, read),
-        describe,
-    )
+    return _felt(fit, read)
 
 
-WRENCH_OFFSETS = Hypothesis("wrench offsets", True, _offsets, (OFFSET,), description=True)
+def _sensed_bodies(fit: Fit) -> list[str]:
+    return [frame.body for frame in fit.dataset.runs[0].wrenches]
+
+
+def _levels(fit: Fit) -> np.ndarray:
+    """Compute the rms moment and force of each wrench in all runs, once for each of its components, (k, 6)."""
+    squares = [np.mean(run.command[:, run.given] ** 2, axis=0) for run in fit.dataset.runs]
+    levels = np.sqrt(np.mean(squares, axis=0)).reshape(-1, 2, 3)
+    return np.asarray((np.sqrt(np.sum(levels**2, axis=2, keepdims=True)) * np.ones(3)).reshape(-1, 6))
+
+
+def _offset_columns(fit: Fit) -> list[Alternative]:
+    bodies = _sensed_bodies(fit)
+    return [
+        replace(
+            OFFSET.column(subject=body, component=component),
+            unit="N m" if component.startswith("moment") else "N",
+            plausible=float(OFFSET.plausible * level),
+        )
+        for body, of_body in zip(bodies, _levels(fit) if bodies else [], strict=True)
+        for component, level in zip(COMPONENTS, of_body, strict=True)
+    ]
+
+
+def _offset_found(fit: Fit, sizes: np.ndarray, shares: np.ndarray) -> Finding:
+    worst = int(np.argmax(np.max(np.abs(sizes.reshape(-1, 6)) / np.maximum(_levels(fit), 1e-12), axis=1)))
+    moment, force = sizes.reshape(-1, 2, 3)[worst].tolist()
+    return Finding(OFFSET.kind, (), _sensed_bodies(fit)[worst], {"force": force, "moment": moment})
+
+
+WRENCH_OFFSETS = Hypothesis(
+    "wrench offsets", True, _offsets, (OFFSET,), _offset_columns, _offset_found, description=True
+)
 
 
 def _point(values: Values) -> Sentence:
@@ -314,51 +343,48 @@ POINT = Cause(
 )
 
 
-def _points(fit: Fit) -> Candidates | None:
+def _points(fit: Fit) -> Offer:
     """Add another point about which a measured moment is stated."""
-    bodies = [frame.body for frame in fit.dataset.runs[0].wrenches]
-    if not bodies:
-        return None
+    count = len(_sensed_bodies(fit))
 
     def read(measured: np.ndarray) -> np.ndarray:
         """Compute the errors of the moments for a force that acts 1 mm further back; (3 k, 6 k, M)."""
-        found = np.zeros((3 * len(bodies), *measured.shape))
-        for k in range(len(bodies)):
+        errors = np.zeros((3 * count, *measured.shape))
+        for k in range(count):
             force = measured[6 * k + 3 : 6 * k + 6].T
             for axis, direction in enumerate(np.eye(3)):
-                found[3 * k + axis, 6 * k : 6 * k + 3] = -MILLIMETRE * np.cross(direction, force).T
-        return found
+                errors[3 * k + axis, 6 * k : 6 * k + 3] = -MILLIMETRE * np.cross(direction, force).T
+        return errors
 
-    def describe(sizes: np.ndarray, shares: np.ndarray) -> Finding:
-        worst = int(np.argmax(np.max(np.abs(sizes.reshape(-1, 3)), axis=1)))
-        shift = (MILLIMETRE * sizes.reshape(-1, 3)[worst]).tolist()
-        return Finding(POINT.kind, (), bodies[worst], {"shift": shift})
-
-    return Candidates(
-        [
-            replace(POINT.candidate, finding=Finding(POINT.kind, (), body, {"axis": axis}))
-            for body in bodies
-            for axis in "xyz"
-        ],
-        lambda window, values: _felt(fit, window, read),
-        describe,
-    )
+    return _felt(fit, read)
 
 
-WRENCH_POINTS = Hypothesis("wrench points", True, _points, (POINT,), description=True)
+def _point_found(fit: Fit, sizes: np.ndarray, shares: np.ndarray) -> Finding:
+    worst = int(np.argmax(np.max(np.abs(sizes.reshape(-1, 3)), axis=1)))
+    shift = (MILLIMETRE * sizes.reshape(-1, 3)[worst]).tolist()
+    return Finding(POINT.kind, (), _sensed_bodies(fit)[worst], {"shift": shift})
 
 
-def _rms(fit: Fit) -> np.ndarray:
-    """Compute the rms of all components of the wrenches in all runs, (6 k,), N m and N."""
-    squares = [np.mean(run.command[:, run.given] ** 2, axis=0) for run in fit.dataset.runs]
-    return np.asarray(np.sqrt(np.mean(squares, axis=0)))
+WRENCH_POINTS = Hypothesis(
+    "wrench points",
+    True,
+    _points,
+    (POINT,),
+    lambda fit: [POINT.column(subject=body, axis=axis) for body in _sensed_bodies(fit) for axis in "xyz"],
+    _point_found,
+    description=True,
+)
 
 
-def _felt(fit: Fit, window: InMemoryRun, read: Reading) -> CandidateColumns:
+def _felt(fit: Fit, read: Reading) -> Offer:
     """Compute the joint torques that errors of the wrench readings cause."""
-    model, run = fit.dataset.model, window.run
-    measured = window.samples().command.T
-    extra = read(measured[run.given])
-    padded = np.zeros((len(extra), len(run.channels), extra.shape[-1]))
-    padded[:, run.given] = extra
-    return at_full_rate(window, fit.dataset, external_torques(model, run, window_motion(model, window), padded))
+    model = fit.dataset.model
+
+    def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+        run = window.run
+        extra = read(window.samples().command.T[run.given])
+        padded = np.zeros((len(extra), len(run.channels), extra.shape[-1]))
+        padded[:, run.given] = extra
+        return at_full_rate(window, fit, external_torques(model, run, motion(), padded))
+
+    return offer

@@ -18,35 +18,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 
 import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import (
     Alternative,
-    Candidates,
     Cause,
     Hypothesis,
-    established,
     friction_levels,
-    joint_by_joint,
     rms_speeds,
     rms_torques,
-    support,
-    window_motion,
 )
-from gtau.estimation.diagnostics.finding import RELATIVE, Finding
-from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.linearisation import CandidateColumns, LinearisedWindow
-from gtau.estimation.diagnostics.score_test import score_tests
-from gtau.estimation.estimators.estimator import Fit, Solution
-from gtau.estimation.estimators.newton import jacobian, jacobian_of_known, residuals, to_gains
+from gtau.estimation.diagnostics.linearisation import CandidateColumns, Linearised, Offer, at_full_rate, weighted
+from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.estimators.newton import jacobian_of_known, to_gains
 from gtau.estimation.regression.equations import KNOWN, modelled
 from gtau.estimation.regression.friction import is_transmitted
-from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.rows import Rows
 from gtau.estimation.thresholds import Threshold
-from gtau.estimation.thresholds.estimates import DOMINANT, PLAUSIBLE_GAIN_CHANGE, SCALED, TIE
+from gtau.estimation.thresholds.estimates import ALTERNATIVE_PRIOR, DOMINANT, PLAUSIBLE_GAIN_CHANGE, SCALED, TIE
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
+from gtau.findings.words import RELATIVE
+from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter
 from gtau.signals.preparation.filters import differentiate
 from gtau.signals.preparation.prepared_run import InMemoryRun
@@ -75,7 +69,7 @@ STRIBECK_FRICTION = Cause(
 STRIBECK_SPEED = Threshold(0.1, "Stribeck speed, in rms speeds", evidence="experience")
 
 
-def _friction_shape(fit: Fit) -> Candidates:
+def _friction_shape(fit: Fit) -> Offer:
     """Add cubic, load-dependent or Stribeck friction where the model has none."""
     joints, speeds = fit.dataset.model.actuated, rms_speeds(fit)
     fv, fs = friction_levels(fit)
@@ -86,16 +80,16 @@ def _friction_shape(fit: Fit) -> Candidates:
         term: np.array([Parameter(term, j) not in fit.system.friction.terms for j in joints]) for term in ("f3", "fl")
     }
 
-    def columns(window: InMemoryRun, values: np.ndarray) -> dict[Cause, np.ndarray]:
+    def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
         of = window.samples()
         ratio, sign = of.qd / np.where(speeds > 0, speeds, 1.0), np.sign(of.qd)
         cubic = level * ratio**3 / 3 * absent["f3"]
-        torques = regressor.torques_along(model.layout, window_motion(model, window), values * acting)
+        torques = regressor.torques_along(model.layout, motion(), values * acting)
         load = np.abs(torques.T) * sign * absent["fl"]
         stribeck = level * np.exp(-np.abs(ratio) / STRIBECK_SPEED) * sign
-        return {CUBIC_FRICTION: cubic.T, LOAD_FRICTION: load.T, STRIBECK_FRICTION: stribeck.T}
+        return at_full_rate(window, fit, np.stack([cubic.T, load.T, stribeck.T]))
 
-    return joint_by_joint(fit, FRICTION_SHAPE.causes, columns)
+    return offer
 
 
 FRICTION_SHAPE = Hypothesis(
@@ -118,7 +112,7 @@ COULOMB_DRIFT = Cause(
 )
 
 
-def _friction_drift(fit: Fit) -> Candidates:
+def _friction_drift(fit: Fit) -> Offer:
     """Add viscous or Coulomb friction that changes along the runs."""
     joints, terms = fit.dataset.model.actuated, fit.system.friction.terms
     # friction that depends on the temperature has a slope of its own for this
@@ -127,12 +121,12 @@ def _friction_drift(fit: Fit) -> Candidates:
     )
     along = _along_runs(fit)
 
-    def columns(window: InMemoryRun, values: np.ndarray) -> dict[Cause, np.ndarray]:
+    def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
         of = window.samples()
         change = along(window, of.time)
-        return {VISCOUS_DRIFT: (fv * of.qd).T * change, COULOMB_DRIFT: (fs * np.sign(of.qd)).T * change}
+        return at_full_rate(window, fit, np.stack([(fv * of.qd).T * change, (fs * np.sign(of.qd)).T * change]))
 
-    return joint_by_joint(fit, FRICTION_DRIFT.causes, columns)
+    return offer
 
 
 def _along_runs(fit: Fit) -> Callable[[InMemoryRun, np.ndarray], np.ndarray]:
@@ -166,19 +160,19 @@ FALLING_CONSTANT = Cause(
 )
 
 
-def _saturation(fit: Fit) -> Candidates:
+def _saturation(fit: Fit) -> Offer:
     """Add a torque constant that falls with the current, ``tau abs(tau)``."""
     regressor, n = fit.dataset.model.columns(fit.dataset.base.standard), len(fit.gains)
     scale = LARGE * rms_torques(fit)
 
-    def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
+    def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
         def columns(rows: Rows) -> np.ndarray:
             tau = regressor.torques(rows.entries, values, n)
             return (np.abs(tau) * tau / scale[:, None])[:, :, None]
 
         return columns
 
-    return Candidates([FALLING_CONSTANT.candidate], offer)
+    return offer
 
 
 SATURATION = Hypothesis("saturation", False, _saturation, (FALLING_CONSTANT,))
@@ -196,15 +190,15 @@ DRIFTING_CONSTANT = Cause(
 )
 
 
-def _gain_drift(fit: Fit) -> Candidates:
+def _gain_drift(fit: Fit) -> Offer:
     """Add a torque constant that changes along the runs."""
     regressor, n = fit.dataset.model.columns(fit.dataset.base.standard), len(fit.gains)
     along = _along_runs(fit)
 
-    def offer(window: InMemoryRun, values: np.ndarray) -> CandidateColumns:
+    def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
         return lambda rows: (regressor.torques(rows.entries, values, n) * along(window, rows.time))[:, :, None]
 
-    return Candidates([DRIFTING_CONSTANT.candidate], offer)
+    return offer
 
 
 GAIN_DRIFT = Hypothesis("gain drift", False, _gain_drift, (DRIFTING_CONSTANT,), description=True)
@@ -225,60 +219,69 @@ FILTER_OR_ELASTICITY = Cause(
 )
 
 
-def _current_lag(fit: Fit) -> Candidates:
+def _current_lag(fit: Fit) -> Offer:
     """Add a low-pass filter of the current, or an elastic transmission: the torque's second derivative."""
     model = fit.dataset.model
     regressor = model.columns(fit.dataset.base.standard)
 
-    def columns(window: InMemoryRun, values: np.ndarray) -> dict[Cause, np.ndarray]:
-        torques = regressor.torques_along(model.layout, window_motion(model, window), values)
+    def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+        torques = regressor.torques_along(model.layout, motion(), values)
         _, change = differentiate(torques.T, window.run.rate)
-        return {FILTER_OR_ELASTICITY: change.T}
+        return at_full_rate(window, fit, change.T[None])
 
-    return joint_by_joint(fit, CURRENT_LAG.causes, columns)
+    return offer
 
 
 CURRENT_LAG = Hypothesis("current lag", False, _current_lag, (FILTER_OR_ELASTICITY,))
+GAIN_CHANGE = "gain change"
 
 
-def gain_changes(fit: Fit) -> list[Alternative]:
+def gain_changes(fit: Fit) -> Iterator[Alternative]:
     """Find the most significant change of every joint's current between one run, or the loaded ones, and the others.
 
     Its size is the relative increase of the current, its share that of the residual variance of all joints where each
     has such a change in these runs. Changes that no motor makes, of sign or unit, are left to other checks.
     """
-    problem, solution, gains = fit.system.problem, fit.solution, fit.gains
+    problem, state, gains = fit.system.problem, fit.solution.iterate, fit.gains
     positions = fit.system.block_positions  # number of the run, and time from its beginning (0) to its end (1)
     runs, of_block = np.unique(positions[:, 0].astype(int), return_inverse=True)
     loaded = np.zeros(len(runs), dtype=bool)
     np.logical_or.at(loaded, of_block, np.any(problem.blocks[..., KNOWN], axis=(1, 2)))
     groups = np.unique(np.vstack([np.eye(len(runs), dtype=bool), loaded]), axis=0)
     groups = groups[~groups.all(axis=1) & groups.any(axis=1)]
-    if not len(groups):
-        return []
+    if not (fit.free_gains and len(groups)):
+        return
     tried = len(np.unique(groups ^ groups[:, :1], axis=0))  # larger in some runs is smaller in the others
-    known = jacobian_of_known(problem, problem.n_theta + 2 * len(problem.channels))
-    offers, clusters = [(slice(None), False)], np.unique(problem.block_numbers, return_inverse=True)[1]
-    (tests,) = score_tests(lambda: _windows(problem, solution, groups[:, of_block]), offers, clusters, known)
-    shares = tests.share.sum(axis=1)
-    worst = _first_largest(np.abs(tests.t[:, : len(gains)]))
+    errors, J = weighted(fit, problem.blocks)
+    weights = state.b / np.maximum(fit.solution.sigma, problem.smallest_sigma)
+    current = modelled(problem.blocks, state.theta) * weights[:, None]
+    offered = -current[..., None] * groups[:, of_block].T[:, None, None, :]
+    known = np.zeros(len(problem.known)), jacobian_of_known(problem, J.shape[-1])
+    clusters = np.unique(problem.block_numbers, return_inverse=True)[1]
+    tests = Linearised(errors, J, offered, known, clusters).score_tests(slice(None), shared=False)
+    t, shares = tests.size / np.maximum(tests.std, 1e-300), tests.share.sum(axis=1)
+    worst = _first_largest(np.abs(t[:, : len(gains)]))
     if shares.max() > DOMINANT:  # the same runs for all joints
         worst[:] = _first_largest(shares)
-    T = to_gains(solution.iterate, problem.n_theta, True)
-    found = []
+    T = to_gains(state, problem.n_theta, True)
     for j, k in enumerate(worst):
-        change, t = float(tests.size[k, j]), float(tests.t[k, j])
-        if not t or abs(change) > SCALED:
+        change, std = float(tests.size[k, j]), float(tests.std[k, j])
+        if not t[k, j] or abs(change) > SCALED:
             continue  # reversed, or in another unit: other checks name these better
         names = [fit.dataset.runs[run].name for run in runs[groups[k]]]
         cause = Finding(F.GAIN_CHANGE, (problem.joints[j],), "", {"runs": names, "change": change})
-        moves = (T @ tests.slopes[k, j])[problem.gain_rows] * change / gains
-        std = abs(change / t)
-        factor, moment = support(change, std, PLAUSIBLE_GAIN_CHANGE)
-        each = established(fit, "gain change", cause, moves, float(shares[k]), change, std, RELATIVE)
-        factor -= np.log(tried)  # the largest of several changes is larger by chance
-        found.append(replace(each, plausible=PLAUSIBLE_GAIN_CHANGE, log_factor=factor, second_moment=moment))
-    return found
+        slopes = np.zeros(len(fit.solution.stacked))
+        slopes[problem.gain_rows] = (T @ tests.slopes[k, j])[problem.gain_rows]
+        yield Alternative(
+            GAIN_CHANGE,
+            (cause,),
+            change,
+            std,
+            RELATIVE,
+            float(ALTERNATIVE_PRIOR) / tried,  # the largest of several changes is larger by chance
+            float(shares[k]),
+            plausible=float(PLAUSIBLE_GAIN_CHANGE),
+        ).moving(fit, slopes)
 
 
 def _first_largest(values: np.ndarray) -> np.ndarray:
@@ -287,15 +290,3 @@ def _first_largest(values: np.ndarray) -> np.ndarray:
     Of two runs one is larger as significantly as the other is smaller.
     """
     return np.asarray(np.argmax(values >= (1 - TIE) * values.max(axis=0), axis=0))
-
-
-def _windows(problem: Problem, solution: Solution, members: np.ndarray) -> Iterator[LinearisedWindow]:
-    """Build the jackknife blocks, each joint offered its model's current again in each group (groups, U)."""
-    state = solution.iterate
-    weights = 1 / np.maximum(solution.sigma, problem.smallest_sigma)
-    for block, mine in zip(problem.blocks, members.T, strict=True):
-        e, J = residuals(block, state), jacobian(block, state, problem, True)
-        current = modelled(block, state.theta) * state.b[:, None]
-        yield LinearisedWindow(
-            e * weights[:, None], J * weights[:, None, None], -(current * weights[:, None])[..., None] * mine
-        )

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.signals.notes import Note
+from gtau.findings import Finding
 from gtau.signals.storage import store
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ class Table:
     first_line: int | None = None
     first_byte: int = 0
     numbered: bool = False
-    notes: tuple[Note, ...] = ()
+    notes: tuple[Finding, ...] = ()
     unusable: Mapping[str, str] = field(default_factory=dict)
     data_set: DataSet | None = None
     texts: dict[str, str] = field(default_factory=dict)

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 
 from gtau.documents.files import BINARY, LOG, kind_of, refuse_other_kind
 from gtau.errors import GtauError
-from gtau.signals.notes import Kind, Note
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.signals.reading.formats import Table
 from gtau.signals.storage import BYTES, block_size
 
@@ -96,11 +97,10 @@ def open_text(path: Path) -> Table:
     return table
 
 
-def _skipped(lines: Sequence[int], header: _Line | None) -> Iterator[Note]:
+def _skipped(lines: Sequence[int], header: _Line | None) -> Iterator[Finding]:
     if lines:
-        where = f"lines {lines[0]} to {lines[-1]}" if len(lines) > 1 else f"line {lines[0]}"
-        named = f", took the names of its columns from line {header.number}" if header else ""
-        yield Note(Kind.READING, f"skipped {where} before the table{named}")
+        values = {"first": lines[0], "last": lines[-1], "header": header.number if header else 0}
+        yield Finding(F.SKIPPED_LINES, values=values)
 
 
 def _refuse_encoding(path: Path) -> None:

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import floor, log10, sqrt, tau
 
-from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.finding import Sentence, Values, Words
+from gtau.findings.kind import FindingKind as F
+from gtau.findings.words import LISTED, Sentence, Values, Words
 
-LISTED = 3  # parameters that are named
 SCALE = "check its value, and the units and signs of the other scale references: payloads, sensors, wrenches"
 PRIOR = "is {found:.4g} from the data (standard deviation {std:.2g}), but {prior:.4g} from its prior ({prior_std:.2g})"
 IMPOSSIBLE = "check the signs of positions and currents, the sampling rate, the units and 'preparation'"
@@ -128,7 +127,7 @@ def _two_stage(values: Values) -> Sentence:
     return "{estimate} by two-stage least squares", f"check {signs}; {more}"
 
 
-NOTED: Mapping[str, Words] = {
+NOTE_WORDS: Mapping[str, Words] = {
     F.UNLIKE_LEGS: lambda values: (
         "legs of the same geometry differ, most in {parameter} of leg '{subject}' ("
         + ("{share:.0f%}" if values["share"] < 10 else "more than 1000 %")
@@ -222,7 +221,7 @@ NOTED: Mapping[str, Words] = {
     F.SLIGHT_COMMAND_LAG: _command_lag,
 }
 
-TESTED: Mapping[str, Words] = {
+CAUSE_WORDS: Mapping[str, Words] = {
     F.WITHOUT_GRAVITY: _without_gravity,
     F.LENGTH: _length,
     F.GAIN_CHANGE: _gain_change,

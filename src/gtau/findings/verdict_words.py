@@ -1,19 +1,22 @@
-"""Sentences for every kind of finding: reason and advice. No other module composes or parses them."""
+"""Sentences for findings against estimates: reason and advice."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from math import ceil, floor, log10
-from typing import Any
+from collections.abc import Callable, Mapping
 
-from gtau.estimation.diagnostics.finding import RELATIVE, Finding, Sentence, Values, Words, which_payload
-from gtau.estimation.diagnostics.finding import FindingKind as F
-from gtau.estimation.diagnostics.hypotheses import HYPOTHESES, description
-from gtau.estimation.diagnostics.note_sentences import IMPOSSIBLE, LISTED, NOTED, PRIOR, SCALE, TESTED
-from gtau.estimation.regression.plausibility import clock_advice, write_limits
-from gtau.estimation.thresholds.estimates import LOST_GAIN
-from gtau.signals.notes import Note
+from gtau.findings.kind import FindingKind as F
+from gtau.findings.note_words import IMPOSSIBLE, PRIOR, SCALE
+from gtau.findings.words import (
+    LISTED,
+    RELATIVE,
+    Sentence,
+    Values,
+    Words,
+    literal,
+    percent_text,
+    which_payload,
+    write_limits,
+)
 
 MOVED = 10.0  # of itself: a gain that moves by more was no estimate
 THOUSAND = 2.0  # a factor between 1000 / 2 and 1000 * 2 is one of a thousand
@@ -27,84 +30,6 @@ LOADED = (
 )
 MAY_BE_WRENCHES = {F.SWAPPED, F.REVERSED, F.ALL_NEGATIVE, F.REFUTED, F.UNEXPLAINED, F.OTHER_ESTIMATOR}
 SENSOR = "check the sensor's calibration, unit and joint; a payload's mass or a known parameter may be wrong too"
-
-
-def reason(finding: Finding) -> str:
-    """Say what was found; of a cause, name it."""
-    return _sentence(finding)[0]
-
-
-def advice(finding: Finding) -> str:
-    """Say what to do about it, wrenches first where they may be the cause and none of them is."""
-    found = _sentence(finding)[1]
-    of_wrenches = {description.OFFSET.kind, description.POINT.kind} & {each.kind for each in finding.causes}
-    first = finding.values.get("wrenches") and finding.kind in MAY_BE_WRENCHES and not of_wrenches
-    return f"{WRENCHES}; otherwise {found}" if first else found
-
-
-def named(causes: Sequence[Finding]) -> str:
-    """Name causes that have the same effect."""
-    return " or ".join(dict.fromkeys(map(reason, causes)))
-
-
-def note(finding: Finding) -> Note:
-    """Write a finding as a note."""
-    joint = finding.joints[0] if len(finding.joints) == 1 else ""
-    of_note = F(finding.kind).note
-    return Note(of_note, reason(finding), advice(finding), joint=joint, finding=finding.kind, moves=finding.moves)
-
-
-def percent_text(share: float, accuracy: float | None = None) -> str:
-    """Write a share (per cent) in two significant digits and at most two decimals, without the sign of per cent.
-
-    A share that exceeds the ``accuracy`` (per cent) is rounded up where it would be rounded to it or below.
-    """
-    if 0 < share < 0.005:
-        return "<0.01"
-    decimals = min(max(1 - floor(log10(float(f"{share:.2g}"))), 0), 2) if share else 2
-    shown = f"{share:.{decimals}f}"
-    if accuracy is not None and share > accuracy >= float(shown):
-        shown = f"{ceil(share * 10**decimals) / 10**decimals:.{decimals}f}"
-    return shown
-
-
-class _Number(float):
-    """A value in a template; a format that ends with ``%`` prints a ratio in per cent."""
-
-    def __format__(self, spec: str) -> str:
-        return f"{100 * self:{spec[:-1]}} %" if spec.endswith("%") else float.__format__(self, spec)
-
-
-def _sentence(finding: Finding) -> Sentence:
-    found = SENTENCES[finding.kind]
-    named_joints = {
-        "also": "",
-        "joint": "".join(finding.joints[:1]),
-        "listed": " and ".join(f"'{joint}'" for joint in finding.joints),
-        "count": len(finding.joints),
-    }
-    of_finding = named_joints | dict(finding.values)
-    what, to_do = found if isinstance(found, tuple) else found(_literal({**of_finding, "subject": finding.subject}))
-    values = {key: _Number(each) if isinstance(each, float) else each for key, each in of_finding.items()}
-    values["subject"], values["estimate"] = finding.subject, finding.subject or "estimates"
-    if finding.joints:
-        values["joint"], values["other"] = finding.joints[0], finding.joints[-1]
-        values["estimate"] = f"the gain of '{finding.joints[0]}'"
-    if finding.causes:
-        first, loaded = finding.causes[0], {"payload": finding.values.get("payload", True)}
-        first = replace(first, values={**first.values, **loaded})
-        values["cause"], values["to_do"] = named(finding.causes), advice(first)
-    values["clock"] = clock_advice(finding.values.get("rate"))
-    return what.format(**values), to_do.format(**values)
-
-
-def _literal(value: Any) -> Any:
-    """Double the braces of names, which the functions put into templates."""
-    if isinstance(value, str):
-        return value.replace("{", "{{").replace("}", "}}")
-    if isinstance(value, Mapping):
-        return {key: _literal(each) for key, each in value.items()}
-    return tuple(map(_literal, value)) if isinstance(value, list | tuple) else value
 
 
 def _refuted(values: Values) -> Sentence:
@@ -156,7 +81,7 @@ def _effort(values: Values) -> Sentence:
         "the torque of '{subject}' is {torque:.3g} {unit} (rms), {ratio:.3g} times its limit of {limit:.4g} {unit}"
         + f", so {cause} may be wrong" * values["all"],
         f"check the payload's mass (kg) and the unit of the {values['kind']}s; if the limit is a placeholder, "
-        + _literal(write_limits(values["subject"])),
+        + literal(write_limits(values["subject"])),
     )
 
 
@@ -220,17 +145,15 @@ def _given_scale(values: Values) -> str:
     )
 
 
-CAUSES: Mapping[str, Words] = {**{each.kind: each.words for of in HYPOTHESES for each in of.causes}, **TESTED}
-
-SENTENCES: Mapping[str, Words] = {
+VERDICT_WORDS: Mapping[str, Words] = {
     F.NEGATIVE_MASS: (
         "the wrenches imply a robot mass of {mass:.3g} kg",
         "log the forces exerted on the body, not by it, or reverse their signs",
     ),
     F.BASE_UNEXPLAINED: ("the model leaves {share:.0f%} of the {part} on the base '{subject}' unexplained", WRENCHES),
-    F.TLS_CONFUSED: (
-        f"total least squares cannot separate the payload from the noise (standard deviation over {100 * LOST_GAIN:g} "
-        "%)",
+    F.TLS_CONFUSED: lambda values: (
+        "total least squares cannot separate the payload from the noise (standard deviation over "
+        f"{100 * values.get('limit', 0.5):g} %)",
         "use --method ml, or a heavier payload and longer runs with less noise",
     ),
     F.ALL_NEGATIVE: lambda values: (
@@ -367,6 +290,4 @@ SENTENCES: Mapping[str, Words] = {
         "all other data give torques {scale:.4g} times its reading (standard deviation {std:.2g})",
         SENSOR,
     ),
-    **NOTED,
-    **CAUSES,
 }

@@ -1,0 +1,191 @@
+"""Findings, as data: raised where logs are read and fits are judged, and put into words where a person reads them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from gtau.findings.kind import FindingKind as F
+from gtau.findings.kind import Severity
+from gtau.findings.log_words import LOG_WORDS
+from gtau.findings.note_words import CAUSE_WORDS, NOTE_WORDS
+from gtau.findings.verdict_words import MAY_BE_WRENCHES, VERDICT_WORDS, WRENCHES
+from gtau.findings.words import Number, Sentence, Words, clock_advice, literal
+
+COSTLY_REPAIR = 0.02
+"""Share of the samples that a repair drops or interpolates, from which it is a warning: up to 0.001 in the shared logs,
+but for those recorded by polling; 0.05 and more are refused. A choice between the two."""
+
+WORDS: dict[str, Words] = {**VERDICT_WORDS, **NOTE_WORDS, **LOG_WORDS, **CAUSE_WORDS}
+"""Words of every kind; hypotheses add those of the causes that they name."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One finding of a check; as text, a sentence without its full stop.
+
+    Attributes
+    ----------
+    kind : str
+        What was found: a :class:`FindingKind`, or what a hypothesis names as a cause.
+    joints : tuple of str
+        Joints whose gains, delays, drives or columns it is about.
+    subject : str
+        Payload, sensor, parameter, body or leg that it is about, where there is one.
+    values : mapping
+        Numbers, names and switches of the sentence; shares and moves as ratios, SI units. The sentence itself, ``what``
+        and ``action``, where it comes from a file or a refusal.
+    causes : tuple of Finding
+        What explains it; the first counts most, and all have the same effect.
+    size : float
+        The larger counts of two findings of one kind on a joint. Beside the verdicts, by how many half widths of its
+        95 % interval it may move an estimate, where that is known; the larger stands first.
+    source : str
+        Name of the run or robot, empty for a finding on all of them.
+    time : float, optional
+        Instant in the log, s.
+    share : float, optional
+        Share of the samples that it concerns.
+    """
+
+    kind: str
+    joints: tuple[str, ...] = ()
+    subject: str = ""
+    values: Mapping[str, Any] = field(default_factory=dict, hash=False)
+    causes: tuple[Finding, ...] = ()
+    size: float = 0.0
+    source: str = ""
+    time: float | None = None
+    share: float | None = None
+
+    def __str__(self) -> str:
+        """Compose the sentence."""
+        what, action = self.sentence
+        return (f"{self.source}: " if self.source else "") + what + (f"; {action}" if action else "")
+
+    @property
+    def what(self) -> str:
+        """What was found; of a cause, its name."""
+        return self.sentence[0]
+
+    @property
+    def action(self) -> str:
+        """What to do about it, empty where there is nothing to do."""
+        return self.sentence[1]
+
+    @property
+    def joint(self) -> str:
+        """The joint, empty where it is on none or several."""
+        return self.joints[0] if len(self.joints) == 1 else ""
+
+    @property
+    def topic(self) -> str:
+        """What files show as its kind: the same for kinds that matter alike."""
+        return F(self.kind).topic
+
+    @property
+    def severity(self) -> Severity:
+        """How much it matters, of repairs by the share of samples lost."""
+        costly = self.topic == F.REPAIR and (self.share or 0.0) > COSTLY_REPAIR
+        return Severity.WARNING if costly else F(self.kind).severity
+
+    @property
+    def sentence(self) -> Sentence:
+        """What was found and what to do about it, wrenches first where they may be the cause and none of them is."""
+        if "what" in self.values:
+            return self.values["what"], self.values.get("action", "")
+        named = {
+            "also": "",
+            "joint": "".join(self.joints[:1]),
+            "listed": " and ".join(f"'{joint}'" for joint in self.joints),
+            "count": len(self.joints),
+            "joints": self.joints,
+            "time": self.time,
+        } | dict(self.values)
+        words = WORDS[self.kind]
+        what, to_do = words if isinstance(words, tuple) else words(literal({**named, "subject": self.subject}))
+        values = {key: Number(value) if isinstance(value, float) else value for key, value in named.items()}
+        values["subject"], values["estimate"] = self.subject, self.subject or "estimates"
+        if self.joints:
+            values["joint"], values["other"] = self.joints[0], self.joints[-1]
+            values["estimate"] = f"the gain of '{self.joints[0]}'"
+        if self.causes:
+            cause = self.causes[0]
+            cause = replace(cause, values={**cause.values, "payload": self.values.get("payload", True)})
+            values["cause"], values["to_do"] = named_causes(self.causes), cause.action
+        values["clock"] = clock_advice(self.values.get("rate"))
+        if "log" in self.values:
+            what = "{log}: " + what
+        if self.values.get("wrenches") and self.kind in MAY_BE_WRENCHES and not any(map(_of_wrench, self.causes)):
+            to_do = f"{WRENCHES}; otherwise {to_do}"
+        return what.format(**values), to_do.format(**values)
+
+    def of_source(self, source: str) -> Finding:
+        """Return the finding with this run or robot as its source; what was its source is a log of that."""
+        return replace(self, source=source, values={**self.values, "log": self.source} if self.source else self.values)
+
+
+def _of_wrench(cause: Finding) -> bool:
+    return cause.kind in ("wrench offset", "wrench point")
+
+
+def named_causes(causes: Sequence[Finding]) -> str:
+    """Name causes that have the same effect."""
+    return " or ".join(dict.fromkeys(cause.what for cause in causes))
+
+
+def by_severity(findings: Iterable[Finding]) -> dict[Severity, list[Finding]]:
+    """Group findings by severity, the worst first, each sentence once; no severity without findings.
+
+    Within a severity what may move an estimate most stands first, others in their order.
+    """
+    listed: dict[str, Finding] = {}
+    for finding in sorted(findings, key=lambda finding: -finding.size):
+        listed.setdefault(str(finding), finding)
+    groups = {level: [finding for finding in listed.values() if finding.severity == level] for level in Severity}
+    return {level: members for level, members in groups.items() if members}
+
+
+def finding_document(finding: Finding) -> dict[str, Any]:
+    """Describe a finding behind a verdict as a JSON document."""
+    return {
+        "kind": str(finding.kind),
+        "joints": list(finding.joints),
+        "subject": finding.subject,
+        "values": dict(finding.values),
+        "causes": [finding_document(cause) for cause in finding.causes],
+    }
+
+
+def note_document(finding: Finding) -> dict[str, Any]:
+    """Describe a finding beside the verdicts as a JSON document, with its sentence."""
+    what, action = finding.sentence
+    return {
+        "grade": finding.severity.value,
+        "kind": finding.topic,
+        "finding": str(finding.kind),
+        "source": finding.source or None,
+        "joint": finding.joint or None,
+        "time": finding.time,
+        "share": finding.share,
+        "what": what,
+        "action": action or None,
+    }
+
+
+def read_note(document: Any) -> Any:
+    """Read a finding from the JSON document of :func:`note_document`; raises ValueError."""
+    if not isinstance(document, dict):
+        return document
+    if missing := {"kind", "what"} - set(document):
+        raise ValueError(f"the key '{min(missing)}' is missing; add it")
+    precise, topic = document.get("finding"), document["kind"]
+    return Finding(
+        F(precise if precise in set(F) else topic),
+        (document["joint"],) if document.get("joint") else (),
+        values={"what": document["what"], "action": document.get("action") or ""},
+        source=document.get("source") or "",
+        time=document.get("time"),
+        share=document.get("share"),
+    )

@@ -1,0 +1,159 @@
+"""Sentences for findings of reading, checking and preparing logs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from gtau.findings.kind import FindingKind as F
+from gtau.findings.words import Sentence, Values, Words, counted, literal, write_limits
+
+
+def _quoted(joints: tuple[str, ...]) -> str:
+    return ", ".join(f"'{joint}'" for joint in joints)
+
+
+def _outliers(values: Values) -> Sentence:
+    counts, at = dict(values["counts"]), f"at {values['time']:.9g} s ({values['place']})"
+    total = sum(counts.values())
+    if total == 1:
+        what = f"interpolated 1 position of joint '{values['first']}' that is an outlier: {at} it is"
+    elif len(counts) == 1:
+        what = f"interpolated {total} positions of joint '{values['first']}' that are outliers: the first, {at}, is"
+    else:
+        listed = ", ".join(f"'{joint}' ({count})" for joint, count in counts.items())
+        what = (
+            f"interpolated {total} positions of joints {listed} that are outliers: the first, of '{values['first']}' "
+            f"{at}, is"
+        )
+    return (
+        what + " {logged:.4g} instead of {instead:.4g} (rad or m)",
+        "check the encoder and its cable, and how missing values are written",
+    )
+
+
+def _aligned(values: Values) -> Sentence:
+    left_out = "; left out {left_out} positions before the first or after the last of them" * bool(values["left_out"])
+    return (
+        "aligned the {signal} with the positions by linear interpolation between their stamps ({rate:.4g} Hz; "
+        "positions {position_rate:.4g} Hz; typically {apart:.2g} ms from a position to the nearest)" + left_out,
+        "",
+    )
+
+
+def _missing(values: Values) -> Sentence:
+    masked = ", and masked {masked} of them in gaps of more than {bridged} samples" * bool(values["masked"])
+    return f"interpolated {counted(values['count'], 'missing sample')}{masked}", "log every cycle of the controller"
+
+
+def _irregular(values: Values) -> Sentence:
+    why = (
+        "as preparation.clock says"
+        if values["given"]
+        else "the time stamps are used, because a regular clock makes the positions no smoother"
+    )
+    return (
+        "resampled from irregular steps of {shortest:.3g} to {longest:.3g} ms to a uniform {hertz:.2f} Hz: " + why,
+        "",
+    )
+
+
+def _late_stamps(values: Values) -> Sentence:
+    how = "come in packets" if values["packets"] else "scatter"
+    why = "as packets are" if values["packets"] else "which makes the positions smoother"
+    if values["given"]:
+        why = "as preparation.clock says"
+    return (
+        f"time stamps {how}, up to {{late:.3g}} ms late: the samples were taken at a regular {{hertz:.2f}} Hz instead, "
+        f"{why}",
+        "if this rate is wrong, give the right one (time: {{rate: HZ}})" * values["packets"],
+    )
+
+
+def _noisy(values: Values) -> Sentence:
+    listed = ", ".join(f"'{joint}' ({100 * share:.0f} %)" for joint, share in values["shares"])
+    return (
+        f"position noise contributes much of the rms speed of joint{'s' * (len(values['shares']) > 1)} {listed}: "
+        "inertias are underestimated",
+        "move faster, or use --method iv or didim",
+    )
+
+
+LOG_WORDS: Mapping[str, Words] = {
+    F.SKIPPED_LINES: lambda values: (
+        ("skipped lines {first} to {last}" if values["last"] > values["first"] else "skipped line {first}")
+        + " before the table"
+        + (", took the names of its columns from line {header}" if values["header"] else ""),
+        "",
+    ),
+    F.OTHER_ROWS: lambda values: (
+        f"left out {counted(values['count'], 'row')} that hold only other signals",
+        "",
+    ),
+    F.BAD_ROWS: lambda values: (
+        f"dropped {counted(values['count'], 'row')} with missing or non-numeric values ({{places}})",
+        "",
+    ),
+    F.REPEATED_ROWS: lambda values: (f"dropped {counted(values['count'], 'repeated row')} ({{places}})", ""),
+    F.ALIGNED: _aligned,
+    F.STILL: lambda values: (
+        f"the position of joint {_quoted(values['joints'])} never changes: it yields no rows",
+        "",
+    ),
+    F.UNWRAPPED: lambda values: (
+        f"unwrapped the angle of joint {_quoted(values['joints'])}, which jumped by a turn",
+        "",
+    ),
+    F.OUTLIERS: _outliers,
+    F.CLIPPED: lambda values: (
+        "the {signal} of joint '{joint}' is clipped at {level:.4g}: masked " + counted(values["samples"], "sample"),
+        "log again with smaller accelerations, or a higher limit of the drive",
+    ),
+    F.MISSING: _missing,
+    F.HELD: (
+        "the {signal} are held: updated at about {rate:.4g} Hz, every {period} samples; interpolated between updates",
+        "log the {signal} at the rate at which they change",
+    ),
+    F.STALE: (
+        "{stale} samples of the {signal} are stale (repeat the previous one): interpolated",
+        "log in the controller's own cycle",
+    ),
+    F.IRREGULAR: _irregular,
+    F.LATE_STAMPS: _late_stamps,
+    F.MOVED_COMMANDS: ("moved the commands {delay:.4g} ms forward, as preparation.delay says", ""),
+    F.REST: ("joint '{joint}' hardly moves: its rows are left out", ""),
+    F.NOISY: _noisy,
+    F.RATE: lambda values: (
+        "the bandwidth of the motion, {bandwidth:.3g} Hz, is close to the Nyquist frequency, {nyquist:.4g} Hz: speeds "
+        "and accelerations are inaccurate",
+        f"log at {10 * values['bandwidth']:.0f} Hz or more, or move more slowly",
+    ),
+    F.LIMITS: lambda values: (
+        "joint '{joint}' goes from {low:.4g} to {high:.4g} {unit}, outside its limits {lower:.4g} to {upper:.4g} "
+        "{unit}",
+        f"check the zero of its position, or {literal(write_limits(values['joint']))}",
+    ),
+    F.SPEED_LIMIT: lambda values: (
+        "joint '{joint}' moves at {speed:.4g} {unit}/s (rms), "
+        + f"{values['speed'] / values['limit']:.3g}"
+        + " times its limit of {limit:.4g} {unit}/s",
+        f"check columns and units; if the limit is a placeholder, {literal(write_limits(values['joint']))}",
+    ),
+    F.DATA_SHEET: (
+        "{quantity} of '{joint}': {value:.4g} {unit} was identified, and {stated:.4g} {unit} is by the data sheet "
+        "(standard deviation {std:.2g}; apart by {apart:.1f} standard deviations)",
+        "",
+    ),
+    F.SINGULARITY: (
+        "the motion passes within {distance:.2g} of a type 2 singularity at {time:.4g} s, where errors of position and "
+        "geometry are amplified",
+        "keep the motion away from that pose",
+    ),
+    F.ROWS: (
+        "joint '{joint}' has {rows} usable rows in all runs together, away from its reversals and gaps",
+        "add runs in which it moves, or longer ones",
+    ),
+    F.WEIGHING: (
+        "no payload has a known mass, so these logs cannot give the drive gains; they can weigh '{subject}'",
+        "run 'gtau payload MODEL.json' with them",
+    ),
+}
