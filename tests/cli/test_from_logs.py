@@ -251,7 +251,7 @@ def test_a_data_set_names_its_joints_and_rate(tmp_path: Path, motion: Any) -> No
     assert draft.signals["position"] == {"shoulder": "observation.state[2]", "elbow": "observation.state[1]"}
     assert draft.command == {"shoulder": "observation.effort[2]", "elbow": "observation.effort[1]"}
     assert "joints" not in draft.open
-    assert set(draft_logs([log]).position) == {"elbow", "shoulder"}
+    assert set(draft_logs([log]).signals["position"]) == {"elbow", "shoulder"}
     whole = draft_logs([tmp_path], str(tmp_path / "arm.urdf"))  # the folder of the data set
     assert whole.command == draft.command
     assert is_log_folder(tmp_path)
