@@ -82,12 +82,7 @@ class Chart:
     @property
     def key(self) -> dict[str, Series]:
         """Series by label, each once; those of a single unnamed one have no key."""
-        found: dict[str, Series] = {}
-        for panel in self.panels:
-            for each in panel.series:
-                if each.label:
-                    found.setdefault(each.label, each)
-        return found
+        return {series.label: series for panel in self.panels for series in panel.series if series.label}
 
 
 def colour(k: int) -> str:
@@ -104,41 +99,26 @@ def intervals(
     other: tuple[str, Sequence[float | None]] = ("", ()),
     zero: bool = False,
 ) -> Panel:
-    """Make a panel of values with their intervals, a row each, of the random part and of what they are compared with.
+    """Make a panel with a row for each name: a value and half the width of its 95 % interval, None where there is none.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Of the rows.
-    values, halves : sequence of float
-        Values and half the widths of their 95 % intervals; None where there is none.
-    axis : str
-        Label of the horizontal axis, with unit.
-    inner : sequence of float, optional
-        Half the widths of the random parts.
-    other : (str, sequence of float), optional
-        What the values are compared with, and its values.
-    zero : bool
-        Whether zero is marked.
+    ``axis`` is the label of the horizontal axis, with unit; ``inner`` are half the widths of the random parts, and
+    ``other`` what the values are compared with, and its values. Zero is marked where asked for.
     """
+    rows = np.arange(len(names), dtype=float)
+    x, half, part, compared = (_numbers(each, len(names)) for each in (values, halves, inner, other[1]))
+    shown, there = np.isfinite(x), np.isfinite(compared)
+    drawn = (x[shown], rows[shown], "predicted")
+    series = [Series("value, 95 % interval", *drawn, "disc", half=np.nan_to_num(half[shown]))]
+    if np.isfinite(part).any():
+        series.append(Series("random part", *drawn, "thick", half=np.nan_to_num(part[shown])))
+    if there.any():
+        series.append(Series(other[0], compared[there], rows[there], "prior", "diamond", half=np.zeros(there.sum())))
+    places = Axis("", limits=(len(names) - 0.4, -0.6), names=dict(zip(rows.tolist(), names, strict=True)))
+    rules, height = (Rule(x=0.0),) if zero else (), 0.62 + 0.27 * len(names)
+    return Panel(Axis(axis), places, tuple(series), rules=rules, height=height)
 
-    def columns(at: Sequence[float | None], half: Sequence[float | None]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        rows = [k for k, value in enumerate(at) if value is not None]
-        widths = [half[k] if k < len(half) else None for k in rows]
-        return (
-            np.array([at[k] for k in rows], dtype=float),
-            np.array(rows, dtype=float),
-            np.array([width or 0.0 for width in widths], dtype=float),
-        )
 
-    x, y, half = columns(values, halves)
-    series = [Series("value, 95 % interval", x, y, "predicted", "disc", half=half)]
-    if any(each is not None for each in inner):
-        series.append(Series("random part", x, y, "predicted", "thick", half=columns(values, inner)[2]))
-    if any(each is not None for each in other[1]):
-        a, b, _ = columns(other[1], ())
-        series.append(Series(other[0], a, b, "prior", "diamond"))
-    places = Axis("", limits=(len(names) - 0.4, -0.6), names={float(k): name for k, name in enumerate(names)})
-    return Panel(
-        Axis(axis), places, tuple(series), rules=(Rule(x=0.0),) if zero else (), height=0.62 + 0.27 * len(names)
-    )
+def _numbers(values: Sequence[float | None], count: int) -> np.ndarray:
+    """Return values (count,), NaN where there is none."""
+    padded = [*values, *[None] * (count - len(values))]
+    return np.array(padded, dtype=float)

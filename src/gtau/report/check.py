@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from gtau.report.chart import Chart
 from gtau.report.evidence import preparation_words
 from gtau.report.findings import findings_section, same_in_several
 from gtau.report.geometry import geometry_section
-from gtau.report.motion import distances_panel, joint_panels, singularities_section
+from gtau.report.motion import distances_panels, joint_panels, singularities_section
 from gtau.report.page import (
     Column,
     Facts,
@@ -212,8 +212,8 @@ def motion_chart(log: LogCheck, robot: Robot) -> Chart:
     """Draw the motion of the joints in a log, and its distances to singularities of both types."""
     start, joints = float(log.run.time[0]), [each.joint for each in log.joints]
     panels = joint_panels(robot, joints, log.distances.time - start, log.position, "position", 2.1)
-    distances = distances_panel(log.distances, start)
-    return Chart((*panels, *([distances] if distances else [])), log.run.name, live=True)
+    distances = distances_panels([log.distances], {log.distances.run: start})
+    return Chart((*panels, *(replace(panel, title="") for panel in distances)), log.run.name, live=True)
 
 
 def write_check(checked: ExperimentCheck, folder: Path) -> list[Path]:

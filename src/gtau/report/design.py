@@ -158,7 +158,7 @@ def design_document(outlook: Outlook) -> dict[str, Any]:
         "tool": {"frame": outlook.robot.tool, "speed": speed, **dict(zip("xyz", places.T.tolist(), strict=True))},
         "priors": [
             {"name": joint, "value": known.value, "interval": list(known.interval), "source": known.source}
-            for joint, known in zip(outlook.robot.actuated, task.known, strict=False)
+            for joint, known in zip(outlook.robot.actuated, task.prior.known, strict=False)
         ],
         "gains": [_entry(outlook, gain, "gains" in outlook.assumed) for gain in expected.gains],
         "parameters": [_entry(outlook, each, "parameters" in outlook.assumed) for each in expected.parameters],
@@ -289,15 +289,15 @@ def _expected_table(outlook: Outlook, unknowns: Sequence[Expected], assumed: boo
     """Tabulate standard deviations to expect; of a gain that is only assumed, just the relative one means something."""
     hidden = assumed and unknowns is outlook.forecast.gains
     sources = dict.fromkeys((each.name for each in unknowns), "assumed" if assumed else "given")
-    for joint, known in zip(outlook.robot.actuated, outlook.task.known, strict=False):
+    for joint, known in zip(outlook.robot.actuated, outlook.task.prior.known, strict=False):
         if known.source not in ("given", "assumed"):
             sources[joint] = "{}, {:.4g} to {:.4g}".format(known.source, *known.interval)
     return table_of(
         unknowns,
         (Column("name", Kind.NAME), lambda each: each.name),
         (Column("prior value", Kind.NUMBER, 4), lambda each: None if hidden else each.value),
-        (Column("std", Kind.NUMBER, 3), lambda each: None if hidden else each.std),
-        (Column("%", Kind.NUMBER, 3), lambda each: None if _meaningless(each, assumed) else each.relative),
+        (Column("std", Kind.NUMBER, 3), lambda each: None if hidden else _finite(each.std)),
+        (Column("%", Kind.NUMBER, 3), lambda each: None if _meaningless(each, assumed) else _finite(each.relative)),
         (Column("unit"), outlook.unit),
         (Column("prior value is"), lambda each: sources[each.name]),
         name=name,
@@ -327,7 +327,7 @@ def _masses(outlook: Outlook) -> Section | None:
     columns = [Column("std of the gain, %"), *(Column(label, Kind.NUMBER, 3) for label in labels)]
     rows: list[tuple[Any, ...]] = [("rms", *(case.rms for case in cases))]
     for gains in zip(*(case.forecast.gains for case in cases), strict=True):
-        rows.append((joint_label(gains[0].name), *(gain.relative for gain in gains)))
+        rows.append((joint_label(gains[0].name), *(_finite(gain.relative) for gain in gains)))
     exceeded = [
         f"with {label} this motion exceeds: {', '.join(case.exceeded)}"
         for label, case in zip(labels[1:], cases[1:], strict=True)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.results.conclusions import reasons
@@ -13,7 +15,7 @@ from gtau.estimation.thresholds.estimates import ACCURACY
 from gtau.findings.words import percent_text
 from gtau.model.base_parameters import whole_mass
 from gtau.report.chart import Chart, intervals
-from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, section, table
+from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, section, table, table_of
 
 GOOD_OUTCOMES = (Outcome.GOOD, Outcome.GIVEN)
 LEAST = 0.01  # share of a source of the scale that is mentioned
@@ -24,69 +26,80 @@ def gains_section(
     result: Result, prior: Mapping[str, float] | None = None, charts: bool = True, short: bool = False
 ) -> Section:
     """Show drive gains with their 95 % intervals, beside the prior ones, and the sources of their scale."""
-    estimated = any(gain.std is not None for gain in result.drive_gains.values())
-    of_torques = result.kind == "torque"
+    of_torques, prior = result.kind == "torque", prior or {}
     words = "±: half the 95 % interval; random, model: standard deviations; % of the "
     words += "scale, true over reported torque" if of_torques else "gain"
     return section(
         "Torque scale" if of_torques else "Drive gains",
-        gains_table(result, prior or {}),
-        Text(words, style="soft") if estimated else None,
+        gains_table(result, prior),
+        Text(words, style="soft") if _estimated(result) else None,
         reasons_table(result),
-        _scale_text(result, short) if estimated else None,
+        _scale_text(result, short) if _estimated(result) else None,
         whole_mass_text(result),
-        gains_chart(result.drive_gains, prior or {}) if charts else None,
+        gains_chart(result.drive_gains, prior) if charts else None,
         id="gains",
     )
 
 
 def gains_table(result: Result, prior: Mapping[str, float]) -> Table:
     """Tabulate drive gains: verdict, value, interval with its two parts, delay, and the prior gain."""
-    estimated = any(gain.std is not None for gain in result.drive_gains.values())
+    gains = result.drive_gains
     accuracy = 100 * result.statistics.get("accuracy", ACCURACY)
-    name = "scale" if result.kind == "torque" else "gain"
-    columns = [Column("joint"), Column("verdict", Kind.BADGE), Column(name, Kind.NUMBER, 5), Column("unit")]
-    if estimated:
+
+    def half(joint: str) -> str | None:
+        width = gains[joint].half_width
+        return None if width is None else percent_text(width, accuracy)
+
+    columns: list[tuple[Column, Callable[[str], object]]] = [
+        (Column("joint"), joint_label),
+        (Column("verdict", Kind.BADGE), lambda joint: gains[joint].verdict.outcome.value),
+        (Column("scale" if result.kind == "torque" else "gain", Kind.NUMBER, 5), lambda joint: gains[joint].value),
+        (Column("unit"), lambda joint: gains[joint].unit),
+    ]
+    if _estimated(result):
+        part = partial(Column, kind=Kind.NUMBER, digits=2, most=NOT_SHOWN)
         columns += [
-            Column("±95 %", Kind.NUMBER),
-            Column("random", Kind.NUMBER, 2, most=NOT_SHOWN),
-            Column("model", Kind.NUMBER, 2, most=NOT_SHOWN),
-            Column("delay, ms", Kind.SPREAD, 3),
-            Column("95 % interval", Kind.INTERVAL, wide=True),
+            (Column("±95 %", Kind.NUMBER), half),
+            (part("random"), lambda joint: _relative(gains[joint], gains[joint].random_std)),
+            (part("model"), lambda joint: _relative(gains[joint], gains[joint].model_std)),
+            (Column("delay, ms", Kind.SPREAD, 3), lambda joint: _delay(result.delays.get(joint))),
+            (Column("95 % interval", Kind.INTERVAL, wide=True), lambda joint: gains[joint].interval()),
         ]
-    columns += [Column("prior", Kind.NUMBER, 5, wide=True)] if prior else []
-    columns += [Column("prior off by, %", Kind.NUMBER, 3, wide=True)] if prior else []
-    rows = []
-    for joint, gain in result.drive_gains.items():
-        row: list[object] = [joint_label(joint), gain.verdict.outcome.value, gain.value, gain.unit]
-        if estimated:
-            parts = (_relative(gain, gain.random_std), _relative(gain, gain.model_std))
-            half = None if gain.half_width is None else percent_text(gain.half_width, accuracy)
-            row += [half, *parts, _delay(result.delays.get(joint)), gain.interval()]
-        row += [prior.get(joint), _off(prior.get(joint), gain.value)] if prior else []
-        rows.append(row)
-    return table(columns, rows)
+    if prior:
+        off = Column("prior off by, %", Kind.NUMBER, 3, wide=True)
+        columns += [
+            (Column("prior", Kind.NUMBER, 5, wide=True), prior.get),
+            (off, lambda j: _off(prior.get(j), gains[j])),
+        ]
+    return table_of(gains, *columns)
+
+
+def _estimated(result: Result) -> bool:
+    return any(gain.std is not None for gain in result.drive_gains.values())
 
 
 def reasons_table(result: Result) -> Table | None:
     """Tabulate why gains are not good, and what to do; None if all are good."""
-    sentences = (Column("reason", Kind.SENTENCE), Column("action", Kind.SENTENCE))
-    columns = (Column("joint"), Column("verdict", Kind.BADGE), *sentences)
-    found = reasons(result)
-    rows = [(", ".join(map(joint_label, each.joints)), each.outcome.value, each.why, each.action) for each in found]
-    return table(columns, rows, listed=True) if rows else None
+    listed = table_of(
+        reasons(result),
+        (Column("joint"), lambda reason: ", ".join(map(joint_label, reason.joints))),
+        (Column("verdict", Kind.BADGE), lambda reason: reason.outcome.value),
+        (Column("reason", Kind.SENTENCE), lambda reason: reason.why),
+        (Column("action", Kind.SENTENCE), lambda reason: reason.action),
+        listed=True,
+    )
+    return listed if listed.rows else None
 
 
 def gains_chart(gains: Mapping[str, Estimate], prior: Mapping[str, float]) -> Chart | None:
     """Draw 95 % intervals of drive gains and their random parts, in per cent of the gain, beside ``prior`` gains."""
     shown = {joint: gain for joint, gain in gains.items() if gain.value}
-    off = [_off(prior.get(joint), gain.value) for joint, gain in shown.items()]
-    if not any(gain.std for gain in shown.values()) and not any(each is not None for each in off):
+    off = [_off(prior.get(joint), gain) for joint, gain in shown.items()]
+    if not any(gain.std for gain in shown.values()) and set(off) <= {None}:
         return None
     halves = [gain.half_width for gain in shown.values()]
     inner = [_random_half(gain) for gain in shown.values()]
-    labels = [joint_label(joint) for joint in shown]
-    axis = "difference from the identified gain, %"
+    labels, axis = [joint_label(joint) for joint in shown], "difference from the identified gain, %"
     return Chart((intervals(labels, [0.0] * len(shown), halves, axis, inner, ("prior", off), zero=True),))
 
 
@@ -101,8 +114,8 @@ def _relative(gain: Estimate, std: float | None) -> float | None:
     return None if std is None or not gain.value else 100 * std / abs(gain.value)
 
 
-def _off(given: float | None, value: float | None) -> float | None:
-    return None if given is None or not value else 100 * (given / value - 1)
+def _off(given: float | None, gain: Estimate) -> float | None:
+    return None if given is None or not gain.value else 100 * (given / gain.value - 1)
 
 
 def _delay(delay: Estimate | None) -> tuple[float, float] | None:
@@ -128,53 +141,48 @@ def whole_mass_text(result: Result) -> Text | None:
 
 def _scale_text(result: Result, short: bool) -> Text | None:
     if short:
-        found = all_sources(result)
-        return Text(f"scale: from {found}") if found else None
+        sources = all_sources(result)
+        return Text(f"scale: from {sources}") if sources else None
     lines = scale_lines(result)
     return Text(lines[0] if len(lines) == 1 else "", tuple(lines) if len(lines) > 1 else ()) if lines else None
 
 
 def scale_lines(result: Result) -> list[str]:
     """Describe what the scale of all gains rests on, or of each where they differ; empty where they were given."""
-    known = {each.name: each.parameters["m"].value for each in result.payloads if "m" in each.known}
-    masses = {name: f"payload '{name}' ({mass:g} kg)" for name, mass in known.items() if mass is not None}
-    names = _sensors(result) | {f"payload '{name}'": words for name, words in masses.items()}
-    words = {joint: _words(gain.scale, names) for joint, gain in result.drive_gains.items() if gain.scale}
-    if not words:
-        return []
+    known = {payload.name: payload.parameters["m"].value for payload in result.payloads if "m" in payload.known}
+    names = {sensor.source: f"the {sensor.source}" for sensor in result.sensors}
+    names |= {
+        f"payload '{name}'": f"payload '{name}' ({mass:g} kg)" for name, mass in known.items() if mass is not None
+    }
+    words = {joint: _sources(gain.scale, names) for joint, gain in result.drive_gains.items() if gain.scale}
     if len(set(words.values())) == 1:
         return [f"The scale of all gains comes from {next(iter(words.values()))}."]
-    return [f"The scale of '{joint}' comes from {each}." for joint, each in words.items()]
+    return [f"The scale of '{joint}' comes from {sources}." for joint, sources in words.items()]
+
+
+def _sources(scale: Mapping[str, float], names: Mapping[str, str]) -> str:
+    """Name the source of a scale, or several with their shares, the largest first."""
+    listed = sorted((item for item in scale.items() if abs(item[1]) >= LEAST), key=lambda item: -item[1])
+    if len(listed) == 1:
+        return names.get(listed[0][0], listed[0][0])
+    return ", ".join(f"{names.get(source, source)} ({100 * share:.0f} %)" for source, share in listed)
 
 
 def all_sources(result: Result) -> str:
     """List all sources of the scale, those on which most gains rest first; sensors of a kind together, by joint."""
-    totals: dict[str, float] = {}
+    totals: Counter[str] = Counter()
     for gain in result.drive_gains.values():
-        for source, share in gain.scale.items():
-            totals[source] = totals.get(source, 0.0) + abs(share) / len(result.drive_gains)
-    found = [source for source, each in sorted(totals.items(), key=lambda each: -each[1]) if each >= LEAST]
-    names, together = _sensors(result), []
-    for kind in dict.fromkeys(each.kind for each in result.sensors):
-        sensors = [each for each in result.sensors if each.kind == kind and each.source in found]
-        if len(sensors) > 1:
-            joints = ", ".join(f"'{each.joint}'" for each in sensors)
-            together.append(f"the {kind.group} of {joints}")
-            found = [source for source in found if source not in {each.source for each in sensors}]
-    return " and ".join([*together, *(names.get(source, source) for source in found)])
-
-
-def _sensors(result: Result) -> dict[str, str]:
-    """Name the sensors behind the drives, by the source of a scale that each is."""
-    return {each.source: f"the {each.source}" for each in result.sensors}
-
-
-def _words(scale: Mapping[str, float], names: Mapping[str, str]) -> str:
-    """Name the source of a scale, or several with their shares, the largest first."""
-    listed = sorted((each for each in scale.items() if abs(each[1]) >= LEAST), key=lambda each: -each[1])
-    if len(listed) == 1:
-        return names.get(listed[0][0], listed[0][0])
-    return ", ".join(f"{names.get(source, source)} ({100 * share:.0f} %)" for source, share in listed)
+        totals.update({source: abs(share) for source, share in gain.scale.items()})
+    names = {source: source for source, total in totals.most_common() if total >= LEAST * len(result.drive_gains)}
+    together = []
+    for kind in dict.fromkeys(sensor.kind for sensor in result.sensors):
+        of_kind = (sensor for sensor in result.sensors if sensor.kind == kind and sensor.source in names)
+        joints = {sensor.source: sensor.joint for sensor in of_kind}
+        if len(joints) > 1:
+            together.append(f"the {kind.group} of " + ", ".join(f"'{joint}'" for joint in joints.values()))
+            names = {source: words for source, words in names.items() if source not in joints}
+        names |= {source: f"the {source}" for source in joints if source in names}
+    return " and ".join([*together, *names.values()])
 
 
 # Payloads
@@ -184,43 +192,37 @@ def payloads_section(payloads: Iterable[PayloadEstimate], title: str = "Payloads
     """Show inertial parameters of the payloads, in the frame of the body that carries them; None without any."""
     parts = [
         section(
-            f"Payload '{each.name}' of run {each.run}",
-            Text(f"{each.verdict.sentence}.") if each.verdict.why else None,
-            estimates_table_of(each.parameters, each.known),
+            f"Payload '{payload.name}' of run {payload.run}",
+            Text(f"{payload.verdict.sentence}.") if payload.verdict.why else None,
+            estimates_table_of(payload.parameters, payload.known),
         )
-        for each in payloads
+        for payload in payloads
     ]
     return section(title, *parts, id="payloads") if parts else None
 
 
 def unknown_payloads(result: Result) -> list[PayloadEstimate]:
     """List the payloads of which something was identified."""
-    return [each for each in result.payloads if set(each.parameters) - each.known]
+    return [payload for payload in result.payloads if set(payload.parameters) - payload.known]
 
 
 def masses_table(payloads: Sequence[PayloadEstimate]) -> Table | None:
     """Tabulate identified masses of payloads; None without any."""
-    found = [each for each in payloads if "m" in set(each.parameters) - each.known]
     rows = [
-        (f"payload '{each.name}' of {each.run}", mass.value, mass.std, mass.rel_std, mass.unit)
-        for each in found
-        for mass in [each.parameters["m"]]
+        (f"payload '{payload.name}' of {payload.run}", *value_cells(payload.parameters["m"]))
+        for payload in payloads
+        if "m" in set(payload.parameters) - payload.known
     ]
     return table((Column("mass"), *VALUE), rows) if rows else None
 
 
 def masses_section(payloads: Sequence[PayloadEstimate]) -> Section | None:
     """Draw the masses of payloads with their intervals; None where none is identifiable."""
-    masses = [(each, each.parameters["m"]) for each in payloads if "m" in each.parameters]
-    if not any(mass.value is not None for _, mass in masses):
+    masses = {f"{each.name}, {each.run}": each.parameters["m"] for each in payloads if "m" in each.parameters}
+    values, halves = [m.value for m in masses.values()], [m.half_interval() for m in masses.values()]
+    if set(values) <= {None}:
         return None
-    panel = intervals(
-        [f"{each.name}, {each.run}" for each, _ in masses],
-        [mass.value for _, mass in masses],
-        [mass.half_interval() for _, mass in masses],
-        "mass, kg",
-    )
-    return section("Masses", Chart((panel,)), id="masses")
+    return section("Masses", Chart((intervals(list(masses), values, halves, "mass, kg"),)), id="masses")
 
 
 VALUE = (
@@ -232,26 +234,21 @@ VALUE = (
 """Columns of an estimate, see :func:`value_cells`."""
 
 
-def value_cells(each: Estimate) -> tuple[object, ...]:
+def value_cells(estimate: Estimate) -> tuple[object, ...]:
     """Return value, standard deviation, relative standard deviation and unit."""
-    return each.value, each.std, each.rel_std, each.unit
+    return estimate.value, estimate.std, estimate.rel_std, estimate.unit
 
 
-def regroups(each: Estimate) -> str:
+def regroups(estimate: Estimate) -> str:
     """Return what an estimate regroups, empty where that is its name."""
-    return each.regrouping if each.regrouping != each.name else ""
+    return estimate.regrouping if estimate.regrouping != estimate.name else ""
 
 
 def estimates_table_of(estimates: Mapping[str, Estimate], known: Iterable[str] = ()) -> Table:
     """Tabulate estimates by name, with whether they are ``known``, or what they regroup."""
     columns = (Column("parameter", Kind.NAME), *VALUE, Column("95 % interval", Kind.INTERVAL, wide=True), Column(""))
-    rows = [
-        (
-            name,
-            *value_cells(each),
-            each.interval(),
-            "known" if name in known else "not identifiable" if each.value is None else regroups(each),
-        )
-        for name, each in estimates.items()
-    ]
+    rows = []
+    for name, estimate in estimates.items():
+        role = "known" if name in known else "not identifiable" if estimate.value is None else regroups(estimate)
+        rows.append((name, *value_cells(estimate), estimate.interval(), role))
     return table(columns, rows)

@@ -19,7 +19,7 @@ from gtau.report.gains import GOOD_OUTCOMES, gains_section, masses_table, payloa
 from gtau.report.geometry import geometry_section
 from gtau.report.logs import logs_section
 from gtau.report.motion import motion_section, singularities_section
-from gtau.report.page import Column, Facts, Item, Kind, Page, Section, Text, page, section, table
+from gtau.report.page import Column, Facts, Kind, Page, Section, Text, page, section, table_of
 from gtau.report.parameters import friction_section, inertias_section, parameters_section
 from gtau.report.residuals import residuals_section
 from gtau.report.torques import determination, fit_table, torques_section
@@ -33,7 +33,9 @@ LISTED = 12
 
 def summary_page(result: Result) -> Page:
     """Show verdict, drive gains, payloads, fit and the most important notes on one screen."""
-    notes = [each for each in findings(result) if each.kind != FindingKind.DRAFT]
+    notes = [note for note in findings(result) if note.kind != FindingKind.DRAFT]
+    guessed = [note for note in result.notes if note.kind == FindingKind.DRAFT]
+    assumed = tuple("; ".join(filter(None, (note.what, note.action))) for note in guessed)
     more = len(same_in_several(notes)) - NOTES
     rest = "parameters and the fit of each joint: --verbose, or model.json."
     return page(
@@ -45,26 +47,18 @@ def summary_page(result: Result) -> Page:
         section("Torque fit", *_fit_words(result)),
         inertias_section(result.audit, short=True),
         findings_section(notes, NOTES) if notes else None,
-        _draft_section(result),
+        section("Assumptions from the logs", Text(f"Correct any wrong entry in {guessed[0].source}:", assumed))
+        if guessed
+        else None,
         section("", Text(f"{more} more note{'s' * (more > 1)}, all {rest}" if more > 0 else f"All {rest}")),
     )
-
-
-def _draft_section(result: Result) -> Section | None:
-    """List all assumptions of a drafted experiment file."""
-    guessed = [each for each in result.notes if each.kind == FindingKind.DRAFT]
-    if not guessed:
-        return None
-    said = tuple("; ".join(filter(None, (each.what, each.action))) for each in guessed)
-    return section("Assumptions from the logs", Text(f"Correct any wrong entry in {guessed[0].source}:", said))
 
 
 def full_page(result: Result) -> Page:
     """Show all that an identification found, without charts."""
     ratio = result.statistics.get("singular_ratio")
-    words = (
-        "" if ratio is None else f"ratio of the two smallest singular values of W_tot ({PAPER}, eq. 33): {ratio:.2f}"
-    )
+    words = f"ratio of the two smallest singular values of W_tot ({PAPER}, eq. 33): {ratio or 0.0:.2f}"
+    nearest = singularities_section(result.singularities)
     return page(
         f"Identification of {result.robot.name}",
         section("", Text(headline(result)), _settings(result)),
@@ -75,8 +69,8 @@ def full_page(result: Result) -> Page:
         parameters_section(result),
         friction_section(result),
         inertias_section(result.audit),
-        section("Torque fit", fit_table(result.residuals, "joint"), Text(words) if words else None),
-        section("Singularities", *_only(singularities_section(result.singularities))),
+        section("Torque fit", fit_table(result.residuals, "joint"), Text(words) if ratio else None),
+        section("Singularities", *nearest.items) if nearest else None,
         geometry_section(result.geometry),
         _consistency_section(result.consistency),
         findings_section(findings(result)),
@@ -117,12 +111,13 @@ def verdict_section(result: Result, runs: Sequence[RunEvidence] = ()) -> Section
         style = "bad"
     said = tuple(map(str, remarks(result)))
     words = (headline(result), said) if style == "good" else (counts(result), (headline(result), *said))
+    condition = result.statistics.get("condition_number")
     facts = {
         "robot": result.robot.name,
         "estimator": result.method,
         "runs used": str(len(result.runs)),
         **_worst_errors(result, runs),
-        **_condition(result),
+        "condition number of the observation matrix": None if condition is None else f"{condition:.3g}",
         "base parameters": f"{len(result.essential)} of {len(result.parameters)} essential",
     }
     return section("Verdict", Text(*words, style), Facts(facts), id="verdict")  # type: ignore[arg-type]
@@ -141,22 +136,17 @@ def counts(result: Result) -> str:
 
 def _worst_errors(result: Result, runs: Sequence[RunEvidence]) -> dict[str, str]:
     """List the largest rms torque residual of the fit and error of a validation run, and the smallest R²."""
-    found = {}
-    if worst := worst_joint(result.residuals):
-        more = "" if worst.relative_all is None else f", {worst.relative_all:.2f} % over all samples"
-        found["largest torque residual of the rows used"] = f"{worst.relative:.2f} %{more} ({worst.joint})"
-    if worst := worst_joint([error for run in runs if not run.used for error in run.errors]):
-        more = f" in band away from reversals, {worst.relative_raw:.2f} % of the raw torque"
-        found["largest torque error of a validation run"] = f"{worst.relative:.2f} %{more} ({worst.joint})"
+    worst = {}
+    if residual := worst_joint(result.residuals):
+        more = "" if residual.relative_all is None else f", {residual.relative_all:.2f} % over all samples"
+        worst["largest torque residual of the rows used"] = f"{residual.relative:.2f} %{more} ({residual.joint})"
+    if error := worst_joint([error for run in runs if not run.used for error in run.errors]):
+        more = f" in band away from reversals, {error.relative_raw:.2f} % of the raw torque"
+        worst["largest torque error of a validation run"] = f"{error.relative:.2f} %{more} ({error.joint})"
     if shares := determination([run for run in runs if run.used]):
         joint = min(shares, key=lambda name: shares[name])
-        found["smallest R² of a joint"] = f"{shares[joint]:.4f} ({joint})"
-    return found
-
-
-def _condition(result: Result) -> dict[str, str]:
-    found = result.statistics.get("condition_number")
-    return {} if found is None else {"condition number of the observation matrix": f"{found:.3g}"}
+        worst["smallest R² of a joint"] = f"{shares[joint]:.4f} ({joint})"
+    return worst
 
 
 def _settings(result: Result) -> Facts:
@@ -166,48 +156,44 @@ def _settings(result: Result) -> Facts:
         {
             "Method": estimator_of(result.method).description,
             "Runs": ", ".join(result.runs),
-            **({"Payload": f"on '{result.robot.tool}'"} if result.payloads else {}),
+            "Payload": f"on '{result.robot.tool}'" if result.payloads else None,
             "Signals": f"bandwidth {bandwidth}, position filter {cutoff}, decimation {decimation}{given}",
         }
     )
 
 
-def _fit_words(result: Result) -> list[Item]:
+def _fit_words(result: Result) -> list[Text]:
     worst = worst_joint(result.residuals)
     if worst is None:
         return []
-    best = min(each.relative for each in result.residuals)
-    range_ = f"{best:.2f} to {worst.relative:.2f} % rms"
-    whole = [each.relative_all for each in result.residuals if each.relative_all is not None]
-    more = f"; of all samples: {min(whole):.2f} to {max(whole):.2f} %" if whole else ""
-    found: list[Item] = [Text(f"Torque residuals of the rows used: {range_}, the largest at '{worst.joint}'{more}.")]
+    best = min(residual.relative for residual in result.residuals)
+    every = [residual.relative_all for residual in result.residuals if residual.relative_all is not None]
+    more = f"; of all samples: {min(every):.2f} to {max(every):.2f} %" if every else ""
+    words = f"Torque residuals of the rows used: {best:.2f} to {worst.relative:.2f} % rms"
+    said = [f"{words}, the largest at '{worst.joint}'{more}."]
     if result.consistency is not None:
         cost = _growth(_overall(result.consistency))
-        found.append(Text(f"Physically consistent parameters: torque residuals {cost}."))
-    return found
+        said.append(f"Physically consistent parameters: torque residuals {cost}.")
+    return [Text(each) for each in said]
 
 
 def _sensors_section(result: Result) -> Section | None:
     """Show the fit of the sensors behind the drives, and their scale by all other data."""
     if not result.sensors:
         return None
-    columns = (
-        Column("joint"),
-        Column("ratio", Kind.NUMBER, 5),
-        Column("std", Kind.NUMBER, 2),
-        Column("verdict", Kind.BADGE),
+    ratios = [(sensor.joint, sensor.ratio) for sensor in result.sensors if sensor.ratio is not None]
+    listed = table_of(
+        ratios,
+        (Column("joint"), lambda sensor: sensor[0]),
+        (Column("ratio", Kind.NUMBER, 5), lambda sensor: sensor[1].value),
+        (Column("std", Kind.NUMBER, 2), lambda sensor: sensor[1].std),
+        (Column("verdict", Kind.BADGE), lambda sensor: sensor[1].verdict.outcome.value),
     )
-    rows = [
-        (each.joint, each.ratio.value, each.ratio.std, each.ratio.verdict.outcome.value)
-        for each in result.sensors
-        if each.ratio is not None
-    ]
     words = "ratio: torque from all other data, over the sensor's reading"
     return section(
-        " and ".join(dict.fromkeys(each.kind.group for each in result.sensors)).capitalize(),
-        table(columns, rows) if rows else None,
-        Text(words, style="soft") if rows else None,
-        fit_table([each.residual for each in result.sensors], "sensor of"),
+        " and ".join(dict.fromkeys(sensor.kind.group for sensor in result.sensors)).capitalize(),
+        *((listed, Text(words, style="soft")) if ratios else ()),
+        fit_table([sensor.residual for sensor in result.sensors], "sensor of"),
         id="sensors",
     )
 
@@ -216,54 +202,47 @@ def requirements_section(result: Result) -> Section | None:
     """Tabulate each requirement, the value found, and pass or fail; None without requirements."""
     if not result.requirements:
         return None
-    rows = [
-        (*required(each), "passed" if each.met else "failed", each.limit, each.found, each.joint or None)
-        for each in result.requirements
-    ]
-    columns = (
-        Column("required"),
-        Column("of"),
-        Column("outcome", Kind.BADGE),
-        Column("limit, %", Kind.NUMBER),
-        Column("found, %", Kind.NUMBER, decimals=2),
-        Column("worst joint"),
+    listed = table_of(
+        result.requirements,
+        (Column("required"), lambda requirement: required(requirement)[0]),
+        (Column("of"), lambda requirement: required(requirement)[1]),
+        (Column("outcome", Kind.BADGE), lambda requirement: "passed" if requirement.met else "failed"),
+        (Column("limit, %", Kind.NUMBER), lambda requirement: requirement.limit),
+        (Column("found, %", Kind.NUMBER, decimals=2), lambda requirement: requirement.found),
+        (Column("worst joint"), lambda requirement: requirement.joint or None),
     )
-    return section("Requirements", table(columns, rows), id="requirements")
+    return section("Requirements", listed, id="requirements")
 
 
-def _consistency_section(found: Consistency | None) -> Section | None:
+def _consistency_section(consistency: Consistency | None) -> Section | None:
     """Show what physical consistency changes: the moves worth a line, and its cost."""
-    if found is None:
+    if consistency is None:
         return None
-    moved = [move for move in found.moves if move.deviations >= MOVED]
-    gains = [Parameter("gain", joint) for joint in found.gains]
+    moved = [move for move in consistency.moves if move.deviations >= MOVED]
+    gains = [Parameter("gain", joint) for joint in consistency.gains]
     shown = [move for move in moved if move.name not in gains][:LISTED]
-    shown += [move for name in gains for move in found.moves if move.name == name]
-    columns = (
-        Column("estimate", Kind.NAME),
-        Column("free", Kind.NUMBER, 5),
-        Column("consistent", Kind.NUMBER, 5),
-        Column("moved, std", Kind.NUMBER, decimals=2),
+    shown += [move for name in gains for move in consistency.moves if move.name == name]
+    listed = table_of(
+        shown,
+        (Column("estimate", Kind.NAME), lambda move: move.name),
+        (Column("free", Kind.NUMBER, 5), lambda move: move.free),
+        (Column("consistent", Kind.NUMBER, 5), lambda move: move.consistent),
+        (Column("moved, std", Kind.NUMBER, decimals=2), lambda move: move.deviations),
     )
-    joint = max(found.loss, key=lambda name: found.loss[name])
+    joint = max(consistency.loss, key=lambda name: consistency.loss[name])
     words = (
-        f"{len(moved)} of {len(found.moves)} moved by {MOVED:g} standard deviations or more; torque residuals "
-        f"{_growth(_overall(found))}, those of the worst joint, {joint}, {_growth(found.loss[joint])}. model.json has "
-        "every standard parameter under 'standard'; values that the data leave open were chosen."
+        f"{len(moved)} of {len(consistency.moves)} moved by {MOVED:g} standard deviations or more; torque residuals "
+        f"{_growth(_overall(consistency))}, those of the worst joint, {joint}, {_growth(consistency.loss[joint])}. "
+        "model.json has every standard parameter under 'standard'; values that the data leave open were chosen."
     )
-    rows = [(move.name, move.free, move.consistent, move.deviations) for move in shown]
-    return section("Physically consistent parameters", table(columns, rows), Text(words), id="consistency")
+    return section("Physically consistent parameters", listed, Text(words), id="consistency")
 
 
-def _overall(found: Consistency) -> float:
+def _overall(consistency: Consistency) -> float:
     """Compute by how much the residuals of all joints together grow, per cent."""
-    return float(100 * (np.sqrt(np.mean([(1 + loss / 100) ** 2 for loss in found.loss.values()])) - 1))
+    return float(100 * (np.sqrt(np.mean([(1 + loss / 100) ** 2 for loss in consistency.loss.values()])) - 1))
 
 
 def _growth(loss: float) -> str:
     """Describe by how much torque residuals grow, ``loss`` in per cent."""
     return "do not grow" if loss < VISIBLE else f"grow by {loss:.2g} %"
-
-
-def _only(found: Section | None) -> tuple[Item, ...]:
-    return () if found is None else found.items

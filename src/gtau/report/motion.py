@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -30,17 +29,17 @@ TIME = Axis("time from the start of the run, s")
 def motion_section(result: Result, runs: Sequence[RunEvidence]) -> Section:
     """Show the robot, the path of the body that carries the payload, and distances to singular poses."""
     used = any(run.used for run in runs)
-    drawn = [each.run for each in runs if each.used == used][:PATHS]
+    drawn = [run.run for run in runs if run.used == used][:PATHS]
     paths = [(run.name, body_path(result, run)) for run in drawn]
-    starts = {each.run.name: float(each.run.time[0]) for each in runs}
-    of_path = f"Path of the frame of '{result.robot.tool}', the body that carries the payload"
+    title = f"Path of the frame of '{result.robot.tool}', the body that carries the payload"
+    starts = {run.run.name: float(run.run.time[0]) for run in runs}
     distances = distances_panels(result.distances, starts) if used else []
     return section(
         "Robot and motion",
         result.robot,
-        section(of_path, paths_chart(paths)) if paths else None,
+        section(title, paths_chart(paths)) if paths else None,
         singularities_section(result.singularities) if used else None,
-        *(section(each.title, Chart((each,), live=True), folded=k > 0) for k, each in enumerate(distances)),
+        *(section(panel.title, Chart((panel,), live=True), folded=k > 0) for k, panel in enumerate(distances)),
         id="robot",
     )
 
@@ -49,15 +48,15 @@ def joint_panels(
     robot: Robot, joints: Sequence[str], time: np.ndarray, values: np.ndarray, what: str, height: float, per: str = ""
 ) -> list[Panel]:
     """Draw a quantity (K, n) of joints over time, a panel for rotations and one for translations."""
-    panels = []
-    for unit in ("rad", "m"):
-        lines = tuple(
+    lines = {
+        unit: tuple(
             Series(joint_label(joint), time, values[:, j], colour(j))
             for j, joint in enumerate(joints)
             if position_unit(robot, joint) == unit
         )
-        panels += [Panel(TIME, Axis(f"{what}, {unit}{per}"), lines, height=height)] if lines else []
-    return panels
+        for unit in ("rad", "m")
+    }
+    return [Panel(TIME, Axis(f"{what}, {unit}{per}"), of, height=height) for unit, of in lines.items() if of]
 
 
 def singularities_section(nearest: Sequence[NearestPose]) -> Section | None:
@@ -66,40 +65,32 @@ def singularities_section(nearest: Sequence[NearestPose]) -> Section | None:
         return None
     listed = table_of(
         nearest,
-        (Column("run"), lambda each: each.run),
-        (Column("singularity"), lambda each: TYPES[each.type]),
-        (Column("nearest", Kind.NUMBER, 3), lambda each: each.distance),
-        (Column("at, s", Kind.NUMBER), lambda each: each.time),
-        (Column("pose, rad or m", wide=True), _pose_words),
+        (Column("run"), lambda pose: pose.run),
+        (Column("singularity"), lambda pose: TYPES[pose.type]),
+        (Column("nearest", Kind.NUMBER, 3), lambda pose: pose.distance),
+        (Column("at, s", Kind.NUMBER), lambda pose: pose.time),
+        (Column("pose, rad or m", wide=True), lambda pose: ", ".join(f"{j} {q:.3g}" for j, q in pose.pose.items())),
     )
     words = "Reciprocal condition numbers: 1 at best, 0 at a singular pose."
     return section("Distance to singular poses", listed, Text(words, style="soft"))
 
 
-def _pose_words(nearest: NearestPose) -> str:
-    return ", ".join(f"{joint} {value:.3g}" for joint, value in nearest.pose.items())
-
-
-def distances_panel(distances: Distances, start: float) -> Panel | None:
-    """Draw distances to singular poses along a run that begins at ``start``, s; None where it has none."""
-    time = distances.time - start
-    series = [
-        Series(name, time, values, COLOURS[kind], width=1.4)
-        for (kind, name), values in zip(TYPES.items(), distances.values.T, strict=True)
-        if np.isfinite(values).any()
-    ]
-    if not series:
-        return None
-    if len(series) == len(TYPES):  # at singularities of type 2 alone errors are magnified
-        near = Series(f"near: {NEAR_SINGULAR:g}", time, np.full(len(time), NEAR_SINGULAR), "c7", width=0.8)
-        series.append(near)
-    return Panel(TIME, Axis("distance", limits=(0.0, 1.05)), tuple(series), height=1.4)
-
-
 def distances_panels(distances: Sequence[Distances], starts: Mapping[str, float]) -> list[Panel]:
-    """Draw distances to singular poses along runs that begin at ``starts``, s, by name."""
-    panels = [(each.run, distances_panel(each, starts.get(each.run, 0.0))) for each in distances]
-    return [replace(panel, title=name) for name, panel in panels if panel is not None]
+    """Draw distances to singular poses along runs that begin at ``starts``, s, by name; none where a run has none."""
+    panels = []
+    for run in distances:
+        time = run.time - starts.get(run.run, 0.0)
+        series = [
+            Series(name, time, values, COLOURS[kind], width=1.4)
+            for (kind, name), values in zip(TYPES.items(), run.values.T, strict=True)
+            if np.isfinite(values).any()
+        ]
+        if len(series) == len(TYPES):  # at singularities of type 2 alone errors are magnified
+            limit = np.full(len(time), NEAR_SINGULAR)
+            series.append(Series(f"near: {NEAR_SINGULAR:g}", time, limit, "c7", width=0.8))
+        axis = Axis("distance", limits=(0.0, 1.05))
+        panels += [Panel(TIME, axis, tuple(series), run.run, height=1.4)] if series else []
+    return panels
 
 
 def paths_chart(paths: Sequence[tuple[str, np.ndarray]]) -> Chart:

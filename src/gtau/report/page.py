@@ -142,9 +142,13 @@ class Text:
 
 @dataclass(frozen=True)
 class Facts:
-    """Values by name."""
+    """Values by name; those that are None are left out."""
 
     pairs: Mapping[str, object]
+
+    def __post_init__(self) -> None:
+        there = {name: value for name, value in self.pairs.items() if value is not None}
+        object.__setattr__(self, "pairs", there)
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,9 +28,9 @@ from gtau.estimation.diagnostics.other_robots import (
 from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
 from gtau.estimation.diagnostics.repeating_residuals import RIPPLE, position_ripple
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
-from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import degrees_of_freedom
+from gtau.estimation.regression.unknowns import Estimates
 from gtau.estimation.regression.windows import WINDOWS, usable_rows
 from gtau.estimation.thresholds.estimates import (
     DIFFERENT_PROBABILITY,
@@ -82,7 +82,7 @@ class Examination:
     def covariance(self, fit: Fit) -> np.ndarray:
         """Compute the covariance of (theta, gains, delays) that model deficits may add, (k, k)."""
         alternatives = self.alternatives if self.ripple is None else (*self.alternatives, self.ripple)
-        return model_covariance(alternatives, len(fit.solution.stacked))
+        return model_covariance(alternatives, len(fit.solution.values))
 
     @property
     def refuted(self) -> tuple[Alternative, ...]:
@@ -183,7 +183,7 @@ LIKE_WRENCHES = {GAIN_CHANGE, LENGTHS}
 
 def examine(fit: Fit, progress: Progress = silent) -> Examination:
     """Make all checks of a fit; ``progress`` is called as the work goes on."""
-    rows, unknowns = usable_rows(fit.dataset.windows(WINDOWS), fit.dataset.prepared), len(fit.solution.stacked)
+    rows, unknowns = usable_rows(fit.dataset.windows(WINDOWS), fit.dataset.prepared), len(fit.solution.values)
     seen = Examination(lack_of_fit(fit.system.problem, fit.solution))
     if rows < FEWEST_FOR_TESTS * unknowns:
         return replace(seen, findings=(Finding(F.FEW_ROWS, values={"rows": rows, "unknowns": unknowns}),))
@@ -241,7 +241,7 @@ def estimates_of(fit: Fit, examined: Examination, correlated: bool) -> Estimates
     of_scale = scale_uncertainty(fit.dataset, fit.system, fit.solve)
     if not correlated:
         parts = (solution.covariance, of_scale, np.zeros_like(of_scale))
-        return Estimates(problem.unknowns, solution.stacked, *parts, None)
+        return Estimates(problem.unknowns, solution.values, *parts, None)
     freedom = degrees_of_freedom(problem, solution, fit.free_gains)
     parts = (solution.jackknife, of_scale, examined.covariance(fit))
-    return Estimates(problem.unknowns, solution.stacked, *parts, freedom)
+    return Estimates(problem.unknowns, solution.values, *parts, freedom)

@@ -23,8 +23,8 @@ from gtau.estimation.diagnostics.examine import Examination
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
 from gtau.estimation.diagnostics.parameter_checks import motors, unexplained_shares
 from gtau.estimation.diagnostics.verdict import Verdict
-from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.regression.unknowns import Estimates
 from gtau.estimation.thresholds.estimates import (
     APART,
     APART_REFUTED,
@@ -83,7 +83,7 @@ def estimated_gains(
                 yield Finding(F.OTHER_ESTIMATOR, mine, values=values, causes=other.causes, size=abs(other.t))
         if half > accuracy:
             values = {"half": half, "accuracy": accuracy, "random": bool(random_halves[j] > accuracy)}
-            kind, causes = _widest(examined, estimates, problem.n_theta + j)
+            kind, causes = _widest(examined, estimates, problem.gain_rows.start + j)
             yield Finding(kind, mine, values=values, causes=causes)
 
 

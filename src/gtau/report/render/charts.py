@@ -111,7 +111,7 @@ def _shown_figure() -> type[Figure]:
 def figure_of(chart: Chart) -> Figure:
     """Draw a chart as one figure, its panels in rows of ``columns``, its key above them."""
     rows = -(-len(chart.panels) // chart.columns)
-    heights = [max(each.height for each in chart.panels[k * chart.columns :][: chart.columns]) for k in range(rows)]
+    heights = [max(panel.height for panel in chart.panels[k * chart.columns :][: chart.columns]) for k in range(rows)]
     with styled(palette()):
         figure = new_figure(WIDTH, 0.5 + 1.15 * sum(heights))
         grid = figure.subplots(
@@ -123,7 +123,7 @@ def figure_of(chart: Chart) -> Figure:
         for axes in places[len(chart.panels) :]:
             axes.set_axis_off()
         first, label = places[0], chart.panels[0].title
-        first.set_title(": ".join(each for each in (chart.title, label) if each))
+        first.set_title(": ".join(filter(None, (chart.title, label))))
         handles: dict[str, Any] = {}
         for axes in places:
             handles.update(dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True)))
@@ -136,63 +136,57 @@ def figure_of(chart: Chart) -> Figure:
 def draw(axes: Axes, panel: Panel, colours: Colours, last: bool = True) -> None:
     """Draw a panel; the horizontal axis is labelled on the ``last`` one."""
     if panel.matrix is not None:
-        _matrix(axes, panel.matrix)
+        _draw_matrix(axes, panel.matrix)
     if panel.band is not None:
         axes.axhspan(*panel.band, color=colours["shade"], linewidth=0)
     for start, stop in () if panel.shaded is None else panel.shaded.reshape(-1, 2):
         axes.axvspan(start, stop, color=colours["shade"], linewidth=0)
     for rule in panel.rules:
         dashed: dict[str, Any] = {"color": colours["soft"], "linewidth": 0.8, "linestyle": (0, (3, 3))}
-        for line, at in ((axes.axvline, rule.x), (axes.axhline, rule.y)):
-            if at is not None:
-                line(at, **dashed)
+        if rule.y is not None:
+            axes.axhline(rule.y, **dashed)
+        if rule.x is not None:
+            axes.axvline(rule.x, **dashed)
         if rule.label and rule.x is not None:
             place: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
             axes.annotate(rule.label, (rule.x, 1.0), (-2.0, -2.0), **place, rotation=90, va="top", ha="right",
                           fontsize="small", color=colours["soft"])  # fmt: skip
     for series in panel.series:
-        _series(axes, series, colours)
-    for axis, which in ((panel.x, "x"), (panel.y, "y")):
-        _axis(axes, axis, which)
-    axes.set_title(panel.title)
-    axes.set_xlabel(panel.x.label if last else "")
+        _draw_series(axes, series, colours)
+    _draw_axis(axes, panel.x, "x")
+    _draw_axis(axes, panel.y, "y")
+    axes.set(title=panel.title, xlabel=panel.x.label if last else "", ylabel=panel.y.label)
     if panel.matrix is not None:
         axes.grid(False)
-    elif panel.y.names:
-        axes.grid(False, axis="y")
     if panel.y.names:
+        axes.grid(False, axis="y")
         axes.spines["left"].set_visible(False)
     if panel.equal:
         axes.set_aspect("equal", adjustable="datalim")
 
 
-def _axis(axes: Axes, axis: Axis, which: str) -> None:
+def _draw_axis(axes: Axes, axis: Axis, which: Literal["x", "y"]) -> None:
     from matplotlib import rcParams
-    from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocator
+    from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
     ticks = axes.xaxis if which == "x" else axes.yaxis
-    limits = axes.set_xlim if which == "x" else axes.set_ylim
     if axis.log:
-        (axes.set_xscale if which == "x" else axes.set_yscale)("log")
-        low, high = axes.get_xlim() if which == "x" else axes.get_ylim()
+        axes.set(**{f"{which}scale": "log"})
+        low, high = ticks.get_view_interval()
         ticks.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 20 * low else (1.0,), numticks=6))
         ticks.set_minor_locator(NullLocator())
-        ticks.set_minor_formatter(NullFormatter())
         ticks.set_major_formatter(lambda value, _: number(value).replace("-", MINUS))
     else:
         ticks.set_major_locator(MaxNLocator(5))
     if axis.names:
         size = min(rcParams["font.size"], NAMES / len(axis.names))
         ticks.set_ticks(list(axis.names), list(axis.names.values()), fontsize=size)
-        if which == "x":
-            axes.tick_params(axis="x", rotation=90)
+        ticks.set_tick_params(rotation=90 if which == "x" else 0)
     if any(end is not None for end in axis.limits):
-        limits(*axis.limits)
-    if which == "y":
-        axes.set_ylabel(axis.label)
+        axes.set(**{f"{which}lim": axis.limits})
 
 
-def _series(axes: Axes, series: Series, colours: Colours) -> None:
+def _draw_series(axes: Axes, series: Series, colours: Colours) -> None:
     colour = colours[series.colour]
     look: dict[str, Any] = {"label": series.label or None}
     if series.mark == "steps":
@@ -220,12 +214,12 @@ def _series(axes: Axes, series: Series, colours: Colours) -> None:
         axes.margins(x=0.06, y=0.1)
 
 
-def _matrix(axes: Axes, values: np.ndarray) -> None:
+def _draw_matrix(axes: Axes, values: np.ndarray) -> None:
     """Draw correlations by the strength of two colours on the page's own."""
     from matplotlib.colors import to_rgb
 
     image = np.empty((*values.shape, 4))
-    image[..., :3] = np.where(values[..., None] < 0, *(to_rgb(palette()[each]) for each in ("negative", "positive")))
+    image[..., :3] = np.where(values[..., None] < 0, *(to_rgb(palette()[name]) for name in ("negative", "positive")))
     image[..., 3] = np.abs(values)
     axes.imshow(image, interpolation="none", aspect="equal")
 
@@ -239,22 +233,10 @@ def thinned(series: Series) -> tuple[np.ndarray, np.ndarray]:
 
 
 def envelope(time: np.ndarray, values: np.ndarray, buckets: int) -> tuple[np.ndarray, np.ndarray]:
-    """Thin series to the extremes of each bucket, in the order in which they occur.
+    """Thin series (K, m) over ``time`` (K,) to the extremes of each bucket, in the order in which they occur.
 
-    Parameters
-    ----------
-    time : ndarray
-        (K,) instants.
-    values : ndarray
-        (K, m) series; NaN is left out.
-    buckets : int
-        Buckets of equal numbers of samples.
-
-    Returns
-    -------
-    time, values : ndarray
-        (2 buckets,) and (2 buckets, m): two instants a bucket, which all series share; the input itself where it is
-        no longer than that.
+    Returns two instants a bucket, which all series share, (2 buckets,), and (2 buckets, m); the input itself where it
+    is no longer than that. NaN is left out.
     """
     samples, m = values.shape
     size = -(-samples // buckets)
