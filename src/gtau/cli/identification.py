@@ -191,10 +191,9 @@ def fleet(
     refuse_as_folder(out)
     from gtau.estimation.estimators.estimator import Gains
     from gtau.estimation.estimators.registry import estimator_of
-    from gtau.fleet.dask_workers import dask_workers
     from gtau.fleet.fleet import identify_fleet, read_fleet
     from gtau.fleet.gains import fleet_table
-    from gtau.fleet.mapping import processes
+    from gtau.fleet.workers import dask_workers, processes
     from gtau.report.fleet import fleet_document, fleet_page, fleet_report, write_fleet
     from gtau.report.write import write_report
 

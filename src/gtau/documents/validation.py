@@ -39,21 +39,10 @@ class Keys(BaseModel):
 
 
 def validate(model_class: type[Model], document: Document, context: Any = None) -> Model:
-    """Check a document against a pydantic model (configured with ``extra="forbid"``).
+    """Check a document against a pydantic model (configured with ``extra="forbid"``), and return an instance of it.
 
-    Parameters
-    ----------
-    model_class : type of pydantic.BaseModel
-        Its validators may raise ValueError with the correct form as text, without a full stop.
-    document : Document
-        From `read_yaml`.
-    context : object, optional
-        Handed to the model's validators as ``info.context``.
-
-    Returns
-    -------
-    model
-        An instance of `model_class`.
+    Its validators may raise ValueError with the correct form as text, without a full stop, and get the ``context`` as
+    ``info.context``.
 
     Raises
     ------

@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from gtau.documents.files import system_refusals
 from gtau.errors import GtauError
 from gtau.extensions import Extensions
-from gtau.signals.reading.formats import Table, system_refusals
+from gtau.signals.reading.formats import Table
 from gtau.signals.reading.formats.columnar import INFO
 from gtau.signals.reading.formats.rosbag import LOG_FORMATS as BAGS
 from gtau.signals.reading.formats.text import open_text
