@@ -234,10 +234,7 @@ def experiment_of(
 ) -> tuple[Path, tuple[Finding, ...]]:
     """Take an experiment file as it is; draft one from logs to ``folder``, with a note on every guess in it.
 
-    Raises
-    ------
-    GtauError
-        Experiment files are mixed with logs, or the logs cannot be drafted without a question.
+    Raises GtauError where experiment files are mixed with logs, or the logs cannot be drafted without a question.
     """
     stated = {"robot": robot, "payload": payloads, "kind": kind, "preset": preset}
     if len(sources) == 1 and not _is_log(sources[0]):
@@ -268,9 +265,11 @@ def experiment_of(
 
 
 def _is_log(path: Path) -> bool:
-    from gtau.signals.reading.log_file import FORMATS, is_log_folder
+    from gtau.signals.reading.log_file import is_log_folder, reader_of
 
-    return path.suffix.lower() in FORMATS.names or (is_log_folder(path) if path.is_dir() else kind_of(path) == LOG)
+    return reader_of(path.suffix.lower()) is not None or (
+        is_log_folder(path) if path.is_dir() else kind_of(path) == LOG
+    )
 
 
 def _masses(payloads: list[str]) -> dict[str, float]:

@@ -7,7 +7,6 @@ import re
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from glob import glob
 from io import BytesIO
 from pathlib import Path
@@ -155,28 +154,21 @@ HEAD = 1 << 16  # bytes that are looked at
 LOG_LINES = 40  # of nothing but numbers make a table a log; tables of MDH parameters have one line a joint
 
 
-@dataclass(frozen=True)
-class FileKind:
-    """A kind of file: its name in messages, and the command that accepts it."""
-
-    name: str
-    advice: str
-
-
-MODEL = FileKind(
-    "a model that 'gtau identify' wrote",
-    "use it with 'gtau validate MODEL.json EXPERIMENT.yaml' or 'gtau payload MODEL.json EXPERIMENT.yaml'",
-)
-EXPERIMENT = FileKind("an experiment file", "use it with 'gtau check', 'gtau identify' or 'gtau compare'")
-SIMULATION = FileKind("a simulation file", "use it with 'gtau simulate'")
-DESIGN = FileKind("a design file", "use it with 'gtau excite'")
-FLEET = FileKind("a fleet file", "use it with 'gtau fleet'")
-ROBOT = FileKind("a robot file", "use it with 'gtau robot', or name it under 'robot' in an experiment file")
-LOG = FileKind("a log", "name it under 'runs' in an experiment file")
-DESIGNED = FileKind("a design that 'gtau excite' wrote", "the robot follows the trajectory beside it")
-FOLDER = FileKind("a folder", "give the file itself")
-PICTURE = FileKind("a picture", "give the file itself")
-BINARY = FileKind("a binary file of another program", "give the file itself")
+MODEL, DESIGNED = "a model that 'gtau identify' wrote", "a design that 'gtau excite' wrote"
+EXPERIMENT, SIMULATION, DESIGN, FLEET = "an experiment file", "a simulation file", "a design file", "a fleet file"
+ROBOT, LOG, FOLDER, PICTURE = "a robot file", "a log", "a folder", "a picture"
+BINARY = "a binary file of another program"
+USES = {
+    MODEL: "use it with 'gtau validate MODEL.json EXPERIMENT.yaml' or 'gtau payload MODEL.json EXPERIMENT.yaml'",
+    EXPERIMENT: "use it with 'gtau check', 'gtau identify' or 'gtau compare'",
+    SIMULATION: "use it with 'gtau simulate'",
+    DESIGN: "use it with 'gtau excite'",
+    FLEET: "use it with 'gtau fleet'",
+    ROBOT: "use it with 'gtau robot', or name it under 'robot' in an experiment file",
+    LOG: "name it under 'runs' in an experiment file",
+    DESIGNED: "the robot follows the trajectory beside it",
+}
+"""What a file of a kind is for; those of other kinds are not used."""
 
 _KEYS = (
     (EXPERIMENT, {"signals"}),
@@ -188,7 +180,7 @@ _KEYS = (
 """Keys that only one kind of YAML file has, the first that matches."""
 
 
-def kind_of(path: str | Path) -> FileKind | None:
+def kind_of(path: str | Path) -> str | None:
     """Recognise a file by its content; None if it is of no known kind or cannot be read."""
     path = Path(path)
     if path.is_dir():
@@ -216,7 +208,7 @@ def kind_of(path: str | Path) -> FileKind | None:
     return next((kind for kind, own in _KEYS if keys & own), None)
 
 
-def refuse_other_kind(path: str | Path, wanted: FileKind) -> None:
+def refuse_other_kind(path: str | Path, wanted: str) -> None:
     """Refuse a file recognised as another kind, and name the command that accepts it; raises GtauError.
 
     A file that is not recognised is left to its reader.
@@ -224,11 +216,11 @@ def refuse_other_kind(path: str | Path, wanted: FileKind) -> None:
     kind = kind_of(path)
     if kind is None or kind == wanted:
         return
-    advice = kind.advice
+    advice = USES.get(kind, "give the file itself")
     if kind == FOLDER:
         inside = sorted(file for file in Path(path).glob("*") if file.is_file() and kind_of(file) == wanted)
         advice += f", such as {inside[0]}" if inside else ""
-    raise GtauError(f"{path} is {kind.name}, not {wanted.name}; {advice}.")
+    raise GtauError(f"{path} is {kind}, not {wanted}; {advice}.")
 
 
 def _is_table(text: str) -> bool:

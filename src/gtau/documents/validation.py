@@ -44,10 +44,7 @@ def validate(model_class: type[Model], document: Document, context: Any = None) 
     Its validators may raise ValueError with the correct form as text, without a full stop, and get the ``context`` as
     ``info.context``.
 
-    Raises
-    ------
-    GtauError
-        One sentence on the first error, unknown keys first, with file, line and dotted key.
+    Raises GtauError with one sentence on the first error, unknown keys first, with file, line and dotted key.
     """
     try:
         return model_class.model_validate(document.data, context=context)

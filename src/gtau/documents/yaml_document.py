@@ -65,11 +65,8 @@ def read_yaml(path: str | Path) -> Document:
 
     Every scalar is text as written; values without text are refused, so there is no ``None``.
 
-    Raises
-    ------
-    GtauError
-        The file cannot be read, is no valid YAML, or holds what gtau does not read: several documents, aliases,
-        tags, repeated keys, keys that are not text, empty values, or more than 64 levels.
+    Raises GtauError where the file cannot be read, is no valid YAML, or holds what gtau does not read: several
+    documents, aliases, tags, repeated keys, keys that are not text, empty values, or more than 64 levels.
     """
     path = Path(path)
     with system_refusals(path, "check the path and its permissions"), path.open("rb") as file:

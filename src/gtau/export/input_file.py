@@ -91,10 +91,7 @@ class InputFile:
     def save(self, out: Path) -> tuple[Path, ...]:
         """Write the file under its own name into another folder ``out``.
 
-        Raises
-        ------
-        GtauError
-            Where that is the folder of the file itself.
+        Raises GtauError where that is the folder of the file itself.
         """
         if (out / self.path.name).resolve() == self.path.resolve():
             raise GtauError(f"{self.path} would be overwritten; choose another folder for --out.")
@@ -104,10 +101,7 @@ class InputFile:
 def input_file(path: Path, robot: Robot) -> InputFile:
     """Read the file of ``robot``, so that it can be written with edits.
 
-    Raises
-    ------
-    GtauError
-        Where the file cannot be read, or describes another robot than the model.
+    Raises GtauError where the file cannot be read, or describes another robot than the model.
     """
     found = load_robot(path)
     if problem := _difference(found, robot):

@@ -34,10 +34,8 @@ THICKNESS = 0.012  # m: of the links as drawn
 def export(result: Result, out: Path) -> Exported:
     """Write ``NAME.xml`` into ``out``.
 
-    Raises
-    ------
-    GtauError
-        Where the result has no physically consistent parameters, or MuJoCo is not installed or refuses them.
+    Raises GtauError where the result has no physically consistent parameters, or MuJoCo is not installed or refuses
+    them.
     """
     text, said, found = model_text(imported(), consistent_model(result, "MJCF"))
     return Exported(written(out, {f"{identifier(result.robot.name)}.xml": text}), said, found)

@@ -31,11 +31,8 @@ NO_BODY = RigidBody(0.0, np.zeros(3), np.zeros((3, 3)))
 def export(result: Result, source: Path, out: Path) -> Exported:
     """Write a copy of the MJCF file ``source`` with identified inertias, friction and gears into ``out``.
 
-    Raises
-    ------
-    GtauError
-        Where the result has no physically consistent parameters, the file is not that of its robot, or its bodies do
-        not appear in it one by one.
+    Raises GtauError where the result has no physically consistent parameters, the file is not that of its robot, or its
+    bodies do not appear in it one by one.
     """
     mujoco = imported()
     model = consistent_model(result, "MJCF")

@@ -145,10 +145,7 @@ def draw(result: Result, count: int, seed: int = 0) -> Samples:
     seed : int
         The same seed gives the same draws.
 
-    Raises
-    ------
-    GtauError
-        Where the result has no physically consistent parameters, or no standard deviations.
+    Raises GtauError where the result has no physically consistent parameters, or no standard deviations.
     """
     consistent_model(result, "samples")
     if not 0 < count <= 100_000:

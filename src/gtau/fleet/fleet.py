@@ -84,10 +84,7 @@ def read_fleet(paths: Sequence[str | Path]) -> tuple[Member, ...]:
 
     They are named after the parts in which their paths differ. Only a fleet file has been read.
 
-    Raises
-    ------
-    GtauError
-        Where no file matches, or a fleet file is wrong.
+    Raises GtauError where no file matches, or a fleet file is wrong.
     """
     files = _matches(map(Path, paths))
     if len(files) == 1:
@@ -140,10 +137,7 @@ def identify_fleet(
     ``out`` is an existing folder, ``mapper`` comes from :mod:`gtau.fleet.workers`, ``method`` is that of
     :func:`gtau.identify`, and ``progress`` is called after each robot.
 
-    Raises
-    ------
-    GtauError
-        Where the folder is not writable. Errors of a robot are in its report.
+    Raises GtauError where the folder is not writable. Errors of a robot are in its report.
     """
     known = [_read_text(_file(out, member, "key")) if _file(out, member).is_file() else "" for member in members]
     reports: dict[int, Report] = {}
@@ -180,10 +174,7 @@ def inputs_key(experiment: Experiment, method: str) -> str:
 
     Logs enter by name and content, independent of their folder.
 
-    Raises
-    ------
-    GtauError
-        The robot or a log cannot be read.
+    Raises GtauError where the robot or a log cannot be read.
     """
     settings = experiment.model_dump_json(exclude={"robot": True, "validation": True, "runs": {"__all__": {"log"}}})
     found = hashlib.sha256(_program())

@@ -160,10 +160,8 @@ def dask_workers(
     Leaving cancels the work that is still going on. ``patience`` is the time for the scheduler and its first worker
     to answer, and ``without_workers`` that without any worker until the work is given up, in s.
 
-    Raises
-    ------
-    GtauError
-        Dask is missing, the scheduler cannot be reached, stops or has no workers, or they have another gtau.
+    Raises GtauError where Dask is missing, the scheduler cannot be reached, stops or has no workers, or they have
+    another gtau.
     """
     try:
         from distributed import Client, LocalCluster
