@@ -46,9 +46,9 @@ def added(group: str, name: str, kind: Any) -> Any:
     distribution = "" if point.dist is None else f" of the distribution {point.dist.name}"
     called = f"the entry point '{name}' of {group}{distribution} ({point.value})"
     try:
-        found = point.load()
+        value = point.load()
     except Exception as error:  # whatever another distribution does
         raise GtauError(f"{called} cannot be loaded ({type(error).__name__}: {error}); mend or uninstall it.") from None
-    if not isinstance(found, kind):
-        raise GtauError(f"{called} is no {kind.__name__} but of type {type(found).__name__}; mend or uninstall it.")
-    return found
+    if not isinstance(value, kind):
+        raise GtauError(f"{called} is no {kind.__name__} but of type {type(value).__name__}; mend or uninstall it.")
+    return value

@@ -149,13 +149,13 @@ def compare(experiment: ExperimentFile, out: ReportFolder = None, json_: Json = 
         from gtau.report.write import inputs_of, write_report
         from gtau.signals.reading.experiment import read_experiment
 
-        found = run(experiment, progress=progress)
+        comparison = run(experiment, progress=progress)
     described = read_experiment(experiment)
-    page = comparison_page(found, described.expected_gains)
+    page = comparison_page(comparison, described.expected_gains)
     written = []
     if out is not None:
         written = [write_report(page, folder_of(out), seconds(), inputs_of(experiment, described))]
-    answer(json_, lambda: to_document(found), lambda: page, written)
+    answer(json_, lambda: to_document(comparison), lambda: page, written)
 
 
 Experiments = Annotated[

@@ -166,8 +166,8 @@ def _page(draft: Draft, out: Path, open_: list[str]) -> str:
             lines += textwrap.wrap(words, WIDTH, initial_indent=f"  {name:<10}", subsequent_indent=" " * 12)
     if open_:
         lines += ["", "Before you go on, edit its lines marked CHECK:"]
-        for each in open_:
-            lines += textwrap.wrap(f"- {each}", WIDTH, subsequent_indent="  ")
+        for doubt in open_:
+            lines += textwrap.wrap(f"- {doubt}", WIDTH, subsequent_indent="  ")
     return "\n".join([*lines, "", f"Then: gtau check {out}"])
 
 
@@ -241,7 +241,7 @@ def experiment_of(
         if given := [f"--{name}" for name, value in stated.items() if value]:
             raise GtauError(f"{given[0]} is for logs; an experiment file states this itself, so omit it.")
         return sources[0], ()
-    if others := [each for each in sources if each.suffix in (".yaml", ".yml") or kind_of(each) == EXPERIMENT]:
+    if others := [source for source in sources if source.suffix in (".yaml", ".yml") or kind_of(source) == EXPERIMENT]:
         raise GtauError(f"{others[0]} is an experiment file; give either it or logs.")
     from gtau.signals.reading.drafting import draft_logs, guesses, with_sensors, write_draft
 
@@ -273,13 +273,13 @@ def _is_log(path: Path) -> bool:
 
 
 def _masses(payloads: list[str]) -> dict[str, float]:
-    found = {}
-    for each in payloads:
-        log, _, mass = each.rpartition("=")
+    masses = {}
+    for stated in payloads:
+        log, _, mass = stated.rpartition("=")
         try:
-            found[log] = float(mass)
+            masses[log] = float(mass)
         except ValueError:
             log = ""
         if not log:
-            raise GtauError(f"--payload is '{each}'; write the name of a log and kg, such as loaded.mcap=0.48.")
-    return found
+            raise GtauError(f"--payload is '{stated}'; write the name of a log and kg, such as loaded.mcap=0.48.")
+    return masses

@@ -72,16 +72,16 @@ def demo(out: Path, progress: Progress, duration: float = 10.0) -> tuple[dict[st
     files = [name for name in CONTENT if not name.endswith(("/", ".png"))]
     save(gains_chart(result.drive_gains), folder_of(out / "figures") / "gains.png")
     files += ["figures/gains.png", *(f"logs/{name}.csv" for name, _, _ in LOGS)]
-    found = _document(result, weighings) | {
+    document = _document(result, weighings) | {
         "folder": str(out),
         "logs": {"count": len(LOGS), "duration": duration, "rate": RATE},
         "files": files,
         "commands": list(COMMANDS),
     }
-    shown = report(found)
-    whole = f"{plain(shown)}\n\n\nThe whole result, as gtau identify prints it\n\n{result.summary()}\n"
-    write_atomically(out / "README.txt", whole)
-    return found, shown
+    shown = report(document)
+    readme = f"{plain(shown)}\n\n\nThe whole result, as gtau identify prints it\n\n{result.summary()}\n"
+    write_atomically(out / "README.txt", readme)
+    return document, shown
 
 
 def make_experiment(out: Path, duration: float, progress: Progress) -> None:
@@ -140,9 +140,9 @@ def _percent(value: float | None, true: float) -> float | None:
     return None if value is None else 100 * (value - true) / true
 
 
-def report(found: Mapping[str, Any]) -> Page:
+def report(document: Mapping[str, Any]) -> Page:
     """Show the demo's document."""
-    logs, second = found["logs"], found["second_payload"]
+    logs, second = document["logs"], document["second_payload"]
     size = f"{logs['count']} logs of {logs['duration']:g} s at {logs['rate']:g} Hz"
     lead = (
         f"An Orthoglide whose true values are known: {size}, simulated with friction, force ripple, encoder rounding, "
@@ -153,7 +153,7 @@ def report(found: Mapping[str, Any]) -> Page:
     true, prior = number("true, N/A", decimals=0), number("manufacturer", decimals=0)
     columns = (Column("joint"), true, prior, error, number("identified", decimals=1), number("std", decimals=1), error)
     keys = ("joint", "true", "prior", "prior_error", "value", "std", "error")
-    gains = table(columns, [tuple(gain[key] for key in keys) for gain in found["drive_gains"]])
+    gains = table(columns, [tuple(gain[key] for key in keys) for gain in document["drive_gains"]])
     weighing = table(
         (Column("gains"), number("mass, kg", decimals=4), number("std", decimals=4), error),
         [(label, *(second[case][key] for key in ("value", "std", "error"))) for case, label in CASES.items()],
@@ -161,8 +161,8 @@ def report(found: Mapping[str, Any]) -> Page:
     return page(
         "",
         section("", Text(lead)),
-        section(f"Drive gains, from a known payload of {found['known_payload']['mass']} kg", gains),
+        section(f"Drive gains, from a known payload of {document['known_payload']['mass']} kg", gains),
         section(f"Weighing a second payload of {second['true']} kg", weighing),
-        section(f"In {found['folder']}", Facts(CONTENT)),
-        section("Step by step, in that folder, with predictions and control laws", *map(Text, found["commands"])),
+        section(f"In {document['folder']}", Facts(CONTENT)),
+        section("Step by step, in that folder, with predictions and control laws", *map(Text, document["commands"])),
     )

@@ -130,13 +130,13 @@ def identifier(name: str) -> str:
 
 def suffixes(names: Iterable[str]) -> dict[str, str]:
     """Make names unique suffixes of identifiers: ``a-b`` and ``a_b`` become ``a_b`` and ``a_b_2``."""
-    found: dict[str, str] = {}
+    unique: dict[str, str] = {}
     for name in names:
         plain, number = _word(name)[:LONGEST], 1
-        while (made := plain if number == 1 else f"{plain}_{number}") in found.values():
+        while (made := plain if number == 1 else f"{plain}_{number}") in unique.values():
             number += 1
-        found[name] = made
-    return found
+        unique[name] = made
+    return unique
 
 
 def _word(name: str) -> str:
@@ -205,7 +205,7 @@ def kind_of(path: str | Path) -> str | None:
     if _is_table(text):
         return LOG
     keys = {match[2] for match in re.finditer(r"^([\"']?)([A-Za-z_]\w*)\1[ \t]*:(?:\s|$)", text, re.MULTILINE)}
-    return next((kind for kind, own in _KEYS if keys & own), None)
+    return next((kind for kind, unique in _KEYS if keys & unique), None)
 
 
 def refuse_other_kind(path: str | Path, wanted: str) -> None:

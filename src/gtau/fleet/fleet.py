@@ -102,12 +102,12 @@ def read_fleet(paths: Sequence[str | Path]) -> tuple[Member, ...]:
 
 
 def _matches(patterns: Iterable[Path]) -> list[Path]:
-    found: list[Path] = []
+    matches: list[Path] = []
     for pattern in patterns:
         if not (files := matching(pattern)):
             raise GtauError(f"no file matches '{pattern}'; give experiment files, one for each robot.")
-        found += files
-    return found
+        matches += files
+    return matches
 
 
 def _named(paths: list[Path]) -> list[tuple[str, Path]]:
@@ -116,13 +116,13 @@ def _named(paths: list[Path]) -> list[tuple[str, Path]]:
     parts = [(path if path.is_dir() else path.with_suffix("")).absolute().parts for path in paths]
     if len(set(parts)) < len(parts):  # a.yaml and a.yml
         parts = [path.absolute().parts for path in paths]
-    shortest = min(len(each) for each in parts)
-    first = next((k for k in range(shortest - 1) if len({each[k] for each in parts}) > 1), shortest - 1)
+    shortest = min(len(names) for names in parts)
+    first = next((k for k in range(shortest - 1) if len({names[k] for names in parts}) > 1), shortest - 1)
     room = shortest - first - 1
-    last = next((k for k in range(room) if len({each[-1 - k] for each in parts}) > 1), room)
+    last = next((k for k in range(room) if len({names[-1 - k] for names in parts}) > 1), room)
     if len(paths) == 1:
         last = 0
-    return [("/".join(each[first : len(each) - last]), path) for each, path in zip(parts, paths, strict=True)]
+    return [("/".join(names[first : len(names) - last]), path) for names, path in zip(parts, paths, strict=True)]
 
 
 def identify_fleet(
@@ -143,8 +143,8 @@ def identify_fleet(
     reports: dict[int, Report] = {}
     progress("robots", 0, len(members))
     items = [(member.anywhere, key) for member, key in zip(members, known, strict=True)]
-    for k, found in mapper(partial(_identify_member, method), items):
-        reports[k] = _keep(out, members[k], found)
+    for k, outcome in mapper(partial(_identify_member, method), items):
+        reports[k] = _keep(out, members[k], outcome)
         progress("robots", len(reports), len(members))
     return tuple(reports[k] for k in range(len(members)))
 
@@ -177,13 +177,13 @@ def inputs_key(experiment: Experiment, method: str) -> str:
     Raises GtauError where the robot or a log cannot be read.
     """
     settings = experiment.model_dump_json(exclude={"robot": True, "validation": True, "runs": {"__all__": {"log"}}})
-    found = hashlib.sha256(_program())
+    key = hashlib.sha256(_program())
     for text in (method, settings, native_text(load_robot(experiment.robot).with_file(source=""))):
-        found.update(text.encode() + b"\0")
+        key.update(text.encode() + b"\0")
     for path in (log for run in experiment.runs for log in run.log):
         for file in in_order(path.iterdir()) if path.is_dir() else [path]:
-            found.update(f"{path.name}/{file.name}".encode(errors="surrogateescape") + b"\0" + _digest(file))
-    return found.hexdigest()
+            key.update(f"{path.name}/{file.name}".encode(errors="surrogateescape") + b"\0" + _digest(file))
+    return key.hexdigest()
 
 
 @cache
@@ -198,14 +198,14 @@ def _digest(path: Path) -> bytes:
         return hashlib.file_digest(file, "sha256").digest()
 
 
-def _keep(out: Path, member: Member, found: tuple[str, str] | GtauError) -> Report:
+def _keep(out: Path, member: Member, outcome: tuple[str, str] | GtauError) -> Report:
     """Write a new model with its key, or remove an old one that is no longer valid."""
     model, key = _file(out, member), _file(out, member, "key")
-    if isinstance(found, GtauError):
+    if isinstance(outcome, GtauError):
         key.unlink(missing_ok=True)
         model.unlink(missing_ok=True)
-        return Report(member, None, str(found))
-    inputs, text = found
+        return Report(member, None, str(outcome))
+    inputs, text = outcome
     if text:
         key.unlink(missing_ok=True)  # until its model is written
         model.parent.mkdir(parents=True, exist_ok=True)
