@@ -9,7 +9,7 @@ from typing import Any
 from gtau.display import late
 from gtau.documents.validation import FUNCTION, NUMBER, TEXT, TRUTH, takes
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.log_checks import command_lag, require_felt_payload
+from gtau.estimation.diagnostics.log_checks import command_lag, require_payload_excitation
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.experiment_runs import Subject, geometry_of, options_of, read, read_runs
 from gtau.estimation.pipeline import estimate
@@ -132,10 +132,10 @@ def _identified(subject: Subject, dataset: Dataset, system: System, progress: Pr
         try:
             result = estimate(dataset, by, subject.options, progress)
         except GtauError:
-            require_felt_payload(system)
+            require_payload_excitation(system)
             raise
         if {gain.verdict.outcome for gain in result.drive_gains.values()} <= NO_GAIN:
-            require_felt_payload(system)
+            require_payload_excitation(system)
         return result
 
     planned = plan(subject, dataset, system)

@@ -43,23 +43,19 @@ def geometry_test(
     logged: Sequence[LoggedPoses],
     progress: Progress = silent,
 ) -> GeometryTest:
-    """Test the geometry of a robot by logged poses.
-
-    Parameters and errors raised are those of :func:`gtau.estimation.diagnostics.pose_fit.fit_frames`; ``progress`` is
-    called as the work goes on.
-    """
+    """Test the geometry of a robot by logged poses; see :func:`gtau.estimation.diagnostics.pose_fit.fit_frames`."""
     progress("geometry", 0, MOST + 1)
     given = fit_frames(model, columns, joints, logged)
-    tried, found = _tried(given), given
+    tried, fit = _tried(given), given
     for k in range(MOST):
         progress("geometry", k + 1, MOST + 1)
-        better = _better(found, _tried(found) if k else tried, characteristic_length(model.robot))
+        better = _better(fit, _tried(fit) if k else tried, characteristic_length(model.robot))
         if better is None:
             break
-        found = better
+        fit = better
     progress("geometry", MOST + 1, MOST + 1)
-    runs = [each.run for each in logged]
-    return _tested(columns, runs, given, found, tried, model.robot)
+    runs = [poses.run for poses in logged]
+    return _tested(columns, runs, given, fit, tried, model.robot)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,10 +86,10 @@ def _tried(fit: PoseFit) -> list[_Candidate]:
         parts = np.bincount(fit.poses.stretch, scores)
         std = float(np.sqrt(np.sum(parts**2) * len(parts) / (len(parts) - 1)) / (own @ own))
         candidates.append(_Candidate(k, change, std, float(left @ left)))
-    candidates.sort(key=lambda each: each.left)
-    likely = [each for each in candidates[:TRIED] if 1 - each.left / fit.left > GEOMETRY_SHARE * GEOMETRY_LIKELY]
-    fitted = [_fitted(fit, each) for each in likely]
-    return sorted([*fitted, *candidates[len(likely) :]], key=lambda each: each.left)
+    candidates.sort(key=lambda trial: trial.left)
+    likely = [trial for trial in candidates[:TRIED] if 1 - trial.left / fit.left > GEOMETRY_SHARE * GEOMETRY_LIKELY]
+    fitted = [_fitted(fit, trial) for trial in likely]
+    return sorted([*fitted, *candidates[len(likely) :]], key=lambda trial: trial.left)
 
 
 def _fitted(before: PoseFit, candidate: _Candidate) -> _Candidate:
@@ -106,7 +102,7 @@ def _fitted(before: PoseFit, candidate: _Candidate) -> _Candidate:
 
 def _better(before: PoseFit, candidates: Sequence[_Candidate], length: float) -> PoseFit | None:
     """Return the fit with the best further constant if it explains much and its change is significant and large."""
-    best = next((each for each in candidates if each.fit is not None), None)
+    best = next((trial for trial in candidates if trial.fit is not None), None)
     if best is None or best.constant in before.chosen:
         return None
     constant = before.poses.geometry.constants[best.constant]
@@ -120,11 +116,11 @@ def _better(before: PoseFit, candidates: Sequence[_Candidate], length: float) ->
 
 
 def _tested(
-    columns: PoseColumns, runs: Sequence[str], given: PoseFit, found: PoseFit, tried: Sequence[_Candidate], robot: Robot
+    columns: PoseColumns, runs: Sequence[str], given: PoseFit, fit: PoseFit, tried: Sequence[_Candidate], robot: Robot
 ) -> GeometryTest:
     """Collect what constants of the geometry explain: from ``given`` frames alone, and with those ``found``."""
     poses, constants, names = given.poses, given.poses.geometry.constants, component_names(columns)
-    before, after = (_unexplained(fit) for fit in (given, found))
+    before, after = (_unexplained(fit) for fit in (given, fit))
     linear = np.array([unit == "m" for _, unit in names])
     distances = {
         kind: (_rms_distance(before[:, which]), _rms_distance(after[:, which]))
@@ -132,14 +128,14 @@ def _tested(
         if which.any()
     }
     explained = []
-    for k, std in zip(found.chosen, found.std[len(found.std) - len(found.chosen) :], strict=True):
+    for k, std in zip(fit.chosen, fit.std[len(fit.std) - len(fit.chosen) :], strict=True):
         alone = next(candidate for candidate in tried if candidate.constant == k)
         alike = [
             constants[candidate.constant].name
             for candidate in tried
-            if candidate.constant != k and candidate.left < GEOMETRY_ALIKE * alone.left and len(found.chosen) == 1
+            if candidate.constant != k and candidate.left < GEOMETRY_ALIKE * alone.left and len(fit.chosen) == 1
         ]
-        change, share = float(found.change[k]), 1 - alone.left / given.left
+        change, share = float(fit.change[k]), 1 - alone.left / given.left
         explained.append(_change(constants[k], change, float(std), share, tuple(alike)))
     seen = {candidate.constant for candidate in tried}
     off = linear.any() and distances["position"][1] > GEOMETRY_RMS * characteristic_length(robot)
@@ -156,12 +152,12 @@ def _tested(
         outcome="unexplained" if off else "other constants" if explained else "confirmed",
         distances=distances,
         explained_by=tuple(explained),
-        share=1 - found.left / given.left,
+        share=1 - fit.left / given.left,
         tried=tuple(
-            _change(constants[each.constant], each.change, each.std, 1 - each.left / given.left) for each in tried
+            _change(constants[trial.constant], trial.change, trial.std, 1 - trial.left / given.left) for trial in tried
         ),
         unseen=tuple(constant.name for k, constant in enumerate(constants) if k not in seen),
-        delay=(poses.delay + found.frames.delay, float(found.std[0])),
+        delay=(poses.delay + fit.frames.delay, float(fit.std[0])),
         residuals=tuple(residuals),
     )
 

@@ -107,10 +107,10 @@ class GeometryTest:
             return Finding(F.ROBOT, values={"what": f"{logged} confirms the robot's geometry to {before} rms"})
         changes = " and ".join(map(str, self.explained_by))
         if self.outcome == "unexplained":
-            found = f"; {changes} would explain {percent(self.share)} of its variance" if changes else ""
+            explaining = f"; {changes} would explain {percent(self.share)} of its variance" if changes else ""
             what = (
                 f"{logged} is {before} rms from the one computed from the positions, which lengths and encoder zeros "
-                f"do not explain{found}"
+                f"do not explain{explaining}"
             )
             action = (
                 "check its columns, units and sequence of angles, whether it is of this body (source: tool) and in the "
@@ -123,7 +123,7 @@ class GeometryTest:
             f"which is {before} rms from the one computed, and {after} with "
             f"{'that change' if len(self.explained_by) == 1 else 'these changes'}"
         )
-        action = " and ".join(dict.fromkeys(CORRECT[bool(each.value)] for each in self.explained_by))
+        action = " and ".join(dict.fromkeys(CORRECT[bool(constant.value)] for constant in self.explained_by))
         return Finding(F.GEOMETRY, values={"what": what, "action": action})
 
 

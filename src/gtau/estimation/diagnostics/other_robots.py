@@ -156,10 +156,10 @@ MOST = 12  # lengths that are tried, the longest first: the effort of the search
 
 def other_length(fit: Fit, progress: Progress = silent) -> Alternative | None:
     """Find the length that explains most of the residuals, of similar ones that with the smallest change; or None."""
-    found = list(_explaining(fit, progress))
-    most = max((each.share for each in found), default=0.0)
-    likely = (each for each in found if each.share > LENGTH_ALIKE * most)
-    return min(likely, key=lambda each: abs(each.size), default=None)
+    lengths = list(_explaining(fit, progress))
+    most = max((length.share for length in lengths), default=0.0)
+    likely = (length for length in lengths if length.share > LENGTH_ALIKE * most)
+    return min(likely, key=lambda length: abs(length.size), default=None)
 
 
 def _explaining(fit: Fit, progress: Progress) -> Iterator[Alternative]:
@@ -215,12 +215,12 @@ def _longer(robot: Robot, step: float) -> Iterator[tuple[Finding, Robot]]:
 
 
 def _lengths(placement: Placement) -> list[float]:
-    found = (
+    values = (
         [abs(placement.d), abs(placement.r), abs(placement.b)]
         if isinstance(placement, Mdh)
         else [float(np.linalg.norm(placement.xyz))]
     )
-    return [length for length in found if length > 0]
+    return [length for length in values if length > 0]
 
 
 def _moved(ties: tuple[Tie, ...], length: float, step: float) -> tuple[Tie, ...]:
@@ -250,7 +250,7 @@ STEPS = 4  # of Gauss-Newton, from an axis at most 55 degrees off
 
 def gravity_asked_for(fit: Fit, alternatives: Sequence[Alternative]) -> bool:
     """Decide whether another gravity is worth fitting (seconds per fit): a tilt helps, or the residual is large."""
-    of_gravity = [each.share for each in alternatives if each.hypothesis == GRAVITY.name]
+    of_gravity = [effect.share for effect in alternatives if effect.hypothesis == GRAVITY.name]
     misfit = float(unexplained_shares(fit.system.problem, fit.solution).max())
     return max(of_gravity, default=0.0) > REFUTED_SHARE or misfit > GRAVITY_MISFIT
 
@@ -267,15 +267,15 @@ def other_gravity(fit: Fit, progress: Progress = silent) -> Alternative | None:
     own = fitted(fit, middle, declared) if size and windows else None
     if own is None:
         return None
-    found = []
+    tried = []
     for k, axis in enumerate(np.vstack([np.eye(3), -np.eye(3)])):
         progress("gravity along other axes", k, 6)
         other = own if _degrees(axis, declared) < GRAVITY_LEAST else fitted(fit, own.dataset, size * axis)
         if other is not None:
-            found.append((residual_ratio(other, own), other))
+            tried.append((residual_ratio(other, own), other))
     progress("gravity along other axes", 6, 6)
-    left, best = min([(1.0, own), *found], key=lambda each: each[0])
-    alike = [other for rest, other in found if rest <= GRAVITY_ALIKE * left]
+    left, best = min([(1.0, own), *tried], key=lambda other: other[0])
+    alike = [other for rest, other in tried if rest <= GRAVITY_ALIKE * left]
     for better in _freely(fit, best, list(enumerate(windows))):
         if residual_ratio(better, own) < (1 - REFUTED_SHARE) * left:
             left, best, alike = residual_ratio(better, own), better, []
@@ -288,7 +288,7 @@ def other_gravity(fit: Fit, progress: Progress = silent) -> Alternative | None:
     joints = tuple(fit.system.problem.joints[j] for j in helped)
     values = {
         "gravity": gravity.tolist(),
-        "also": [list(each.dataset.robot.gravity) for each in alike if each is not best],
+        "also": [list(other.dataset.robot.gravity) for other in alike if other is not best],
         "left": {
             joint: [float(shares[j]), float(shares[j] * after[j] / before[j])]
             for joint, j in zip(joints, helped, strict=True)
@@ -306,7 +306,7 @@ def fitted(fit: Fit, dataset: Dataset, gravity: np.ndarray) -> Fit | None:
         model = model.with_gravity(gravity)
         base = base_parameters(model, sensors=dataset.runs[0].sensors)
     friction, given = fit.system.friction, Given(None if fit.free_gains else fit.gains)
-    friction = Friction(tuple(each for each in friction.terms if each.kind != "fl"), friction.per_run)
+    friction = Friction(tuple(term for term in friction.terms if term.kind != "fl"), friction.per_run)
     try:
         other = replace(dataset, robot=model.robot, model=model, base=base, factors=()).reduced()
         system = other.system(friction, fit.system.problem.slowest > 0)
@@ -325,7 +325,7 @@ def _freely(fit: Fit, start: Fit, windows: Sequence[tuple[int, InMemoryRun]]) ->
         tilt = DEGREE * linear.fitted(slice(2))[0][-2:]
         gravity = np.array(at.dataset.robot.gravity)
         size = float(np.linalg.norm(gravity))
-        turned = gravity + size * tilt @ [each.causes[0].values["towards"] for each in columns[:2]]
+        turned = gravity + size * tilt @ [column.causes[0].values["towards"] for column in columns[:2]]
         if not np.isfinite(turned).all() or np.allclose(turned, gravity, rtol=0, atol=1e-4 * size):
             return
         at = fitted(fit, at.dataset, size * turned / np.linalg.norm(turned))
@@ -366,7 +366,7 @@ def likelier_gravity(fit: Fit, missing: Alternative | None, other: Alternative |
     if missing is None or other is None:
         return missing or other
     alike = 1 / GRAVITY_ALIKE if fit.dataset.runs[0].kind == "torque" else GRAVITY_ALIKE
-    left, without = (each.causes[0].values["remains"] for each in (other, missing))
+    left, without = (effect.causes[0].values["remains"] for effect in (other, missing))
     return other if left < alike * without else missing
 
 
@@ -376,11 +376,11 @@ def gravity_shares(fit: Fit) -> np.ndarray:
     gravity = np.array(dataset.robot.gravity)
     if not gravity.any():
         return np.zeros(n)
-    regressor, found = dataset.model.gravity_torques(dataset.base.standard), np.zeros(n)
+    regressor, shares = dataset.model.gravity_torques(dataset.base.standard), np.zeros(n)
     for run, window in dataset.windows():
         entries = regressor(
             dataset.model.layout, window_motion(dataset.model, window), fit.system.motion(run, fit.solution.theta)
         )
         torques = np.reshape(regressor.torques(entries, gravity, n), (n, -1))
-        found = np.maximum(found, torques.std(axis=1))
-    return np.asarray(found / np.maximum(rms_torques(fit), 1e-300))
+        shares = np.maximum(shares, torques.std(axis=1))
+    return np.asarray(shares / np.maximum(rms_torques(fit), 1e-300))

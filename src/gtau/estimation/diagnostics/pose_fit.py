@@ -330,19 +330,8 @@ def fit_frames(
 ) -> PoseFit:
     """Fit the unknown frames alone, components weighted by the residual that no constant explains to first order.
 
-    Parameters
-    ----------
-    model, columns : InverseDynamics, PoseColumns
-        Of the robot, and what is logged.
-    joints : sequence of str
-        Order of the logged positions.
-    logged : sequence of LoggedPoses
-        One for each run.
-
-    Raises
-    ------
-    GtauError
-        Where the loops cannot be closed along the logged positions, or a run's time does not rise.
+    ``joints`` is the order of the logged positions, ``logged`` one for each run. Raises GtauError where the loops
+    cannot be closed along them, or a run's time does not rise.
     """
     geometry = variable_geometry(model.robot, columns.body or model.robot.tool)
     fit = _fit_delayed(model, geometry, columns, joints, logged, 0.0)
@@ -363,20 +352,20 @@ def _fit_delayed(
     order = [list(joints).index(joint) for joint in model.actuated]
     turning = [model.robot.joint(joint).turns for joint in model.actuated]
     parts: list[tuple[np.ndarray, ...]] = []
-    for k, each in enumerate(logged):
-        q, time = np.array(each.q[:, order]), np.asarray(each.time)
+    for k, log in enumerate(logged):
+        q, time = np.array(log.q[:, order]), np.asarray(log.time)
         q[:, turning] = np.unwrap(q[:, turning], axis=0)
         count = min(max(SAMPLES // len(logged), 2 * STRETCHES), len(q) - 2 * APART)
         at = np.unique(np.linspace(APART, len(q) - 1 - APART, count).round().astype(int))
         step = time[at + APART] - time[at - APART]
         if not (step > 0).all():
-            raise GtauError(f"run '{each.run}': its time does not rise at the logged poses; correct the time column.")
+            raise GtauError(f"run '{log.run}': its time does not rise at the logged poses; correct the time column.")
         qd = (q[at + APART] - q[at - APART]) / step[:, None]
         stretch = STRETCHES * k + np.arange(len(at)) * STRETCHES // len(at)
         earlier = np.stack([np.interp(time[at] - delay, time, column) for column in q.T])
-        c = model.path(earlier, Labels(each.run, time[at]))
-        parts.append((np.asarray(each.values[at]), qd, time[at] - time[0], np.full(len(at), k), stretch, c.T))
-    values, qd, time, run, stretch, c = (np.concatenate(each) for each in zip(*parts, strict=True))
+        c = model.path(earlier, Labels(log.run, time[at]))
+        parts.append((np.asarray(log.values[at]), qd, time[at] - time[0], np.full(len(at), k), stretch, c.T))
+    values, qd, time, run, stretch, c = (np.concatenate(log) for log in zip(*parts, strict=True))
     weights = np.ones(len(component_names(columns)))
     poses = Poses(geometry, columns, values, qd, time, run, stretch, weights, delay)
     c, change = c.T.copy(), np.zeros(len(geometry.constants))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -184,10 +184,22 @@ def configurations(idm: InverseDynamics, window: InMemoryRun) -> np.ndarray:
     return _along_whole(idm, whole)[1][:, window.first : window.first + len(window)]
 
 
-@lru_cache(maxsize=16)  # of few runs: factors, friction, and windows of hypotheses are streamed along the same ones
+RECENT = 16  # runs whose paths are kept, no longer than these live: factors, friction and windows stream along the same
+_PATHS: WeakKeyDictionary[PreparedRun | InMemoryRun, tuple[InverseDynamics, SampleWindow, np.ndarray]] = (
+    WeakKeyDictionary()
+)
+
+
 def _along_whole(idm: InverseDynamics, prepared: PreparedRun | InMemoryRun) -> tuple[SampleWindow, np.ndarray]:
-    of = prepared.samples()
-    return of, idm.path(of.q.T.copy(), Labels(prepared.run.name, of.time))
+    """Return samples of a run and the configurations along them, of the last model that was asked for."""
+    known = _PATHS.pop(prepared, None)
+    if known is None or known[0] is not idm:
+        samples = prepared.samples()
+        known = idm, samples, idm.path(samples.q.T.copy(), Labels(prepared.run.name, samples.time))
+    while len(_PATHS) >= RECENT:
+        del _PATHS[next(iter(_PATHS))]
+    _PATHS[prepared] = known
+    return known[1:]
 
 
 def _along(

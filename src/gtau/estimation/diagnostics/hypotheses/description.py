@@ -77,9 +77,9 @@ def _with_positions(fit: Fit, steps: Sequence[tuple[np.ndarray, np.ndarray]]) ->
         before = regressor.torques_along(model.layout, motion(), values)
         columns = np.zeros((len(steps), *before.shape))
         for k, (factor, shift) in enumerate(steps):
-            of = window.samples()
-            other = replace(of, q=of.q * factor + shift, qd=of.qd * factor, qdd=of.qdd * factor)
-            moved, labels = InMemoryRun(window.run, other), Labels(window.run.name, of.time)
+            samples = window.samples()
+            other = replace(samples, q=samples.q * factor + shift, qd=samples.qd * factor, qdd=samples.qdd * factor)
+            moved, labels = InMemoryRun(window.run, other), Labels(window.run.name, samples.time)
             try:  # from near the first configuration, so that loops are closed as before
                 path = model.path(np.ascontiguousarray(other.q.T), labels, motion().c[:, 0])
                 after = regressor.torques_along(model.layout, motion_along(model, moved, path), values)
@@ -122,10 +122,10 @@ def _other_gravity(values: Values) -> Sentence:
     x, y, z = values["gravity"]
     if "left" not in values:  # an estimate to first order
         return _of_gravity(f"a different gravity vector, about ({x:.1f}, {y:.1f}, {z:.1f}) m/s2")(values)
-    listed = ", ".join(f"{round(each, 3) + 0.0:.4g}" for each in (x, y, z))
-    joint, (before, after) = max(values["left"].items(), key=lambda each: each[1][0])
+    listed = ", ".join(f"{round(item, 3) + 0.0:.4g}" for item in (x, y, z))
+    joint, (before, after) = max(values["left"].items(), key=lambda item: item[1][0])
     where, file = "base", f"'gravity: [{listed}]' in the robot file"
-    also = " or ".join(_direction(each) for each in values["also"])
+    also = " or ".join(_direction(item) for item in values["also"])
     if values["floating"]:
         where = "world"
         file += ", in axes of the logged poses, or turn the poses so that their z axis points up"
@@ -142,7 +142,7 @@ def _other_gravity(values: Values) -> Sentence:
 def _direction(gravity: Sequence[float]) -> str:
     """Name an axis, or write a direction of unit length."""
     size = hypot(*gravity)
-    unit = [round(each / size, 2) + 0.0 for each in gravity]
+    unit = [round(component / size, 2) + 0.0 for component in gravity]
     along = [k for k in range(3) if unit[k]]
     if len(along) == 1:
         return f"{'-' if unit[along[0]] < 0 else '+'}{'xyz'[along[0]]}"
@@ -203,7 +203,7 @@ def _gravity(fit: Fit) -> Offer:
 
     def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
         entries = regressor(model.layout, motion(), values)
-        return at_full_rate(window, fit, np.stack([regressor.torques(entries, each, n) for each in changes]))
+        return at_full_rate(window, fit, np.stack([regressor.torques(entries, change, n) for change in changes]))
 
     return offer
 

@@ -81,8 +81,8 @@ def _friction_shape(fit: Fit) -> Offer:
     }
 
     def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
-        of = window.samples()
-        ratio, sign = of.qd / np.where(speeds > 0, speeds, 1.0), np.sign(of.qd)
+        samples = window.samples()
+        ratio, sign = samples.qd / np.where(speeds > 0, speeds, 1.0), np.sign(samples.qd)
         cubic = level * ratio**3 / 3 * absent["f3"]
         torques = regressor.torques_along(model.layout, motion(), values * acting)
         load = np.abs(torques.T) * sign * absent["fl"]
@@ -122,16 +122,18 @@ def _friction_drift(fit: Fit) -> Offer:
     along = _along_runs(fit)
 
     def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
-        of = window.samples()
-        change = along(window, of.time)
-        return at_full_rate(window, fit, np.stack([(fv * of.qd).T * change, (fs * np.sign(of.qd)).T * change]))
+        samples = window.samples()
+        change = along(window, samples.time)
+        return at_full_rate(
+            window, fit, np.stack([(fv * samples.qd).T * change, (fs * np.sign(samples.qd)).T * change])
+        )
 
     return offer
 
 
 def _along_runs(fit: Fit) -> Callable[[InMemoryRun, np.ndarray], np.ndarray]:
     """Return a function that takes instants in a window's run to -0.5 at its beginning, 0.5 at its end."""
-    spans = {id(each.run): (each.time[0], each.time[-1]) for each in fit.dataset.prepared}
+    spans = {id(run.run): (run.time[0], run.time[-1]) for run in fit.dataset.prepared}
 
     def along(window: InMemoryRun, time: np.ndarray) -> np.ndarray:
         begin, end = spans[id(window.run)]
@@ -258,20 +260,21 @@ def gain_changes(fit: Fit) -> Iterator[Alternative]:
     offered = -current[..., None] * groups[:, of_block].T[:, None, None, :]
     known = np.zeros(len(problem.known)), jacobian_of_known(problem, True)
     clusters = np.unique(problem.block_numbers, return_inverse=True)[1]
-    tests = Linearised(errors, J, offered, known, clusters).score_tests(slice(None), shared=False)
-    t, shares = tests.size / np.maximum(tests.std, 1e-300), tests.share.sum(axis=1)
+    linear = Linearised(errors, J, offered, known, clusters)
+    sizes, stds, of_joints, slopes = linear.score_tests(slice(None), shared=False)
+    t, shares = sizes / np.maximum(stds, 1e-300), of_joints.sum(axis=1)
     worst = _first_largest(np.abs(t[:, : len(gains)]))
     if shares.max() > DOMINANT:  # the same runs for all joints
         worst[:] = _first_largest(shares)
     T = to_gains(state, True)
     for j, k in enumerate(worst):
-        change, std = float(tests.size[k, j]), float(tests.std[k, j])
+        change, std = float(sizes[k, j]), float(stds[k, j])
         if not t[k, j] or abs(change) > SCALED:
             continue  # reversed, or in another unit: other checks name these better
         names = [fit.dataset.runs[run].name for run in runs[groups[k]]]
         cause = Finding(F.GAIN_CHANGE, (problem.joints[j],), "", {"runs": names, "change": change})
-        slopes = np.zeros(len(fit.solution.values))
-        slopes[problem.gain_rows] = (T @ tests.slopes[k, j])[problem.gain_rows]
+        of_gains = np.zeros(len(T))
+        of_gains[problem.gain_rows] = (T @ slopes[k, j])[problem.gain_rows]
         yield Alternative(
             GAIN_CHANGE,
             (cause,),
@@ -281,7 +284,7 @@ def gain_changes(fit: Fit) -> Iterator[Alternative]:
             float(ALTERNATIVE_PRIOR) / tried,  # the largest of several changes is larger by chance
             float(shares[k]),
             plausible=float(PLAUSIBLE_GAIN_CHANGE),
-        ).moving(fit, slopes)
+        ).moving(fit, of_gains)
 
 
 def _first_largest(values: np.ndarray) -> np.ndarray:
