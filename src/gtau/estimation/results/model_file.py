@@ -63,6 +63,8 @@ from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import Preparation
 
 SCHEMA = "gtau-model/4"
+WRITTEN = {"between_run_std": "spread"}
+"""Keys of fields with other names."""
 OLDER = ("gtau-model/2", "gtau-model/3")
 """Schemas that are read too: 2 is without friction on all samples, and 3 has it apart from ``parameters``."""
 
@@ -79,7 +81,7 @@ def _gathered(entry: Any) -> Any:
     for key in ("value", "std", "freedom", "model_std", "outcome", "finding"):
         if key not in entry:
             raise ValueError(f"the key '{key}' is missing; add it")
-    return {"name": entry.get("joint"), **entry, "verdict": entry}
+    return {"name": entry.get("joint"), **entry, "between_run_std": entry.get("spread"), "verdict": entry}
 
 
 def _estimate(estimate: Estimate, *more: str, key: str = "name") -> dict[str, Any]:
@@ -94,7 +96,7 @@ def _estimate(estimate: Estimate, *more: str, key: str = "name") -> dict[str, An
         "model_std": estimate.model_std,
         "unit": estimate.unit,
         **_verdict(estimate.verdict),
-        **{name: getattr(estimate, name) for name in more},
+        **{WRITTEN.get(name, name): getattr(estimate, name) for name in more},
     }
 
 
@@ -158,6 +160,11 @@ class _Group(BaseModel):
     """A group of keys, of which what follows from other values is not read."""
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True, defer_build=True)
+
+
+class _Scale(_Group):
+    joint: str
+    scale: dict[str, float] = {}
 
 
 class _Known(_Group):
@@ -292,9 +299,10 @@ class _Model(_Group):
     method: Annotated[str, AfterValidator(_method)]
     kind: Literal["current", "torque"]
     runs: tuple[str, ...]
-    drive_gains: Annotated[_ByName, _listed("scale", key="joint")]
+    drive_gains: Annotated[_ByName, _listed(key="joint")]
+    scale: tuple[_Scale, ...] = Field(validation_alias="drive_gains", exclude=True)
     delays: Annotated[_ByName, _listed(key="joint")]
-    parameters: Annotated[_ByParameter, _listed("regrouping", "spread", "essential")]
+    parameters: Annotated[_ByParameter, _listed("regrouping", "between_run_std", "essential")]
     friction: Annotated[_ByParameter, _listed()]
     equation_friction: Annotated[_ByParameter, _listed()] = Field(default=(), validate_default=True)
     curves: tuple[Annotated[FrictionCurve, PlainSerializer(_curve)], ...] = ()
@@ -318,6 +326,7 @@ class _Model(_Group):
         """Assemble the result."""
         robot = parse_native(self.robot_file, path).with_file(inertias=tuple(self.stated_inertias.items()))
         values = dict(self) | {
+            "scale": {gain.joint: gain.scale for gain in self.scale if gain.scale},
             "curves": {curve.joint: curve for curve in self.curves},
             "sensors": tuple(SensorEstimate(**dict(sensor)) for sensor in self.sensors),
             "payloads": tuple(payload.made() for payload in self.payloads),
@@ -348,6 +357,8 @@ def to_document(result: Result) -> dict[str, Any]:
         "standard": _standard(result),
     }
     document = _Model.model_construct(**values).model_dump(mode="json")
+    for entry in document["drive_gains"]:
+        entry["scale"] = dict(result.scale.get(entry["joint"], {}))
     return {"schema": SCHEMA, "robot": result.robot.name, **document}
 
 
