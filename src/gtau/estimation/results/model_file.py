@@ -33,7 +33,7 @@ from gtau.documents.validation import Positive, unknown, validate
 from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.alternatives import Alternative
-from gtau.estimation.diagnostics.geometry_findings import GeometryTest
+from gtau.estimation.diagnostics.geometry_findings import GeometryTest, from_document
 from gtau.estimation.diagnostics.geometry_findings import to_document as geometry_document
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
@@ -316,7 +316,7 @@ class _Model(_Group):
     alternatives: tuple[Annotated[Alternative, PlainSerializer(_alternative)], ...]
     singularities: tuple[NearestPose, ...]
     temperatures: ReferenceTemperatures | None = None
-    geometry: Annotated[GeometryTest, PlainSerializer(geometry_document)] | None = None
+    geometry: Annotated[GeometryTest, BeforeValidator(from_document), PlainSerializer(geometry_document)] | None = None
     audit: Annotated[InertiaAudit, _with("stated_error", "identified_error")] | None = None
     notes: tuple[NoteEntry, ...]
     covariance: _Covariance
