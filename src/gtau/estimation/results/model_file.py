@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -53,7 +53,7 @@ from gtau.estimation.results.groups import Evidence, FitRecord, Model, ModelEsti
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.extensions import registered
-from gtau.findings import Finding
+from gtau.findings import Finding, FindingKind
 from gtau.findings.finding import finding_document, note_document, read_note
 from gtau.robots.parameter import Parameter, parameter_of, unit_of
 from gtau.robots.readers.native import parse_native
@@ -153,7 +153,12 @@ _Joint = Annotated[
 _ByName = Annotated[tuple[_Estimate, ...], AfterValidator(_by_name)]
 _ByParameter = Annotated[_ByName, AfterValidator(_by_parameter)]
 _TorqueError = Annotated[TorqueError, _with("relative", "relative_all", "relative_raw")]
-NoteEntry = Annotated[Finding, BeforeValidator(read_note), PlainSerializer(note_document)]
+NoteEntry = Annotated[
+    Finding,
+    BeforeValidator(read_note),
+    AfterValidator(lambda finding: replace(finding, kind=FindingKind(finding.kind))),
+    PlainSerializer(note_document),
+]
 
 
 class _Group(BaseModel):
