@@ -263,7 +263,7 @@ def judge(case: Case, system: System, solution: Solution) -> Repetition:
     delays = delay_verdicts(problem, solution, std[gains + n], 0.0)
     return Repetition(
         names,
-        solution.stacked[which] - expected,
+        solution.values[which] - expected,
         std[which],
         degrees_of_freedom(problem, solution, True)[which],
         np.array([each.outcome != Outcome.NOT_IDENTIFIABLE for each in delays]),

@@ -137,7 +137,7 @@ def test_effects_that_are_offered_twice_count_once(runs: list[Run], fall: float)
     rms = np.sqrt(np.mean([np.mean(run.command**2, axis=0) for run in runs], axis=0))
     fit = fit_of(currents(runs, lambda run: run.command * (1 + fall * np.abs(run.command) / (2 * rms))))
     once = ranked(find_alternatives(fit))
-    expected = model_covariance(once, len(fit.solution.stacked))
+    expected = model_covariance(once, len(fit.solution.values))
     assert (max(each.t for each in once if each.hypothesis == "saturation") > 6) == (fall > 0)
     for more in (HYPOTHESES, [under_another_name(each) for each in HYPOTHESES]):
         twice = ranked(find_alternatives(fit, [*HYPOTHESES, *more]), [*HYPOTHESES, *more])

@@ -18,6 +18,7 @@ from gtau.estimation.estimators.total_least_squares import tls
 from gtau.estimation.estimators.two_stage import two_stage
 from gtau.estimation.regression.equations import delayed, leave_one_out, triangle
 from gtau.estimation.regression.problem import Problem
+from gtau.robots.parameter import Parameter
 from gtau.signals.channel import MOTOR, Channel
 from gtau.signals.preparation.filters import differentiate, low_pass
 
@@ -63,7 +64,7 @@ def noisy(units: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def problem_of(units: np.ndarray) -> Problem:
     channels = tuple(Channel(f"j{k + 1}", MOTOR, f"j{k + 1}", k) for k in range(units.shape[1]))
-    parameters = tuple(f"p{k + 1}" for k in range(units.shape[-1] - 4))
+    parameters = tuple(Parameter(f"p{k + 1}", "") for k in range(units.shape[-1] - 4))
     return Problem(parameters, channels, units, np.full(units.shape[:2], units.shape[2]), slowest=0.02)
 
 
@@ -73,7 +74,7 @@ def reduced(problem: Problem) -> Problem:
 
 
 def assert_same(a: Solution, b: Solution, rtol: float) -> None:
-    np.testing.assert_allclose(a.stacked, b.stacked, rtol=rtol, atol=rtol * 1e-3)
+    np.testing.assert_allclose(a.values, b.values, rtol=rtol, atol=rtol * 1e-3)
     np.testing.assert_allclose(a.sigma, b.sigma, rtol=rtol)
     for one, other in ((a.covariance, b.covariance), (a.jackknife, b.jackknife)):
         size = np.sqrt(np.outer(np.diag(other), np.diag(other)))
@@ -238,7 +239,7 @@ def test_2sls_is_a_start_near_the_answer(rng: np.random.Generator) -> None:
 def test_deviations_against_monte_carlo(method: str, rng: np.random.Generator) -> None:
     rows = exact_rows(rng)
     solutions = [METHODS[method](problem_of(noisy(rows, rng))) for _ in range(300)]
-    estimates = np.array([each.stacked for each in solutions])
+    estimates = np.array([each.values for each in solutions])
     free = estimates.std(axis=0) > 0
     actual = estimates.std(axis=0, ddof=1)[free]
     truth = np.concatenate([THETA, GAINS, DELAYS])[free]
@@ -288,7 +289,7 @@ def test_only_the_jackknife_sees_coloured_noise(method: str, rng: np.random.Gene
         noise = SIGMA * smooth(rng, (length, N))
         units[..., -3] = exact + noise.reshape(UNITS, per_unit, N).swapaxes(1, 2)
         solutions.append(METHODS[method](problem_of(units.copy())))
-    estimates = np.array([each.stacked for each in solutions])[:, : N_THETA + N]
+    estimates = np.array([each.values for each in solutions])[:, : N_THETA + N]
     free = estimates.std(axis=0) > 0
     actual = estimates.std(axis=0)[free]
     formula, jackknife = (
@@ -308,7 +309,7 @@ def test_one_step_replaces_estimating_again(method: str, rng: np.random.Generato
     again = []
     for u in range(UNITS):
         rest = replace(problem, blocks=np.delete(problem.blocks, u, 0), rows=np.delete(problem.rows, u, 0))
-        again.append(METHODS[method](rest).stacked - solution.stacked)
+        again.append(METHODS[method](rest).values - solution.values)
     std = np.sqrt(np.diag(solution.jackknife))
     some = std > 0
     # Of the jackknife's deviation; the weights and, in the homogeneous methods, the delays stay those of all units.
@@ -384,7 +385,11 @@ def test_slow_motion_under_white_noise_settles(rng: np.random.Generator, monkeyp
         whole = np.column_stack([W, known, v, *differentiate(v, rate)])
         units += [whole[part][None] for part in np.array_split(np.arange(samples), 10)]
     problem = Problem(
-        ("a", "b", "c"), (Channel("j", MOTOR, "j", 0),), np.array(units), np.full((20, 1), samples // 10), 0.5
+        tuple(Parameter(kind, "") for kind in "abc"),
+        (Channel("j", MOTOR, "j", 0),),
+        np.array(units),
+        np.full((20, 1), samples // 10),
+        0.5,
     )
     far = newton.Iterate(theta, np.array([1 / gain]), np.array([0.05]))
 
@@ -392,7 +397,7 @@ def test_slow_motion_under_white_noise_settles(rng: np.random.Generator, monkeyp
         return 1 / np.sqrt(errors / problem.total_rows)
 
     solution = newton.solve(problem, far, weights, True, steps=25)
-    np.testing.assert_allclose(solution.stacked, ml(problem).stacked, rtol=1e-5)
+    np.testing.assert_allclose(solution.values, ml(problem).values, rtol=1e-5)
     assert solution.gains[0] == pytest.approx(gain, rel=0.03)
     monkeypatch.setattr(newton, "curvature_of_delays", lambda blocks, *others: np.zeros(blocks.shape[:-2]))
     assert solution.converged

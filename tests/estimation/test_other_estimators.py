@@ -84,7 +84,7 @@ def test_instruments_undo_what_noise_of_the_encoders_does(noisy: Fit) -> None:
     (moves, _), n_theta = of(noisy, Finding(F.INSTRUMENTS)), noisy.system.problem.n_theta
     fv_left = noisy.system.problem.parameters.index("fv_left")
     for k, truth in ((fv_left, CHI["fv_left"]), (n_theta, GAINS[0])):
-        bias = noisy.solution.stacked[k] - truth
+        bias = noisy.solution.values[k] - truth
         assert abs(bias) > 0.04 * truth
         assert abs(bias + moves[k]) < 0.35 * abs(bias)
 
@@ -121,7 +121,7 @@ def test_one_step_is_what_another_preparation_gives() -> None:
     fit = fit_of(runs)
     (moves, std), names = of(fit, Finding(F.SLOW_ROWS, values={"fraction": 0.1})), fit.system.problem.parameters
     again = fit_of(runs, replace(choose_preparation(runs), speed_fraction=0.1))
-    exact = again.solution.stacked - fit.solution.stacked
+    exact = again.solution.values - fit.solution.values
     assert names == again.system.problem.parameters
     seen = std > 0
     assert np.corrcoef(exact[seen] / std[seen], moves[seen] / std[seen])[0, 1] > 0.9

@@ -238,7 +238,7 @@ def test_derivatives_by_the_constants_are_those_of_the_full_solve(method: str) -
 
     def solved(of_steel: float, of_lead: float) -> np.ndarray:
         pair = steel.model_copy(update={"mass": of_steel}), lead.model_copy(update={"mass": of_lead})
-        return fit.solve(dataset.system(Friction((), True), True, [None, *pair]).problem).stacked
+        return fit.solve(dataset.system(Friction((), True), True, [None, *pair]).problem).values
 
     steps = 1e-3 * np.eye(2)
     slopes = np.stack([(solved(*(masses + step)) - solved(*(masses - step))) / 2e-3 for step in steps], axis=1)

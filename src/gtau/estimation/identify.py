@@ -144,13 +144,14 @@ def _identified(subject: Subject, dataset: Dataset, system: System, progress: Pr
     try:
         result = estimated(planned)
         first, *_ = result.drive_gains.values()
-        why = f"that of no joint is identifiable ('{first.name}': {first.verdict.why})"
-        if {gain.verdict.outcome for gain in result.drive_gains.values()} != {Outcome.NOT_IDENTIFIABLE}:
+        lost = first.verdict.finding
+        if lost is None or {gain.verdict.outcome for gain in result.drive_gains.values()} != {Outcome.NOT_IDENTIFIABLE}:
             return result
+        untested = Finding(F.SCALE_UNTESTED, values={"joint": first.name}, causes=(lost,))
     except GtauError as refusal:
-        why = str(refusal).rstrip(".")
+        untested = Finding(F.SCALE_UNTESTED, values={"why": str(refusal).rstrip(".")})
     result = estimated(without_scale(subject, dataset))
-    return result.replaced(notes=(Finding(F.SCALE_UNTESTED, values={"why": why}), *result.notes))
+    return result.replaced(notes=(untested, *result.notes))
 
 
 def _judged(result: Result, experiment: Experiment | None, progress: Progress) -> Result:

@@ -12,15 +12,16 @@ from gtau.estimation.diagnostics.inertia_audit import audit_inertias, without_fi
 from gtau.estimation.diagnostics.other_robots import TOOL_BODIES
 from gtau.estimation.diagnostics.stated_constants import weigh_known
 from gtau.estimation.estimators.essential import essential_fit, select_friction
-from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Given
 from gtau.estimation.estimators.physical_consistency import consistent as find_consistent
 from gtau.estimation.experiment_runs import Options
 from gtau.estimation.preconditions import Plan
-from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.dataset import Dataset, sensors_of
 from gtau.estimation.regression.friction import PAPER
-from gtau.estimation.results.build import build_result
-from gtau.estimation.results.friction_curves import FrictionStep, friction_step
+from gtau.estimation.regression.unknowns import Estimates
+from gtau.estimation.results.build import evidence, fit_record, model_estimates
+from gtau.estimation.results.friction_curves import friction_step
+from gtau.estimation.results.groups import Model
 from gtau.estimation.results.result import Result
 from gtau.progress import Progress, silent
 
@@ -74,7 +75,13 @@ def estimate(dataset: Dataset, plan: Plan, options: Options, progress: Progress 
     if as_paper:  # the gains that go with the essential parameters
         fit = replace(fit, system=replace(fit.system, problem=essential), solution=reduced)
         nothing = np.zeros_like(reduced.covariance)
-        estimates = Estimates(essential.unknowns, reduced.stacked, reduced.covariance, nothing, nothing, None)
+        estimates = Estimates(essential.unknowns, reduced.values, reduced.covariance, nothing, nothing, None)
     diagnosis = diagnose(fit, examined, estimates, payloads, options.gains, accuracy, audit)
-    friction = FrictionStep(estimates) if as_paper else friction_step(fit, estimates)
-    return build_result(fit, estimator, examined, estimates, essential, loss, diagnosis, friction, bodies, audit)
+    predicting, curves, errors = (estimates, {}, {}) if as_paper else friction_step(fit, estimates)
+    figures = {"reduction_loss": loss, "lack_of_fit": examined.lack_of_fit, "accuracy": float(accuracy)}
+    return Result(
+        Model(dataset.robot, sensors_of(dataset.robot, dataset.runs)),
+        replace(model_estimates(fit, estimates, predicting, curves, diagnosis, essential), consistency=bodies),
+        fit_record(fit, estimator.name, errors, figures),
+        replace(evidence(fit, estimates, examined, diagnosis, curves), audit=audit),
+    )

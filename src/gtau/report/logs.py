@@ -121,13 +121,14 @@ def preparation_chart(log: LogCheck) -> Chart:
 def _shares(log: LogCheck, kind: str) -> tuple[Series, ...]:
     """Draw a power spectrum of each joint, with a dot where noise begins to dominate its acceleration."""
     series: list[Series] = []
-    for j, (joint, spectrum) in enumerate(zip(log.run.joints, log.spectra, strict=True)):
+    for j, joint in enumerate(log.joints):
+        spectrum = joint.spectrum
         density, frequency = getattr(spectrum, kind), spectrum.frequency
         shown = density > LOWEST * density.max()
         if not shown.any():
             continue
         share = density / density.max()
-        series.append(Series(joint_label(joint), frequency[shown], share[shown], colour(j)))
+        series.append(Series(joint_label(joint.joint), frequency[shown], share[shown], colour(j)))
         if spectrum.moves and kind == "acceleration":
             k = int(np.argmin(np.abs(frequency - spectrum.end)))
             series.append(Series("", frequency[k : k + 1], share[k : k + 1], colour(j), "points", width=3.0))

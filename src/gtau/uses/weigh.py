@@ -18,6 +18,7 @@ from gtau.estimation.experiment_runs import options_of, read
 from gtau.estimation.preconditions import given_gains
 from gtau.estimation.regression.dataset import at_rate_of, reduce_runs
 from gtau.estimation.regression.problem import Problem
+from gtau.estimation.regression.unknowns import Estimates
 from gtau.estimation.results.payload import PayloadEstimate, payload_estimates
 from gtau.estimation.results.result import Result
 from gtau.model.interpreter.program import single_threaded_blas
@@ -110,12 +111,13 @@ def weigh(
     solution = solve(system.problem)
     total = solution.jackknife + scale_uncertainty(dataset, system, solve)
     if covariance.any():
-        slopes = np.stack([_slope(system.problem, g_tau, j, solution.stacked) for j in range(len(g_tau))], axis=1)
+        slopes = np.stack([_slope(system.problem, g_tau, j, solution.values) for j in range(len(g_tau))], axis=1)
         total = total + slopes @ covariance @ slopes.T
-    estimates = payload_estimates(
-        dataset, system, solution.theta, total, {}, degrees_of_freedom(system.problem, solution, False)
-    )
-    return tuple(each for each in estimates if "m" not in each.known)
+    none = np.zeros_like(total)
+    freedom = degrees_of_freedom(system.problem, solution, False)
+    vector = Estimates(system.problem.unknowns, solution.values, total, none, none, freedom)
+    estimates = payload_estimates(dataset, system, vector, {})
+    return tuple(payload for payload in estimates if "m" not in payload.known)
 
 
 def exact_gains(model: Result, experiment: Experiment, gains: str) -> tuple[str, ...]:
@@ -133,5 +135,5 @@ def _slope(problem: Problem, gains: np.ndarray, j: int, estimates: np.ndarray) -
     step = 1e-4 * gains[j]
     moved = gains.copy()
     moved[j] += step
-    shift = wls(problem, moved).stacked - estimates
+    shift = wls(problem, moved).values - estimates
     return shift / step

@@ -131,7 +131,7 @@ def established(
     fit: Fit, hypothesis: str, cause: Finding, moves: np.ndarray, share: float, size: float = 1.0, unit: str = ""
 ) -> Alternative:
     """Make an alternative of what a test of its own showed to be significant; ``moves`` (n,) are the gains'."""
-    slopes = np.zeros(len(fit.solution.stacked))
+    slopes = np.zeros(len(fit.solution.values))
     slopes[fit.system.problem.gain_rows] = moves * fit.gains / size
     return Alternative(hypothesis, (cause,), size, None, unit, share=share).moving(fit, slopes)
 

@@ -28,8 +28,8 @@ from gtau.estimation.diagnostics.stated_constants import (
 )
 from gtau.estimation.diagnostics.unit_checks import units_and_signs
 from gtau.estimation.diagnostics.verdict import GIVEN, GOOD, OUTCOMES, Outcome, Verdict, decide
-from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.regression.unknowns import Estimates
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import whole_mass
@@ -105,7 +105,7 @@ def diagnose(
     in_context = [_in_context(fit, finding) for finding in findings]
     against = [finding for finding in in_context if finding.kind in OUTCOMES]
     halves = half_widths(fit, estimates) if fit.free_gains else np.zeros(0)
-    delay_std = np.sqrt(np.diag(estimates.random))[problem.n_theta + len(problem.channels) :]
+    delay_std = np.sqrt(np.diag(estimates.random))[problem.unknowns.delays]
     period = 1 / min(run.rate for run in dataset.runs)
     return Diagnosis(
         dict(zip(motors(fit), decide(motors(fit), against, GOOD if fit.free_gains else GIVEN), strict=True)),

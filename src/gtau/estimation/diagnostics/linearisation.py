@@ -15,7 +15,7 @@ import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import jacobian, jacobian_of_known, residuals, whitening
-from gtau.estimation.regression.equations import FIXED, triangle
+from gtau.estimation.regression.equations import triangle
 from gtau.estimation.regression.factors import EXTRA, equations
 from gtau.estimation.regression.rows import Labels, Rows, configurations, stream_rows
 from gtau.estimation.regression.windows import Windows, window_clusters
@@ -191,8 +191,7 @@ def errors_and_jacobian(fit: Fit, run: int, window: InMemoryRun, rows: np.ndarra
     ``rows`` (c, p, .) begin with the columns of the factors.
     """
     system, problem = fit.system, fit.system.problem
-    kept = [system.whole.parameters.index(name) for name in problem.parameters]
-    columns = [*kept, *range(system.whole.n_theta, system.whole.n_theta + FIXED)]
+    columns = system.whole.columns_of(problem.parameters)
     warm, time = fit.dataset.temperatures, window.all.time
     maps = system.map(run, None if warm is None else warm.between(run, time[0], time[-1]))[..., columns]
     return weighted(fit, rows[..., : maps.shape[1]] @ maps)
@@ -239,9 +238,8 @@ def known_rows(fit: Fit, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
     problem, dataset = fit.system.problem, fit.dataset
     share = sum(len(window) for _, window in windows) / sum(map(len, dataset.prepared))
     weight = np.sqrt(min(share, 1.0))
-    size = problem.n_theta + len(problem.channels) * (2 if fit.free_gains else 1)
     errors = problem.known[:, :-1] @ fit.solution.theta - problem.known[:, -1]
-    return weight * errors, weight * jacobian_of_known(problem, size)
+    return weight * errors, weight * jacobian_of_known(problem, fit.free_gains)
 
 
 def at_full_rate(window: InMemoryRun, fit: Fit, torques: np.ndarray) -> CandidateColumns:

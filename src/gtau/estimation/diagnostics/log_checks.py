@@ -121,7 +121,7 @@ def require_felt_payload(system: System) -> None:
         return
     own = {name for each in system.payloads for name in each.unknown}
     problem = system.problem
-    n = problem.n_theta
+    n = len(problem.parameters)
     if np.any(problem.total_rows < 3 * (n + 1)):
         return  # with so few equations, the robot's own parameters explain whatever the payload does
     robot_columns = [k for k, name in enumerate(problem.parameters) if name not in own]
@@ -149,8 +149,8 @@ def lack_of_fit(problem: Problem, solution: Solution) -> float:
 
     Near 1 where the residuals are white; well above where they are autocorrelated, as the model lacks something.
     """
-    known = np.diag(solution.covariance)[: problem.n_theta]
-    ratio = np.diag(solution.jackknife)[: problem.n_theta][known > 0] / known[known > 0]
+    known = np.diag(solution.covariance)[problem.unknowns.theta]
+    ratio = np.diag(solution.jackknife)[problem.unknowns.theta][known > 0] / known[known > 0]
     return float(np.sqrt(np.median(ratio))) if ratio.size else 1.0
 
 

@@ -7,11 +7,11 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, judge_parameter, verdict_of
-from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Fit, Solution
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.equations import SIGNALS, modelled
 from gtau.estimation.regression.problem import Problem
+from gtau.estimation.regression.unknowns import Estimates
 from gtau.estimation.thresholds.estimates import LEG_DIFFERENCE, LEG_DIFFERENCE_STD, LEG_PROBABILITY
 from gtau.estimation.thresholds.logs import DELAY_MOTION, DELAY_STD
 from gtau.findings import Finding
@@ -40,9 +40,12 @@ def impossible_parameters(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
     dataset, stds = fit.dataset, np.sqrt(np.diag(estimates.covariance))
     listed: dict[str, list[list[object]]] = {}
     for name, terms in regrouped(dataset.base, dataset.model.parameter_names).items():
-        if name not in estimates.places:
+        if name not in estimates.unknowns.places:
             continue
-        value, std = float(fit.solution.theta[estimates.places[name]]), float(stds[estimates.places[name]])
+        value, std = (
+            float(fit.solution.theta[estimates.unknowns.places[name]]),
+            float(stds[estimates.unknowns.places[name]]),
+        )
         if judge_parameter(value, std, terms).outcome == Outcome.CONTRADICTORY:
             unit = unit_of(name.kind, dataset.robot, name.body)
             listed.setdefault(name.body, []).append([name, value, std, unit])

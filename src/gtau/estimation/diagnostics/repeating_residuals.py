@@ -74,12 +74,12 @@ def position_ripple(fit: Fit) -> Alternative:
     (_, rest), (step, before) = _left(replace(linear, errors=errors)), _left(linear)
     shares = 1 - rest / np.maximum(before, 1e-300)
     nothing = Alternative(RIPPLE, (), 0.0, None, "", 1.0, float(np.maximum(shares, 0.0).mean()))
-    nothing = replace(nothing, shifts=np.zeros(len(solution.stacked)))
+    nothing = replace(nothing, shifts=np.zeros(len(solution.values)))
     if np.max(shares) < RIPPLE_SHARE:
         return nothing
     repeats = shares > 0  # what of a joint does not repeat would only take up what its parameters explain
     moved, _ = _fit(linear, halves, np.where(repeats, heights, np.inf))
-    shifts = to_gains(solution.iterate, problem.n_theta, fit.free_gains) @ (moved - step)
+    shifts = to_gains(solution.iterate, fit.free_gains) @ (moved - step)
     return replace(nothing, causes=(_ripple(fit, shares, shifts),), shifts=shifts)
 
 

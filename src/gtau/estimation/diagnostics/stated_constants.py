@@ -119,7 +119,7 @@ def estimate_slopes(fit: Fit, constants: Sequence[StatedConstant]) -> np.ndarray
     problem, state = fit.system.problem, fit.solution.iterate
     triangles, weights = stacked(problem), 1 / np.maximum(fit.solution.sigma, problem.smallest_sigma)
     J = jacobian(triangles, state, problem, fit.free_gains) * weights[:, None, None]
-    known = jacobian_of_known(problem, J.shape[-1])
+    known = jacobian_of_known(problem, fit.free_gains)
     rows = np.concatenate([J.reshape(-1, J.shape[-1]), known])
     back = whitening(rows, curvature_of_delays(triangles, state, problem, weights))
     of_blocks = jacobian(problem.blocks, state, problem, fit.free_gains)
@@ -128,7 +128,7 @@ def estimate_slopes(fit: Fit, constants: Sequence[StatedConstant]) -> np.ndarray
     for side, each in zip(sides, constants, strict=True):
         change = each.readings[:, None] * read - state.b[:, None] * each.torques
         side[:] = np.einsum("ujpk,ujp,j->k", of_blocks, change, weights**2) + known.T @ each.known
-    T = to_gains(state, problem.n_theta, fit.free_gains)
+    T = to_gains(state, fit.free_gains)
     return np.asarray(-(T @ back) @ (back.T @ sides.T))
 
 
@@ -158,11 +158,10 @@ def scale_uncertainty(dataset: Dataset, system: System, solve: Solve) -> np.ndar
     known parameters is in the solution's own covariance.
     """
     problem = system.problem
-    size = problem.n_theta + 2 * len(problem.channels)
-    extra = np.zeros((size, size))
+    extra = np.zeros((len(problem.unknowns),) * 2)
     for each in stated_constants(dataset, system):
         if each.std:
-            above, below = (solve(each.changed(problem, by)).stacked for by in (each.std, -each.std))
+            above, below = (solve(each.changed(problem, by)).values for by in (each.std, -each.std))
             extra += np.outer(above - below, above - below) / 4
     return extra
 
@@ -203,10 +202,10 @@ def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
     whole, *units = (_with_sensors(fit, blocks) for blocks in (stacked(problem), *problem.units))
     size = whole.shape[1] - len(sensors) - 1
     of_known = np.zeros((len(problem.known), whole.shape[1]))
-    of_known[:, :size] = jacobian_of_known(problem, size)
+    of_known[:, :size] = jacobian_of_known(problem, True)
     of_known[:, -1] = problem.known[:, :-1] @ solution.theta - problem.known[:, -1]
     R = triangle(whole, of_known)
-    T = to_gains(solution.iterate, problem.n_theta, True)[problem.gain_rows] / fit.gains[:, None]
+    T = to_gains(solution.iterate, True)[problem.gain_rows] / fit.gains[:, None]
     found = []
     for k, sensor in enumerate(sensors):
         columns = [*range(size), size + k]

@@ -17,8 +17,8 @@ import numpy as np
 from gtau.estimation.diagnostics.gain_checks import half_widths
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.diagnostics.parameter_checks import motors
-from gtau.estimation.estimators.estimates import Estimates
 from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.regression.unknowns import Estimates
 from gtau.estimation.thresholds.estimates import (
     EFFORT_FACTOR,
     FILE_FACTOR,

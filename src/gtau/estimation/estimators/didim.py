@@ -45,8 +45,9 @@ def along_simulated_motion(
         system = along.system(system.friction, system.problem.slowest > 0)
         before, solution = solution, solve(system.problem)
         std = np.sqrt(np.diag(solution.covariance))
-        limits = np.where(np.arange(len(std)) < len(solution.theta), SWITCHING, CONVERGED) * std
-        if len(before.stacked) == len(std) and np.all(np.abs(solution.stacked - before.stacked) <= limits):
+        limits = CONVERGED * std
+        limits[solution.unknowns.theta] = SWITCHING * std[solution.unknowns.theta]
+        if len(before.values) == len(std) and np.all(np.abs(solution.values - before.values) <= limits):
             progress("simulation", PASSES, PASSES)
             return along, system
     raise GtauError(

@@ -144,7 +144,7 @@ def essential_parameters(
     significant = 1 / np.sqrt(np.log(problem.total_rows.sum()))
     while True:
         index = [k for k, name in enumerate(problem.parameters) if name in candidates]
-        std = np.sqrt(np.diag(solution.covariance)[: problem.n_theta])
+        std = np.sqrt(np.diag(solution.covariance)[problem.unknowns.theta])
         std = std * [inflation[name] for name in problem.parameters]
         relative = (std / np.maximum(np.abs(solution.theta), 1e-300))[index]
         worst = int(np.argmax(relative))

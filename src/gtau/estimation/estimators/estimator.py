@@ -12,6 +12,7 @@ import numpy as np
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
+from gtau.estimation.regression.unknowns import Unknowns
 from gtau.progress import Progress, silent
 
 
@@ -23,6 +24,17 @@ class Iterate:
     b: np.ndarray
     delays: np.ndarray
 
+    @property
+    def values(self) -> np.ndarray:
+        """Parameters, gains and delays, (k,)."""
+        return np.concatenate([self.theta, 1 / self.b, self.delays])
+
+    def moved(self, step: np.ndarray) -> Iterate:
+        """Move by a step in theta, b (if it is free) and the delays."""
+        end, n = len(self.theta), len(self.b)
+        b = self.b if len(step) == end + n else self.b + step[end : end + n]
+        return Iterate(self.theta + step[:end], b, self.delays + step[-n:])
+
 
 @dataclass(frozen=True, eq=False)
 class Solution:
@@ -30,18 +42,14 @@ class Solution:
 
     Attributes
     ----------
-    theta : ndarray
-        Unknown parameters, (n_theta,), SI units.
-    gains, delays : ndarray
-        Gains of the channels (c,), N m/A or N/A, 1 of torque sensors, and their delays (c,), s.
+    unknowns, values : Unknowns, ndarray
+        Estimates (k,) of parameters (SI units), gains (N m/A or N/A, 1 of torque sensors) and delays (s).
     sigma : ndarray
         Standard deviation of each channel's residual, (c,), A, of torque sensors N m or N.
     covariance : ndarray
-        Of (theta, gains, delays) by the method's formula, which assumes independent errors; zero
-        where a value is given and not estimated.
+        (k, k) by the method's formula, which assumes independent errors; zero where a value is given and not estimated.
     replicates : callable
-        Changes of the estimates of (theta, gains, delays) when one unit after another is left out, (U, k);
-        called for the jackknife.
+        Changes of the estimates when one unit after another is left out, (U, k); called for the jackknife.
     statistics : Mapping
         Further figures that the method offers, such as ``singular_ratio``.
     of_prior : ndarray or float
@@ -50,15 +58,29 @@ class Solution:
         Whether the iteration converged.
     """
 
-    theta: np.ndarray
-    gains: np.ndarray
-    delays: np.ndarray
+    unknowns: Unknowns
+    values: np.ndarray
     sigma: np.ndarray
     covariance: np.ndarray
     replicates: Callable[[], np.ndarray]
     statistics: Mapping[str, float] = field(default_factory=dict)
     of_prior: np.ndarray | float = 0.0
     converged: bool = True
+
+    @property
+    def theta(self) -> np.ndarray:
+        """Parameters of the model, (n_theta,)."""
+        return self.values[self.unknowns.theta]
+
+    @property
+    def gains(self) -> np.ndarray:
+        """Gains of the channels, (c,)."""
+        return self.values[self.unknowns.gains]
+
+    @property
+    def delays(self) -> np.ndarray:
+        """Delays of the channels, (c,)."""
+        return self.values[self.unknowns.delays]
 
     @cached_property
     def jackknife(self) -> np.ndarray:
@@ -69,11 +91,6 @@ class Solution:
     def iterate(self) -> Iterate:
         """The estimates as unknowns in the domain of the currents."""
         return Iterate(self.theta, 1 / self.gains, self.delays)
-
-    @property
-    def stacked(self) -> np.ndarray:
-        """(theta, gains, delays) in one vector, (k,)."""
-        return np.concatenate([self.theta, self.gains, self.delays])
 
 
 def jackknife(replicates: np.ndarray) -> np.ndarray:

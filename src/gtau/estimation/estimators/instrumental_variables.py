@@ -21,10 +21,10 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given, Iterate, Solution
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
-from gtau.estimation.estimators.newton import jacobian, moved, one_step, residuals, to_gains
+from gtau.estimation.estimators.newton import jacobian, one_step, residuals, to_gains
 from gtau.estimation.estimators.simulated_motion import resimulated_runs
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.equations import BLOCKS, FIXED, SIGNALS, triangle
+from gtau.estimation.regression.equations import BLOCKS, SIGNALS, triangle
 from gtau.estimation.regression.factors import EXTRA, Factors, Triangles
 from gtau.estimation.regression.friction import TERMS
 from gtau.estimation.regression.problem import Problem
@@ -57,8 +57,7 @@ class Pair:
     def of(self, parameters: Sequence[str]) -> Pair:
         """Keep some parameters only, the others set to zero."""
         gone = [name for name in self.measured.parameters if name not in set(parameters)]
-        kept = [k for k, name in enumerate(self.measured.parameters) if name in set(parameters)]
-        columns = [*kept, *range(self.measured.n_theta, self.measured.n_theta + FIXED)]
+        columns = self.measured.columns_of(name for name in self.measured.parameters if name in set(parameters))
         measured, simulated = (each[..., columns] for each in self.whole)
         return Pair(self.measured.without(gone), self.simulated.without(gone), (measured, simulated))
 
@@ -85,7 +84,7 @@ def instrumental(
         pair = paired(dataset, system, solution)
         before, solution = solution, with_instruments(pair, solution, free_gains)
         std = np.sqrt(np.diag(solution.covariance))
-        if np.all(np.abs(solution.stacked - before.stacked) <= SAME * std):
+        if np.all(np.abs(solution.values - before.values) <= SAME * std):
             break
     progress("simulation", PASSES, PASSES)
     return pair, solution
@@ -99,8 +98,8 @@ def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
     GtauError
         Where the iteration does not converge.
     """
-    problem, n_theta, n = pair.measured, pair.measured.n_theta, len(pair.measured.joints)
-    state = Iterate(np.zeros(n_theta), 1 / start.gains, start.delays)
+    problem, n = pair.measured, len(pair.measured.joints)
+    state = Iterate(np.zeros(len(problem.parameters)), 1 / start.gains, start.delays)
 
     def linear(blocks: np.ndarray, instruments: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Linearise: weighted errors (., n p), their Jacobian (., n p, k) and that of the instruments."""
@@ -120,7 +119,7 @@ def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
         back = np.linalg.inv(R) / norms[:, None]
         A = Q.T @ J @ back  # not Z^T J, in which half of the digits would be lost
         step = -np.linalg.solve(A, Q.T @ e)
-        state = moved(state, back @ step, n_theta, free)
+        state = state.moved(back @ step)
         if k > 0 and np.linalg.norm(step) < CONVERGED * np.sqrt(len(step)):
             break
     else:
@@ -129,7 +128,7 @@ def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
             "measured one; use --method ml, or add runs that excite the parameters better."
         )
     sigma = np.sqrt(errors / np.maximum(problem.total_rows - len(step) / n, 1))
-    T, inverse = to_gains(state, n_theta, free_gains) @ back, np.linalg.inv(A)
+    T, inverse = to_gains(state, free_gains) @ back, np.linalg.inv(A)
     white = inverse @ (Q * np.repeat(sigma * weights, len(Q) // n)[:, None]).T
 
     def replicates() -> np.ndarray:
@@ -140,7 +139,7 @@ def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
             blocks.append((left @ J_u @ back, left @ e_u))
         return one_step(blocks) @ T.T
 
-    return Solution(state.theta, 1 / state.b, state.delays, sigma, T @ white @ white.T @ T.T, replicates)
+    return Solution(problem.unknowns, state.values, sigma, T @ white @ white.T @ T.T, replicates)
 
 
 def paired(dataset: Dataset, system: System, solution: Solution) -> Pair:
@@ -155,7 +154,7 @@ def paired(dataset: Dataset, system: System, solution: Solution) -> Pair:
         dataset.with_factors(factors).system(system.friction, system.problem.slowest > 0).whole
         for factors in zip(*pairs, strict=True)
     )
-    whole, of_instruments, b = [], [], measured.n_theta + 1
+    whole, of_instruments, b = [], [], len(measured.parameters) + 1
     for j in range(len(measured.joints)):
         R = triangle(*np.concatenate([instruments.blocks[:, j, :, :b], measured.blocks[:, j]], axis=-1))
         whole.append(R[:, b:])

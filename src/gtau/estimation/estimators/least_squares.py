@@ -49,7 +49,7 @@ def _with_given(
     delays: np.ndarray | None = None,
 ) -> Solution:
     delays = problem.own_delays if delays is None else delays
-    start = Iterate(np.zeros(problem.n_theta), 1 / np.asarray(gains, dtype=float), delays)
+    start = Iterate(np.zeros(len(problem.parameters)), 1 / np.asarray(gains, dtype=float), delays)
     solution = solve(problem, start, weigh, free_gains=False)
     if not solution.converged:
         raise GtauError(
@@ -62,7 +62,7 @@ def _with_given(
 
 def scarcity(problem: Problem) -> str:
     """Count equations and unknowns, and advise how to get more equations."""
-    rows, unknowns = int(problem.total_rows.sum()), problem.n_theta + 2 * len(problem.joints)
+    rows, unknowns = int(problem.total_rows.sum()), len(problem.parameters) + 2 * len(problem.joints)
     return f"after filtering there are {rows} equations for {unknowns} unknowns; log longer runs, at a higher rate, "
 
 

@@ -75,7 +75,7 @@ def own_share(problem: Problem) -> float:
 
     W = np.concatenate([R[:, MODEL] for R in problem.triangles])
     known, values = problem.known[:, :-1], problem.known[:, -1]
-    alone, members = np.zeros(problem.n_theta), known.any(axis=0)
+    alone, members = np.zeros(len(problem.parameters)), known.any(axis=0)
     alone[members] = np.linalg.lstsq(known[:, members], values, rcond=None)[0]
     unknown = W @ null_space(known)  # directions of theta without a prior
     norms = np.linalg.norm(unknown, axis=0)

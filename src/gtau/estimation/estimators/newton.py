@@ -46,13 +46,6 @@ def jacobian(blocks: np.ndarray, state: Iterate, problem: Problem, free_gains: b
     return np.concatenate(parts, axis=-1)
 
 
-def moved(state: Iterate, step: np.ndarray, n_theta: int, free_gains: bool) -> Iterate:
-    """Move the state by a step in the unknowns of :func:`jacobian`."""
-    n = len(state.b)
-    b = state.b + step[n_theta : n_theta + n] if free_gains else state.b
-    return Iterate(state.theta + step[:n_theta], b, state.delays + step[-n:])
-
-
 def stacked(problem: Problem) -> np.ndarray:
     """Stack the joints' triangles, (n, p, n_theta + 4), filled up with zero rows."""
     triangles = np.zeros((len(problem.channels), max(map(len, problem.triangles)), problem.n_theta + FIXED))
@@ -72,13 +65,9 @@ def solve(
 
     ``converged`` of the solution is whether it converged within ``steps``.
     """
-    n, n_theta = len(problem.channels), problem.n_theta
-    triangles = stacked(problem)
+    triangles, state = stacked(problem), start
     sizes = np.abs(triangles)
-    state = start
-
-    size = _size(n, n_theta, free_gains)
-    known, J_known = problem.known, jacobian_of_known(problem, size)
+    known, J_known = problem.known, jacobian_of_known(problem, free_gains)
 
     def errors(at: Iterate) -> np.ndarray:
         return np.sum(residuals(triangles, at) ** 2, axis=-1)
@@ -88,7 +77,7 @@ def solve(
 
     for _ in range(steps):
         weights = weigh(state, errors(state))
-        J = (jacobian(triangles, state, problem, free_gains) * weights[:, None, None]).reshape(-1, size)
+        J = (jacobian(triangles, state, problem, free_gains) * weights[:, None, None]).reshape(-1, J_known.shape[1])
         J = np.concatenate([J, J_known])
         e = (residuals(triangles, state) * weights[:, None]).reshape(-1)
         e = np.concatenate([e, known[:, :-1] @ state.theta - known[:, -1]])
@@ -100,9 +89,9 @@ def solve(
         terms = sizes[:, :, SIGNAL] + np.abs(state.b)[:, None] * modelled(sizes, np.abs(state.theta))
         rounding = ROUNDING * float(np.linalg.norm(terms * weights[:, None]))
         highest = (np.sqrt(before) + rounding) ** 2
-        while share > 1e-6 and cost(moved(state, share * step, n_theta, free_gains)) > highest:
+        while share > 1e-6 and cost(state.moved(share * step)) > highest:
             share /= 2
-        state = moved(state, share * step, n_theta, free_gains)
+        state = state.moved(share * step)
         smallest = max(CONVERGED * np.sqrt(before / problem.total_rows.sum()), rounding)
         if np.linalg.norm(J @ step) < smallest * np.sqrt(J.shape[1]):
             converged = True
@@ -165,24 +154,17 @@ def curved(gauss: np.ndarray, second: np.ndarray) -> np.ndarray:
         return np.asarray(root @ (axes * np.maximum(shares, FLATTEST)) @ axes.T @ root.T)
 
 
-def jacobian_of_known(problem: Problem, size: int) -> np.ndarray:
-    """Compute the Jacobian (k, size) of the residuals of the known parameters, which depend on theta alone."""
-    J = np.zeros((len(problem.known), size))
-    J[:, : problem.n_theta] = problem.known[:, :-1]
-    return J
-
-
-def _size(n: int, n_theta: int, free_gains: bool) -> int:
-    return n_theta + (2 if free_gains else 1) * n
+def jacobian_of_known(problem: Problem, free_gains: bool) -> np.ndarray:
+    """Compute the Jacobian (k, parameters) of the residuals of the known parameters, which depend on theta alone."""
+    return np.pad(problem.known[:, :-1], ((0, 0), (0, (2 if free_gains else 1) * len(problem.channels))))
 
 
 def finish(
     problem: Problem, triangles: np.ndarray, state: Iterate, weights: np.ndarray, errors: np.ndarray, free_gains: bool
 ) -> Solution:
     """Compute the covariances at ``state``."""
-    n, n_theta = len(problem.channels), problem.n_theta
-    size = _size(n, n_theta, free_gains)
-    J_known = jacobian_of_known(problem, size)
+    J_known = jacobian_of_known(problem, free_gains)
+    n, size = len(problem.channels), J_known.shape[1]
     # eqs. (25) and (26), joint by joint
     sigma = np.sqrt(errors / np.maximum(problem.total_rows - size / n, 1))
     J = jacobian(triangles, state, problem, free_gains) * weights[:, None, None]  # (c, p, size)
@@ -193,7 +175,7 @@ def finish(
     of_prior = back @ (back.T @ (J_known.T @ J_known) @ back) @ back.T
     # eq. (27), with the errors' own variance in every joint
     formula = back @ (white.T @ white) @ back.T + of_prior
-    gains, T = 1 / state.b, to_gains(state, n_theta, free_gains)
+    T = to_gains(state, free_gains)
 
     def curvature(blocks: np.ndarray) -> np.ndarray:
         added = back[size - n :]
@@ -210,19 +192,15 @@ def finish(
             blocks.append((np.eye(len(left)) - left, J_u.T @ e_u))
         return one_step(blocks) @ (T @ back).T
 
-    return Solution(state.theta, gains, state.delays, sigma, T @ formula @ T.T, replicates, {}, T @ of_prior @ T.T)
+    formula, of_prior = T @ formula @ T.T, T @ of_prior @ T.T
+    return Solution(problem.unknowns, state.values, sigma, formula, replicates, {}, of_prior)
 
 
-def to_gains(state: Iterate, n_theta: int, free_gains: bool) -> np.ndarray:
-    """Differentiate (theta, g, d) with respect to the unknowns of :func:`jacobian`, (n_theta + 2 n, .)."""
-    n = len(state.b)
-    size = _size(n, n_theta, free_gains)
-    T = np.zeros((n_theta + 2 * n, size))
-    T[:n_theta, :n_theta] = np.eye(n_theta)
-    if free_gains:
-        T[n_theta : n_theta + n, n_theta : n_theta + n] = -np.diag(1 / state.b**2)
-    T[n_theta + n :, size - n :] = np.eye(n)
-    return T
+def to_gains(state: Iterate, free_gains: bool) -> np.ndarray:
+    """Differentiate (theta, g, d) with respect to the unknowns of :func:`jacobian`, (k, .)."""
+    end, n = len(state.theta), len(state.b)
+    T = np.diag(np.concatenate([np.ones(end), -1 / state.b**2, np.ones(n)]))
+    return T if free_gains else np.delete(T, slice(end, end + n), axis=1)
 
 
 def one_step(blocks: Iterable[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
@@ -245,25 +223,13 @@ def one_step(blocks: Iterable[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
 
 
 def degrees_of_freedom(problem: Problem, solution: Solution, free_gains: bool) -> np.ndarray:
-    """Compute the degrees of freedom of the jackknife standard deviations, for intervals by the t distribution.
+    """Compute the degrees of freedom (k,) of the jackknife standard deviations, for intervals by the t distribution.
 
     As many as there are blocks, less one, if all blocks carry the same information on a parameter. Often a few carry
     nearly all: Coulomb friction of a passive joint shows where that joint reverses, and its standard deviation rests on
     these few alone. The information of each block follows from the motions (Satterthwaite's rule, as Bell and
     McCaffrey use it): ``(sum s_u^2)^2 / sum s_u^4`` with s_u^2 the variance that leaving out block u contributes, for
     independent residuals. Known parameters belong to no block; their standard deviations count as known.
-
-    Parameters
-    ----------
-    problem, solution : Problem, Solution
-        The solved problem.
-    free_gains : bool
-        Whether the gains are estimated, or given.
-
-    Returns
-    -------
-    ndarray
-        Of (theta, gains, delays), (n_theta + 2 c,).
     """
     state, blocks = solution.iterate, len(problem.units)
     weights = 1 / np.maximum(solution.sigma, problem.smallest_sigma)
@@ -272,10 +238,9 @@ def degrees_of_freedom(problem: Problem, solution: Solution, free_gains: bool) -
         J = jacobian(blocks, state, problem, free_gains) * weights[:, None, None]
         return np.asarray(J.reshape(-1, J.shape[-1]))
 
-    of_data = rows(stacked(problem))
-    every = np.concatenate([of_data, jacobian_of_known(problem, of_data.shape[1])])
+    every = np.concatenate([rows(stacked(problem)), jacobian_of_known(problem, free_gains)])
     back = whitening(every, np.zeros(len(problem.channels)))
-    named = to_gains(state, problem.n_theta, free_gains) @ back
+    named = to_gains(state, free_gains) @ back
     variances = []
     for block in problem.units:
         J = rows(block) @ back

@@ -19,7 +19,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.estimators.estimator import Iterate, Solution, jackknife
-from gtau.estimation.estimators.newton import jacobian, moved, residuals, stacked
+from gtau.estimation.estimators.newton import jacobian, residuals, stacked
 from gtau.estimation.estimators.standard_parameters import (
     StandardUnknowns,
     constrained_least_squares,
@@ -103,7 +103,7 @@ def consistent(
     problem, n = system.whole, len(system.whole.joints)
     of_base = of_theta(dataset.base, dataset.model.parameter_names, problem.parameters, priors)
     unknowns = standard_unknowns(dataset, system, solution, priors)
-    triangles, n_theta = stacked(problem), problem.n_theta
+    triangles = stacked(problem)
     values = dict(zip(system.problem.parameters, solution.theta, strict=True))
     theta = np.array([values.get(name, 0.0) for name in problem.parameters])
     state = Iterate(theta, 1 / solution.gains, solution.delays)
@@ -115,10 +115,10 @@ def consistent(
     for _ in range(STEPS):
         weights = 1 / np.maximum(np.sqrt(errors(state) / problem.total_rows), problem.smallest_sigma)
         linear = _linear(triangles, state, problem, weights, free_gains)
-        stated = np.insert(of_base, n_theta, np.zeros((linear.shape[1] - n_theta - 1, 1)), axis=1)
+        stated = np.insert(of_base, [len(theta)] * (linear.shape[1] - of_base.shape[1]), 0.0, axis=1)
         x, rest = _programme(triangle(linear, stated), unknowns)
         step = np.concatenate([unknowns.S @ x - state.theta, rest])
-        state = moved(state, step, n_theta, free_gains)
+        state = state.moved(step)
         J = jacobian(triangles, state, problem, free_gains) * weights[:, None, None]
         if np.linalg.norm(J.reshape(-1, step.size) @ step) < CONVERGED * np.sqrt(step.size):
             break
@@ -167,18 +167,18 @@ def _linear(blocks: np.ndarray, state: Iterate, problem: Problem, weights: np.nd
     J = jacobian(blocks, state, problem, free_gains) * weights[:, None, None]
     J = J.reshape(-1, J.shape[-1])
     e = (residuals(blocks, state) * weights[:, None]).reshape(-1)
-    return np.column_stack([J, J[:, : problem.n_theta] @ state.theta - e])
+    return np.column_stack([J, J[:, : len(state.theta)] @ state.theta - e])
 
 
 def _programme(R: np.ndarray, unknowns: StandardUnknowns) -> tuple[np.ndarray, np.ndarray]:
     """Solve one convex programme for unknowns x, and steps of 1/g and of the delays."""
-    n_theta, c = unknowns.S.shape
+    parameters, c = unknowns.S.shape
     R, y = R[:-1, :-1], R[:-1, -1]  # the last row is the residual of the unconstrained fit
-    rest = R.shape[1] - n_theta
+    rest = R.shape[1] - parameters
     A = np.zeros((len(R) + c, c + rest))
-    A[: len(R), :c], A[: len(R), c:] = R[:, :n_theta] @ unknowns.S, R[:, n_theta:]
+    A[: len(R), :c], A[: len(R), c:] = R[:, :parameters] @ unknowns.S, R[:, parameters:]
     A[len(R) :, :c] = np.diag(1 / unknowns.spread)
-    sizes = np.linalg.norm(R[:, n_theta:], axis=0)
+    sizes = np.linalg.norm(R[:, parameters:], axis=0)
     free = np.full(rest, np.inf)
     solved = constrained_least_squares(
         A,

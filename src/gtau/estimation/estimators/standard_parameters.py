@@ -208,7 +208,7 @@ def standard_unknowns(
     carried = {name for each in system.payloads for name in each.unknown}
     others = [name for name in problem.parameters[dataset.base.count :] if name not in carried]
     names += others
-    S = np.zeros((problem.n_theta, len(names)))
+    S = np.zeros((len(problem.parameters), len(names)))
     S[: dataset.base.count, : len(position)] = dataset.base.matrix
     row = {name: k for k, name in enumerate(problem.parameters)}
     column: dict[str, int] = {name: k for k, name in enumerate(names)}

@@ -33,22 +33,23 @@ def tls(problem: Problem) -> Solution:
     _, s, Vt = np.linalg.svd(W_tot)  # eq. (35)
     chi = _scaled(Vt[-1])  # V_c solves the closest compatible system, eqs. (34) and (36)
     sigma_W = s[-1] / np.sqrt(r - len(s))  # eq. (38), of errors as in eq. (37)
-    n, n_theta = len(problem.joints), problem.n_theta
-    covariance = np.zeros((n_theta + 2 * n, n_theta + 2 * n))
+    n, unknowns = len(problem.joints), problem.unknowns
+    covariance = np.zeros((len(unknowns), len(unknowns)))
     inverse = _inverse_of_compatible(s, Vt.T)
-    covariance[: n_theta + n, : n_theta + n] = sigma_W**2 * (1 + chi[:-1] @ chi[:-1]) * inverse  # eq. (39)
-    theta, gains = chi[:n_theta], chi[n_theta:-1]
+    covariance[:-n, :-n] = sigma_W**2 * (1 + chi[:-1] @ chi[:-1]) * inverse  # eq. (39)
+    theta, gains = chi[unknowns.theta], chi[unknowns.gains]
     errors = np.zeros(n)
     for j, R in enumerate(problem.triangles):
         errors[j] = np.sum((delayed_signal(R, problem.own_delays[j]) - modelled(R, theta) / gains[j]) ** 2)
-    sigma = np.sqrt(errors / np.maximum(problem.total_rows - (n_theta + n) / n, 1))
+    sigma = np.sqrt(errors / np.maximum(problem.total_rows - (len(chi) - 1) / n, 1))
 
     def replicates() -> np.ndarray:
         shifts = np.array([(_scaled(np.linalg.svd(W)[2][-1]) - chi)[:-1] for W in leave_one_out(units)])
         return np.hstack([shifts, np.zeros((len(units), n))])  # the delays are those of all units
 
     statistics = {"singular_ratio": float(s[-2] / s[-1]), "sigma_W": float(sigma_W)}
-    return Solution(theta, gains, problem.own_delays, sigma, covariance, replicates, statistics)
+    values = np.append(chi[:-1], problem.own_delays)
+    return Solution(unknowns, values, sigma, covariance, replicates, statistics)
 
 
 def _scaled(direction: np.ndarray) -> np.ndarray:

@@ -34,24 +34,25 @@ def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
         Of the channels, (c,), s; if left out, those that each joint's own model explains best.
     """
     delays = problem.own_delays if delays is None else delays
-    n, n_theta = len(problem.channels), problem.n_theta
+    n, of_theta, of_gains = len(problem.channels), problem.unknowns.theta, problem.unknowns.gains
     coefficients = [
         least_squares(R[:, columns], delayed_signal(R, d))
         for R, columns, d in zip(problem.triangles, problem.own_columns, delays, strict=True)
     ]
     blocks = [_rows(problem, j, R, coefficients[j]) for j, R in enumerate(problem.triangles)]
-    gains, known = np.ones(n), np.zeros((len(problem.known), n_theta + n + 1))
-    known[:, :n_theta], known[:, -1] = problem.known[:, :-1], -problem.known[:, -1]
+    gains = np.ones(n)
     for _ in range(3):
         scale = 1 / (problem.own_sigma * np.abs(gains))
-        A = np.concatenate([*(block * weight for block, weight in zip(blocks, scale, strict=True)), known])
+        A = np.concatenate(
+            [*(block * weight for block, weight in zip(blocks, scale, strict=True)), problem.total_known]
+        )
         x = least_squares(A[:, :-1], -A[:, -1])
-        gains = np.where(problem.unknown_gains, x[n_theta:], 1.0)
+        gains = np.where(problem.unknown_gains, x[of_gains], 1.0)
         if not np.all(np.abs(gains) > 0):
             raise GtauError(
                 "the currents of some joint are unrelated to its motion; check the columns of the current references."
             )
-    state = Iterate(x[:n_theta], 1 / gains, delays)
+    state = Iterate(x[of_theta], 1 / gains, delays)
     errors = np.sum(residuals(stacked(problem), state) ** 2, axis=-1)
     weights = 1 / np.maximum(np.sqrt(errors / problem.total_rows), problem.smallest_sigma)
     solution = finish(problem, stacked(problem), state, weights, errors, True)
@@ -97,16 +98,16 @@ def first_stage(problem: Problem, solution: Solution, lack: float) -> tuple[floa
     bias : ndarray
         (n,) Relative bias of the joints' gains to first order (Nagar 1959).
     """
-    n_theta, free = problem.n_theta, problem.unknown_gains
+    of_theta, of_gains, free = problem.unknowns.theta, problem.unknowns.gains, problem.unknown_gains
     parts = []
     for j, (R, columns, d) in enumerate(zip(problem.triangles, problem.own_columns, solution.delays, strict=True)):
         coefficients = least_squares(R[:, columns], delayed_signal(R, d))
         parts.append(_rows(problem, j, R, coefficients) / (lack * problem.own_sigma[j] * abs(solution.gains[j])))
     rows = np.concatenate([*parts, np.pad(problem.known[:, :-1], ((0, 0), (0, len(free) + 1)))])
     # currents in units of their own noise, less what the parameters that all joints share explain of them
-    currents = (rows[:, n_theta:-1] * solution.gains)[:, free]
-    norms = np.linalg.norm(rows[:, :n_theta], axis=0)
-    U, s, _ = np.linalg.svd(rows[:, :n_theta] / np.where(norms > 0, norms, 1.0), full_matrices=False)
+    currents = (rows[:, of_gains] * solution.gains)[:, free]
+    norms = np.linalg.norm(rows[:, of_theta], axis=0)
+    U, s, _ = np.linalg.svd(rows[:, of_theta] / np.where(norms > 0, norms, 1.0), full_matrices=False)
     U = U[:, s > EXPLAINED * s.max(initial=0.0)]
     instruments = sum(map(len, problem.own_columns)) + len(problem.known) - U.shape[1]
     bias = np.zeros(len(problem.channels))

@@ -37,6 +37,12 @@ def model_of(robot: Robot) -> InverseDynamics:
     return InverseDynamics(robot)
 
 
+@lru_cache(maxsize=8)
+def base_of(robot: Robot, sensors: tuple[str, ...] = ()) -> BaseParameters:
+    """Return the base parameters of a robot's motors and ``sensors``, found once."""
+    return base_parameters(model_of(robot), sensors=sensors)
+
+
 @dataclass(frozen=True, eq=False)
 class Dataset:
     """All runs of an experiment, read and reduced, with the priors, before any estimation.
@@ -195,7 +201,7 @@ def reduce_runs(
         check_wrenches(robot, run)
     preparation = preparation or choose_preparation(runs, decimator)
     progress("base parameters", 0, 1)
-    base = base_parameters(model, sensors=sensors_of(robot, runs))
+    base = base_of(robot, sensors_of(robot, runs))
     prepared = prepare_runs(model, runs, preparation)
     dataset = Dataset(robot, model, base, preparation, prepared, (), priors or {}, prior_inertias)
     return dataset.reduced(progress=progress)

@@ -10,13 +10,14 @@ both. An estimator that reweights rows streams the logs again (``Dataset.reduced
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from gtau.estimation.regression.equations import FIXED, KNOWN, MODEL, SIGNAL, delayed_signal, select_columns, triangle
+from gtau.estimation.regression.unknowns import Unknowns
 from gtau.model.base_parameters import independent_columns
 from gtau.robots.parameter import Parameter
 from gtau.signals.channel import Channel
@@ -97,14 +98,14 @@ class Problem:
         return tuple(each[0] if len(each) == 1 else np.concatenate(each, axis=1) for each in together)
 
     @cached_property
-    def unknowns(self) -> tuple[Parameter, ...]:
-        """All unknowns in order, (n_theta + 2 c,): the parameters, then gains and delays of the channels."""
-        gains = (Parameter("gain", channel.name) for channel in self.channels)
-        return (*self.parameters, *gains, *(Parameter("delay", channel.name) for channel in self.channels))
+    def unknowns(self) -> Unknowns:
+        """All unknowns in order, (k,): the parameters, then gains and delays of the channels."""
+        names = [channel.name for channel in self.channels]
+        return Unknowns((*self.parameters, *(Parameter(kind, name) for kind in ("gain", "delay") for name in names)))
 
     @property
     def gain_rows(self) -> slice:
-        """Indices of the joints' gains in (theta, gains, delays)."""
+        """Places of the joints' gains in ``unknowns``."""
         return slice(self.n_theta, self.n_theta + len(self.joints))
 
     @property
@@ -205,16 +206,23 @@ class Problem:
         rows[:, self.n_theta + j if self.unknown_gains[j] else -1] += signal
         return rows
 
+    @property
+    def total_known(self) -> np.ndarray:
+        """Known parameters as rows of ``W_tot``, (k, n_theta + c + 1)."""
+        signs = np.append(-np.ones(self.n_theta), 1.0)
+        return np.insert(self.known * signs, [self.n_theta] * len(self.channels), 0.0, axis=1)
+
+    def columns_of(self, names: Iterable[str]) -> list[int]:
+        """Find the columns of some parameters in the blocks, and those behind the model."""
+        return [*self.unknowns.at(names), *range(self.n_theta, self.n_theta + FIXED)]
+
     def without(self, names: Sequence[str]) -> Problem:
         """Set the parameters ``names`` of a problem to zero."""
-        keep = [k for k, name in enumerate(self.parameters) if name not in set(names)]
-        columns = [*keep, *range(self.n_theta, self.n_theta + FIXED)]
-        less = replace(
-            self,
-            parameters=tuple(self.parameters[k] for k in keep),
-            blocks=self.blocks[..., columns],
-            known=self.known[:, [*keep, -1]],
-        )
+        gone = set(names)
+        kept = tuple(name for name in self.parameters if name not in gone)
+        columns = self.columns_of(kept)
+        known = self.known[:, [*columns[:-FIXED], -1]]
+        less = replace(self, parameters=kept, blocks=self.blocks[..., columns], known=known)
         # the triangles of fewer columns follow from those of all: no pass over the units
         less.__dict__["triangles"] = tuple(select_columns(R, columns) for R in self.triangles)
         # columns that depended on others still do if these are all there, or if there are none

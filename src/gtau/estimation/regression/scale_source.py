@@ -48,7 +48,7 @@ def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | Non
         own, answered = unexplained_wrench_share(problem)
         if own < OWN_BODY and answered < ANSWERED:
             raise GtauError(_always_carried(problem.wrenches, other))
-    if problem.n_theta in independent_columns(_with_scale(problem))[0]:
+    if len(problem.parameters) in independent_columns(_with_scale(problem))[0]:
         return
     if problem.sensor_channels:
         sensors = [problem.channels[k] for k in problem.sensor_channels]
@@ -99,7 +99,7 @@ def unexplained_wrench_share(problem: Problem) -> tuple[float, float]:
     without an effect on the currents; for another load the currents contain the whole wrench torque over the gain. The
     second share is that of squares; both are of rows weighted by each joint's noise, and of a base that is fixed.
     """
-    n, joints, rows = problem.n_theta, len(problem.joints), []
+    n, joints, rows = len(problem.parameters), len(problem.joints), []
     for j, (R, sigma) in enumerate(zip(problem.triangles, problem.own_sigma, strict=True)):
         currents = np.zeros((len(R), joints))
         currents[:, j] = R[:, SIGNAL]
@@ -131,4 +131,4 @@ def _with_scale(problem: Problem) -> np.ndarray:
             torque, columns = R[:, SIGNAL], R[:, own]
             known = known - columns @ np.linalg.lstsq(columns, torque, rcond=None)[0]
         rows.append(np.column_stack([R[:, MODEL], known]) / sigma)
-    return np.concatenate([*rows, problem.known * np.append(np.ones(problem.n_theta), -1.0)])
+    return np.concatenate([*rows, problem.known * np.append(np.ones(len(problem.parameters)), -1.0)])

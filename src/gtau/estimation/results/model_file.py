@@ -33,7 +33,7 @@ from gtau.documents.validation import Positive, unknown, validate
 from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.alternatives import Alternative
-from gtau.estimation.diagnostics.geometry_findings import GeometryTest
+from gtau.estimation.diagnostics.geometry_findings import GeometryTest, from_document
 from gtau.estimation.diagnostics.geometry_findings import to_document as geometry_document
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
@@ -126,6 +126,10 @@ def _alternative(alternative: Alternative) -> dict[str, Any]:
     causes = [finding_document(cause) for cause in alternative.causes]
     held = {key: value for key, value in asdict(alternative).items() if key not in ("shifts", "plausible")}
     return held | {"subject": alternative.subject, "causes": causes}
+
+
+def _curve(curve: FrictionCurve) -> dict[str, Any]:
+    return {key: value for key, value in asdict(curve).items() if key != "parameters"}
 
 
 def _method(name: str) -> str:
@@ -293,7 +297,7 @@ class _Model(_Group):
     parameters: Annotated[_ByParameter, _listed("regrouping", "spread", "essential")]
     friction: Annotated[_ByParameter, _listed()]
     equation_friction: Annotated[_ByParameter, _listed()] = Field(default=(), validate_default=True)
-    curves: tuple[FrictionCurve, ...] = ()
+    curves: tuple[Annotated[FrictionCurve, PlainSerializer(_curve)], ...] = ()
     sensors: tuple[_Sensor, ...] = ()
     payloads: Annotated[tuple[_Payload, ...], PlainSerializer(payload_documents)]
     residuals: tuple[_TorqueError, ...]
@@ -304,7 +308,7 @@ class _Model(_Group):
     alternatives: tuple[Annotated[Alternative, PlainSerializer(_alternative)], ...]
     singularities: tuple[NearestPose, ...]
     temperatures: ReferenceTemperatures | None = None
-    geometry: Annotated[GeometryTest, PlainSerializer(geometry_document)] | None = None
+    geometry: Annotated[GeometryTest, BeforeValidator(from_document), PlainSerializer(geometry_document)] | None = None
     audit: Annotated[InertiaAudit, _with("stated_error", "identified_error")] | None = None
     notes: tuple[NoteEntry, ...]
     covariance: _Covariance

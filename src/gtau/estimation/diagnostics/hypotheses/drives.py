@@ -256,21 +256,21 @@ def gain_changes(fit: Fit) -> Iterator[Alternative]:
     weights = state.b / np.maximum(fit.solution.sigma, problem.smallest_sigma)
     current = modelled(problem.blocks, state.theta) * weights[:, None]
     offered = -current[..., None] * groups[:, of_block].T[:, None, None, :]
-    known = np.zeros(len(problem.known)), jacobian_of_known(problem, J.shape[-1])
+    known = np.zeros(len(problem.known)), jacobian_of_known(problem, True)
     clusters = np.unique(problem.block_numbers, return_inverse=True)[1]
     tests = Linearised(errors, J, offered, known, clusters).score_tests(slice(None), shared=False)
     t, shares = tests.size / np.maximum(tests.std, 1e-300), tests.share.sum(axis=1)
     worst = _first_largest(np.abs(t[:, : len(gains)]))
     if shares.max() > DOMINANT:  # the same runs for all joints
         worst[:] = _first_largest(shares)
-    T = to_gains(state, problem.n_theta, True)
+    T = to_gains(state, True)
     for j, k in enumerate(worst):
         change, std = float(tests.size[k, j]), float(tests.std[k, j])
         if not t[k, j] or abs(change) > SCALED:
             continue  # reversed, or in another unit: other checks name these better
         names = [fit.dataset.runs[run].name for run in runs[groups[k]]]
         cause = Finding(F.GAIN_CHANGE, (problem.joints[j],), "", {"runs": names, "change": change})
-        slopes = np.zeros(len(fit.solution.stacked))
+        slopes = np.zeros(len(fit.solution.values))
         slopes[problem.gain_rows] = (T @ tests.slopes[k, j])[problem.gain_rows]
         yield Alternative(
             GAIN_CHANGE,
