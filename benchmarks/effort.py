@@ -234,7 +234,6 @@ def measured(name: str, data: Path) -> dict[str, str]:
                 command=np.ascontiguousarray(
                     alter(run.command, own, rated, round(max(LATE, 1.4 * slowest) * run.rate))
                 ),
-                whole=None,
             )
             for run, own in zip(runs, gravity, strict=True)
         ]

@@ -14,8 +14,8 @@ from gtau.robots.parameter import command_unit, position_unit
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.bandwidth import spectra
 from gtau.signals.preparation.prepared_run import Preparation
-from gtau.signals.reading.log_set import find_logs
-from gtau.signals.run import Log, Run
+from gtau.signals.reading.log_set import read_logs
+from gtau.signals.run import Run
 from gtau.signals.storage import block, spans
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ def preparation_chart(log: LogCheck) -> Chart:
     titles = {"speed": "Power of the velocities", "acceleration": "Power of the accelerations; dots: noise dominates"}
     share = Axis("share of the peak", log=True)
     panels = [Panel(FREQUENCY, share, _shares(log, kind), title, rules, height=2.3) for kind, title in titles.items()]
-    return Chart((*panels, *([_steps(log.run, log.run.log)] if log.run.log else []), _used(log)), log.run.name)
+    return Chart((*panels, *([_steps(log.run)] if log.run.log.paths else []), _used(log)), log.run.name)
 
 
 def _shares(log: LogCheck, kind: str) -> tuple[Series, ...]:
@@ -135,9 +135,12 @@ def _shares(log: LogCheck, kind: str) -> tuple[Series, ...]:
     return tuple(series)
 
 
-def _steps(run: Run, log: Log) -> Panel:
+def _steps(run: Run) -> Panel:
     """Draw steps of the time column over time, in samples of the grid."""
-    stamps = np.concatenate([values[:, -1] for values in find_logs(log.paths, log.signals, log.units).blocks()])
+    log = run.log
+    assert log.signals is not None and log.units is not None  # noqa: PT018 (it has files)
+    _, parts = read_logs(log.paths, log.signals, log.units, [])
+    stamps = np.concatenate([values[:, -1] for values in parts])
     begin, end, period = float(run.time[0]), float(run.time[-1]), 1 / run.rate
     stamps = stamps[(stamps >= begin - period) & (stamps <= end + period)]  # without those that are not finite
     time, steps = stamps[1:], np.diff(stamps) / period

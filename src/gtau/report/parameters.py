@@ -17,11 +17,10 @@ from gtau.report.evidence import RunEvidence
 from gtau.report.gains import VALUE, regroups, value_cells
 from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, section, table, table_of
 from gtau.robots.parameter import Parameter, position_unit, torque_unit
-from gtau.signals.channel import BEHIND_DRIVE
+from gtau.signals.channel import LINK_SIDE
 from gtau.signals.preparation.filters import position_filter
-from gtau.signals.run import arrange
 
-GROUPS = ("base parameter", "friction", *(kind.name for kind in BEHIND_DRIVE))
+GROUPS = ("base parameter", "friction", *(kind.name for kind in LINK_SIDE))
 KINDS = ("width", "vs", "fv", "fs", "fb", "fl", "off")
 POINTS = 3000  # of a panel
 CONTRADICTED = 6  # parameters on a short page
@@ -125,7 +124,7 @@ def _curves(result: Result, runs: Sequence[RunEvidence]) -> list[Panel]:
     for evidence in runs:
         if (prediction := evidence.prediction) is None:
             continue
-        run = arrange(evidence.run, result.idm.actuated)
+        run = evidence.run.ordered(result.idm.actuated)
         count = int(np.searchsorted(run.time, prediction.time[-1])) + 1
         qd = position_filter(run.position, run.rate, result.preparation.at(run.rate).cutoff, 0, count)[1]
         speed = qd[np.minimum(np.searchsorted(run.time, prediction.time), count - 1)]

@@ -324,7 +324,7 @@ def fitted(fit: Fit, dataset: Dataset, gravity: np.ndarray) -> Fit | None:
     model, base = dataset.model, dataset.base
     if not np.array_equal(gravity, dataset.robot.gravity):
         model = model.with_gravity(gravity)
-        base = base_parameters(model, sensors=dataset.runs[0].sensed)
+        base = base_parameters(model, sensors=dataset.runs[0].sensors)
     friction, given = fit.system.friction, Given(None if fit.free_gains else fit.gains)
     friction = Friction(tuple(each for each in friction.terms if each.kind != "fl"), friction.per_run)
     try:

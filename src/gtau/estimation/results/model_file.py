@@ -58,7 +58,7 @@ from gtau.findings.finding import finding_document, note_document, read_note
 from gtau.robots.parameter import Parameter, parameter_of, unit_of
 from gtau.robots.readers.native import parse_native
 from gtau.robots.readers.native_text import native_text
-from gtau.signals.channel import SENSOR, ChannelKind, sensor_kind
+from gtau.signals.channel import SENSOR, ChannelKind, link_side_kind
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import Preparation
 
@@ -199,7 +199,7 @@ class _Sensor(_Group):
     delay: _Joint
     residual: _TorqueError
     ratio: _Joint | None
-    kind: Annotated[ChannelKind, BeforeValidator(sensor_kind), PlainSerializer(lambda kind: kind.name)] = SENSOR
+    kind: Annotated[ChannelKind, BeforeValidator(link_side_kind), PlainSerializer(lambda kind: kind.name)] = SENSOR
 
 
 class _Preparation(_Group):
