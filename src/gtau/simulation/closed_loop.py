@@ -92,21 +92,7 @@ def computed_torque(
 ) -> Controller:
     """Make a computed torque law of an identified model, evaluated along the reference, and that model's gains.
 
-    Parameters
-    ----------
-    reference : Reference
-        The motion to follow.
-    result : Result
-        From :func:`gtau.identify` or :meth:`gtau.Result.load`.
-    payload : Payload, optional
-        The load; its known parameters go into the model as they are.
-    bandwidth : float
-        Of the linear part, rad/s.
-
-    Raises
-    ------
-    GtauError
-        Where the robot cannot follow the reference.
+    The known parameters of a ``payload`` go into the model as they are.
     """
     model, n = result.idm, len(result.idm.actuated)
     chi = model_parameters(result, payload)
@@ -219,33 +205,11 @@ def simulate(
     joints: tuple[str, ...] = (),
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Simulated:
-    """Follow the controller's reference.
+    """Follow the controller's reference: a run as logged, and the true tracking error.
 
-    At every sample the positions are measured, the currents computed, logged and held until the next.
-
-    Parameters
-    ----------
-    name : str
-        Of the run.
-    engine : Engine
-        The robot, its payload included.
-    controller : Controller
-        The control law along its reference.
-    hardware : Hardware
-        From :func:`gtau.simulation.closed_loop.hardware`.
-    rng : Generator
-        Of the noise and the phase of the ripple.
-    payload : Payload, optional
-        Payload stated in the run.
-    joints : tuple of str
-        Names of the actuated joints.
-    progress : callable
-        Called with the samples done and their number.
-
-    Raises
-    ------
-    GtauError
-        Where the robot reaches a singular pose or the control loop diverges.
+    At every sample the positions are measured, the currents computed, logged and held until the next. ``rng`` draws the
+    noise and the phase of the ripple; ``progress`` is called with the samples done and their number. Raises GtauError
+    where the robot reaches a singular pose or the control loop diverges.
     """
     reference = controller.reference
     samples, n = reference.q.shape

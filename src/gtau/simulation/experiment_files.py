@@ -53,13 +53,7 @@ def loaded(chi: Mapping[str, float], robot: Robot, payload: Payload | None) -> d
 
 
 def truth(simulation: Simulation, model: InverseDynamics) -> tuple[dict[str, float], JointFriction]:
-    """Return the standard parameters of the simulated robot, and its friction.
-
-    Raises
-    ------
-    GtauError
-        Where the identified model is of another robot, or a stated friction term is not part of the law.
-    """
+    """Return the standard parameters of the simulated robot, and its friction."""
     smoothing = simulation.friction_width.model_dump()
     if simulation.model is not None:
         result = Result.load(simulation.model)
@@ -92,13 +86,7 @@ def make_run(
     described: SimulatedRun,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Simulated:
-    """Make one run of a simulation file under PID with velocity feedforward and the robot's own inertia matrix.
-
-    Raises
-    ------
-    GtauError
-        Where its trajectory does not suit the robot, passive joints included, or the robot gets out of control.
-    """
+    """Make one run of a simulation file under PID with velocity feedforward and the robot's own inertia matrix."""
     motion, duration = make_trajectory(described.trajectory, model.robot, f"run '{described.name}'")
     reference = sample(motion, duration, simulation.rate)
     engine, plant, parts = apparatus(simulation, model, described.payload)

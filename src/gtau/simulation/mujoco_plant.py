@@ -42,13 +42,7 @@ LIGHTEST = 1e-6  # kg, kg m2: MuJoCo moves no body without mass and inertia
 class MujocoPlant:
     """A robot in MuJoCo; parameters as of :class:`gtau.simulation.plant.Plant`.
 
-    A body lighter than 1e-6 kg or kg m2 is given as much.
-
-    Raises
-    ------
-    GtauError
-        Where MuJoCo is not installed, a body's inertia could not be built, or the robot has couplings or load-dependent
-        friction, which this engine does not support.
+    A body lighter than 1e-6 kg or kg m2 is given as much. Couplings and friction by load are not supported.
     """
 
     def __init__(self, model: InverseDynamics, chi: Mapping[str, float], friction: JointFriction | None = None):
@@ -99,13 +93,7 @@ class MujocoPlant:
         return PlantState(np.array(q, dtype=float), np.zeros(len(q)), qpos, np.zeros(self._model.nv), rest)
 
     def advance(self, state: PlantState, force: np.ndarray, duration: float) -> PlantState:
-        """Advance the state by ``duration`` s under constant forces (n,) of the actuated joints, N m or N.
-
-        Raises
-        ------
-        GtauError
-            Where the motion diverges.
-        """
+        """Advance the state by ``duration`` s under constant forces (n,) of the actuated joints, N m or N."""
         data, applied, z = self._data, np.zeros(self._model.nv), state.z
         steps = max(1, round(duration / STEP))
         self._model.opt.timestep = duration / steps

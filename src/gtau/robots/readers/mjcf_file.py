@@ -113,26 +113,11 @@ class SiteSpring:
 class MjcfFile:
     """Compiled model of a file, and the elements removed before compilation.
 
-    Attributes
-    ----------
-    model : mujoco.MjModel
-    elements : list of Element
-        The outermost elements of the file and of those it includes.
-    keys : dict
-        Positions of the keyframes by name.
-    actuators : list
-        Name, transmission, target and gear of each.
-    tied_tendons : list of TiedTendons
-        Active equalities between tendons.
-    limited_tendons : list
-        Name of each tendon with limits of its length, and these.
-    springs : list of SiteSpring
-    notes : list of str
-        Omitted elements.
-    inertias : dict
-        Bodies whose inertia the file states, by number.
-    armatures : dict
-        Armature of each joint by name.
+    ``elements`` are the outermost elements of the file and of those it includes, ``keys`` the positions of the
+    keyframes by name, ``actuators`` name, transmission, target and gear of each. ``tied_tendons`` are active equalities
+    between tendons, ``limited_tendons`` the name of each tendon with limits of its length, and these. ``notes`` say
+    what was omitted. ``inertias`` are the bodies whose inertia the file states, by number, and ``armatures`` those of
+    joints by name.
     """
 
     model: mujoco.MjModel
@@ -249,14 +234,7 @@ def _with_exact_orientations(spec: mujoco.MjSpec) -> tuple[str, ...]:
 
 
 def compile_mjcf(root: Element, path: Path) -> MjcfFile:
-    """Compile the bodies, joints and equalities of an MJCF file whose outermost element is ``root``.
-
-    Raises
-    ------
-    GtauError
-        MuJoCo is not installed or refuses the file, or it holds flexible bodies or too many copies of a body. The
-        message does not name the file; the caller does.
-    """
+    """Compile the bodies, joints and equalities of an MJCF file whose outermost element is ``root``."""
     elements = _with_included(root, path, ())
     _check_copies(elements)
     _check_numbers(elements)
@@ -348,13 +326,7 @@ SHOWN = 4
 
 
 def angle_notes(roots: list[Element]) -> Iterator[str]:
-    """Note orientations and limits that are multiples of pi/4 in a file that counts in degrees.
-
-    Raises
-    ------
-    GtauError
-        An orientation is degrees in a file that counts in radians.
-    """
+    """Note orientations and limits that are multiples of pi/4 in a file that counts in degrees."""
     units = [compiler.get("angle") for root in roots for compiler in root.iter("compiler") if compiler.get("angle")]
     if "radian" in units:
         for element, what, angle in _angles(roots, ("body", "frame")):
