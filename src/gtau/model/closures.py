@@ -171,7 +171,7 @@ def closure_expressions(layout: Coordinates, c: ca.SX, yd: ca.SX) -> tuple[ca.SX
 
 
 def solve(a: ca.SX, b: ca.SX, refine: bool) -> tuple[ca.SX, ca.SX]:
-    """Solve ``min |a x - b|`` by the sparse ``L D L^T`` of the normal equations, a (m, n) with structural zeros, b (m, k).
+    """Solve ``min |a x - b|`` by the sparse ``L D L^T`` of the normal equations, a (m, n) sparse, b (m, k).
 
     Rows and columns are eliminated in an order that keeps zeros, so robots with many legs cost no more than each leg
     and the platform. With ``refine`` one step of iterative refinement restores the digits that the normal equations

@@ -168,7 +168,7 @@ def _from_urdf(path: Path, base: BaseChoice) -> Robot:
 
 
 def frame_on(body: str, frame: str | Pose, file: str | Path | None) -> tuple[str, Placement]:
-    """Find a frame fixed to a ``body``, the joint or platform of that name: its name, and its pose in the body's own frame.
+    """Find a frame fixed to a ``body``, a joint or platform: its name, and its pose in the body's own frame.
 
     Empty for the body's own frame; a link of the URDF ``file``, or the six numbers ``x y z roll pitch yaw`` (m, rad)
     from the body's frame, or these as a pose.
