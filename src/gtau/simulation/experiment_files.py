@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from os.path import relpath
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,7 @@ from gtau.simulation.closed_loop import (
     Hardware,
     Simulated,
     hardware,
-    pid_with_velocity,
+    pid,
     sample,
     simulate,
     write_log,
@@ -95,11 +96,10 @@ def make_run(
     for row, joint in enumerate(model.robot.joints):  # passive ones too
         check_positions(c[row], joint, f"run '{described.name}'")
     inertia = np.stack([plant.mass_matrix(each) for each in c.T[::HELD]]).repeat(HELD, axis=0)[: c.shape[1]]
-    controller = pid_with_velocity(reference, inertia, parts.gain, simulation.bandwidth)
+    controller = pid(reference, inertia, parts.gain, simulation.bandwidth)
     rng = np.random.default_rng([simulation.seed, *described.name.encode()])
-    return simulate(
-        described.name, engine, controller, parts, rng, described.payload, model.actuated, progress
-    )  # fmt: skip
+    made = simulate(described.name, engine, controller, parts, rng, model.actuated, progress)
+    return replace(made, run=replace(made.run, payload=described.payload))
 
 
 @takes(out=PATH, progress=FUNCTION)
