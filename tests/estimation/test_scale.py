@@ -40,7 +40,6 @@ from gtau.model.base_parameters import base_parameters, seen_by_sensor
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent
 from gtau.robots.robot import DRIVE, Joint, Mdh, Robot
-from gtau.signals.reading.columns import Calibration
 from gtau.signals.reading.statements import Payload, Prior
 from gtau.signals.run import Run
 
@@ -295,7 +294,7 @@ def test_a_result_keeps_its_sensors(tmp_path: Path) -> None:
     assert "torque sensor" in result.summary(verbose=False)
     assert "off_2_sensor" in result.summary()
     last_first = {"torque sensor of '3'": 0.7, "torque sensor of '2'": 0.3}
-    shared = result.replaced(drive_gains={k: replace(gain, scale=last_first) for k, gain in result.drive_gains.items()})
+    shared = result.replaced(scale=dict.fromkeys(result.drive_gains, last_first))
     assert "scale: from the torque sensors of '2', '3'" in shared.summary(verbose=False)
     result.save(tmp_path / "model.json")
     again = Result.load(tmp_path / "model.json")
@@ -305,9 +304,7 @@ def test_a_result_keeps_its_sensors(tmp_path: Path) -> None:
     (tmp_path / "other.json").write_text(text.replace('"kind": "torque sensor"', '"kind": "spring"', 1))
     with pytest.raises(GtauError, match="'spring' is not a kind of sensor; write torque sensor"):
         Result.load(tmp_path / "other.json")
-    assert {name: gain.scale for name, gain in again.drive_gains.items()} == {
-        name: gain.scale for name, gain in result.drive_gains.items()
-    }
+    assert again.scale == result.scale
     bare = arm().run(3)
     assert [each.rms for each in again.validate(bare)] == [each.rms for each in result.validate(bare)]
     assert max(each.relative for each in again.validate(bare)) < 1.0
@@ -417,7 +414,9 @@ def test_columns_that_are_refused(more: dict, said: str, tmp_path: Path) -> None
 def test_the_calibration_of_a_sensor_counts_by_its_share_in_the_scale() -> None:
     plant = arm().with_sensors("2")
     runs = [plant.run(1), plant.run(2, STEEL, Payload(name="steel", mass=STEEL["m"]))]
-    known = [replace(run, calibration=Calibration(joint_torque=0.05)) for run in runs]
+    known = [
+        replace(run, channels=tuple(replace(c, std=0.05 * c.kind.link_side) for c in run.channels)) for run in runs
+    ]
     fit = fit_of(ARM, known)
     extra = scale_uncertainty(fit.dataset, fit.system, fit.solve)
     shares = scale_shares(fit)["torque sensor of '2'"]

@@ -117,7 +117,7 @@ def column_blocks(
     runs : int
         Number of runs.
     """
-    offsets = tuple(Parameter("off", channel.name) for channel in channels if channel.kind.behind_drive)
+    offsets = tuple(Parameter("off", channel.name) for channel in channels if channel.kind.link_side)
     return [
         ColumnBlock(base.names, lambda run, channel, above: _felt(base, channel, np.eye(base.count))),
         *(_payload_block(base, each) for each in carried),
@@ -129,7 +129,7 @@ def column_blocks(
 
 def _felt(base: BaseParameters, channel: Channel, columns: np.ndarray) -> np.ndarray:
     """Place columns (n_b, k) in those of the factors, (p, k); a sensor does not measure those of its joint's drive."""
-    felt = columns * seen_by_sensor(base.standard, channel.joint)[:, None] if channel.kind.behind_drive else columns
+    felt = columns * seen_by_sensor(base.standard, channel.joint)[:, None] if channel.kind.link_side else columns
     return np.concatenate([felt, np.zeros((EXTRA, columns.shape[1]))])
 
 

@@ -28,7 +28,7 @@ from gtau.robots.robot import Robot
 from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.preparation.prepared_run import InMemoryRun, Preparation, PreparedRun, prepare
 from gtau.signals.reading.statements import Payload, Prior
-from gtau.signals.run import Run, arrange
+from gtau.signals.run import Run
 
 
 @lru_cache(maxsize=8)
@@ -192,7 +192,7 @@ def reduce_runs(
         different bodies, or one that the robot lacks, or a payload beyond a sensor that already measures it.
     """
     model = model_of(robot)
-    runs = tuple(arrange(run, model.actuated) for run in runs)
+    runs = tuple(run.ordered(model.actuated) for run in runs)
     if len({run.kind for run in runs}) > 1:
         raise GtauError("some runs hold currents and others torques; identify them separately.")
     if len({run.wrenches for run in runs}) > 1:
@@ -219,7 +219,7 @@ def sensors_of(robot: Robot, runs: Sequence[Run]) -> tuple[str, ...]:
     GtauError
         Where runs differ in their sensors, or a motor drives a sensor's joint through a coupling.
     """
-    behind = [[each for each in run.channels if each.kind.behind_drive] for run in runs]
+    behind = [[each for each in run.channels if each.kind.link_side] for run in runs]
     for run, own in zip(runs, behind, strict=True):
         for kind in dict.fromkeys(each.kind for each in (*behind[0], *own)):
             first, other = ([each.joint for each in of if each.kind == kind] for of in (behind[0], own))
@@ -240,7 +240,7 @@ def sensors_of(robot: Robot, runs: Sequence[Run]) -> tuple[str, ...]:
             raise GtauError(
                 f"joint '{each.name}' has the name of a {each.kind.name} of '{each.joint}'; rename the joint."
             )
-    return runs[0].sensed
+    return runs[0].sensors
 
 
 def check_wrenches(robot: Robot, run: Run) -> None:

@@ -58,13 +58,14 @@ def within_limits(robot: Robot, prepared: PreparedRun) -> PreparedRun:
 def _check_units(robot: Robot, run: Run, span: np.ndarray, speeds: np.ndarray) -> None:
     """Refuse motions impossible for a robot of this size, and name the wrong unit or clock; (n,) rad or m, s."""
     # Motors behind gears make any number of turns, and floating bases move without limits.
+    units = run.log.units
     geared = {name for each in robot.couplings for name in (each.joint, *dict(each.ratios))}.union(robot.base)
     for kind, (basic, other) in UNITS.items():
         joints = [j for j, name in enumerate(run.joints) if robot.joint(name).kind == kind and name not in geared]
         if not joints:
             continue
         widest = max(joints, key=lambda j: span[j])
-        declared = {run.log.units.of_position(run.joints[j]) or basic for j in joints} if run.log else {basic}
+        declared = {units.of_position(run.joints[j]) or basic for j in joints} if units else {basic}
         size = 1.0 if kind == "revolute" else characteristic_length(robot)
         moved = f"{span[widest]:.3g} {basic}"
         if 0 < span[widest] < LEAST[kind] * size and declared == {other}:
@@ -89,8 +90,8 @@ def _check_units(robot: Robot, run: Run, span: np.ndarray, speeds: np.ndarray) -
 
 def stated_rate(run: Run) -> float | None:
     """Return the sampling rate (Hz) stated for a log's signals; None if the log has time stamps."""
-    stated = run.log is not None and isinstance(run.log.signals.time, SampleRate)
-    return run.log.signals.time.rate if stated else None  # type: ignore[union-attr]
+    stated = None if run.log.signals is None else run.log.signals.time
+    return stated.rate if isinstance(stated, SampleRate) else None
 
 
 def _judge(run: str, joint: Joint, low: float, high: float, speed: float) -> Iterator[Finding]:
@@ -112,6 +113,5 @@ def _judge(run: str, joint: Joint, low: float, high: float, speed: float) -> Ite
             yield Finding(F.LIMITS, (joint.name,), values=values)
     if joint.limits.velocity is not None and speed > joint.limits.velocity:
         # in many files a placeholder, so no log is refused
-        yield Finding(
-            F.SPEED_LIMIT, (joint.name,), values={"speed": speed, "limit": joint.limits.velocity, "unit": unit}
-        )
+        values = {"speed": speed, "ratio": speed / joint.limits.velocity, "limit": joint.limits.velocity, "unit": unit}
+        yield Finding(F.SPEED_LIMIT, (joint.name,), values=values)

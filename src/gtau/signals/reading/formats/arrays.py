@@ -14,7 +14,7 @@ import numpy as np
 
 from gtau.errors import GtauError, missing_extra
 from gtau.signals.reading.formats import WIDEST, Table, common_length, readable
-from gtau.signals.storage import sizes
+from gtau.signals.storage import block_size
 
 if TYPE_CHECKING:
     import polars as pl
@@ -95,7 +95,7 @@ def open_mat(path: Path) -> Table:
     def load(names: Collection[str]) -> Iterator[Mapping[str, Any]]:
         arrays = variables(*{name.partition(".")[0] for name in names})
         if lost := set(names) - arrays.keys():
-            raise GtauError(f"{path}: '{min(lost)}' holds complex numbers; give a column of real ones.")
+            raise GtauError(f"'{min(lost)}' holds complex numbers; give a column of real ones.", source=path)
         yield arrays
 
     return _table(path, shapes, load)
@@ -173,8 +173,8 @@ def _table(
         count = common_length(path, {name: rows[name] for name in names})
         with readable(path, "a log"), load({found[name][0] for name in names}) as arrays:
             end = min(wanted.stop, count)
-            for start in range(wanted.start, end, sizes().rows):
-                stop = min(start + sizes().rows, end)
+            for start in range(wanted.start, end, block_size()):
+                stop = min(start + block_size(), end)
                 frame = {name: _column(arrays, found[name], start, stop) for name in names}
                 yield pl.DataFrame(frame), stop / count
 
