@@ -154,7 +154,7 @@ def scale_lines(result: Result) -> list[str]:
     names |= {
         f"payload '{name}'": f"payload '{name}' ({mass:g} kg)" for name, mass in known.items() if mass is not None
     }
-    words = {joint: _sources(gain.scale, names) for joint, gain in result.drive_gains.items() if gain.scale}
+    words = {joint: _sources(shares, names) for joint, shares in result.scale.items() if shares}
     if len(set(words.values())) == 1:
         return [f"The scale of all gains comes from {next(iter(words.values()))}."]
     return [f"The scale of '{joint}' comes from {sources}." for joint, sources in words.items()]
@@ -171,8 +171,8 @@ def _sources(scale: Mapping[str, float], names: Mapping[str, str]) -> str:
 def all_sources(result: Result) -> str:
     """List all sources of the scale, those on which most gains rest first; sensors of a kind together, by joint."""
     totals: Counter[str] = Counter()
-    for gain in result.drive_gains.values():
-        totals.update({source: abs(share) for source, share in gain.scale.items()})
+    for shares in result.scale.values():
+        totals.update({source: abs(share) for source, share in shares.items()})
     names = {source: source for source, total in totals.most_common() if total >= LEAST * len(result.drive_gains)}
     together = []
     for kind in dict.fromkeys(sensor.kind for sensor in result.sensors):
