@@ -18,8 +18,8 @@ from gtau import display
 from gtau.documents.validation import PATH, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict, parameter_verdict, verdict_of
-from gtau.estimation.estimators.standard_parameters import Body, constrained_least_squares
-from gtau.estimation.regression.column_blocks import CarriedPayload, known_values
+from gtau.estimation.estimators.standard_parameters import Body, constrained_least_squares, unbounded
+from gtau.estimation.regression.column_blocks import PayloadColumns, known_values
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.system import System
@@ -167,9 +167,8 @@ def _consistent(weighed: Weighed, mass: float) -> np.ndarray:
     tight = 1 / (EXACT * (np.abs(weighed.exact) @ unit))
     R = np.concatenate([whiten @ weighed.sums, weighed.exact * tight[:, None], np.diag(1 / (LOOSE * unit))])
     y = np.concatenate([whiten @ weighed.values, weighed.stated * tight, supposed / (LOOSE * unit)])
-    free = np.full(10, np.inf)
     body = Body("payload", np.arange(10), np.zeros(10))
-    return constrained_least_squares(R, y, [body], -free, free, unit, mass, length)
+    return constrained_least_squares(R, y, unbounded([body], unit, mass, length))
 
 
 @dataclass(frozen=True, repr=False)
@@ -236,17 +235,17 @@ def payload_estimates(
     payloads = []
     for each in system.payloads:
         known = known_values(each.payload)
-        label = {kind: name for name, kind in each.unknown.items()}
+        label = {name.kind: name for name in each.unknown}
         estimates = {}
         for kind in PAYLOAD_KINDS:
             unit = unit_of(kind, robot, robot.tool)
             if kind in known:
                 deviation = each.payload.mass_std or None if kind == "m" else None
                 estimates[kind] = Estimate(kind, known[kind], deviation, unit, kind)
-            elif kind in each.regroupings:
+            elif kind in label:
                 lost = Estimate(kind, None, None, unit, verdict=parameter_verdict(None, None))
                 own = found.get(label[kind], lost)
-                estimates[kind] = replace(own, name=kind, unit=unit, regrouping=each.regroupings[kind])
+                estimates[kind] = replace(own, name=kind, unit=unit, regrouping=each.regrouping(label[kind]))
         if "m" in estimates and each.payload.center is not None:
             unit = unit_of("mx", robot, robot.tool)
             moments = zip(FIRST_MOMENTS, each.payload.center, strict=True)
@@ -269,7 +268,7 @@ def _possible(mass: Estimate | None) -> Verdict:
 def _weighed(
     dataset: Dataset,
     problem: Problem,
-    carried: CarriedPayload,
+    carried: PayloadColumns,
     covariance: np.ndarray,
     estimates: Mapping[Parameter, Estimate],
 ) -> Weighed:
@@ -277,8 +276,8 @@ def _weighed(
     found = [name for name in carried.unknown if name in problem.parameters]
     places = [problem.parameters.index(name) for name in found]
     sums = np.zeros((len(found), len(INERTIAL)))
-    rows = [list(carried.unknown).index(name) for name in found]
-    sums[:, [INERTIAL.index(kind) for kind in carried.free]] = carried.sums[rows]
+    rows = [carried.unknown.index(name) for name in found]
+    sums[:, [INERTIAL.index(kind) for kind in carried.summed]] = carried.sums[rows]
     freedoms = (estimates[name].freedom for name in found)
     unit = dict(zip(INERTIAL, np.eye(len(INERTIAL)), strict=True))
     stated = [(unit[kind], value) for kind, value in known_values(carried.payload).items()]
