@@ -485,7 +485,7 @@ def test_an_interruption_is_no_traceback(here: Path, monkeypatch: pytest.MonkeyP
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(gtau.estimation.identify, "reduce_runs", interrupted)
+    monkeypatch.setattr("gtau.estimation.preconditions.reduce_runs", interrupted)
     result = run("identify", "experiment.yaml", "--out", "out")
     assert result.exit_code == 130
     assert result.stderr.startswith("gtau: interrupted")
@@ -517,7 +517,7 @@ module.{function} = signing
 """
 
 
-@pytest.mark.parametrize(("module", "function"), [("identify", "reduce_runs"), ("regression.dataset", "prepare")])
+@pytest.mark.parametrize(("module", "function"), [("preconditions", "reduce_runs"), ("regression.dataset", "prepare")])
 def test_interrupted_as_a_program(here: Path, module: str, function: str) -> None:
     write_log(here / "long.csv", Plant().run("long", seconds=300.0, seed=1))
     (here / "long.yaml").write_text(EXPERIMENT.replace("free.csv", "long.csv"))

@@ -15,7 +15,6 @@ import gtau
 from gtau.estimation.friction.law import FrictionLaw, PreslidingState, Shape, stop
 from gtau.estimation.friction.normal_equations import WIDTHS, FrictionJoint
 from gtau.estimation.friction.selection import parameter_columns
-from gtau.estimation.results.friction_curves import FrictionStep
 from gtau.robots.robot import PLAIN_FRICTION
 
 SHAPES = {"left": Shape(width=1.5e-3), "right": Shape(speed=0.2)}
@@ -102,7 +101,7 @@ def test_every_sample_is_predicted_better_than_by_the_plain_law(result: gtau.Res
 
 def test_friction_moves_no_gain(result: gtau.Result, monkeypatch: pytest.MonkeyPatch) -> None:
     """Gains, parameters and their intervals are those of an identification without the step."""
-    monkeypatch.setattr("gtau.estimation.pipeline.friction_step", lambda _, estimates: FrictionStep(estimates))
+    monkeypatch.setattr("gtau.estimation.pipeline.friction_step", lambda _, estimates: (estimates, {}, {}))
     plain = gtau.identify(robot(), experiment(SHAPES, VALUES))
     assert plain.curves == {}
     assert dict(plain.drive_gains) == dict(result.drive_gains)

@@ -529,6 +529,17 @@ SENTENCES = [  # finding, reason, advice
      "the motion passes within 0.021 of a type 2 singularity at 1.25 s, where errors of position and geometry are "
      "amplified",
      "keep the motion away from that pose"),
+    (Finding(F.UNKNOWN_PAYLOAD, (), "iron", {"known": ["steel", "lead"], "mass": 1.2, "tool": "wrist"}),
+     "payload 'iron' is not a payload of the model ('steel', 'lead'), so it is treated as a point mass of 1.2 kg at "
+     "the origin of 'wrist'",
+     "correct the name, or give its 'parameters'"),
+    (Finding(F.ASSUMED_TEMPERATURE, ("a",), values={"assumed": [["a", 31.5]], "unit": "C"}),
+     "friction depends on the temperature, which these logs lack; the reference is assumed ('a' 31.5 C)",
+     "add 'temperature' to the signals"),
+    (Finding(F.SCALE_UNTESTED, values={"joint": "left"}, causes=(Finding(F.SIGN_OPEN, values={"payload": True}),)),
+     "the torques are assumed to be correct, because their scale could not be tested: that of no joint is identifiable "
+     "('left': the 95 % interval includes zero)",
+     "add runs with a heavier payload of known mass, or longer ones"),
     (Finding(F.ROWS, ("a",), values={"rows": 7}),
      "joint 'a' has 7 usable rows in all runs together, away from its reversals and gaps",
      "add runs in which it moves, or longer ones"),

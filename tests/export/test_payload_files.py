@@ -18,9 +18,10 @@ import gtau
 from gtau.cli.models import CONTROLLERS, _exported
 from gtau.errors import GtauError
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.payload import QUANTITIES, UNITS, PayloadBody
+from gtau.estimation.results.payload import PayloadBody
 from gtau.export.payload import WRITERS
 from gtau.robots.rigid_body import RigidBody
+from gtau.uses.payload_body import QUANTITIES, UNITS
 
 TURN = Rotation.from_euler("ZYX", [0.7, -0.4, 0.2]).as_matrix()
 TENSOR = TURN @ np.diag([0.004, 0.011, 0.013]) @ TURN.T

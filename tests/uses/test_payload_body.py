@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from gtau.errors import GtauError
 from gtau.estimation.estimators.standard_parameters import pseudo_inertia
 from gtau.estimation.identify import identify
-from gtau.estimation.results.payload import QUANTITIES, PayloadEstimate, Weighed, payload_body, quantities
+from gtau.estimation.results.payload import PayloadBody, PayloadEstimate, Weighed
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.readers.read import frame_on, links_on
@@ -22,6 +22,7 @@ from gtau.robots.robot import INERTIAL, Pose
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 from gtau.simulation.trajectories import envelope, sines
+from gtau.uses.payload_body import QUANTITIES, payload_body, quantities
 from gtau.uses.weigh import weigh
 
 FRAME = Pose((0.02, -0.01, 0.05), (0.3, -0.2, 0.5))
@@ -44,12 +45,16 @@ def exact(sums: np.ndarray, chi: np.ndarray, std: float = 1e-4) -> Weighed:
     return Weighed("6", sums, values, std**2 * np.eye(len(sums)), np.zeros((0, 10)), np.zeros(0), None, 1.0)
 
 
+def body(weighed: Weighed, frame: Pose) -> PayloadBody:
+    return payload_body(PayloadEstimate("x", "run", {}, frozenset(), weighed=weighed), frame)
+
+
 def chi_of(masses: np.ndarray = MASSES, points: np.ndarray = POINTS) -> np.ndarray:
     return np.array(list(body_parameters("6", masses, points).values()))
 
 
 def test_the_body_in_another_frame_is_that_of_its_points() -> None:
-    found = payload_body("x", "run", exact(np.eye(10), chi_of(), 1e-6), "there", FRAME)
+    found = body(exact(np.eye(10), chi_of(), 1e-6), FRAME)
     values = [found.parameters[key].value for key in QUANTITIES]
     assert values == pytest.approx(truth(MASSES, POINTS, FRAME), rel=1e-4, abs=1e-6)
     assert not found.unseen
@@ -62,7 +67,7 @@ def test_the_intervals_are_those_of_draws_with_correlated_mass_and_moments() -> 
     mixed[6:9] += 5e-3 * np.outer(np.sign(chi[6:9]), mixed[9] / scale[9])  # a heavier payload has larger moments
     covariance = 0.01 * mixed @ mixed.T
     weighed = replace(exact(np.eye(10), chi), covariance=covariance)
-    found = payload_body("x", "run", weighed, "there", FRAME)
+    found = body(weighed, FRAME)
     draws = rng.multivariate_normal(chi, covariance, 4000)
     spread = np.std([quantities(each, FRAME.rotation, FRAME.position) for each in draws], axis=0)
     for key, std in zip(QUANTITIES[:4], spread, strict=False):
@@ -77,7 +82,7 @@ def test_sums_that_no_body_has_become_a_body_near_them() -> None:
     assert np.linalg.eigvalsh(pseudo_inertia(spoilt))[0] < 0
     covariance = np.diag([1e-2**2] + [1e-4**2] * 9)
     weighed = replace(exact(np.eye(10), spoilt), covariance=covariance)
-    found = payload_body("x", "run", weighed, "there", Pose())
+    found = body(weighed, Pose())
     assert found.rigid is not None
     values = np.array(list(inertial_parameters(found.rigid).values()))
     assert np.linalg.eigvalsh(pseudo_inertia(values))[0] > 0
@@ -88,26 +93,26 @@ def test_sums_that_no_body_has_become_a_body_near_them() -> None:
 def test_what_the_motion_does_not_show_is_not_a_value() -> None:
     """A joint turning about z feels zz, mx and my; with gravity's m beside it, nothing of cz and the other inertias."""
     sums = np.eye(10)[[INERTIAL.index(kind) for kind in ("zz", "mx", "my", "m")]]
-    found = payload_body("x", "run", exact(sums, chi_of(), 1e-6), "own", Pose())
+    found = body(exact(sums, chi_of(), 1e-6), Pose())
     assert set(found.unseen) == {"cz", "Ixx", "Iyy", "Ixy", "Ixz", "Iyz"}
     whole = truth(MASSES, POINTS, Pose())
     for key in ("m", "cx", "cy", "Izz"):
         assert found.parameters[key].value == pytest.approx(whole[QUANTITIES.index(key)], rel=1e-3)
     assert found.rigid is not None
     assert np.linalg.eigvalsh(found.rigid.inertia)[0] > 0
-    turned = payload_body("x", "run", exact(sums, chi_of(), 1e-6), "tilted", FRAME)
+    turned = body(exact(sums, chi_of(), 1e-6), FRAME)
     assert {"cx", "cy", "cz"} <= set(turned.unseen)  # each has a share of what is not known
 
 
 def test_a_mass_in_no_sum_by_itself_gives_no_body() -> None:
     sums = np.eye(10)[6:9] + 0.3 * np.eye(10)[9]
-    found = payload_body("x", "run", exact(sums, chi_of()), "own", Pose())
+    found = body(exact(sums, chi_of()), Pose())
     assert found.rigid is None
     assert found.unseen == QUANTITIES
 
 
 def test_an_inertia_less_certain_than_its_size_is_not_shown() -> None:
-    found = payload_body("x", "run", exact(np.eye(10), chi_of(), 0.02), "own", Pose())
+    found = body(exact(np.eye(10), chi_of(), 0.02), Pose())
     assert set(found.unseen) == set(QUANTITIES[4:])
     assert found.parameters["cx"].value is not None
 

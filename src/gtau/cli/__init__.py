@@ -7,6 +7,8 @@ import gc
 import os
 import sys
 
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+
 
 def main() -> None:
     """Run the command line; what it refuses, wrong options too, is one sentence on stderr and exit code 2.
@@ -16,16 +18,15 @@ def main() -> None:
     """
     gc.set_threshold(50_000)  # imports make many objects and no garbage: collections took a fifth of their time
     try:
-        from gtau.cli.interruption import UNFINISHED, exit_code, interrupted, listen, report
+        from gtau.cli.interruption import exit_code, interrupted, listen, report
 
         listen()
         try:
             code = _run()
+            if code == 130 and interrupted():  # typer makes this of an interruption outside of the commands
+                raise KeyboardInterrupt
         except KeyboardInterrupt as interruption:
-            report(str(interruption) or UNFINISHED)
-            code = exit_code()
-        if code == 130 and interrupted():  # typer makes this of an interruption outside of the commands
-            report(UNFINISHED)
+            report(str(interruption))
             code = exit_code()
     except KeyboardInterrupt:  # while the lines above are still being imported
         print("gtau: interrupted; unfinished files were not written.", file=sys.stderr)
@@ -58,14 +59,11 @@ def _run() -> int:
             raise KeyboardInterrupt from None
         if "GTAU_DEBUG" in os.environ:
             raise
-        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO):
+        if isinstance(error, OSError) and error.errno in FULL:
             where = error.filename or "the output"  # without a name it is what was printed
             typer.echo(f"gtau: {where} cannot be written ({error.strerror}); free some space.", err=True)
             return 2
-        typer.echo(
-            f"gtau: this is a bug in gtau ({type(error).__name__}: {error}); report it with the output of "
-            "GTAU_DEBUG=1.",
-            err=True,
-        )
+        bug = f"this is a bug in gtau ({type(error).__name__}: {error}); report it with the output of GTAU_DEBUG=1."
+        typer.echo(f"gtau: {bug}", err=True)
         return 1
     return code if isinstance(code, int) else 0

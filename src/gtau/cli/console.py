@@ -9,12 +9,13 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ParamSpec
 
 import typer
 
-from gtau.cli.interruption import UNFINISHED, begin, exit_code, interrupted
+from gtau.cli.interruption import begin, exit_code, interrupted
 from gtau.cli.interruption import report as report_interruption
 from gtau.errors import GtauError
 from gtau.estimation.estimators.registry import NAMES
@@ -23,6 +24,8 @@ from gtau.model.interpreter.compiled import is_compiled
 if TYPE_CHECKING:
     from gtau.report.page import Page
 
+P = ParamSpec("P")
+_begun: list[float] = []  # when the command began, s
 METHODS = "|".join(NAMES)
 EVERY = 60.0  # s between lines where stderr is no terminal
 STARTING = "starting"
@@ -90,50 +93,48 @@ CarriedPayload = Annotated[
 ReportFolder = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder for report.html.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout instead of tables.")]
 
-Dask = Annotated[
-    str | None,
-    typer.Option(
-        "--dask", metavar="ADDRESS", help="Work on the workers of a Dask scheduler (tcp://host:8786), or 'local'."
-    ),
-]
-
 
 def base_choice(text: str | None) -> Any:
     """Read ``--base``: a word, or three angles in rad."""
     if text is None or text in ("fixed", "floating"):
         return text
-    angles, choices = (
-        [each.strip() for each in text.split(",")],
-        "write fixed, floating, or three angles in rad, such as 0,0,deg(90)",
-    )
-    if len(angles) != 3:
-        raise GtauError(f"--base is '{text}'; {choices}.")
     from gtau.robots.readers.source import angle
 
+    angles = [part.strip() for part in text.split(",")]
+    problem = "" if len(angles) == 3 else ";"
     try:
-        for each in angles:
-            angle(each)
+        for part in angles:
+            angle(part)
     except ValueError as error:
-        raise GtauError(f"--base is '{text}': {error}; {choices}.") from None
+        problem = problem or f": {error};"
+    if problem:
+        raise GtauError(
+            f"--base is '{text}'{problem} write fixed, floating, or three angles in rad, such as 0,0,deg(90)."
+        )
     return {"rpy": angles}
 
 
-@contextmanager
-def refusals(as_json: bool) -> Iterator[None]:
-    """Turn what gtau refuses into one sentence on stderr, ``as_json`` also a document on stdout, and exit code 2."""
-    begin()
-    try:
-        yield
-    except GtauError as error:
-        if interrupted():
-            raise KeyboardInterrupt from None
-        raise refused(str(error), as_json) from None
-    except KeyboardInterrupt as interruption:
-        report_interruption(str(interruption) or UNFINISHED)
-        raise typer.Exit(exit_code()) from None
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise typer.Exit(0) from None
+def refusing(command: Callable[P, None]) -> Callable[P, None]:
+    """Turn what a command refuses into one sentence on stderr, with ``--json`` also a document, and exit code 2."""
+
+    @wraps(command)
+    def run(*arguments: P.args, **options: P.kwargs) -> None:
+        begin()
+        _begun[:] = [time.perf_counter()]
+        try:
+            command(*arguments, **options)
+        except GtauError as error:
+            if interrupted():
+                raise KeyboardInterrupt from None
+            raise refused(str(error), bool(options["json_"])) from None
+        except KeyboardInterrupt as interruption:
+            report_interruption(str(interruption))
+            raise typer.Exit(exit_code()) from None
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            raise typer.Exit(0) from None
+
+    return run
 
 
 def refused(sentence: str, as_json: bool, code: int = 2) -> typer.Exit:
@@ -144,11 +145,19 @@ def refused(sentence: str, as_json: bool, code: int = 2) -> typer.Exit:
     return typer.Exit(code)
 
 
-def show(page: Page, written: Iterable[Path] = ()) -> None:
-    """Print a page on stdout, and the paths of what was written."""
-    from gtau.report.render.terminal import show as show_page
+def seconds() -> float:
+    """Return the time since the command began, s."""
+    return time.perf_counter() - _begun[0]
 
-    show_page(page)
+
+def answer(as_json: bool, document: Callable[[], Any], page: Callable[[], Page], written: Iterable[Path] = ()) -> None:
+    """Print the answer of a command on stdout: one JSON document, or a page and the paths of what was written."""
+    if as_json:
+        print_json(document())
+        return
+    from gtau.report.render.terminal import show
+
+    show(page())
     show_written(written)
 
 

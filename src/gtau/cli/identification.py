@@ -4,79 +4,87 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from time import perf_counter
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gtau.cli.console import METHODS, Dask, ExperimentFile, Json, ReportFolder, print_json, progress_bar, refusals, show
+from gtau.cli.console import METHODS, ExperimentFile, Json, ReportFolder, answer, progress_bar, refusing, seconds
 from gtau.cli.logs import KindOfLogs, Payloads, PresetOfLogs, RobotOfLogs, Sources, experiment_of
 from gtau.documents.files import folder_of, refuse_as_folder, write_atomically
 from gtau.errors import GtauError
 
+if TYPE_CHECKING:
+    from gtau.estimation.results.result import Result
 
+Results = Annotated[
+    Path,
+    typer.Option(
+        "--out", metavar="DIR", help="Folder for report.html, model.json, summary.txt, singularities and torque scale."
+    ),
+]
+Method = Annotated[
+    str | None,
+    typer.Option(
+        metavar=METHODS,
+        help="Estimator; docs/lookup/verdicts.md compares them. Default: ml; tls with --as-paper; wls if the logs "
+        "hold torques whose scale cannot be tested.",
+        show_default=False,
+    ),
+]
+Ratio = Annotated[
+    float | None,
+    typer.Option(
+        min=1.0,
+        metavar="RATIO",
+        help="The paper's ratio r_sigma (10 to 30) for selecting essential parameters; default: BIC.",
+    ),
+]
+AsPaper = Annotated[
+    bool,
+    typer.Option(
+        "--as-paper",
+        help="Follow the paper step by step: its TLS (or wls, ols), filter, friction and reduction; no delays.",
+    ),
+]
+Consistent = Annotated[bool, typer.Option("--consistent", help="Also find physically consistent standard parameters.")]
+PriorInertias = Annotated[
+    float | None,
+    typer.Option(
+        "--prior-inertias",
+        metavar="STD",
+        help="Use the inertias of the robot file as priors with this relative standard deviation, 0.3 for 30 %.",
+        show_default=False,
+    ),
+]
+Accuracy = Annotated[
+    float,
+    typer.Option(
+        min=0.01,
+        max=50.0,
+        metavar="PERCENT",
+        help="A drive gain is good if its 95 % interval is within +- PERCENT of its value.",
+    ),
+]
+Verbose = Annotated[
+    bool, typer.Option("--verbose", "-v", help="Print all parameters, the fit of each joint and all notes.")
+]
+
+
+@refusing
 def identify(
     sources: Sources,
     robot: RobotOfLogs = None,
     payload: Payloads = None,
     kind: KindOfLogs = None,
     preset: PresetOfLogs = None,
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out",
-            metavar="DIR",
-            help="Folder for report.html, model.json, summary.txt, singularities and torque scale.",
-        ),
-    ] = Path("result"),
-    method: Annotated[
-        str | None,
-        typer.Option(
-            metavar=METHODS,
-            help="Estimator; docs/lookup/verdicts.md compares them. Default: ml; tls with --as-paper; wls if the logs "
-            "hold torques whose scale cannot be tested.",
-            show_default=False,
-        ),
-    ] = None,
-    ratio: Annotated[
-        float | None,
-        typer.Option(
-            min=1.0,
-            metavar="RATIO",
-            help="The paper's ratio r_sigma (10 to 30) for selecting essential parameters; default: BIC.",
-        ),
-    ] = None,
-    as_paper: Annotated[
-        bool,
-        typer.Option(
-            "--as-paper",
-            help="Follow the paper step by step: its TLS (or wls, ols), filter, friction and reduction; no delays.",
-        ),
-    ] = False,
-    consistent: Annotated[
-        bool, typer.Option("--consistent", help="Also find physically consistent standard parameters.")
-    ] = False,
-    prior_inertias: Annotated[
-        float | None,
-        typer.Option(
-            "--prior-inertias",
-            metavar="STD",
-            help="Use the inertias of the robot file as priors with this relative standard deviation, 0.3 for 30 %.",
-            show_default=False,
-        ),
-    ] = None,
-    accuracy: Annotated[
-        float,
-        typer.Option(
-            min=0.01,
-            max=50.0,
-            metavar="PERCENT",
-            help="A drive gain is good if its 95 % interval is within +- PERCENT of its value.",
-        ),
-    ] = 3.0,
-    verbose: Annotated[
-        bool, typer.Option("--verbose", "-v", help="Print all parameters, the fit of each joint and all notes.")
-    ] = False,
+    out: Results = Path("result"),
+    method: Method = None,
+    ratio: Ratio = None,
+    as_paper: AsPaper = False,
+    consistent: Consistent = False,
+    prior_inertias: PriorInertias = None,
+    accuracy: Accuracy = 3.0,
+    verbose: Verbose = False,
     json_: Json = False,
 ) -> None:
     """Identify drive gains and dynamic parameters, and write DIR/model.json.
@@ -87,82 +95,82 @@ def identify(
     The exit code is 3 if any verdict is contradictory, every drive gain is not identifiable, or the result misses a
     requirement of EXPERIMENT.yaml.
     """
-    with refusals(json_):
-        refuse_as_folder(out)
-        start = perf_counter()
-        experiment, guessed = experiment_of(sources, robot, payload, kind, preset, out)
-        with progress_bar() as progress:
-            from gtau.estimation.identify import identify as run
-            from gtau.estimation.results.model_file import to_document
-
-            result = run(
-                experiment,
-                method=method,
-                ratio=ratio,
-                as_paper=as_paper,
-                consistent=consistent,
-                accuracy=accuracy / 100,
-                progress=progress,
-                prior_inertias=prior_inertias,
-            )
-        from gtau.estimation.results.estimate import write_distances
-        from gtau.estimation.results.torque_scale import torque_scale_text, torque_scales
+    refuse_as_folder(out)
+    experiment, guessed = experiment_of(sources, robot, payload, kind, preset, out)
+    with progress_bar() as progress:
+        from gtau.estimation.identify import identify as run
+        from gtau.estimation.results.model_file import to_document
+        from gtau.report.identification import full_page, summary_page
         from gtau.report.write import write_identification
 
-        result = result.replaced(notes=(*guessed, *result.notes))
-        written = [folder_of(out) / name for name in ("model.json", "summary.txt", "singularities.parquet")]
-        result.save(written[0])
-        write_atomically(written[1], result.summary(True) + "\n")
-        write_distances(result.distances, written[2])
-        if torque_scales(result) and result.believable:
-            written.append(folder_of(out) / "torque_scale.yaml")
-            write_atomically(written[-1], torque_scale_text(result))
-        with progress_bar() as progress:
-            report = write_identification(result, experiment, out, perf_counter() - start, progress)
-        written = [*([experiment] if guessed else []), report, *written]
-        if json_:
-            print_json(to_document(result))
-        else:
-            from gtau.report.identification import full_page, summary_page
+        result = run(
+            experiment,
+            method=method,
+            ratio=ratio,
+            as_paper=as_paper,
+            consistent=consistent,
+            accuracy=accuracy / 100,
+            progress=progress,
+            prior_inertias=prior_inertias,
+        )
+    result = result.replaced(notes=(*guessed, *result.notes))
+    written = _write(result, out)
+    with progress_bar() as progress:
+        report = write_identification(result, experiment, out, seconds(), progress)
+    written = [*([experiment] if guessed else []), report, *written]
+    answer(json_, lambda: to_document(result), lambda: (full_page if verbose else summary_page)(result), written)
+    if not result.accepted:
+        raise typer.Exit(3)  # so that a script does not go on with such a model
 
-            show(full_page(result) if verbose else summary_page(result), written)
-        if not result.accepted:
-            raise typer.Exit(3)  # so that a script does not go on with such a model
+
+def _write(result: Result, out: Path) -> list[Path]:
+    """Write a result to files, for people and other commands."""
+    from gtau.estimation.results.estimate import write_distances
+    from gtau.estimation.results.torque_scale import torque_scale_text, torque_scales
+
+    written = [folder_of(out) / name for name in ("model.json", "summary.txt", "singularities.parquet")]
+    result.save(written[0])
+    write_atomically(written[1], result.summary(True) + "\n")
+    write_distances(result.distances, written[2])
+    if torque_scales(result) and result.believable:
+        written.append(out / "torque_scale.yaml")
+        write_atomically(written[-1], torque_scale_text(result))
+    return written
 
 
+@refusing
 def compare(experiment: ExperimentFile, out: ReportFolder = None, json_: Json = False) -> None:
     """Identify with every estimator; compare gains, standard deviations, residuals and verdicts."""
-    with refusals(json_):
-        refuse_as_folder(out)
-        start = perf_counter()
-        with progress_bar() as progress:
-            from gtau.estimation.compare import compare as run
-            from gtau.estimation.compare import to_document
-            from gtau.report.comparison import comparison_page
-            from gtau.report.write import inputs_of, write_report
-            from gtau.signals.reading.experiment import read_experiment
+    refuse_as_folder(out)
+    with progress_bar() as progress:
+        from gtau.estimation.compare import compare as run
+        from gtau.estimation.compare import to_document
+        from gtau.report.comparison import comparison_page
+        from gtau.report.write import inputs_of, write_report
+        from gtau.signals.reading.experiment import read_experiment
 
-            found = run(experiment, progress=progress)
-        described = read_experiment(experiment)
-        page = comparison_page(found, described.expected_gains)
-        written = []
-        if out is not None:
-            written = [write_report(page, folder_of(out), perf_counter() - start, inputs_of(experiment, described))]
-        if json_:
-            print_json(to_document(found))
-        else:
-            show(page, written)
+        found = run(experiment, progress=progress)
+    described = read_experiment(experiment)
+    page = comparison_page(found, described.expected_gains)
+    written = []
+    if out is not None:
+        written = [write_report(page, folder_of(out), seconds(), inputs_of(experiment, described))]
+    answer(json_, lambda: to_document(found), lambda: page, written)
 
 
+Experiments = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="EXPERIMENT.yaml|FLEET.yaml",
+        help="Experiment files of the robots, or patterns ('cells/*/experiment.yaml'); or a fleet file.",
+        show_default=False,
+    ),
+]
+
+
+@refusing
 def fleet(
-    experiments: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="EXPERIMENT.yaml|FLEET.yaml",
-            help="Experiment files of the robots, or patterns ('cells/*/experiment.yaml'); or a fleet file.",
-            show_default=False,
-        ),
-    ],
+    experiments: Experiments,
     out: Annotated[
         Path, typer.Option("--out", metavar="DIR", help="Folder for report.html, models, table and figure.")
     ],
@@ -170,48 +178,43 @@ def fleet(
     jobs: Annotated[
         int | None, typer.Option(min=1, metavar="N", help="Processes on this machine; default: one for each core.")
     ] = None,
-    dask: Dask = None,
+    dask: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Work on the workers of a Dask scheduler (tcp://host:8786), or 'local'."),
+    ] = None,
     json_: Json = False,
 ) -> None:
     """Identify many robots, and mark drive gains that are outliers among them.
 
     Finished robots stay in DIR/models: the same command again identifies those that are missing or have changed.
     """
-    with refusals(json_):
-        refuse_as_folder(out)
-        start = perf_counter()
-        from gtau.estimation.estimators.estimator import Gains
-        from gtau.estimation.estimators.registry import estimator_of
-        from gtau.fleet.dask_workers import dask_workers
-        from gtau.fleet.fleet import identify_fleet, read_fleet
-        from gtau.fleet.gains import fleet_table
-        from gtau.fleet.mapping import processes
-        from gtau.report.fleet import fleet_document, fleet_page, fleet_report, write_fleet
-        from gtau.report.write import write_report
+    refuse_as_folder(out)
+    from gtau.estimation.estimators.estimator import Gains
+    from gtau.estimation.estimators.registry import estimator_of
+    from gtau.fleet.dask_workers import dask_workers
+    from gtau.fleet.fleet import identify_fleet, read_fleet
+    from gtau.fleet.gains import fleet_table
+    from gtau.fleet.mapping import processes
+    from gtau.report.fleet import fleet_document, fleet_page, fleet_report, write_fleet
+    from gtau.report.write import write_report
 
-        if estimator_of(method).gains == Gains.GIVEN:
-            raise GtauError(f"--method {method} takes the drive gains as given; choose one that finds them.")
-        if dask is not None and jobs is not None:
-            raise GtauError("--jobs is for processes without Dask; give one of --jobs and --dask.")
-        members = read_fleet(experiments)
-        folder = folder_of(out)
-        workers = dask_workers(dask) if dask is not None else processes(min(jobs or os.cpu_count() or 1, len(members)))
-        try:
-            with progress_bar() as progress, workers as mapper:
-                reports = identify_fleet(members, folder, mapper, method, progress)
-        except KeyboardInterrupt:
-            raise KeyboardInterrupt(
-                f"finished robots stay in {folder / 'models'}, and the same command continues with the others"
-            ) from None
-        table = fleet_table(reports)
-        files = tuple(("experiment", member.experiment) for member in members)
-        written = [
-            write_report(fleet_report(table), folder, perf_counter() - start, files),
-            *write_fleet(table, folder),
-        ]
-        if json_:
-            print_json(fleet_document(table))
-        else:
-            show(fleet_page(table), written)
-        if not table.robots:
-            raise typer.Exit(3)  # so that a script does not go on with such a fleet
+    if estimator_of(method).gains == Gains.GIVEN:
+        raise GtauError(f"--method {method} takes the drive gains as given; choose one that finds them.")
+    if dask is not None and jobs is not None:
+        raise GtauError("--jobs is for processes without Dask; give one of --jobs and --dask.")
+    members = read_fleet(experiments)
+    folder = folder_of(out)
+    workers = dask_workers(dask) if dask is not None else processes(min(jobs or os.cpu_count() or 1, len(members)))
+    try:
+        with progress_bar() as progress, workers as mapper:
+            table = fleet_table(identify_fleet(members, folder, mapper, method, progress))
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"finished robots stay in {folder / 'models'}, and the same command continues with the others"
+        ) from None
+    files = tuple(("experiment", member.experiment) for member in members)
+    report = write_report(fleet_report(table), folder, seconds(), files)
+    written = (report, *write_fleet(table, folder))
+    answer(json_, lambda: fleet_document(table), lambda: fleet_page(table), written)
+    if not table.robots:
+        raise typer.Exit(3)  # so that a script does not go on with such a fleet

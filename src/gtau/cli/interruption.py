@@ -11,7 +11,6 @@ import os
 import signal
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
@@ -19,10 +18,10 @@ from typing import Any
 
 GRACE = 1.5  # s to clean up; removing an unfinished file takes milliseconds, ending eight worker processes 0.3 s
 UNFINISHED = "unfinished files were not written"
-SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]  # not on Windows
 
 _said = threading.Lock()  # held by whoever reports the interruption
 _received: list[int] = []  # the signal that interrupts the program
+_searches: list[tuple[threading.Event, str]] = []  # what can stop with a result: its request, and the hint at Ctrl-C
 
 
 def interrupted() -> bool:
@@ -37,34 +36,33 @@ def exit_code() -> int:
 
 def listen() -> None:
     """Let Ctrl-C, SIGTERM and SIGHUP end this program as described above."""
-    for number in SIGNALS:
-        if signal.getsignal(number) is not signal.SIG_IGN:  # as in the background of a shell, and under nohup
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)  # Windows has no SIGHUP
+        if number and signal.getsignal(number) is not signal.SIG_IGN:  # as in the background of a shell, under nohup
             signal.signal(number, _interrupt)
     sys.unraisablehook = _without_interruptions
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    if interrupted():
-        if number == signal.SIGINT:
-            _end()
-        return  # a terminal that closes sends SIGHUP twice, once by its shell
-    _note(number)
-    raise KeyboardInterrupt
-
-
-def _note(number: int) -> None:
-    _received.append(number)
-    threading.Thread(target=_insist, daemon=True).start()
-
-
-def _insist() -> None:
-    time.sleep(GRACE)
-    _end()
+    request, hint = _searches[-1] if _searches else (None, "")
+    if request is not None and number == signal.SIGINT and not request.is_set():
+        request.set()
+        print(f"gtau: {hint}", file=sys.stderr, flush=True)
+    elif number == signal.SIGINT and (request is not None or interrupted()):
+        _end()
+    elif not interrupted():  # a terminal that closes sends SIGHUP twice, once by its shell
+        _received.append(number)
+        insist = threading.Timer(GRACE, _end)
+        insist.daemon = True
+        insist.start()
+        if request is None:
+            raise KeyboardInterrupt
+        request.set()  # an exception would be lost in the solver, which reports it and goes on
 
 
 def _end() -> None:
     """End the program at once."""
-    report(UNFINISHED)
+    report()
     os._exit(exit_code())
 
 
@@ -75,11 +73,11 @@ def begin() -> None:
         _said.release()
 
 
-def report(finished: str) -> None:
+def report(finished: str = "") -> None:
     """Say once that the program was interrupted, and what has become of its files; with ``--json`` on stdout too."""
     if not _said.acquire(blocking=False):
         return
-    sentence = f"interrupted; {finished}."
+    sentence = f"interrupted; {finished or UNFINISHED}."
     with suppress(OSError):  # the terminal may be gone: SIGHUP
         if sys.stderr.isatty():
             sys.stderr.write("\r\x1b[2K\x1b[?25h")  # an unfinished progress bar, and the cursor that it hides
@@ -101,26 +99,13 @@ def stop_request(hint: str) -> Iterator[Callable[[], bool]]:
     """Print ``hint`` at the first Ctrl-C, a request that the yielded function reports; the second ends the program.
 
     For a search that has something to show for what it has done so far. SIGTERM and SIGHUP are such requests without a
-    hint, after which the program ends: an exception would be lost in the solver, which reports it and goes on.
+    hint, after which the program ends.
     """
-    before = {number: signal.getsignal(number) for number in SIGNALS}
-    pressed = threading.Event()
-
-    def request(number: int, frame: FrameType | None) -> None:
-        pressed.set()
-        if number == signal.SIGINT:
-            signal.signal(signal.SIGINT, lambda number, frame: _end())
-            print(f"gtau: {hint}", file=sys.stderr, flush=True)
-        elif not interrupted():
-            _note(number)
-
-    for number, handler in before.items():
-        if handler is not signal.SIG_IGN:
-            signal.signal(number, request)
+    request = threading.Event()
+    _searches.append((request, hint))
     try:
-        yield pressed.is_set
+        yield request.is_set
         if interrupted():
             raise KeyboardInterrupt
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        _searches.pop()

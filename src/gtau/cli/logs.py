@@ -7,12 +7,11 @@ import textwrap
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from time import perf_counter
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gtau.cli.console import METHODS, Json, base_choice, print_json, progress_bar, refusals, show
+from gtau.cli.console import METHODS, Json, answer, base_choice, print_json, progress_bar, refusing, seconds
 from gtau.documents.files import EXPERIMENT, LOG, folder_of, kind_of, refuse_as_folder
 from gtau.errors import GtauError
 
@@ -79,6 +78,7 @@ PresetOfLogs = Annotated[
 ]
 
 
+@refusing
 def init(
     logs: Annotated[
         list[Path],
@@ -101,35 +101,27 @@ def init(
     json_: Json = False,
 ) -> None:
     """Draft an experiment file from logs: find the time, positions and currents, their units and the sampling rate."""
-    with refusals(json_):
-        from gtau.signals.reading.drafting import UNSURE, draft_logs, write_draft
-        from gtau.signals.reading.log_file import is_rosbag
+    from gtau.signals.reading.drafting import UNSURE, draft_logs, write_draft
+    from gtau.signals.reading.log_file import is_rosbag
 
-        if out.exists():
-            raise GtauError(f"{out} exists already; give another name (--out FILE), or remove it.")
-        ask = not (yes or json_) and _on_terminal()
-        if robot is None and ask and not is_rosbag(logs[0]):
-            robot = typer.prompt("Robot (catalog name or path of a file; empty if unknown)", default="") or None
-        if base is not None and robot is None:
-            raise GtauError("--base places a robot; also give --robot ROBOT.")
-        draft = draft_logs(logs, robot, base_choice(base), preset=preset)
-        if ask:
-            draft = _answered(draft)
-        write_draft(draft, out)
-        open_ = [UNSURE[key] for key in draft.open]
-        if json_:
-            print_json(
-                {
-                    "file": str(out),
-                    "time": list(draft.time) or {"rate": draft.rate},
-                    "position": dict(draft.position),
-                    draft.kind: dict(draft.command),
-                    "units": dict(draft.units),
-                    "to_confirm": open_,
-                }
-            )
-            return
+    if out.exists():
+        raise GtauError(f"{out} exists already; give another name (--out FILE), or remove it.")
+    ask = not (yes or json_) and _on_terminal()
+    if robot is None and ask and not is_rosbag(logs[0]):
+        robot = typer.prompt("Robot (catalog name or path of a file; empty if unknown)", default="") or None
+    if base is not None and robot is None:
+        raise GtauError("--base places a robot; also give --robot ROBOT.")
+    draft = draft_logs(logs, robot, base_choice(base), preset=preset)
+    if ask:
+        draft = _answered(draft)
+    write_draft(draft, out)
+    open_ = [UNSURE[key] for key in draft.open]
+    if not json_:
         typer.echo(_page(draft, out, open_))
+        return
+    columns = {"position": dict(draft.position), draft.kind: dict(draft.command), "units": dict(draft.units)}
+    clock = list(draft.time) or {"rate": draft.rate}
+    print_json({"file": str(out), "time": clock, **columns, "to_confirm": open_})
 
 
 def _on_terminal() -> bool:
@@ -179,6 +171,7 @@ def _page(draft: Draft, out: Path, open_: list[str]) -> str:
     return "\n".join([*lines, "", f"Then: gtau check {out}"])
 
 
+@refusing
 def check(
     sources: Sources,
     robot: RobotOfLogs = None,
@@ -210,32 +203,25 @@ def check(
     Given logs instead of EXPERIMENT.yaml, it drafts that file without questions, in DIR or else 'result'.
     The exit code follows the worst finding: 2 for an error, 3 for a warning, otherwise 0.
     """
-    with refusals(json_):
-        refuse_as_folder(out)
-        refuse_as_folder(figure)
-        start = perf_counter()
-        experiment, guessed = experiment_of(
-            sources, robot, payload, kind, preset, Path("result") if out is None else out
-        )
-        with progress_bar() as progress:
-            from gtau.estimation.check_logs import check_logs
-            from gtau.report.check import check_document, check_page, write_check, write_preparation
-            from gtau.report.write import inputs_of, write_report
+    refuse_as_folder(out)
+    refuse_as_folder(figure)
+    experiment, guessed = experiment_of(sources, robot, payload, kind, preset, out or Path("result"))
+    with progress_bar() as progress:
+        from gtau.estimation.check_logs import check_logs
+        from gtau.report.check import check_document, check_page, write_check, write_preparation
+        from gtau.report.write import inputs_of, write_report
 
-            checked = check_logs(experiment, method=method, progress=progress)
-        checked = replace(checked, notes=(*checked.notes, *guessed))
-        page, written = check_page(checked), [experiment] if guessed else []
-        if out is not None:
-            written.append(write_report(page, folder_of(out), perf_counter() - start, inputs_of(experiment)))
-            written += write_check(checked, out)
-        if figure is not None:
-            written += write_preparation(checked, folder_of(figure))
-        if json_:
-            print_json(check_document(checked))
-        else:
-            show(page, written)
-        if code := checked.worst.exit_code:
-            raise typer.Exit(code)
+        checked = check_logs(experiment, method=method, progress=progress)
+    checked = replace(checked, notes=(*checked.notes, *guessed))
+    page, written = check_page(checked), [experiment] if guessed else []
+    if out is not None:
+        written.append(write_report(page, folder_of(out), seconds(), inputs_of(experiment)))
+        written += write_check(checked, out)
+    if figure is not None:
+        written += write_preparation(checked, folder_of(figure))
+    answer(json_, lambda: check_document(checked), lambda: page, written)
+    if code := checked.worst.exit_code:
+        raise typer.Exit(code)
 
 
 def experiment_of(

@@ -8,7 +8,6 @@ from dataclasses import asdict, replace
 from enum import StrEnum
 from importlib.util import find_spec
 from pathlib import Path
-from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -19,17 +18,18 @@ from gtau.cli.console import (
     ExperimentFile,
     Json,
     ModelFile,
+    answer,
     print_json,
     progress_bar,
-    refusals,
-    show,
+    refusing,
+    seconds,
     show_written,
 )
 from gtau.documents.files import folder_of, refuse_as_folder
 from gtau.errors import GtauError, missing_extra
 
 if TYPE_CHECKING:
-    from gtau.estimation.results.payload import PayloadBody
+    from gtau.estimation.results.payload import PayloadBody, PayloadEstimate
     from gtau.estimation.results.result import Result
     from gtau.export.exported import Exported
     from gtau.robots.robot import Placement
@@ -44,6 +44,7 @@ class Gains(StrEnum):
     prior = "prior"
 
 
+@refusing
 def validate(
     model: ModelFile,
     experiment: ExperimentFile,
@@ -58,61 +59,62 @@ def validate(
     json_: Json = False,
 ) -> None:
     """Compare measured torques with those of a model on the validation runs; with DIR also as figures."""
-    with refusals(json_):
-        refuse_as_folder(out)
-        start = perf_counter()
-        with progress_bar() as progress:
-            from gtau.estimation.experiment_runs import read_runs
-            from gtau.estimation.results.conclusions import without_temperature
-            from gtau.estimation.results.result import Result
-            from gtau.report.evidence import predicted, settings_of
-            from gtau.report.validation import validation_document, validation_page, validation_report, write_torques
-            from gtau.report.write import inputs_of, write_report
-            from gtau.uses.runs import experiment_of
+    refuse_as_folder(out)
+    with progress_bar() as progress:
+        from gtau.estimation.experiment_runs import read_runs
+        from gtau.estimation.results.conclusions import without_temperature
+        from gtau.estimation.results.result import Result
+        from gtau.report.evidence import predicted, settings_of
+        from gtau.report.validation import validation_document, validation_page, validation_report, write_torques
+        from gtau.report.write import inputs_of, write_report
+        from gtau.uses.runs import experiment_of
 
-            result = Result.load(model)
-            described = experiment_of(result, experiment)
-            if not described.validation:
-                raise GtauError(f"{experiment} has no validation runs; list them under 'validation'.")
-            runs = []
-            for k, run in enumerate(read := read_runs(described, described.validation, progress)):
-                progress("predicting torques", k, len(read))
-                runs.append(predicted(result, run, longest=None))
-        written: list[Path] = []
-        notes = without_temperature(result, described.signals)
-        if out is not None:
-            page = validation_report(result, runs, described.expected_gains, notes)
-            inputs = (("model", model), *inputs_of(experiment, described, runs=False))
-            written = [write_report(page, folder_of(out), perf_counter() - start, inputs, settings_of(result))]
-            written += write_torques(result, runs, out)
-        if json_:
-            print_json(validation_document(runs))
-        else:
-            show(validation_page(result, runs, notes), written)
+        result = Result.load(model)
+        described = experiment_of(result, experiment)
+        if not described.validation:
+            raise GtauError(f"{experiment} has no validation runs; list them under 'validation'.")
+        runs = []
+        for k, run in enumerate(read := read_runs(described, described.validation, progress)):
+            progress("predicting torques", k, len(read))
+            runs.append(predicted(result, run, longest=None))
+    written: list[Path] = []
+    notes = without_temperature(result, described.signals)
+    if out is not None:
+        page = validation_report(result, runs, described.expected_gains, notes)
+        inputs = (("model", model), *inputs_of(experiment, described, runs=False))
+        written = [write_report(page, folder_of(out), seconds(), inputs, settings_of(result))]
+        written += write_torques(result, runs, out)
+    answer(json_, lambda: validation_document(runs), lambda: validation_page(result, runs, notes), written)
 
 
+WeighingGains = Annotated[
+    Gains, typer.Option(metavar="identified|prior", help="The model's gains, or the file's prior_gains.")
+]
+PayloadFrame = Annotated[
+    str,
+    typer.Option(
+        metavar="LINK|POSE",
+        help="Frame of the centre of mass and inertia: a link of the URDF (tool0), or 'x y z roll pitch yaw' "
+        "(m, rad) from the frame of the body that carries the payload. Default: that frame; with --to, name one.",
+        show_default=False,
+    ),
+]
+Controller = Annotated[
+    str | None, typer.Option(metavar="CONTROLLER", help=f"Also write each payload for a controller: {CONTROLLERS}.")
+]
+WeighingFolder = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="Folder for report.html and the files of --to.")
+]
+
+
+@refusing
 def payload(
     model: ModelFile,
     experiment: ExperimentFile,
-    gains: Annotated[
-        Gains, typer.Option(metavar="identified|prior", help="The model's gains, or the file's prior_gains.")
-    ] = Gains.identified,
-    frame: Annotated[
-        str,
-        typer.Option(
-            metavar="LINK|POSE",
-            help="Frame of the centre of mass and inertia: a link of the URDF (tool0), or 'x y z roll pitch yaw' "
-            "(m, rad) from the frame of the body that carries the payload. Default: that frame; with --to, name one.",
-            show_default=False,
-        ),
-    ] = "",
-    to: Annotated[
-        str | None,
-        typer.Option("--to", metavar="CONTROLLER", help=f"Also write each payload for a controller: {CONTROLLERS}."),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Folder for report.html and the files of --to.")
-    ] = None,
+    gains: WeighingGains = Gains.identified,
+    frame: PayloadFrame = "",
+    to: Controller = None,
+    out: WeighingFolder = None,
     json_: Json = False,
 ) -> None:
     """Weigh unknown payloads from loaded runs and a run without payload.
@@ -121,64 +123,69 @@ def payload(
 
     The exit code is 3 if a mass is negative, or the model's gains contradict its own logs.
     """
-    with refusals(json_):
-        refuse_as_folder(out)
-        if to is not None and out is None:
-            raise GtauError(f"--to {to} writes files; name their folder by --out DIR.")
-        start = perf_counter()
-        with progress_bar() as progress:
-            from gtau.estimation.diagnostics.verdict import Outcome
-            from gtau.estimation.results.model_file import payload_documents
-            from gtau.estimation.results.result import Result
-            from gtau.export.exported import refuse_unknown
-            from gtau.export.payload import WRITERS, refuse_unnamed
-            from gtau.report.evidence import settings_of
-            from gtau.report.validation import bodies_document, weighing_page, weighing_report
-            from gtau.report.write import inputs_of, write_report
-            from gtau.robots.readers.read import links_on
-            from gtau.signals.reading.experiment import read_experiment
-            from gtau.uses.weigh import exact_gains, weigh
+    refuse_as_folder(out)
+    if to is not None and out is None:
+        raise GtauError(f"--to {to} writes files; name their folder by --out DIR.")
+    with progress_bar() as progress:
+        from gtau.estimation.diagnostics.verdict import Outcome
+        from gtau.estimation.results.model_file import payload_documents
+        from gtau.estimation.results.result import Result
+        from gtau.report.evidence import settings_of
+        from gtau.report.validation import bodies_document, weighing_page, weighing_report
+        from gtau.report.write import inputs_of, write_report
+        from gtau.signals.reading.experiment import read_experiment
+        from gtau.uses.weigh import exact_gains, weigh
 
-            result, described = Result.load(model), read_experiment(experiment)
-            file = described.robot if isinstance(described.robot, str) else described.robot.file
-            if to is not None:
-                refuse_unknown(to, WRITERS)
-            if to is not None and not frame:
-                tool = result.robot.tool
-                refuse_unnamed(to, f"the frame of '{tool}'", links_on(tool, file))
-            found = weigh(result, experiment, gains=gains.value, progress=progress)
-        written, notes = list[Path](), list[str]()
-        bodies = []
-        if frame or to or find_spec("clarabel"):  # an extra, without which masses are weighed all the same
-            bodies = [each.in_frame(frame, file) for each in found]
-        else:
-            notes.append(str(missing_extra("what is said of the centre of mass", "clarabel", "consistency")))
-        exact = exact_gains(result, described, gains.value)
-        if out is not None:
-            page = weighing_report(result, found, gains.value, described.expected_gains, exact, bodies)
-            inputs = (("model", model), *inputs_of(experiment, described))
-            settings = {**settings_of(result), "drive gains": gains.value}
-            written = [write_report(page, folder_of(out), perf_counter() - start, inputs, settings)]
-            for exported in () if to is None else _exported(bodies, to, out):
-                written += exported.files
-                notes += exported.notes
-        if json_:
-            print_json(
-                {
-                    "payloads": payload_documents(found),
-                    "bodies": bodies_document(bodies),
-                    "files": [str(path) for path in written],
-                    "notes": notes,
-                    "gains": gains.value,
-                    "gain_uncertainty_included": not exact,
-                }
-            )
-        else:
-            show(weighing_page(result, found, gains.value, exact, bodies), written)
-            _show_notes(notes)
-        doubted = gains == Gains.identified and not exact and not result.believable
-        if doubted or Outcome.CONTRADICTORY in {each.verdict.outcome for each in found}:
-            raise typer.Exit(3)  # so that a script does not go on with such a mass
+        result, described = Result.load(model), read_experiment(experiment)
+        file = described.robot if isinstance(described.robot, str) else described.robot.file
+        if to is not None:
+            _refuse_controller(to, frame, result, file)
+        found = weigh(result, experiment, gains=gains.value, progress=progress)
+    bodies, notes = _bodies(found, frame, file, needed=bool(frame or to))
+    written: list[Path] = []
+    exact = exact_gains(result, described, gains.value)
+    if out is not None:
+        page = weighing_report(result, found, gains.value, described.expected_gains, exact, bodies)
+        inputs = (("model", model), *inputs_of(experiment, described))
+        settings = {**settings_of(result), "drive gains": gains.value}
+        written = [write_report(page, folder_of(out), seconds(), inputs, settings)]
+        for exported in () if to is None else _exported(bodies, to, out):
+            written += exported.files
+            notes += exported.notes
+    document = {
+        "payloads": payload_documents(found),
+        "bodies": bodies_document(bodies),
+        "files": [str(path) for path in written],
+        "notes": notes,
+        "gains": gains.value,
+        "gain_uncertainty_included": not exact,
+    }
+    answer(json_, lambda: document, lambda: weighing_page(result, found, gains.value, exact, bodies), written)
+    _show_notes([] if json_ else notes)
+    doubted = gains == Gains.identified and not exact and not result.believable
+    if doubted or Outcome.CONTRADICTORY in {weighed.verdict.outcome for weighed in found}:
+        raise typer.Exit(3)  # so that a script does not go on with such a mass
+
+
+def _bodies(
+    found: Sequence[PayloadEstimate], frame: str, file: str, needed: bool
+) -> tuple[list[PayloadBody], list[str]]:
+    """Find the bodies of payloads; without the extra for it masses are weighed all the same, and a note says so."""
+    if needed or find_spec("clarabel"):
+        return [payload.in_frame(frame, file) for payload in found], []
+    return [], [str(missing_extra("what is said of the centre of mass", "clarabel", "consistency"))]
+
+
+def _refuse_controller(to: str, frame: str, result: Result, file: str) -> None:
+    """Refuse a controller that does not exist, or whose frame nobody named, before the work."""
+    from gtau.export.exported import refuse_unknown
+    from gtau.export.payload import WRITERS, refuse_unnamed
+    from gtau.robots.readers.read import links_on
+
+    refuse_unknown(to, WRITERS)
+    if not frame:
+        tool = result.robot.tool
+        refuse_unnamed(to, f"the frame of '{tool}'", links_on(tool, file))
 
 
 def _exported(bodies: Sequence[PayloadBody], to: str, out: Path) -> list[Exported]:
@@ -187,10 +194,11 @@ def _exported(bodies: Sequence[PayloadBody], to: str, out: Path) -> list[Exporte
     from gtau.export.payload import export_payload
     from gtau.report.check import unique_names
 
-    names = unique_names([identifier(each.name) for each in bodies])
-    return [export_payload(replace(each, name=name), to, out) for each, name in zip(bodies, names, strict=True)]
+    names = unique_names([identifier(body.name) for body in bodies])
+    return [export_payload(replace(body, name=name), to, out) for body, name in zip(bodies, names, strict=True)]
 
 
+@refusing
 def export(
     model: ModelFile,
     to: Annotated[str, typer.Option("--to", metavar="KIND", help="What to write: {exports}.")],
@@ -217,27 +225,38 @@ def export(
     json_: Json = False,
 ) -> None:
     """Export a model for controllers, simulators, papers and other programs."""
-    with refusals(json_):
-        from gtau.export.registry import export_model
+    from gtau.export.registry import export_model
 
-        with progress_bar() as progress:
-            progress("export", 0, 1)
-            exported = export_model(model, to, out, into, samples, models, seed)
-            progress("export", 1, 1)
-        if json_:
-            files = [str(path) for path in exported.files]
-            print_json({"kind": to, "files": files, "notes": list(exported.notes), "figures": dict(exported.figures)})
-        else:
-            _show_notes([exported.lost] if exported.lost else [])
-            show_written(exported.files)
-            _show_notes([note for note in exported.notes if note != exported.lost])
+    with progress_bar() as progress:
+        progress("export", 0, 1)
+        exported = export_model(model, to, out, into, samples, models, seed)
+        progress("export", 1, 1)
+    if json_:
+        files = [str(path) for path in exported.files]
+        print_json({"kind": to, "files": files, "notes": list(exported.notes), "figures": dict(exported.figures)})
+    else:
+        _show_notes([exported.lost] if exported.lost else [])
+        show_written(exported.files)
+        _show_notes([note for note in exported.notes if note != exported.lost])
 
 
 def _show_notes(notes: Sequence[str]) -> None:
-    for each in notes:
-        typer.echo(textwrap.fill(f"- {each}", 80, subsequent_indent="  "))
+    for note in notes:
+        typer.echo(textwrap.fill(f"- {note}", 80, subsequent_indent="  "))
 
 
+ContactFrame = Annotated[
+    str | None,
+    typer.Option(
+        "--frame",
+        metavar="LINK|POSE",
+        help="Also compute the external force and moment at a link of the experiment's URDF (tool0), or at 'x y z "
+        "roll pitch yaw' (m, rad) from the frame of the body that carries the payload.",
+    ),
+]
+
+
+@refusing
 def use(
     model: ModelFile,
     log: Annotated[Path, typer.Argument(metavar="LOG", help="Log of a run: CSV, Parquet.", show_default=False)],
@@ -246,15 +265,7 @@ def use(
     ] = None,
     experiment: Columns = None,
     payload: CarriedPayload = None,
-    frame: Annotated[
-        str | None,
-        typer.Option(
-            "--frame",
-            metavar="LINK|POSE",
-            help="Also compute the external force and moment at a link of the experiment's URDF (tool0), or at 'x y z "
-            "roll pitch yaw' (m, rad) from the frame of the body that carries the payload.",
-        ),
-    ] = None,
+    frame: ContactFrame = None,
     force_only: Annotated[
         bool,
         typer.Option("--force-only", help="The contact exerts no moment about the origin of --frame, as a point does."),
@@ -277,38 +288,35 @@ def use(
     columns t, qJOINT and vJOINT (tauJOINT for a model of torques; s, rad or m, A), unless an experiment file names
     others. FILE gets motor, model and external torque of every sample.
     """
-    with refusals(json_):
-        from gtau.estimation.results.model_file import torque_error
-        from gtau.estimation.results.result import Result
-        from gtau.report.page import page
-        from gtau.report.torques import bands_section
-        from gtau.uses.external_torques import summary_text, torques_along_log, write_table
-        from gtau.uses.runs import carrying, read_log
+    from gtau.estimation.results.model_file import torque_error
+    from gtau.estimation.results.result import Result
+    from gtau.report.page import page
+    from gtau.report.torques import bands_section
+    from gtau.uses.external_torques import summary_text, torques_along_log, write_table
+    from gtau.uses.runs import carrying, read_log
 
-        if force_only and frame is None:
-            raise GtauError(
-                "--force-only applies to a contact frame; name the frame by --frame LINK, or omit --force-only."
-            )
-        result = Result.load(model)
-        at = None if frame is None else _frame(result, frame, experiment)
-        with progress_bar() as progress:
-            progress("torques along the log", 0, 1)
-            run = read_log(result, log, experiment)
-            run = run if payload is None else carrying(result, run, payload)
-            found = torques_along_log(result, run, at, force_only, observer)
-            progress("torques along the log", 1, 1)
-        if out is not None:
-            write_table(found, out)
-        if json_:
-            joints = [asdict(each) for each in found.joints]
-            document: dict[str, Any] = {"log": str(log), "out": None if out is None else str(out), "joints": joints}
-            document["errors"] = list(map(torque_error, found.errors))
-            if (wrench := found.wrench) is not None:
-                document["wrench"] = {"frame": wrench.frame, "components": list(map(asdict, wrench.components))}
-            print_json(document)
-        else:
-            typer.echo(summary_text(found))
-            show(page("", bands_section(found.errors)), [] if out is None else [out])
+    if force_only and frame is None:
+        raise GtauError(
+            "--force-only applies to a contact frame; name the frame by --frame LINK, or omit --force-only."
+        )
+    result = Result.load(model)
+    at = None if frame is None else _frame(result, frame, experiment)
+    with progress_bar() as progress:
+        progress("torques along the log", 0, 1)
+        run = read_log(result, log, experiment)
+        run = run if payload is None else carrying(result, run, payload)
+        found = torques_along_log(result, run, at, force_only, observer)
+        progress("torques along the log", 1, 1)
+    if out is not None:
+        write_table(found, out)
+    document: dict[str, Any] = {"log": str(log), "out": None if out is None else str(out)}
+    document |= {"joints": [asdict(joint) for joint in found.joints], "errors": list(map(torque_error, found.errors))}
+    if (wrench := found.wrench) is not None:
+        document["wrench"] = {"frame": wrench.frame, "components": list(map(asdict, wrench.components))}
+    if not json_:
+        typer.echo(summary_text(found))
+    written = [] if out is None else [out]
+    answer(json_, lambda: document, lambda: page("", bands_section(found.errors)), written)
 
 
 def _frame(result: Result, frame: str, experiment: Path | None) -> tuple[str, Placement]:

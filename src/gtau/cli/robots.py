@@ -3,44 +3,50 @@
 from __future__ import annotations
 
 from pathlib import Path
-from time import perf_counter
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gtau.cli.console import Json, base_choice, print_json, progress_bar, refusals, show, show_written
+from gtau.cli.console import Json, answer, base_choice, print_json, progress_bar, refusing, seconds, show_written
 from gtau.cli.interruption import stop_request
 from gtau.documents.files import folder_of, refuse_as_folder
 from gtau.errors import GtauError
 
+if TYPE_CHECKING:
+    from gtau.robots.robot import Robot
 
+
+RobotFile = Annotated[
+    str | None,
+    typer.Argument(
+        metavar="NAME_OR_FILE",
+        help="Catalog name, robot file (YAML), URDF (with its loops beside it), MJCF, .par or MDH table (.csv). "
+        "Without it the catalog is listed.",
+        show_default=False,
+    ),
+]
+Base = Annotated[
+    str | None,
+    typer.Option(
+        metavar="fixed|floating|ROLL,PITCH,YAW",
+        help="Fix a floating base as in the file, or rotated by angles in rad, as deg(90); or let it float.",
+    ),
+]
+
+
+@refusing
 def robot(
-    source: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="NAME_OR_FILE",
-            help="Catalog name, robot file (YAML), URDF (with its loops beside it), MJCF, .par or MDH table (.csv). "
-            "Without it the catalog is listed.",
-            show_default=False,
-        ),
-    ] = None,
+    source: RobotFile = None,
     save: Annotated[
-        Path | None, typer.Option("--save", metavar="ROBOT.yaml", help="Write it as a robot file that you can edit.")
+        Path | None, typer.Option(metavar="ROBOT.yaml", help="Write it as a robot file that you can edit.")
     ] = None,
     figure: Annotated[
-        Path | None, typer.Option("--figure", metavar="ROBOT.png", help="Draw it in its home pose, as PNG or PDF.")
+        Path | None, typer.Option(metavar="ROBOT.png", help="Draw it in its home pose, as PNG or PDF.")
     ] = None,
-    base: Annotated[
-        str | None,
-        typer.Option(
-            "--base",
-            metavar="fixed|floating|ROLL,PITCH,YAW",
-            help="Fix a floating base as in the file, or rotated by angles in rad, as deg(90); or let it float.",
-        ),
-    ] = None,
+    base: Base = None,
     joints: Annotated[
         list[str] | None,
-        typer.Option("--joints", metavar="PATTERN", help="Joints that move ('FL_*'); the others are held. Repeatable."),
+        typer.Option(metavar="PATTERN", help="Joints that move ('FL_*'); the others are held. Repeatable."),
     ] = None,
     verbose: Annotated[
         bool, typer.Option("--verbose", "-v", help="List the base parameters, and what each of them regroups.")
@@ -48,60 +54,66 @@ def robot(
     json_: Json = False,
 ) -> None:
     """Show the joints, loops, degrees of freedom and base parameters of a robot."""
-    with refusals(json_):
-        if source is None:
-            if save or figure or base or joints:
-                raise GtauError("no robot is named; give a catalog name or the path of a file.")
-            _list_catalog(json_)
-            return
-        with progress_bar():
-            from gtau.model.base_parameters import base_parameters
-            from gtau.model.home import load_robot
-            from gtau.model.inverse_dynamics import InverseDynamics
-            from gtau.report.robot import robot_document, robot_page
+    if source is None:
+        if save or figure or base or joints:
+            raise GtauError("no robot is named; give a catalog name or the path of a file.")
+        _list_catalog(json_)
+        return
+    with progress_bar():
+        from gtau.model.base_parameters import base_parameters
+        from gtau.model.home import load_robot
+        from gtau.model.inverse_dynamics import InverseDynamics
+        from gtau.report.robot import robot_document, robot_page
 
-            found = load_robot(source, base=base_choice(base), joints=joints or ())
-        if save is not None:
-            from gtau.robots.readers.native_text import write_native
-            from gtau.robots.readers.read import is_loops_file
+        described = load_robot(source, base=base_choice(base), joints=joints or ())
+    if save is not None:
+        _save(described, save, source)
+    if figure is not None:
+        from gtau.report.render.charts import save_figure
+        from gtau.report.robot_figure import robot_figure
 
-            if save.exists() and (
-                (Path(source).exists() and save.samefile(source))
-                or (save.suffix in (".yaml", ".yml") and is_loops_file(save))
-            ):
-                raise GtauError(f"--save would replace {save}, which is being read; give it another name.")
-            write_native(found, save)
-        if figure is not None:
-            from gtau.report.render.charts import save_figure
-            from gtau.report.robot_figure import robot_figure
+        save_figure(robot_figure(described), figure)
+    with progress_bar() as progress:
+        model = InverseDynamics(described)
+        parameters = base_parameters(model, progress=progress)
+    answer(
+        json_,
+        lambda: robot_document(model, parameters),
+        lambda: robot_page(model, parameters, verbose),
+        filter(None, (save, figure)),
+    )
 
-            save_figure(robot_figure(found), figure)
-        with progress_bar() as progress:
-            model = InverseDynamics(found)
-            parameters = base_parameters(model, progress=progress)
-            shown = robot_document(model, parameters) if json_ else robot_page(model, parameters, verbose)
-        if isinstance(shown, dict):
-            print_json(shown)
-        else:
-            show(shown, [path for path in (save, figure) if path is not None])
+
+def _save(described: Robot, save: Path, source: str) -> None:
+    """Write a robot as a robot file, but not over the file that it comes from."""
+    from gtau.robots.readers.native_text import write_native
+    from gtau.robots.readers.read import is_loops_file
+
+    if save.exists() and (
+        (Path(source).exists() and save.samefile(source)) or (save.suffix in (".yaml", ".yml") and is_loops_file(save))
+    ):
+        raise GtauError(f"--save would replace {save}, which is being read; give it another name.")
+    write_native(described, save)
 
 
 def _list_catalog(as_json: bool) -> None:
+    from gtau.report.page import Column, page, section, table
     from gtau.robots.readers.read import catalog_names, read_robot
 
     robots = {name: read_robot(name) for name in catalog_names()}
-    if as_json:
-        print_json({"catalog": [{"name": name, "source": robot.source} for name, robot in robots.items()]})
-        return
-    from gtau.report.page import Column, page, section, table
-
     rows = [(name, f"{len(robot.motors)}", robot.source) for name, robot in robots.items()]
-    show(page("", section("Catalog", table((Column("robot"), Column("motors"), Column("source")), rows))))
+    columns = (Column("robot"), Column("motors"), Column("source"))
+    answer(
+        as_json,
+        lambda: {"catalog": [{"name": name, "source": robot.source} for name, robot in robots.items()]},
+        lambda: page("", section("Catalog", table(columns, rows))),
+    )
 
 
 STOPPING = "stopping the search and writing the best motion so far; Ctrl-C again stops at once."
 
 
+@refusing
 def excite(
     context: typer.Context,
     design: Annotated[
@@ -130,43 +142,30 @@ def excite(
 
     The best motion so far is kept in DIR; Ctrl-C stops the search and takes it.
     """
-    with refusals(json_):
-        masses = _masses(payload_mass or [], context.args)
-        refuse_as_folder(out)
-        start = perf_counter()
-        with progress_bar() as progress:
-            from gtau.excitation.design import Design, Stopped
-            from gtau.excitation.design import design as run
-            from gtau.excitation.design_file import read_design
-            from gtau.report.design import (
-                Outlook,
-                design_document,
-                design_page,
-                design_report,
-                write_design,
-                write_trajectories,
-            )
-            from gtau.report.write import write_report
+    masses = _masses(payload_mass or [], context.args)
+    refuse_as_folder(out)
+    with progress_bar() as progress:
+        from gtau.excitation.design import Design, Stopped
+        from gtau.excitation.design import design as run
+        from gtau.excitation.design_file import read_design
+        from gtau.report import design as pages
+        from gtau.report.write import write_report
 
-            task, assumed = read_design(design)
+        task, assumed = read_design(design)
 
-            def keep(best: Design) -> None:
-                write_trajectories(best, folder_of(out))
+        def keep(best: Design) -> None:
+            pages.write_trajectories(best, folder_of(out))
 
-            try:
-                with stop_request(STOPPING) as stop:
-                    found = run(task, criterion, starts, seed, progress, keep, stop)
-            except Stopped as stopped:
-                raise KeyboardInterrupt(str(stopped).rstrip(".")) from None
-            progress("predicting standard deviations", 0, 1)
-            outlook = Outlook(found, assumed, tuple(masses))
-            page, inputs = design_report(outlook), (("design", design),)
-            report = write_report(page, folder_of(out), perf_counter() - start, inputs)
-            written = (report, *write_design(outlook, out))
-        if json_:
-            print_json(design_document(outlook))
-        else:
-            show(design_page(outlook), written)
+        try:
+            with stop_request(STOPPING) as stop:
+                found = run(task, criterion, starts, seed, progress, keep, stop)
+        except Stopped as stopped:
+            raise KeyboardInterrupt(str(stopped).rstrip(".")) from None
+        progress("predicting standard deviations", 0, 1)
+        outlook = pages.Outlook(found, assumed, tuple(masses))
+        report = write_report(pages.design_report(outlook), folder_of(out), seconds(), (("design", design),))
+        written = (report, *pages.write_design(outlook, out))
+    answer(json_, lambda: pages.design_document(outlook), lambda: pages.design_page(outlook), written)
 
 
 def _masses(first: list[float], words: list[str]) -> list[float]:
@@ -186,64 +185,59 @@ def _masses(first: list[float], words: list[str]) -> list[float]:
     return first
 
 
+@refusing
 def demo(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for logs, model, tables and figures.")],
     json_: Json = False,
 ) -> None:
     """Simulate an Orthoglide, identify it from its logs, and weigh a second payload with the result."""
-    with refusals(json_):
-        refuse_as_folder(out)
-        with progress_bar() as progress:
-            from gtau.demo.run import demo as run
+    refuse_as_folder(out)
+    with progress_bar() as progress:
+        from gtau.demo.run import demo as run
 
-            document, page = run(folder_of(out), progress)
-        if json_:
-            print_json(document)
-        else:
-            show(page)
+        document, page = run(folder_of(out), progress)
+    answer(json_, lambda: document, lambda: page)
 
 
+@refusing
 def tutorial(
     out: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the logs.", show_default=False)],
     json_: Json = False,
 ) -> None:
     """Copy the logs of the ten-minute tutorial (docs/start/tutorial.md) to a folder, and say how to go on."""
-    with refusals(json_):
-        from gtau.demo.tutorial import write_tutorial
+    from gtau.demo.tutorial import write_tutorial
 
-        written = write_tutorial(out)
-        if json_:
-            print_json({"files": [str(path) for path in written]})
-            return
-        show_written(written)
-        typer.echo(f"next: cd {out} && gtau init empty_*.csv loaded_1200g.csv --robot five-bar --yes")
-
-
-SimulationFile = Annotated[
-    Path, typer.Argument(metavar="SIMULATION.yaml", help="Robot, true parameters, drives, runs.", show_default=False)
-]
+    written = write_tutorial(out)
+    if json_:
+        print_json({"files": [str(path) for path in written]})
+        return
+    show_written(written)
+    typer.echo(f"next: cd {out} && gtau init empty_*.csv loaded_1200g.csv --robot five-bar --yes")
 
 
+@refusing
 def simulate(
-    simulation: SimulationFile,
+    simulation: Annotated[
+        Path,
+        typer.Argument(metavar="SIMULATION.yaml", help="Robot, true parameters, drives, runs.", show_default=False),
+    ],
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the logs and experiment.yaml.")],
     json_: Json = False,
 ) -> None:
     """Simulate a robot under control; write its logs and the experiment file for 'gtau identify'."""
-    with refusals(json_):
-        refuse_as_folder(out)
-        with progress_bar() as progress:
-            from gtau.model.home import load_robot
-            from gtau.robots.plausibility import massless
-            from gtau.simulation.experiment_files import simulate_experiment
-            from gtau.simulation.simulation_file import read_simulation
+    refuse_as_folder(out)
+    with progress_bar() as progress:
+        from gtau.model.home import load_robot
+        from gtau.robots.plausibility import massless
+        from gtau.simulation.experiment_files import simulate_experiment
+        from gtau.simulation.simulation_file import read_simulation
 
-            written = simulate_experiment(simulation, out, progress)
-        described = read_simulation(simulation)
-        light = massless(load_robot(described.robot), described.parameters) if described.model is None else ()
-        if json_:
-            print_json({"files": [str(path) for path in written], "massless": light})
-        else:
-            show_written(written)
-            if light:
-                typer.echo(f"without mass and inertia, because 'parameters' lists none for them: {', '.join(light)}")
+        written = simulate_experiment(simulation, out, progress)
+    described = read_simulation(simulation)
+    light = massless(load_robot(described.robot), described.parameters) if described.model is None else ()
+    if json_:
+        print_json({"files": [str(path) for path in written], "massless": light})
+    else:
+        show_written(written)
+        if light:
+            typer.echo(f"without mass and inertia, because 'parameters' lists none for them: {', '.join(light)}")

@@ -5,71 +5,75 @@ from __future__ import annotations
 import json
 import sys
 from collections import deque
+from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
-from time import perf_counter
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gtau.cli.console import CarriedPayload, Columns, ModelFile, progress_bar, refusals, show
+from gtau.cli.console import CarriedPayload, Columns, ModelFile, answer, progress_bar, refusing, seconds
 from gtau.documents.files import folder_of, refuse_as_folder
 from gtau.errors import GtauError
 
 if TYPE_CHECKING:
+    from gtau.estimation.results.result import Result
     from gtau.signals.run import Run
     from gtau.watch.follow import Skipped
-    from gtau.watch.watch import Status
+    from gtau.watch.watch import Status, Watch
 
 REPORTED = 1000  # last logs that a report draws
+Logs = Annotated[
+    list[Path] | None,
+    typer.Argument(metavar="LOG...", help="Finished logs, oldest first, or folders of them.", show_default=False),
+]
+History = Annotated[
+    Path,
+    typer.Option("--out", metavar="DIR", help="Folder of the history, continued if it exists, and of report.html."),
+]
+Baseline = Annotated[
+    str, typer.Option(metavar="N|DIR", help="Number of healthy logs that form the baseline, or a folder of them.")
+]
+FalseAlarms = Annotated[
+    float,
+    typer.Option(
+        "--false-alarms-per-year",
+        min=1e-6,
+        metavar="NUMBER",
+        help="False alarms a year, over all charts of the whole fleet.",
+    ),
+]
 
 
+Robots = Annotated[int, typer.Option(min=1, metavar="NUMBER", help="Number of robots in the fleet.")]
+LogsPerYear = Annotated[float, typer.Option(min=1.0, metavar="NUMBER", help="Logs a year of each robot.")]
+Reset = Annotated[
+    str | None, typer.Option(metavar="DATE", help="Begin a new baseline with the first new log from this date on.")
+]
+Follow = Annotated[
+    bool, typer.Option("--follow", help="Follow one folder of finished logs, or a growing text log, until Ctrl-C.")
+]
+Block = Annotated[
+    float, typer.Option(min=10.0, max=60.0, metavar="SECONDS", help="Length of the blocks of a growing log.")
+]
+JsonLines = Annotated[bool, typer.Option("--json", help="Print a line of JSON for each log instead of a table.")]
+
+
+@refusing
 def watch(
     model: ModelFile,
-    logs: Annotated[
-        list[Path] | None,
-        typer.Argument(metavar="LOG...", help="Finished logs, oldest first, or folders of them.", show_default=False),
-    ] = None,
-    out: Annotated[
-        Path,
-        typer.Option("--out", metavar="DIR", help="Folder of the history, continued if it exists, and of report.html."),
-    ] = Path("history"),
+    logs: Logs = None,
+    out: History = Path("history"),
     experiment: Columns = None,
     payload: CarriedPayload = None,
-    baseline: Annotated[
-        str,
-        typer.Option(
-            "--baseline", metavar="N|DIR", help="Number of healthy logs that form the baseline, or a folder of them."
-        ),
-    ] = "10",
-    false_alarms: Annotated[
-        float,
-        typer.Option(
-            "--false-alarms-per-year",
-            min=1e-6,
-            metavar="NUMBER",
-            help="False alarms a year, over all charts of the whole fleet.",
-        ),
-    ] = 1.0,
-    robots: Annotated[
-        int, typer.Option("--robots", min=1, metavar="NUMBER", help="Number of robots in the fleet.")
-    ] = 1,
-    logs_per_year: Annotated[
-        float, typer.Option("--logs-per-year", min=1.0, metavar="NUMBER", help="Logs a year of each robot.")
-    ] = 365.0,
-    reset: Annotated[
-        str | None,
-        typer.Option("--reset", metavar="DATE", help="Begin a new baseline with the first new log from this date on."),
-    ] = None,
-    follow: Annotated[
-        bool, typer.Option("--follow", help="Follow one folder of finished logs, or a growing text log, until Ctrl-C.")
-    ] = False,
-    block: Annotated[
-        float,
-        typer.Option("--block", min=10.0, max=60.0, metavar="SECONDS", help="Length of the blocks of a growing log."),
-    ] = 30.0,
-    json_: Annotated[
-        bool, typer.Option("--json", help="Print a line of JSON for each log instead of a table.")
-    ] = False,
+    baseline: Baseline = "10",
+    false_alarms: FalseAlarms = 1.0,
+    robots: Robots = 1,
+    logs_per_year: LogsPerYear = 365.0,
+    reset: Reset = None,
+    follow: Follow = False,
+    block: Block = 30.0,
+    json_: JsonLines = False,
 ) -> None:
     """Watch a robot: compare its logs with what is normal, and name what has changed.
 
@@ -79,63 +83,80 @@ def watch(
 
     The exit code is 3 while there is an alarm. It is no safety function.
     """
-    with refusals(json_):
-        refuse_as_folder(out)
-        start = perf_counter()
-        from gtau.estimation.results.result import Result
-        from gtau.report.watch import watch_page, watch_report
-        from gtau.report.write import write_report
-        from gtau.uses.runs import carrying, read_log
-        from gtau.watch.follow import follow as follow_source
-        from gtau.watch.state import HISTORY, date_of, digest_of, logs_of, open_history
-        from gtau.watch.watch import Status, Watch
+    refuse_as_folder(out)
+    from gtau.estimation.results.result import Result
+    from gtau.report.watch import watch_page
+    from gtau.watch.follow import follow as blocks
+    from gtau.watch.state import HISTORY, date_of, digest_of, logs_of
+    from gtau.watch.watch import Watch
 
-        healthy, count = _baseline(baseline)
-        sources = logs or []
-        if follow and len(sources) != 1:
-            raise GtauError("--follow takes one folder or one growing text log; give it alone.")
-        given = logs_of([*healthy, *([] if follow else sources)])
-        if not (given or follow):
-            raise GtauError("there is no log to compare; give logs, oldest first.")
-        result = Result.load(model)
-        watched = Watch(result, out, count, false_alarms, robots, logs_per_year)
-        if reset is not None:
-            watched.reset(reset)
+    healthy, count = _baseline(baseline)
+    sources = logs or []
+    if follow and len(sources) != 1:
+        raise GtauError("--follow takes one folder or one growing text log; give it alone.")
+    given = logs_of([*healthy, *([] if follow else sources)])
+    if not (given or follow):
+        raise GtauError("there is no log to compare; give logs, oldest first.")
+    result = Result.load(model)
+    watched = Watch(result, out, count, false_alarms, robots, logs_per_year)
+    if reset is not None:
+        watched.reset(reset)
+    read = partial(_read, result, experiment, payload)
+    report = partial(_report, watched, out, (("model", model), *(("log", log) for log in given)))
+    last = None
+    with progress_bar() as progress:
+        for k, log in enumerate(given):
+            progress("logs", k, len(given))
+            if (digest := digest_of(log)) in watched.seen:
+                continue
+            last = watched.update(read(log), digest, date_of(log))
+            if json_:
+                typer.echo(last.entry.model_dump_json())
+    if follow:
+        last = _follow(blocks(watched, sources[0], read, block), last, report, json_)
+    written = [report(last), out / HISTORY]
+    if not json_:
+        answer(False, dict, lambda: watch_page(watched, last), written)
+    if watched.alarm is not None:
+        raise typer.Exit(3)
 
-        def read(log: Path) -> Run:
-            run = read_log(result, log, experiment)
-            return run if payload is None else carrying(result, run, payload)
 
-        def report(last: Status | None) -> Path:
-            """Write the report of the last logs."""
-            entries = deque(open_history(folder_of(out), watched.settings), maxlen=REPORTED)
-            page = watch_report(watched, last, list(entries))
-            return write_report(page, out, perf_counter() - start, (("model", model), *(("log", log) for log in given)))
+def _read(result: Result, experiment: Path | None, payload: str | None, log: Path) -> Run:
+    """Read a log, with the payload that the robot carries."""
+    from gtau.uses.runs import carrying, read_log
 
-        last = None
-        with progress_bar() as progress:
-            for k, log in enumerate(given):
-                progress("logs", k, len(given))
-                if (digest := digest_of(log)) in watched.seen:
-                    continue
-                last = watched.update(read(log), digest, date_of(log))
-                if json_:
-                    typer.echo(last.entry.model_dump_json())
-        if follow:
-            try:
-                for status in follow_source(watched, sources[0], read, block):
-                    _say(status, json_)
-                    if isinstance(status, Status) and not status.healthy and (last is None or last.healthy):
-                        report(status)
-                    last = status if isinstance(status, Status) else last
-            except KeyboardInterrupt:
-                report(last)
-                raise KeyboardInterrupt(f"all finished blocks are in {out / HISTORY}") from None
-        written = [report(last)]
-        if not json_:
-            show(watch_page(watched, last), [*written, out / HISTORY])
-        if watched.alarm is not None:
-            raise typer.Exit(3)
+    run = read_log(result, log, experiment)
+    return run if payload is None else carrying(result, run, payload)
+
+
+def _report(watched: Watch, out: Path, inputs: tuple[tuple[str, Path], ...], last: Status | None) -> Path:
+    """Write the report of the last logs."""
+    from gtau.report.watch import watch_report
+    from gtau.report.write import write_report
+    from gtau.watch.state import open_history
+
+    entries = deque(open_history(folder_of(out), watched.settings), maxlen=REPORTED)
+    return write_report(watch_report(watched, last, list(entries)), out, seconds(), inputs)
+
+
+def _follow(
+    statuses: Iterable[Status | Skipped], last: Status | None, report: Callable[[Status | None], Path], as_json: bool
+) -> Status | None:
+    """Print a line for each block as it comes, and write a report at the first that is not healthy, and at Ctrl-C."""
+    from gtau.watch.state import HISTORY
+    from gtau.watch.watch import Status
+
+    try:
+        for status in statuses:
+            _say(status, as_json)
+            if isinstance(status, Status):
+                if not status.healthy and (last is None or last.healthy):
+                    report(status)
+                last = status
+    except KeyboardInterrupt:
+        history = report(last).with_name(HISTORY)
+        raise KeyboardInterrupt(f"all finished blocks are in {history}") from None
+    return last
 
 
 def _say(status: Status | Skipped, as_json: bool) -> None:

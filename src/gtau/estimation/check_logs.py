@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -17,10 +18,9 @@ from gtau.estimation.diagnostics.log_checks import command_lag, doubtful_command
 from gtau.estimation.diagnostics.unit_checks import doubtful_currents, doubtful_payloads
 from gtau.estimation.experiment_runs import Subject, describe, geometry_of, options_of, read_runs
 from gtau.estimation.preconditions import estimator_for, plan, reduced, require_inputs
+from gtau.estimation.regression.assembly import FEWEST_ROWS
 from gtau.estimation.regression.dataset import Dataset, model_of, prepare_runs, robot_notes
-from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.rows import Labels
-from gtau.estimation.regression.system import FEWEST_ROWS
 from gtau.estimation.results.conclusions import near_singularities, not_separated
 from gtau.estimation.results.estimate import Distances, NearestPose, distances_of, nearest_poses
 from gtau.findings import Finding, Severity
@@ -46,17 +46,22 @@ from gtau.signals.storage import Store, sizes
 class JointCheck:
     """One joint in a log, while the robot moves: positions in rad or m, commands in A or N m (N).
 
-    ``bandwidth`` is in Hz, NaN at rest; ``usable`` is the share of the decimated rows that an identification uses.
+    ``usable`` is the share of the decimated rows that an identification uses.
     """
 
     joint: str
     position: tuple[float, float]
     speed_rms: float
     speed_max: float
-    bandwidth: float
+    spectrum: JointSpectrum
     command_rms: float
     command_max: float
     usable: float
+
+    @property
+    def bandwidth(self) -> float:
+        """Bandwidth of the motion, Hz, NaN at rest."""
+        return self.spectrum.bandwidth
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,12 +81,11 @@ class WrenchCheck:
 class LogCheck:
     """One log: its joints, and positions (K, n), usable samples and distances at the decimated instants.
 
-    ``rows`` is the number of decimated samples, ``validation`` whether the file lists the run under that key.
+    ``validation`` tells whether the file lists the run under that key.
     """
 
     run: Run
     validation: bool
-    rows: int
     joints: tuple[JointCheck, ...]
     wrenches: tuple[WrenchCheck, ...]
     position: np.ndarray
@@ -89,10 +93,14 @@ class LogCheck:
     distances: Distances
     nearest: tuple[NearestPose, ...]
     preparation: Preparation
-    spectra: tuple[JointSpectrum, ...]
 
     def __repr__(self) -> str:
         return f"LogCheck({self.run.name!r}, {self.rows} rows a joint)"
+
+    @property
+    def rows(self) -> int:
+        """Number of decimated samples."""
+        return len(self.position)
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,56 +154,44 @@ def check_logs(
     """
     options = options_of(prior_gains, priors, method=method, prior_inertias=prior_inertias)
     subject = describe(source, runs, options)
-    robot, experiment = subject.robot, subject.experiment
+    robot, experiment, model = subject.robot, subject.experiment, model_of(subject.robot)
     listed: tuple[LoggedRun | Run, ...] = tuple(subject.runs) if experiment is None else experiment.runs
-    count = len(listed)
-    model, of_robot = model_of(robot), robot_notes(robot, loaded=any(run.payload for run in listed))
-    listed = (*listed, *(experiment.validation if experiment else ()))
+    notes = robot_notes(robot, loaded=any(run.payload for run in listed))
+    count, listed = len(listed), (*listed, *(experiment.validation if experiment else ()))
     kinds = [F.REFUSED] * count + [F.VALIDATION] * (len(listed) - count)
-    read, notes = _read(experiment, listed, kinds, model, progress)
+    read = _read(experiment, listed, kinds, model, notes, progress)
     used = [run for run in read[:count] if run is not None]
     if not used:
-        return ExperimentCheck(robot, None, (), (*of_robot, *notes))
+        return ExperimentCheck(robot, None, (), tuple(notes))
     subject = replace(subject, runs=used)
-    try:
+    with _noted(notes):
         require_inputs(subject)
-    except GtauError as error:
-        notes.append(refusal(error))
-    notes += [
-        *doubtful_commands(used, robot),
-        *doubtful_currents(used, robot.base),
-        *doubtful_payloads(robot, (run.payload for run in used)),
-    ]
-    preparation = choose_preparation(used)
-    checked, prepared_runs = [], []
+    notes += doubtful_commands(used, robot)
+    notes += doubtful_currents(used, robot.base)
+    notes += doubtful_payloads(robot, (run.payload for run in used))
+    preparation, checked = choose_preparation(used), []
     for k, run in enumerate(read):
         progress("checking logs", k, len(read))
         if run is None:
             continue
-        try:
+        with _noted(notes, kinds[k], run.name):
             (prepared,) = prepare_runs(model, [run], preparation)
-            log = _check(model, prepared, prepared.preparation.decimator, validation=k >= count)
-        except GtauError as error:
-            notes.append(refusal(error, kinds[k], run.name))
-            continue
-        checked.append(log)
-        notes += [note.of_source(run.name) for note in (*run.notes, *prepared.notes)]
-        notes += near_singularities(log.nearest)
-        prepared_runs += [prepared] if k < count else []
+            checked.append(_check(model, prepared, prepared.preparation.decimator, validation=k >= count))
+            notes += [note.of_source(run.name) for note in (*run.notes, *prepared.notes)]
+            notes += near_singularities(checked[-1].nearest)
     progress("checking logs", len(read), len(read))
     geometry = None
-    try:
+    with _noted(notes):
         if experiment is not None:
-            readable = [each for each, run in zip(experiment.runs, read, strict=False) if run is not None]
+            readable = [entry for entry, run in zip(experiment.runs, read, strict=False) if run is not None]
             geometry = geometry_of(experiment, readable, model, progress)
         notes += [geometry.note] if geometry else []
-    except GtauError as error:
-        notes.append(refusal(error, F.REFUSED))
-    notes += few_rows([log for log in checked if not log.validation])
+    for_use = [log for log in checked if not log.validation]
+    notes += few_rows(for_use)
     if not any(note.severity == Severity.ERROR for note in notes):
-        subject = replace(subject, runs=[prepared.run for prepared in prepared_runs])
+        subject = replace(subject, runs=[log.run for log in for_use])
         notes += _together(subject, reduced(subject, estimator_for(options, used), progress, preparation))
-    return ExperimentCheck(robot, preparation, tuple(checked), (*of_robot, *notes), geometry)
+    return ExperimentCheck(robot, preparation, tuple(checked), tuple(notes), geometry)
 
 
 def _read(
@@ -203,29 +199,35 @@ def _read(
     listed: Sequence[LoggedRun | Run],
     kinds: Sequence[F],
     model: InverseDynamics,
+    notes: list[Finding],
     progress: Progress,
-) -> tuple[list[Run | None], list[Finding]]:
+) -> list[Run | None]:
     """Read the runs that are not there yet, None for those that cannot be used, and note why."""
-    runs: list[Run | None] = []
-    notes = []
-    for k, each in enumerate(listed):
+    runs: list[Run | None] = [None] * len(listed)
+    for k, entry in enumerate(listed):
 
         def advance(what: str, done: int, total: int, k: int = k) -> None:
             progress(what, k * total + done, len(listed) * total)
 
-        try:
-            if isinstance(each, Run):
-                run = each
+        with _noted(notes, kinds[k], logs=() if isinstance(entry, Run) else entry.log):
+            if isinstance(entry, Run):
+                run = entry
             else:
                 assert experiment is not None  # whose entry it is
-                (run,) = read_runs(experiment, [each], advance)
+                (run,) = read_runs(experiment, [entry], advance)
             run = arrange(run, model.actuated)
             moving_spectra(run)
-            runs.append(run)
-        except GtauError as error:
-            runs.append(None)
-            notes.append(refusal(error, kinds[k], logs=() if isinstance(each, Run) else each.log))
-    return runs, notes
+            runs[k] = run
+    return runs
+
+
+@contextmanager
+def _noted(notes: list[Finding], kind: F = F.REFUSED, source: str = "", logs: Sequence[Path] = ()) -> Generator[None]:
+    """Note a refusal instead of raising it."""
+    try:
+        yield
+    except GtauError as error:
+        notes.append(refusal(error, kind, source, logs))
 
 
 def refusal(error: GtauError, kind: F = F.REFUSED, source: str = "", logs: Sequence[Path] = ()) -> Finding:
@@ -239,33 +241,28 @@ def refusal(error: GtauError, kind: F = F.REFUSED, source: str = "", logs: Seque
     return Finding(kind, values=values, source="" if source in what else source)
 
 
-def few_rows(logs: Sequence[LogCheck]) -> list[Finding]:
-    """Note every joint that has fewer rows in all logs together than an identification needs."""
-    notes = []
-    for each in zip(*(log.joints for log in logs), strict=True):
-        rows = sum(round(joint.usable * log.rows) for joint, log in zip(each, logs, strict=True))
+def few_rows(logs: Sequence[LogCheck]) -> Iterator[Finding]:
+    """Find every joint that has fewer rows in all logs together than an identification needs."""
+    for of_joint in zip(*(log.joints for log in logs), strict=True):
+        rows = sum(round(joint.usable * log.rows) for joint, log in zip(of_joint, logs, strict=True))
         if rows < FEWEST_ROWS:
-            notes.append(Finding(F.ROWS, (each[0].joint,), values={"rows": rows}))
-    return notes
+            yield Finding(F.ROWS, (of_joint[0].joint,), values={"rows": rows})
 
 
 def _together(subject: Subject, dataset: Dataset) -> list[Finding]:
     """List findings that need all runs: the scale of the gains, the payload's effect, inseparable parameters."""
-    system = dataset.system(Friction())
+    system = dataset.system()
     notes = [*command_lag(dataset, system), *not_separated(system.unexcited)]
     try:
         planned = plan(subject, dataset, system)
     except GtauError as error:
         payloads = [run.payload for run in dataset.runs if run.payload is not None]
-        if system.problem.scaled or not payloads or any(each.mass is not None for each in payloads):
+        if system.problem.scaled or not payloads or any(payload.mass is not None for payload in payloads):
             return [*notes, refusal(error, F.SCALE)]
         return [*notes, Finding(F.WEIGHING, (), payloads[0].name)]
-    if planned.gains is not None:
-        return notes
-    try:
-        require_felt_payload(system)
-    except GtauError as error:
-        notes.append(refusal(error, F.MODEL))
+    if planned.gains is None:
+        with _noted(notes, F.MODEL):
+            require_felt_payload(system)
     return notes
 
 
@@ -278,28 +275,28 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
     positions, distances, masks = Store((n,)), Store((2,), np.float32), Store((n,), bool)
     power, path = np.zeros(run.command.shape[1]), None
     for block in decimator.blocks(len(prepared), max(sizes().block // decimator.factor, 1)):
-        of = prepared.samples(block.samples.start, block.samples.stop)
+        samples = prepared.samples(block.samples.start, block.samples.stop)
         last = block.first + (block.outputs.stop - block.outputs.start - 1) * decimator.factor
         at = slice(block.first, last + 1, decimator.factor)
-        masks.append(decimator.keep(of.usable[block.first - decimator.support : last + decimator.support + 1, :n]))
-        q, labels = of.q[at].T.copy(), Labels(run.name, of.time[at])
+        masks.append(decimator.keep(samples.usable[block.first - decimator.support : last + decimator.support + 1, :n]))
+        q, labels = samples.q[at].T.copy(), Labels(run.name, samples.time[at])
         path = model.path(q, labels, None if path is None else path[:, -1])
         still = np.zeros_like(q)
         distances.append(singularities(model).distances(model.rates(path, still, still, labels)).T)
-        positions.append(of.q[at])
-        power += (of.command[at] ** 2).sum(axis=0)
-        lowest.append(of.q.min(axis=0))
-        highest.append(of.q.max(axis=0))
-        fastest.append(np.abs(of.qd).max(axis=0))
-        strongest.append(np.abs(of.command[:, :n]).max(axis=0))
-    values, used, found = distances.array(), masks.array(), spectra(run)
+        positions.append(samples.q[at])
+        power += (samples.command[at] ** 2).sum(axis=0)
+        lowest.append(samples.q.min(axis=0))
+        highest.append(samples.q.max(axis=0))
+        fastest.append(np.abs(samples.qd).max(axis=0))
+        strongest.append(np.abs(samples.command[:, :n]).max(axis=0))
+    values, used = distances.array(), masks.array()
     columns = zip(
         run.joints,
         np.min(lowest, axis=0).tolist(),
         np.max(highest, axis=0).tolist(),
         np.sqrt(np.diag(prepared.speeds)).tolist(),
         np.max(fastest, axis=0).tolist(),
-        [each.bandwidth for each in found],
+        spectra(run),
         np.sqrt(power / rows)[:n].tolist(),
         np.max(strongest, axis=0).tolist(),
         used.mean(axis=0).tolist(),
@@ -308,7 +305,6 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
     return LogCheck(
         run=run,
         validation=validation,
-        rows=rows,
         wrenches=tuple(_wrench_checks(run, power / rows)),
         joints=tuple(JointCheck(joint, (low, high), *rest) for joint, low, high, *rest in columns),
         position=positions.array(),
@@ -316,7 +312,6 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
         distances=distances_of(prepared, decimator, values),
         nearest=tuple(nearest_poses(prepared, decimator, values)),
         preparation=prepared.preparation,
-        spectra=found,
     )
 
 

@@ -14,9 +14,7 @@ from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.experiment_runs import Subject, geometry_of, options_of, read, read_runs
 from gtau.estimation.pipeline import estimate
 from gtau.estimation.preconditions import Plan, plan, reduced, require_inputs, without_scale
-from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.friction import Friction
-from gtau.estimation.regression.system import System
+from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.results.estimate import Requirement, TorqueError
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import ACCURACY
@@ -115,7 +113,7 @@ def identify(
     estimator, experiment = require_inputs(subject), subject.experiment
     with single_threaded_blas():
         dataset = reduced(subject, estimator, progress)
-        system = dataset.system(Friction())
+        system = dataset.system()
         result = _identified(subject, dataset, system, progress)
         geometry = geometry_of(experiment, experiment.runs, dataset.model, progress) if experiment else None
         beside = [*([geometry.note] if geometry else []), *command_lag(dataset, system)]
@@ -144,13 +142,14 @@ def _identified(subject: Subject, dataset: Dataset, system: System, progress: Pr
     try:
         result = estimated(planned)
         first, *_ = result.drive_gains.values()
-        why = f"that of no joint is identifiable ('{first.name}': {first.verdict.why})"
-        if {gain.verdict.outcome for gain in result.drive_gains.values()} != {Outcome.NOT_IDENTIFIABLE}:
+        lost = first.verdict.finding
+        if lost is None or {gain.verdict.outcome for gain in result.drive_gains.values()} != {Outcome.NOT_IDENTIFIABLE}:
             return result
+        untested = Finding(F.SCALE_UNTESTED, values={"joint": first.name}, causes=(lost,))
     except GtauError as refusal:
-        why = str(refusal).rstrip(".")
+        untested = Finding(F.SCALE_UNTESTED, values={"why": str(refusal).rstrip(".")})
     result = estimated(without_scale(subject, dataset))
-    return result.replaced(notes=(Finding(F.SCALE_UNTESTED, values={"why": why}), *result.notes))
+    return result.replaced(notes=(untested, *result.notes))
 
 
 def _judged(result: Result, experiment: Experiment | None, progress: Progress) -> Result:

@@ -12,15 +12,15 @@ from gtau.estimation.diagnostics.inertia_audit import audit_inertias, without_fi
 from gtau.estimation.diagnostics.other_robots import TOOL_BODIES
 from gtau.estimation.diagnostics.stated_constants import weigh_known
 from gtau.estimation.estimators.essential import essential_fit, select_friction
-from gtau.estimation.estimators.estimator import Given
 from gtau.estimation.estimators.physical_consistency import consistent as find_consistent
 from gtau.estimation.experiment_runs import Options
 from gtau.estimation.preconditions import Plan
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.friction import PAPER
+from gtau.estimation.regression.plausibility import sensors_of
 from gtau.estimation.regression.unknowns import Estimates
-from gtau.estimation.results.build import build_result
-from gtau.estimation.results.friction_curves import FrictionStep, friction_step
+from gtau.estimation.results.build import evidence, fit_record, model_estimates
+from gtau.estimation.results.friction_curves import friction_step
+from gtau.estimation.results.groups import Model
 from gtau.estimation.results.result import Result
 from gtau.progress import Progress, silent
 
@@ -52,14 +52,13 @@ def estimate(dataset: Dataset, plan: Plan, options: Options, progress: Progress 
         Where the data do not suit the estimator.
     """
     estimator, as_paper, ratio, accuracy = plan.estimator, options.as_paper, options.ratio, options.accuracy
-    given = Given(plan.gains, progress)
     if as_paper:
-        system = dataset.system(PAPER, delays=False)  # eqs. (29) to (33)
+        system = dataset.system(delays=False)  # eqs. (29) to (33)
         ratio = PAPER_RATIO if ratio is None else ratio
     else:
-        dataset, system = select_friction(dataset, estimator.solver(given), progress)
+        system = select_friction(dataset, estimator.solver(plan.gains), progress)
     progress("estimation", 0, 1)
-    fit = estimator.fit(dataset, system, given)  # eqs. (24) to (28), or (34) to (39)
+    fit = estimator.fit(system, plan.gains, progress)  # eqs. (24) to (28), or (34) to (39)
     examined = examine(fit, progress)
     estimates = estimates_of(fit, examined, correlated=not as_paper)
     essential, reduced, loss = essential_fit(fit, ratio, correlated=not as_paper, joint=as_paper)
@@ -69,12 +68,18 @@ def estimate(dataset: Dataset, plan: Plan, options: Options, progress: Progress 
     audit = audit_inertias(*bare, fit.dataset.prior_inertias) if bare and not loaded else None
     payloads = weigh_known(bare[0], estimator.name, accuracy) if bare else {}
     priors = options.priors or {}
-    bodies = find_consistent(dataset, fit.system, fit.solution, priors, fit.free_gains) if options.consistent else None
+    bodies = find_consistent(fit.system, fit.solution, priors, fit.free_gains) if options.consistent else None
     progress("estimation", 1, 1)
     if as_paper:  # the gains that go with the essential parameters
         fit = replace(fit, system=replace(fit.system, problem=essential), solution=reduced)
         nothing = np.zeros_like(reduced.covariance)
         estimates = Estimates(essential.unknowns, reduced.values, reduced.covariance, nothing, nothing, None)
     diagnosis = diagnose(fit, examined, estimates, payloads, options.gains, accuracy, audit)
-    friction = FrictionStep(estimates) if as_paper else friction_step(fit, estimates)
-    return build_result(fit, estimator, examined, estimates, essential, loss, diagnosis, friction, bodies, audit)
+    predicting, curves, errors = (estimates, {}, {}) if as_paper else friction_step(fit, estimates)
+    figures = {"reduction_loss": loss, "lack_of_fit": examined.lack_of_fit, "accuracy": float(accuracy)}
+    return Result(
+        Model(dataset.robot, sensors_of(dataset.robot, dataset.runs)),
+        replace(model_estimates(fit, estimates, predicting, curves, diagnosis, essential), consistency=bodies),
+        fit_record(fit, estimator.name, errors, figures),
+        replace(evidence(fit, estimates, examined, diagnosis, curves), audit=audit),
+    )

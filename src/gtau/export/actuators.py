@@ -21,15 +21,18 @@ from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
+import numpy as np
+
 from gtau.documents.files import identifier
 from gtau.documents.yaml_document import yaml_text
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.export import urdf
 from gtau.export.consistent import ConsistentModel, consistent_model, serial_equivalent, what_is_lost
-from gtau.export.exported import Export, Exported, written
-from gtau.export.mjcf import compiled, digits, imported, model_text
+from gtau.export.exported import Export, Exported, digits, written, xml_text
+from gtau.export.mjcf import compiled, imported, model_text
 from gtau.robots.parameter import Parameter
+from gtau.robots.robot import Limits
 
 TIMESTEP = 0.005  # s: of physics in the files, in which delays are counted
 OF_DRIVE = ("armature", "damping", "frictionloss")
@@ -57,28 +60,37 @@ a tree of the motors alone. Such a tree has no weight and moves like the robot n
 class Actuator:
     """Motor and joint, SI units at the joint.
 
-    ``gain`` turns current (or the logged torque) into torque; ``armature`` is None where it is not identifiable apart
-    from the inertia of links: it is part of the base parameter ``regrouped``, and ``chosen`` is its value in the
-    exported bodies. ``damping``, ``frictionloss`` and ``cubic`` are viscous, Coulomb and cubic
-    friction. ``effort`` and ``velocity`` are limits of the robot's file, None where it has none.
+    ``armature`` is None where it is not identifiable apart from the inertia of links: it is part of the base parameter
+    ``regrouped``, and the value in the exported bodies was chosen.
     """
 
+    model: ConsistentModel
     joint: str
-    gain: Estimate
     armature: Estimate | None
     regrouped: str
-    chosen: float
-    damping: float
-    frictionloss: float
-    cubic: float
-    offset: float
-    effort: float | None
-    velocity: float | None
-    delay: Estimate
+
+    def of(self, kind: str) -> float:
+        """Return a parameter of the joint: friction (fv, fs, f3), offset (off), chosen armature (ia)."""
+        return self.model.cubic(self.joint) if kind == "f3" else self.model.of(kind, self.joint)
+
+    @property
+    def gain(self) -> Estimate:
+        """Torque for a unit of current, or of the logged torque."""
+        return replace(self.model.result.drive_gains[self.joint], value=self.model.gains[self.joint])
+
+    @property
+    def limits(self) -> Limits:
+        """Limits of the robot's file."""
+        return self.model.result.robot.joint(self.joint).limits
+
+    @property
+    def delay(self) -> Estimate:
+        """Delay from command to torque."""
+        return self.model.result.delays[self.joint]
 
     @property
     def lag(self) -> float:
-        """Delay from command to torque, s; 0 if negative (no simulator allows that) or not identifiable."""
+        """Delay, s; 0 if negative (no simulator allows that) or not identifiable."""
         return max(self.delay.value or 0.0, 0.0) if self.delay.std is not None else 0.0
 
     @property
@@ -86,6 +98,44 @@ class Actuator:
         """Ends of the interval of the delay, in steps of ``TIMESTEP``."""
         low, high = self.delay.interval() or (self.lag, self.lag)
         return max(round(low / TIMESTEP), 0), max(round(high / TIMESTEP), 0)
+
+    @property
+    def measured(self) -> dict[str, Any]:
+        """What was identified, with intervals, for people and programs."""
+        armature = {"not_identifiable_apart_from": self.regrouped, "with_exported_bodies": self.of("ia")}
+        entry = {
+            "current_to_torque": _described(self.gain, self.gain.unit),
+            "delay": _described(self.delay, "s"),
+            "armature": armature if self.armature is None else _described(self.armature, self.armature.unit),
+            "damping": self.of("fv"),
+            "frictionloss": self.of("fs"),
+            "offset": self.of("off"),
+        }
+        more = {"damping_cubic": self.of("f3"), "effort": self.limits.effort, "velocity": self.limits.velocity}
+        return entry | {key: value for key, value in more.items() if value}
+
+
+def _described(estimate: Estimate, unit: str) -> dict[str, Any]:
+    interval = estimate.interval()
+    described: dict[str, Any] = {"value": estimate.value, "unit": unit}
+    return described | ({} if interval is None else {"interval": list(interval)})
+
+
+def actuators(model: ConsistentModel) -> tuple[Actuator, ...]:
+    """List the actuators of an identified model."""
+    return tuple(Actuator(model, joint, *_armature(model, joint)) for joint in model.result.robot.motors)
+
+
+def _armature(model: ConsistentModel, joint: str) -> tuple[Estimate | None, str]:
+    """Find the rotor inertia if it is a base parameter of its own, else the base parameter that contains it."""
+    base, name = model.result.base, Parameter("ia", joint)
+    column = base.matrix[:, model.result.idm.parameter_names.index(name)]
+    rows = np.flatnonzero(column)
+    if len(rows) == 1 and np.count_nonzero(base.matrix[rows[0]]) == 1:
+        estimate = model.result.parameters[base.names[rows[0]]]
+        if estimate.value is not None:
+            return replace(estimate, value=model.of("ia", joint)), ""
+    return None, base.names[rows[0]] if len(rows) else ""
 
 
 def export_mujoco(result: Result, out: Path) -> Exported:
@@ -97,15 +147,15 @@ def export_mujoco(result: Result, out: Path) -> Exported:
         Where the result has no physically consistent parameters, or MuJoCo is not installed or refuses them.
     """
     model, name = consistent_model(result, "mujoco-actuators"), identifier(result.robot.name)
-    (_, whole, motors), notes, figures = _body_texts(model)
-    found = actuators(model)
-    said = _notes(found)
-    if limited := [each.joint for each in found if each.velocity is not None]:
-        said.append(f"MuJoCo has no limit of speed, so those of {', '.join(limited)} are not in the files")
-    if not _delays(imported()) and any(each.lag for each in found):
-        said.append("this MuJoCo has no delay of actuators: delays are not in the files")
-    files = written(out, {f"{name}.xml": whole, f"{name}_actuators.xml": motors})
-    return Exported(files, (*notes, *said), figures)
+    motors = actuators(model)
+    texts, notes, figures = _body_texts(model, motors)
+    notes += _notes(motors)
+    if limited := [motor.joint for motor in motors if motor.limits.velocity is not None]:
+        notes.append(f"MuJoCo has no limit of speed, so those of {', '.join(limited)} are not in the files")
+    if not _delays(imported()) and any(motor.lag for motor in motors):
+        notes.append("this MuJoCo has no delay of actuators: delays are not in the files")
+    files = {f"{name}.xml": texts["whole"], f"{name}_actuators.xml": texts["actuators"]}
+    return Exported(written(out, files), tuple(notes), figures)
 
 
 def export_mjlab(result: Result, out: Path) -> Exported:
@@ -117,23 +167,27 @@ def export_mjlab(result: Result, out: Path) -> Exported:
         Where the result has no physically consistent parameters, or MuJoCo is not installed or refuses them.
     """
     model, name = consistent_model(result, "mjlab"), identifier(result.robot.name)
-    found, body = actuators(model), f"{name}_body.xml"
-    (bodies, *_), notes, figures = _body_texts(model)
-    document = {"timestep": TIMESTEP, "actuators": list(map(_fields, found)), "measured": _measured(found)}
+    motors, body = actuators(model), f"{name}_body.xml"
+    texts, notes, figures = _body_texts(model, motors)
+    document = {"timestep": TIMESTEP, "actuators": list(map(_mjlab_fields, motors))}
     head = MJLAB_HEAD.format(robot=result.robot.name, body=body)
-    files = written(out, {f"{name}_mjlab.yaml": _yaml_file(head, document), body: bodies})
-    return Exported(files, (*notes, *_notes(found), *_notes_beside(found, "mjlab")), figures)
+    files = written(out, {f"{name}_mjlab.yaml": _yaml_file(head, document, motors), body: texts["bodies"]})
+    return Exported(files, (*notes, *_notes(motors, "mjlab")), figures)
 
 
-def _fields(each: Actuator) -> dict[str, Any]:
-    fields: dict[str, Any] = {"target_names_expr": [each.joint]}
-    if each.armature is not None:
-        fields["armature"] = each.armature.value
-    fields |= {"frictionloss": each.frictionloss, "viscous_damping": each.damping}
-    fields |= {} if each.effort is None else {"effort_limit": each.effort}
-    fields |= {} if each.velocity is None else {"velocity_limit": each.velocity}
-    low, high = each.lags
-    return fields | {"delay_min_lag": low, "delay_max_lag": high}
+def _mjlab_fields(motor: Actuator) -> dict[str, Any]:
+    low, high = motor.lags
+    fields = {
+        "target_names_expr": [motor.joint],
+        "armature": None if motor.armature is None else motor.armature.value,
+        "frictionloss": motor.of("fs"),
+        "viscous_damping": motor.of("fv"),
+        "effort_limit": motor.limits.effort,
+        "velocity_limit": motor.limits.velocity,
+        "delay_min_lag": low,
+        "delay_max_lag": high,
+    }
+    return {key: value for key, value in fields.items() if value is not None}
 
 
 def export_isaaclab(result: Result, out: Path) -> Exported:
@@ -145,184 +199,112 @@ def export_isaaclab(result: Result, out: Path) -> Exported:
         Where the result has no physically consistent parameters, or the robot has no URDF.
     """
     model, name = consistent_model(result, "isaaclab"), identifier(result.robot.name)
-    bodies, found = urdf.export(result, out), actuators(model)
-    lags = [each.lags for each in found]
+    bodies, motors = urdf.export(result, out), actuators(model)
+    coulomb = {motor.joint: motor.of("fs") for motor in motors}
     fields: dict[str, Any] = {
-        "joint_names_expr": [each.joint for each in found],
-        "armature": {each.joint: each.armature.value for each in found if each.armature is not None},
-        "friction": {each.joint: each.frictionloss for each in found},
-        "dynamic_friction": {each.joint: each.frictionloss for each in found},
-        "viscous_friction": {each.joint: each.damping for each in found},
-        "effort_limit": {each.joint: each.effort for each in found if each.effort is not None},
-        "velocity_limit": {each.joint: each.velocity for each in found if each.velocity is not None},
-        "min_delay": min(low for low, _ in lags),
-        "max_delay": max(high for _, high in lags),
+        "joint_names_expr": [motor.joint for motor in motors],
+        "armature": {motor.joint: motor.armature.value for motor in motors if motor.armature is not None},
+        "friction": coulomb,
+        "dynamic_friction": dict(coulomb),
+        "viscous_friction": {motor.joint: motor.of("fv") for motor in motors},
+        "effort_limit": {motor.joint: motor.limits.effort for motor in motors if motor.limits.effort is not None},
+        "velocity_limit": {motor.joint: motor.limits.velocity for motor in motors if motor.limits.velocity is not None},
+        "min_delay": min(low for low, _ in (motor.lags for motor in motors)),
+        "max_delay": max(high for _, high in (motor.lags for motor in motors)),
     }
     document: dict[str, Any] = {"timestep": TIMESTEP, "actuator": {k: v for k, v in fields.items() if v != {}}}
+    head = ISAACLAB_HEAD.format(robot=result.robot.name)
     if result.robot.closures:
         document["serial_equivalent"] = serial_equivalent(model)
-    head = ISAACLAB_HEAD.format(robot=result.robot.name) + (OPEN_HEAD if result.robot.closures else "")
-    text = _yaml_file(head, document | {"measured": _measured(found)})
-    files = written(out, {f"{name}_isaaclab.yaml": text})
+        head += OPEN_HEAD
+    files = written(out, {f"{name}_isaaclab.yaml": _yaml_file(head, document, motors)})
     lost = what_is_lost(result.robot, "Isaac Lab", name)
-    said = [each for each in bodies.notes if each != bodies.lost]
-    notes = (*([lost] if lost else []), *said, *_notes(found), *_notes_beside(found, "Isaac Lab"))
-    return Exported((*files, *bodies.files), notes, bodies.figures, lost)
+    notes = [lost] * bool(lost) + [note for note in bodies.notes if note != bodies.lost]
+    return Exported((*files, *bodies.files), (*notes, *_notes(motors, "Isaac Lab")), bodies.figures, lost)
 
 
-def actuators(model: ConsistentModel) -> tuple[Actuator, ...]:
-    """List the actuators of an identified model."""
-    return tuple(_actuator(model, joint) for joint in model.result.robot.motors)
-
-
-def _actuator(model: ConsistentModel, joint: str) -> Actuator:
-    result, limits = model.result, model.result.robot.joint(joint).limits
-    armature, regrouped = _armature(model, joint)
-    gain = replace(result.drive_gains[joint], value=model.gains[joint])
-    return Actuator(
-        joint,
-        gain,
-        armature,
-        regrouped,
-        model.of("ia", joint),
-        model.of("fv", joint),
-        model.of("fs", joint),
-        model.cubic(joint),
-        model.of("off", joint),
-        limits.effort,
-        limits.velocity,
-        result.delays[joint],
-    )
-
-
-def _armature(model: ConsistentModel, joint: str) -> tuple[Estimate | None, str]:
-    """Find the rotor inertia if it is a base parameter of its own, else the base parameter that contains it."""
-    base, name = model.result.base, Parameter("ia", joint)
-    column = base.matrix[:, model.result.idm.parameter_names.index(name)]
-    parts = [k for k, factor in enumerate(column) if factor]
-    if len(parts) == 1 and (base.matrix[parts[0]] != 0).sum() == 1:
-        found = model.result.parameters[base.names[parts[0]]]
-        if found.value is not None:
-            return replace(found, value=model.of("ia", joint)), ""
-    return None, base.names[parts[0]] if parts else ""
-
-
-def _notes(found: Sequence[Actuator]) -> list[str]:
-    """List the actuator quantities that are not identifiable or missing in the robot's file."""
+def _notes(motors: Sequence[Actuator], target: str = "") -> list[str]:
+    """List what is not identifiable or missing in the robot's file, and what a ``target`` of YAML has no field for."""
     notes = []
-    together = [f"'{each.joint}' ({each.regrouped or 'no effect'})" for each in found if each.armature is None]
+    together = [f"'{motor.joint}' ({motor.regrouped or 'no effect'})" for motor in motors if motor.armature is None]
     if together:
         notes.append(
             "the armature is not identifiable apart from the inertia of links, whose sum is the base parameter in "
             f"brackets: {', '.join(together)}; its value in the exported bodies was chosen and goes with them alone"
         )
-    if missing := [each.joint for each in found if each.effort is None]:
+    if missing := [motor.joint for motor in motors if motor.limits.effort is None]:
         notes.append(f"the robot file has no effort limit of {', '.join(missing)}: none is in the files")
-    if unknown := [each.joint for each in found if each.delay.std is None]:
+    if unknown := [motor.joint for motor in motors if motor.delay.std is None]:
         notes.append(f"the delay of {', '.join(unknown)} is not identifiable, and 0 in the files")
-    if early := [each.joint for each in found if each.delay.std is not None and (each.delay.value or 0.0) < 0]:
+    if early := [motor.joint for motor in motors if motor.delay.std is not None and (motor.delay.value or 0.0) < 0]:
         notes.append(f"the delay of {', '.join(early)} is estimated below 0, and 0 in the files")
-    return notes
-
-
-def _notes_beside(found: Sequence[Actuator], target: str) -> list[str]:
-    """List the quantities for which a ``target`` has no field."""
-    notes = [f"the YAML file was not run in {target}: its keys are the fields of its documentation"]
-    if bent := [each.joint for each in found if each.cubic]:
+    if not target:
+        return notes
+    notes.append(f"the YAML file was not run in {target}: its keys are the fields of its documentation")
+    if bent := [motor.joint for motor in motors if motor.of("f3")]:
         notes.append(f"{target} has no friction cubic in speed, which is under 'measured': {', '.join(bent)}")
-    if offset := [each.joint for each in found if each.offset]:
+    if offset := [motor.joint for motor in motors if motor.of("off")]:
         notes.append(f"offsets of torque are under 'measured', as {target} has none: {', '.join(offset)}")
     return notes
 
 
-def _measured(found: Sequence[Actuator]) -> dict[str, Any]:
-    """Describe the actuators by joint, with intervals, for people and programs."""
-    described = {}
-    for each in found:
-        if each.armature is not None:
-            armature = _estimate(each.armature, each.armature.unit)
-        else:
-            armature = {"not_identifiable_apart_from": each.regrouped, "with_exported_bodies": each.chosen}
-        entry = {
-            "current_to_torque": _estimate(each.gain, each.gain.unit),
-            "delay": _estimate(each.delay, "s"),
-            "armature": armature,
-            "damping": each.damping,
-            "frictionloss": each.frictionloss,
-            "offset": each.offset,
-        }
-        more = {"damping_cubic": each.cubic, "effort": each.effort, "velocity": each.velocity}
-        described[each.joint] = entry | {key: value for key, value in more.items() if value}
-    return described
+def _yaml_file(head: str, document: dict[str, Any], motors: Sequence[Actuator]) -> str:
+    """Write a YAML file with a comment on top, and with what was identified of the motors."""
+    measured = {motor.joint: motor.measured for motor in motors}
+    return "".join(f"# {line}\n" for line in head.splitlines()) + yaml_text(document | {"measured": measured})
 
 
-def _estimate(each: Estimate, unit: str) -> dict[str, Any]:
-    interval = each.interval()
-    found: dict[str, Any] = {"value": each.value, "unit": unit}
-    return found | ({} if interval is None else {"interval": list(interval)})
-
-
-def _yaml_file(head: str, document: dict[str, Any]) -> str:
-    """Write a YAML file with a comment on top."""
-    text = yaml_text(document)
-    return "".join(f"# {line}\n" for line in head.splitlines()) + text
-
-
-def _body_texts(model: ConsistentModel) -> tuple[tuple[str, str, str], tuple[str, ...], dict[str, float]]:
-    """Split the MJCF export: bodies alone, a whole that includes the actuators, and these; with notes and figures."""
+def _body_texts(
+    model: ConsistentModel, motors: Sequence[Actuator]
+) -> tuple[dict[str, str], list[str], dict[str, float]]:
+    """Split the MJCF export: ``bodies`` alone, a ``whole`` that includes the ``actuators``; with notes and figures."""
     mujoco = imported()
     text, notes, figures = model_text(mujoco, model, delays=True)
     root = ElementTree.fromstring(text)
     section = root.find("actuator")
     assert section is not None
-    drives = {each.joint: each for each in actuators(model)}
-    for motor in [each for each in section if each.get("name") in drives]:
-        section.remove(motor)  # those of springs stay
+    driven = {motor.joint for motor in motors}
+    for element in [element for element in section if element.get("name") in driven]:
+        section.remove(element)  # those of springs stay
     if not len(section):
         root.remove(section)
     option = root.find("option")
-    step = float("0.002" if option is None else option.get("timestep", "0.002"))
-    body = _text(root)
-    defaults = Element("mujoco")
-    outer = SubElement(SubElement(defaults, "default"), "default", {"class": "drives"})
+    step = float("0.002" if option is None else option.get("timestep", "0.002")) * _delays(mujoco)
+    texts = {"bodies": xml_text(root)}
+    drives = Element("mujoco")
+    outer = SubElement(SubElement(drives, "default"), "default", {"class": "drives"})
     for joint in root.iter("joint"):
-        if joint.get("name") in drives:  # those of equalities have none
+        if (name := joint.get("name")) in driven:  # those of equalities have none
             values = {key: joint.attrib.pop(key) for key in OF_DRIVE if key in joint.attrib}
-            SubElement(SubElement(outer, "default", {"class": f"drive {joint.get('name')}"}), "joint", values)
-            joint.set("class", f"drive {joint.get('name')}")
-    motors = SubElement(defaults, "actuator")
-    delays = _delays(mujoco)
-    for each in drives.values():
-        SubElement(motors, "general", _general(each, step if delays else 0.0))
-    name = f"{identifier(model.result.robot.name)}_actuators.xml"
-    root.insert(0, Element("include", {"file": name}))
-    whole, included = _text(root), _text(defaults)
-    compiled(lambda: mujoco.MjModel.from_xml_string(whole, {name: included.encode()}))
-    return (body, whole, included), notes, figures
+            SubElement(SubElement(outer, "default", {"class": f"drive {name}"}), "joint", values)
+            joint.set("class", f"drive {name}")
+    elements = SubElement(drives, "actuator")
+    for motor in motors:
+        SubElement(elements, "general", _general(motor, step))
+    included = f"{identifier(model.result.robot.name)}_actuators.xml"
+    root.insert(0, Element("include", {"file": included}))
+    texts |= {"whole": xml_text(root), "actuators": xml_text(drives)}
+    compiled(lambda: mujoco.MjModel.from_xml_string(texts["whole"], {included: texts["actuators"].encode()}))
+    return texts, list(notes), figures
 
 
-def _general(each: Actuator, step: float) -> dict[str, str]:
+def _general(motor: Actuator, step: float) -> dict[str, str]:
     """Make an actuator whose ``ctrl`` is the current (A) and whose force is the torque at the joint."""
-    gain = float(each.gain.value or 1.0)
-    attributes = {"name": each.joint, "joint": each.joint, "gainprm": digits(gain)}
-    if each.offset:
-        attributes |= {"biastype": "affine", "biasprm": digits((-each.offset, 0.0, 0.0))}
-    if each.effort is not None:
-        largest = each.effort / abs(gain)
-        attributes |= {"forcerange": digits((-each.effort, each.effort)), "ctrlrange": digits((-largest, largest))}
-    if step and each.lag:
-        attributes |= {"delay": digits(each.lag), "nsample": str(ceil(each.lag / step) + 1)}
+    gain, offset, effort = float(motor.gain.value or 1.0), motor.of("off"), motor.limits.effort
+    attributes = {"name": motor.joint, "joint": motor.joint, "gainprm": digits(gain)}
+    if offset:
+        attributes |= {"biastype": "affine", "biasprm": digits((-offset, 0.0, 0.0))}
+    if effort is not None:
+        largest = effort / abs(gain)
+        attributes |= {"forcerange": digits((-effort, effort)), "ctrlrange": digits((-largest, largest))}
+    if step and motor.lag:
+        attributes |= {"delay": digits(motor.lag), "nsample": str(ceil(motor.lag / step) + 1)}
     return attributes
 
 
 def _delays(mujoco: ModuleType) -> bool:
     """Decide whether this MuJoCo has delays of actuators."""
     return hasattr(mujoco.MjsActuator, "delay")
-
-
-def _text(root: Element) -> str:
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
 EXPORTS = {

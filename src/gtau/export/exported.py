@@ -6,6 +6,10 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element, indent, tostring
+
+import numpy as np
 
 from gtau.documents.files import folder_of, write_atomically
 from gtau.errors import GtauError
@@ -53,6 +57,18 @@ def refuse_unknown(kind: str, kinds: Collection[str]) -> None:
         close = get_close_matches(kind, kinds, n=1)
         hint = f"did you mean '{close[0]}'?" if close else f"choose from {', '.join(kinds)}."
         raise GtauError(f"there is no export to '{kind}'; {hint}")
+
+
+def digits(values: Any) -> str:
+    """Write numbers with round-trip precision."""
+    numbers = [float(value) for value in np.atleast_1d(values)]
+    return " ".join(repr(number) if number != int(number) else f"{number:.0f}" for number in numbers)
+
+
+def xml_text(root: Element) -> str:
+    """Write an XML element, indented."""
+    indent(root)
+    return tostring(root, encoding="unicode") + "\n"
 
 
 def written(out: Path, texts: Mapping[str, str | bytes]) -> tuple[Path, ...]:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, indent, tostring
 from xml.parsers.expat import ParserCreate
 
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.export.exported import Exported, written
+from gtau.export.exported import written
 from gtau.model.home import load_robot
 from gtau.robots.readers.xml_document import read_xml
 from gtau.robots.robot import Robot
@@ -53,29 +53,28 @@ class InputFile:
                 tag = re.sub(r"\s*(/?>)$", rf' {name}="{value}"\g<1>', tag)
         self.edits.append((span.start, span.inner, tag.encode("ascii", "surrogateescape")))
 
-    def replace(self, element: Element, text: str) -> None:
-        """Replace an element by ``text``."""
-        span = self.spans[element]
-        indented = text.replace("\n", "\n" + self._indent(span.start).decode())
-        self.edits.append((span.start, span.stop, indented.encode()))
+    def put(self, parent: Element, new: Element) -> None:
+        """Put an element into another, in place of one of its kind, or as the first content on its own line."""
+        indent(new)
+        text, old = tostring(new, encoding="unicode").encode(), parent.find(new.tag)
+        span = self.spans[parent if old is None else old]
+        margin = b"\n" + self._indent(span.start)
+        if old is not None:
+            self.edits.append((span.start, span.stop, text.replace(b"\n", margin)))
+            return
+        text = (b"\n" + text).replace(b"\n", margin + b"  ")
+        if span.empty:
+            tag = self.content[span.start : span.inner].rstrip(b"/>").rstrip()
+            text = tag + b">" + text + margin + b"</" + parent.tag.encode() + b">"
+            self.edits.append((span.start, span.stop, text))
+        else:
+            self.edits.append((span.inner, span.inner, text))
 
     def remove(self, element: Element) -> None:
         """Remove an element, with the white space before it."""
         span = self.spans[element]
         start = len(self.content[: span.start].rstrip())
         self.edits.append((start, span.stop, b""))
-
-    def insert(self, parent: Element, text: str) -> None:
-        """Insert ``text`` as the first content of an element, on its own line."""
-        span = self.spans[parent]
-        indent = b"\n" + self._indent(span.start) + b"  "
-        new = indent + text.encode().replace(b"\n", indent)
-        if span.empty:
-            tag = self.content[span.start : span.inner].rstrip(b"/>").rstrip()
-            whole = tag + b">" + new + indent[:-2] + b"</" + parent.tag.encode() + b">"
-            self.edits.append((span.start, span.stop, whole))
-        else:
-            self.edits.append((span.inner, span.inner, new))
 
     def _indent(self, at: int) -> bytes:
         """Return the indentation of the line of a position, if nothing else precedes it."""
@@ -89,7 +88,7 @@ class InputFile:
             made = made[:start] + new + made[stop:]
         return made
 
-    def save(self, out: Path, notes: list[str], figures: dict[str, float]) -> Exported:
+    def save(self, out: Path) -> tuple[Path, ...]:
         """Write the file under its own name into another folder ``out``.
 
         Raises
@@ -99,7 +98,7 @@ class InputFile:
         """
         if (out / self.path.name).resolve() == self.path.resolve():
             raise GtauError(f"{self.path} would be overwritten; choose another folder for --out.")
-        return Exported(written(out, {self.path.name: self.text()}), tuple(notes), figures)
+        return written(out, {self.path.name: self.text()})
 
 
 def input_file(path: Path, robot: Robot) -> InputFile:

@@ -22,7 +22,7 @@ from gtau.export.consistent import (
     term_notes,
     terms_left_out,
 )
-from gtau.export.exported import Exported, written
+from gtau.export.exported import Exported, digits, written, xml_text
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import GROUND, Robot
 from gtau.simulation.mujoco_plant import LIGHTEST, STEP, STIFF, mujoco_positions, robot_spec, spring_attributes
@@ -193,14 +193,7 @@ def _text(spec: Any, comments: Sequence[Any]) -> str:
     for element, coupling in zip(root.findall("equality/joint"), _couplings(spec), strict=True):
         element.set("polycoef", digits(coupling.data[:5]))
     root[:0] = comments
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="unicode") + "\n"
-
-
-def digits(values: Any) -> str:
-    """Write numbers with round-trip precision."""
-    numbers = [float(value) for value in np.atleast_1d(values)]
-    return " ".join(repr(number) if number != int(number) else f"{number:.0f}" for number in numbers)
+    return xml_text(root)
 
 
 def _couplings(spec: Any) -> list[Any]:

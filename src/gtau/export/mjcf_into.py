@@ -14,9 +14,9 @@ from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
 from gtau.export import mjcf
 from gtau.export.consistent import ConsistentModel, consistent_model, difference_note, differences
-from gtau.export.exported import Export, Exported
+from gtau.export.exported import Export, Exported, digits
 from gtau.export.input_file import InputFile, input_file
-from gtau.export.mjcf import digits, imported, notes
+from gtau.export.mjcf import imported, notes
 from gtau.model.kinematics import frames
 from gtau.robots.parameter import Parameter
 from gtau.robots.readers.mjcf_file import SHAPES, compile_mjcf
@@ -49,7 +49,7 @@ def export(result: Result, source: Path, out: Path) -> Exported:
         )
     inertias, lumped = _inertias(mujoco, model, compiled), []
     for number, element in enumerate(elements, start=1):
-        _put_inertial(file, element, inertias.get(number, NO_BODY))
+        file.put(element, _inertial(inertias.get(number, NO_BODY)))
         if number not in inertias:
             lumped.append(element.get("name", f"body {number}"))
         for place, joint in enumerate(_joints(element)):
@@ -67,7 +67,7 @@ def export(result: Result, source: Path, out: Path) -> Exported:
     if lumped:
         said.append(f"bodies without joints are part of those that carry them, and weigh nothing: {', '.join(lumped)}")
     said.append("meshes and textures are named as in the original: put the file where they are found")
-    return file.save(out, [difference_note(found), *notes(model, expressed, True), *said], found)
+    return Exported(file.save(out), (difference_note(found), *notes(model, expressed, True), *said), found)
 
 
 def _bodies(element: Element) -> Iterator[Element]:
@@ -123,15 +123,10 @@ def _single(mujoco: Any, compiled: Any, joint: str) -> bool:
     return int(compiled.joint(joint).type[0]) in [int(kind) for kind in kinds]
 
 
-def _put_inertial(file: InputFile, element: Element, body: RigidBody) -> None:
+def _inertial(body: RigidBody) -> Element:
     entries = body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    inertia = f'fullinertia="{digits(entries)}"' if body.mass else 'diaginertia="0 0 0"'
-    text = f'<inertial pos="{digits(body.center)}" mass="{digits(body.mass)}" {inertia}/>'
-    old = element.find("inertial")
-    if old is None:
-        file.insert(element, text)
-    else:
-        file.replace(old, text)
+    inertia = {"fullinertia": digits(entries)} if body.mass else {"diaginertia": "0 0 0"}
+    return Element("inertial", {"pos": digits(body.center), "mass": digits(body.mass), **inertia})
 
 
 def _put_friction(file: InputFile, element: Element, model: ConsistentModel, joint: str) -> None:

@@ -95,6 +95,8 @@ class FindingKind(StrEnum):
     STILL = "position that never changes", REST
     NOISY = "noisy speeds", POSITION_NOISE
     SPEED_LIMIT = "speed limit", LIMITS
+    UNKNOWN_PAYLOAD = "payload unknown to the model", READING
+    ASSUMED_TEMPERATURE = "assumed temperature", READING
 
     # what the whole estimation rests on
     NEGATIVE_MASS = "negative mass", Outcome.CONTRADICTORY

@@ -8,8 +8,8 @@ from gtau.findings.kind import FindingKind as F
 from gtau.findings.words import Sentence, Values, Words, counted, literal, write_limits
 
 
-def _quoted(joints: tuple[str, ...]) -> str:
-    return ", ".join(f"'{joint}'" for joint in joints)
+def _quoted(names: tuple[str, ...]) -> str:
+    return ", ".join(f"'{name}'" for name in names)
 
 
 def _outliers(values: Values) -> Sentence:
@@ -85,20 +85,14 @@ LOG_WORDS: Mapping[str, Words] = {
         + (", took the names of its columns from line {header}" if values["header"] else ""),
         "",
     ),
-    F.OTHER_ROWS: lambda values: (
-        f"left out {counted(values['count'], 'row')} that hold only other signals",
-        "",
-    ),
+    F.OTHER_ROWS: lambda values: (f"left out {counted(values['count'], 'row')} that hold only other signals", ""),
     F.BAD_ROWS: lambda values: (
         f"dropped {counted(values['count'], 'row')} with missing or non-numeric values ({{places}})",
         "",
     ),
     F.REPEATED_ROWS: lambda values: (f"dropped {counted(values['count'], 'repeated row')} ({{places}})", ""),
     F.ALIGNED: _aligned,
-    F.STILL: lambda values: (
-        f"the position of joint {_quoted(values['joints'])} never changes: it yields no rows",
-        "",
-    ),
+    F.STILL: lambda values: (f"the position of joint {_quoted(values['joints'])} never changes: it yields no rows", ""),
     F.UNWRAPPED: lambda values: (
         f"unwrapped the angle of joint {_quoted(values['joints'])}, which jumped by a turn",
         "",
@@ -147,6 +141,17 @@ LOG_WORDS: Mapping[str, Words] = {
         "the motion passes within {distance:.2g} of a type 2 singularity at {time:.4g} s, where errors of position and "
         "geometry are amplified",
         "keep the motion away from that pose",
+    ),
+    F.UNKNOWN_PAYLOAD: lambda values: (
+        f"payload '{{subject}}' is not a payload of the model ({_quoted(values['known']) or 'it has none'}), so it is "
+        "treated as a point mass of {mass:.4g} kg at the origin of '{tool}'",
+        "correct the name, or give its 'parameters'",
+    ),
+    F.ASSUMED_TEMPERATURE: lambda values: (
+        "friction depends on the temperature, which these logs lack; the reference is assumed ("
+        + ", ".join(f"'{joint}' {value:.4g}" for joint, value in values["assumed"])
+        + " {unit})",
+        "add 'temperature' to the signals",
     ),
     F.ROWS: (
         "joint '{joint}' has {rows} usable rows in all runs together, away from its reversals and gaps",

@@ -135,8 +135,9 @@ NOTE_WORDS: Mapping[str, Words] = {
         "check that they are built identically",
     ),
     F.PRIOR: ("the known parameter {subject} " + PRIOR, SCALE),
-    F.SCALE_UNTESTED: (
-        "the torques are assumed to be correct, because their scale could not be tested: {why}",
+    F.SCALE_UNTESTED: lambda values: (
+        "the torques are assumed to be correct, because their scale could not be tested: "
+        + ("{why}" if "why" in values else "that of no joint is identifiable ('{joint}': {cause})"),
         "add runs with a heavier payload of known mass, or longer ones",
     ),
     F.COMMON_SCALE: (

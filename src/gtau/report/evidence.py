@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +11,8 @@ from gtau.errors import GtauError
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.predicted import Prediction, torque_errors
 from gtau.estimation.results.result import Result
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.progress import Progress, silent
 from gtau.signals.preparation.prepared_run import Preparation
 from gtau.signals.run import Run
@@ -38,7 +40,7 @@ class RunEvidence:
         Why there is no prediction.
     cut : bool
         Whether the run is longer than what is shown.
-    notes : tuple of str
+    notes : tuple of Finding
         What the prediction assumes.
     """
 
@@ -49,7 +51,7 @@ class RunEvidence:
     errors: tuple[TorqueError, ...] = ()
     refusal: str = ""
     cut: bool = False
-    notes: tuple[str, ...] = ()
+    notes: tuple[Finding, ...] = ()
 
     @property
     def time(self) -> np.ndarray:
@@ -73,15 +75,15 @@ def gather(
     A run that the model cannot predict is listed with the reason.
     """
     listed = [(run, True) for run in runs] + [(run, False) for run in validation]
-    found = []
+    gathered = []
     for k, (run, used) in enumerate(listed):
         progress("report", k, len(listed))
         try:
-            found.append(predicted(result, run, used))
+            gathered.append(predicted(result, run, used))
         except GtauError as refusal:
-            found.append(RunEvidence(run, used, refusal=str(refusal)))
+            gathered.append(RunEvidence(run, used, refusal=str(refusal)))
     progress("report", len(listed), len(listed))
-    return tuple(found)
+    return tuple(gathered)
 
 
 def predicted(result: Result, run: Run, used: bool = False, longest: int | None = LONGEST) -> RunEvidence:
@@ -90,28 +92,25 @@ def predicted(result: Result, run: Run, used: bool = False, longest: int | None 
     prediction = predict(result, _beginning(run, longest or 0) if cut else run)
     errors = torque_errors(prediction, result.robot, result.preparation.bandwidth)
     all_samples = prediction if longest is None else None
-    notes = _unknown_payload(result, run)
+    notes = tuple(_unknown_payload(result, run))
     return RunEvidence(run, used, prediction.rows, all_samples, errors, cut=cut, notes=notes)
 
 
 def _beginning(run: Run, count: int) -> Run:
     time, position, command, valid = (
-        np.asarray(each[:count]) for each in (run.time, run.position, run.command, run.valid)
+        np.asarray(samples[:count]) for samples in (run.time, run.position, run.command, run.valid)
     )
     return replace(run, time=time, position=position, command=command, valid=valid)
 
 
-def _unknown_payload(result: Result, run: Run) -> tuple[str, ...]:
+def _unknown_payload(result: Result, run: Run) -> Iterator[Finding]:
     """Note where the model has not seen the payload of a run, and the run gives only its mass."""
     payload = run.payload
     if payload is None or payload.mass is None or payload.parameters or result.payload(payload.name):
-        return ()
-    known = ", ".join(f"'{name}'" for name in dict.fromkeys(each.name for each in result.payloads))
-    return (
-        f"payload '{payload.name}' is not a payload of the model ({known or 'it has none'}), so it is treated as a "
-        f"point mass of {payload.mass:.4g} kg at the origin of '{result.robot.tool}'; correct the name, or give its "
-        f"'parameters'",
-    )
+        return
+    known = list(dict.fromkeys(estimate.name for estimate in result.payloads))
+    values = {"known": known, "mass": payload.mass, "tool": result.robot.tool}
+    yield Finding(F.UNKNOWN_PAYLOAD, (), payload.name, values)
 
 
 def worst_stretch(evidence: RunEvidence, duration: float) -> tuple[float, float]:
@@ -137,15 +136,15 @@ def preparation_words(preparation: Preparation, digits: int = 3) -> tuple[str, s
 
 def settings_of(result: Result) -> dict[str, str]:
     """List the settings of an identification by name."""
-    bandwidth, cutoff, decimation = preparation_words(result.preparation, 4)
+    bandwidth, low_pass, decimation = preparation_words(result.preparation, 4)
     return {
         "estimator": result.method,
         "bandwidth of the motion": bandwidth,
-        "position filter": cutoff,
+        "position filter": low_pass,
         "position filter of predictions": ", ".join(
-            "none" if each is None else f"{each:.4g} Hz" for each in result.preparation.prediction_cutoffs
+            "none" if cutoff is None else f"{cutoff:.4g} Hz" for cutoff in result.preparation.prediction_cutoffs
         )
-        or cutoff,
+        or low_pass,
         "decimation": decimation,
         "rows masked below": f"{100 * result.preparation.speed_fraction:g} % of the rms speed",
         **{name.replace("_", " "): f"{value:.4g}" for name, value in result.statistics.items()},
@@ -154,4 +153,4 @@ def settings_of(result: Result) -> dict[str, str]:
 
 def worst_joint(errors: Sequence[TorqueError]) -> TorqueError | None:
     """Find the torque error with the largest rms relative to the rms torque of its joint."""
-    return max(errors, key=lambda each: each.relative, default=None)
+    return max(errors, key=lambda error: error.relative, default=None)

@@ -125,16 +125,17 @@ def preparation_chart(log: LogCheck) -> Chart:
 def _shares(log: LogCheck, what: str) -> tuple[Series, ...]:
     """Draw a power spectrum of each joint, with a dot where noise begins to dominate its acceleration."""
     found: list[Series] = []
-    for j, (joint, each) in enumerate(zip(log.run.joints, log.spectra, strict=True)):
-        density = getattr(each, what)
+    for j, joint in enumerate(log.joints):
+        spectrum = joint.spectrum
+        density = getattr(spectrum, what)
         shown = density > LOWEST * density.max()
         if not shown.any():
             continue
         share = density / density.max()
-        found.append(Series(joint_label(joint), each.frequency[shown], share[shown], colour(j)))
-        if each.moves and what == "acceleration":
-            k = int(np.argmin(np.abs(each.frequency - each.end)))
-            found.append(Series("", each.frequency[k : k + 1], share[k : k + 1], colour(j), "points", width=3.0))
+        found.append(Series(joint_label(joint.joint), spectrum.frequency[shown], share[shown], colour(j)))
+        if spectrum.moves and what == "acceleration":
+            k = int(np.argmin(np.abs(spectrum.frequency - spectrum.end)))
+            found.append(Series("", spectrum.frequency[k : k + 1], share[k : k + 1], colour(j), "points", width=3.0))
     return tuple(found)
 
 

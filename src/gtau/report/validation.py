@@ -13,6 +13,7 @@ from gtau.estimation.results.conclusions import headline as headline_of_model
 from gtau.estimation.results.model_file import torque_error
 from gtau.estimation.results.payload import PayloadBody, PayloadEstimate
 from gtau.estimation.results.result import Result
+from gtau.findings import Finding
 from gtau.report.chart import Chart
 from gtau.report.check import unique_names
 from gtau.report.evidence import RunEvidence, worst_stretch
@@ -42,16 +43,16 @@ def validation_document(runs: Sequence[RunEvidence]) -> dict[str, Any]:
     """Describe torque errors as JSON: ``rms`` and ``signal`` in ``unit``, ``relative`` in per cent, ``bands`` in Hz."""
     return {
         "runs": [
-            {"log": each.run.name, "joints": list(map(torque_error, each.errors)), "notes": list(each.notes)}
+            {"log": each.run.name, "joints": list(map(torque_error, each.errors)), "notes": list(map(str, each.notes))}
             for each in runs
         ]
     }
 
 
-def validation_page(result: Result, runs: Sequence[RunEvidence], notes: Sequence[str] = ()) -> Page:
+def validation_page(result: Result, runs: Sequence[RunEvidence], notes: Sequence[Finding] = ()) -> Page:
     """Show the torque errors of each run; ``notes`` say what all predictions take for granted."""
     said = [f"run '{each.run.name}': {note}" for each in runs for note in each.notes]
-    verdict = Text(headline(result, runs), (*said, *notes, CAUTION), "neutral")
+    verdict = Text(headline(result, runs), (*said, *map(str, notes), CAUTION), "neutral")
     return page(
         f"Validation of {result.robot.name}",
         section("Verdict", verdict, id="verdict"),
@@ -62,7 +63,7 @@ def validation_page(result: Result, runs: Sequence[RunEvidence], notes: Sequence
 
 
 def validation_report(
-    result: Result, runs: Sequence[RunEvidence], prior: Mapping[str, float], notes: Sequence[str] = ()
+    result: Result, runs: Sequence[RunEvidence], prior: Mapping[str, float], notes: Sequence[Finding] = ()
 ) -> Page:
     """Add torques, gains, motion and logs to the page."""
     short = validation_page(result, runs, notes)

@@ -16,10 +16,10 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.estimators.estimator import Fit, Iterate, Solution
 from gtau.estimation.estimators.newton import degrees_of_freedom, residuals, stacked
+from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.equations import MODEL
 from gtau.estimation.regression.priors import inertia_priors, sizes_of, stated_inertias
 from gtau.estimation.regression.scale_source import require_scale
-from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import INERTIA_CHANCE, INERTIA_EXPLAINED
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
@@ -128,8 +128,8 @@ def without_file_inertias(
     """
     if not fit.dataset.prior_inertias:
         return fit, covariance, freedom
-    dataset = replace(fit.dataset, priors=fit.dataset.stated_priors, prior_inertias=0.0)
-    system = dataset.system(fit.system.friction, fit.system.problem.slowest > 0)
+    dataset = replace(fit.dataset, priors=fit.dataset.stated_priors, prior_inertias=0.0, alike=fit.dataset)
+    system = fit.system.again(dataset)
     payloads = [run.payload for run in dataset.runs]
     try:
         if fit.free_gains:
@@ -137,7 +137,7 @@ def without_file_inertias(
         solution = fit.solve(system.problem)
     except GtauError:
         return None
-    bare = replace(fit, dataset=dataset, system=system, solution=solution, unrefined=solution)
+    bare = replace(fit, system=system, solution=solution, unrefined=solution)
     return bare, solution.jackknife, degrees_of_freedom(system.problem, solution, fit.free_gains)
 
 

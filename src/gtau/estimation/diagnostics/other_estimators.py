@@ -152,7 +152,7 @@ def differences(fit: Fit) -> Iterator[tuple[Finding, np.ndarray, np.ndarray] | F
         difference = _difference(usual, weighed, clusters, known, back, T)
         yield Finding(F.INSTRUMENTS), *difference
     for changed, preparation in preparations:
-        other = replace(fit, dataset=_prepared_as(dataset, preparation))
+        other = replace(fit, system=replace(fit.system, dataset=_prepared_as(dataset, preparation)))
         others = central_windows(other.dataset.prepared, WINDOWS, cut)
         if len(others) != len(pairs):
             continue  # its filters are longer than a window

@@ -28,14 +28,12 @@ from gtau.estimation.diagnostics.alternatives import Alternative, established, r
 from gtau.estimation.diagnostics.hypotheses.description import DEGREE, GRAVITY, OTHER_GRAVITY
 from gtau.estimation.diagnostics.linearisation import linearise, on_channels, window_motion
 from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
-from gtau.estimation.estimators.estimator import Fit, Given, Solution
+from gtau.estimation.estimators.estimator import Fit, Solution
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.estimators.newton import degrees_of_freedom
-from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.friction import Friction
+from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.scale_source import require_scale
-from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import (
     GRAVITY_ALIKE,
     GRAVITY_LEAST,
@@ -120,7 +118,7 @@ def _loaded(fit: Fit, runs: tuple[int, ...]) -> _Loaded | None:
     dataset, system = fit.dataset, fit.system
     declared = [run.payload for run in dataset.runs]
     loads = [Payload(name=f"of run {k}") if k in runs else each for k, each in enumerate(declared)]
-    other = dataset.system(system.friction, system.problem.slowest > 0, loads)
+    other = system.again(payloads=loads)
     masses = {f"m_L{run + 1}" for run in runs}
     if not masses <= set(other.problem.parameters) or not set(other.unexcited) <= set(system.unexcited):
         return None
@@ -325,12 +323,11 @@ def fitted(fit: Fit, dataset: Dataset, gravity: np.ndarray) -> Fit | None:
     if not np.array_equal(gravity, dataset.robot.gravity):
         model = model.with_gravity(gravity)
         base = base_parameters(model, sensors=dataset.runs[0].sensed)
-    friction, given = fit.system.friction, Given(None if fit.free_gains else fit.gains)
-    friction = Friction(tuple(each for each in friction.terms if each.kind != "fl"), friction.per_run)
+    gains = None if fit.free_gains else fit.gains
+    terms = tuple(term for term in fit.system.terms if term.kind != "fl")
     try:
-        other = replace(dataset, robot=model.robot, model=model, base=base, factors=()).reduced()
-        system = other.system(friction, fit.system.problem.slowest > 0)
-        return fit_by(ml_or_wls(given), other, system, given)
+        other = replace(dataset, model=model, base=base, factors=(), alike=dataset).reduced()
+        return fit_by(ml_or_wls(gains), fit.system.again(other, terms), fit.free_gains)
     except GtauError:
         return None
 

@@ -46,6 +46,12 @@ def model_of(robot: Robot) -> InverseDynamics:
     return InverseDynamics(robot)
 
 
+@lru_cache(maxsize=8)
+def base_of(robot: Robot, sensors: tuple[str, ...] = ()) -> BaseParameters:
+    """Return the base parameters of a robot's motors and ``sensors``, found once."""
+    return base_parameters(model_of(robot), sensors=sensors)
+
+
 class Motions:
     """What follows from the motions of runs alone, computed once: groups, blocks and windows."""
 
@@ -341,7 +347,7 @@ def reduce_runs(
         check_wrenches(robot, run)
     preparation = preparation or choose_preparation(runs, decimator)
     progress("base parameters", 0, 1)
-    base = base_parameters(model, sensors=sensors_of(robot, runs))
+    base = base_of(robot, sensors_of(robot, runs))
     prepared = prepare_runs(model, runs, preparation)
     dataset = Dataset(model, base, preparation, prepared, (), priors or {}, prior_inertias)
     return dataset.reduced(progress=progress)

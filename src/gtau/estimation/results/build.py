@@ -2,141 +2,103 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from gtau.estimation.diagnostics.diagnose import Diagnosis
 from gtau.estimation.diagnostics.examine import Examination
-from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.diagnostics.stated_constants import scale_shares, sensor_verdict
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict, judge_parameter, parameter_verdict
-from gtau.estimation.estimators.estimator import Estimator, Fit
+from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import residuals, stacked
-from gtau.estimation.estimators.physical_consistency import Consistency
+from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.equations import triangle
 from gtau.estimation.regression.friction import BEARING
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System
 from gtau.estimation.regression.unknowns import Estimates
 from gtau.estimation.results.estimate import (
     Estimate,
+    FrictionCurve,
     Named,
     SensorEstimate,
     TorqueError,
     distances_of,
     nearest_poses,
 )
-from gtau.estimation.results.friction_curves import FrictionStep, friction_unit, reference_temperatures
-from gtau.estimation.results.groups import Evidence, FitRecord, Model, ModelEstimates
+from gtau.estimation.results.friction_curves import friction_unit, reference_temperatures
+from gtau.estimation.results.groups import Evidence, FitRecord, ModelEstimates
 from gtau.estimation.results.payload import payload_estimates
-from gtau.estimation.results.result import Result
 from gtau.model.base_parameters import regrouped
 from gtau.robots.parameter import Parameter, gain_unit, torque_unit, unit_of
 
 
-def build_result(
+def model_estimates(
     fit: Fit,
-    estimator: Estimator,
-    examined: Examination,
-    estimates: Estimates,
-    essential: Problem,
-    loss: float,
+    equations: Estimates,
+    predicting: Estimates,
+    curves: Mapping[str, FrictionCurve],
     diagnosis: Diagnosis,
-    friction: FrictionStep,
-    consistency: Consistency | None = None,
-    audit: InertiaAudit | None = None,
-) -> Result:
-    """Build the result of an identification.
+    essential: Problem,
+) -> ModelEstimates:
+    """Collect the estimates with which the model predicts.
 
     Parameters
     ----------
-    fit, estimator : Fit, Estimator
-        The estimates with all base parameters, and what made them.
-    examined : Examination
-        What the data say against the model.
-    estimates : Estimates
-        Of the equations.
-    essential, loss : Problem, float
-        From :func:`gtau.estimation.estimators.essential.essential_fit`.
+    fit, equations : Fit, Estimates
+        Of all base parameters, by the equations of identification.
+    predicting, curves : Estimates, dict
+        After the step of friction.
     diagnosis : Diagnosis
         What can be believed.
-    friction : FrictionStep
-        Friction on all samples; without curves the plain law predicts.
-    consistency : Consistency, optional
-        Physically consistent standard parameters.
-    audit : InertiaAudit, optional
-        What the data say of the inertias of the robot's file.
+    essential : Problem
+        Of the essential parameters.
     """
-    return Result(
-        Model(fit.dataset.robot, (), (fit.dataset.model, fit.dataset.base)),
-        _estimates(fit, estimates, friction, diagnosis, essential, consistency),
-        _fit_record(fit, estimator, estimates, examined, diagnosis, friction, loss),
-        _evidence(fit, estimates, examined, diagnosis, friction, audit),
-    )
-
-
-def _estimates(
-    fit: Fit,
-    estimates: Estimates,
-    friction: FrictionStep,
-    diagnosis: Diagnosis,
-    essential: Problem,
-    consistency: Consistency | None,
-) -> ModelEstimates:
-    """Collect the estimates with which the model predicts."""
-    dataset, problem, vector, terms = fit.dataset, fit.system.problem, friction.estimates, fit.system.friction.terms
+    dataset, channels, terms = fit.dataset, fit.system.problem.channels, fit.system.terms
     temperatures, base_names = reference_temperatures(fit), set(dataset.base.names)
     delays = [
-        _estimate(vector, Parameter("delay", channel.name), "s", channel.joint, verdict)
-        for channel, verdict in zip(problem.channels, diagnosis.delays, strict=True)
+        _estimate(predicting, Parameter("delay", channel.name), "s", channel.joint, verdict)
+        for channel, verdict in zip(channels, diagnosis.delays, strict=True)
     ]
-    sensors = {channel.name for channel in problem.channels if channel.kind.behind_drive}
+    sensors = {channel.name for channel in channels if channel.kind.behind_drive}
+    friction = _friction_names(fit, curves)
     given = {Parameter("gain", sensor) for sensor in sensors}
-    if friction.curves:  # terms of the equations that predict nothing
-        given |= set(terms) - set(friction.names)
-    listed = sorted((name for name in vector.unknowns if name not in given), key=_group)
-    predicting = [name for name in (friction.names if friction.curves else terms) if name.body not in sensors]
+    if curves:  # terms of the equations that predict nothing
+        given |= set(terms) - set(friction)
+    listed = sorted((name for name in predicting.unknowns if name not in given), key=_group)
     return ModelEstimates(
-        drive_gains=Named(_gains(fit, vector, diagnosis)),
+        drive_gains=Named(_gains(fit, predicting, diagnosis)),
         delays=Named(zip(dataset.model.actuated, delays, strict=False)),
-        parameters=Named(_parameters(fit, vector, essential)),
+        parameters=Named(_parameters(fit, predicting, essential)),
         friction=Named(
-            (name, _estimate(vector, name, friction_unit(name.kind, name.body, dataset.robot, temperatures)))
-            for name in predicting
-            if name in vector.unknowns.places and name not in base_names
+            (name, _estimate(predicting, name, friction_unit(name, dataset.robot, temperatures)))
+            for name in friction
+            if name in predicting.unknowns.places and name not in base_names and name.body not in sensors
         ),
-        payloads=payload_estimates(
-            dataset,
-            fit.system,
-            fit.solution.theta,
-            estimates.covariance,
-            diagnosis.payloads,
-            estimates.effective_freedom,
-        ),
+        payloads=payload_estimates(fit.system, equations, diagnosis.payloads),
         covariance_names=tuple(listed),
-        covariance=vector.select(listed).covariance,
-        sensors=_sensors(fit, diagnosis, vector, delays),
+        covariance=predicting.select(listed).covariance,
+        sensors=_sensors(fit, diagnosis, predicting, delays),
         temperatures=temperatures,
-        consistency=consistency,
     )
 
 
-def _fit_record(
-    fit: Fit,
-    estimator: Estimator,
-    estimates: Estimates,
-    examined: Examination,
-    diagnosis: Diagnosis,
-    friction: FrictionStep,
-    loss: float,
+def _friction_names(fit: Fit, curves: Mapping[str, FrictionCurve]) -> tuple[Parameter, ...]:
+    """List the friction that predicts: of the curves, or without any the terms of the equations."""
+    if not curves:
+        return fit.system.terms
+    return tuple(name for curve in curves.values() for name in curve.parameters)
+
+
+def fit_record(
+    fit: Fit, method: str, errors: Mapping[str, tuple[float, float]], statistics: Mapping[str, float]
 ) -> FitRecord:
-    """Record how the estimates were fitted."""
+    """Record how the estimates were fitted, with ``errors`` over all samples by motor and further ``statistics``."""
     dataset, solution = fit.dataset, fit.solution
     total, (sigma, signal) = _total(fit.system.problem, solution.sigma), _levels(fit)
     return FitRecord(
-        method=estimator.name,
+        method=method,
         kind=dataset.runs[0].kind,
         runs=tuple(run.name for run in dataset.runs),
         preparation=dataset.preparation,
@@ -146,34 +108,23 @@ def _fit_record(
                 float(abs(solution.gains[k]) * sigma[k]),
                 float(abs(solution.gains[k]) * signal[k]),
                 torque_unit(dataset.robot, joint),
-                *friction.errors.get(joint, ()),
+                *errors.get(joint, ()),
             )
             for k, joint in enumerate(dataset.model.actuated)
         ),
         logged_speeds=_logged_speeds(fit),
-        statistics={
-            **solution.statistics,
-            "reduction_loss": loss,
-            "lack_of_fit": examined.lack_of_fit,
-            "accuracy": float(diagnosis.accuracy),
-            "condition_number": _condition_number(total),
-        },
+        statistics={**solution.statistics, **statistics, "condition_number": _condition_number(total)},
         singular_values=tuple(np.linalg.svd(_scaled(total), compute_uv=False).tolist()) if fit.free_gains else (),
         data=dataset.runs,
     )
 
 
-def _evidence(
-    fit: Fit,
-    estimates: Estimates,
-    examined: Examination,
-    diagnosis: Diagnosis,
-    friction: FrictionStep,
-    audit: InertiaAudit | None,
+def evidence(
+    fit: Fit, estimates: Estimates, examined: Examination, diagnosis: Diagnosis, curves: Mapping[str, FrictionCurve]
 ) -> Evidence:
-    """Collect what speaks for and against the estimates."""
+    """Collect what speaks for and against the estimates, those of the equations among them."""
     dataset, temperatures = fit.dataset, reference_temperatures(fit)
-    replaced = {*friction.names, *fit.system.friction.terms} if friction.curves else set()
+    replaced = {*_friction_names(fit, curves), *fit.system.terms} if curves else set()
     along = [
         (prepared, dataset.preparation.at(prepared.run.rate).decimator, factors.distances)
         for prepared, factors in zip(dataset.prepared, dataset.factors, strict=True)
@@ -182,13 +133,12 @@ def _evidence(
     return Evidence(
         notes=(*dataset.notes, *diagnosis.notes),
         alternatives=examined.alternatives,
-        curves=friction.curves,
+        curves=curves,
         equation_friction=Named(
-            (name, _estimate(estimates, name, friction_unit(name.kind, name.body, dataset.robot, temperatures)))
+            (name, _estimate(estimates, name, friction_unit(name, dataset.robot, temperatures)))
             for name in fit.system.problem.parameters
             if name in replaced
         ),
-        audit=audit,
         singularities=tuple(nearest for run in along for nearest in nearest_poses(*run)),
         distances=tuple(distances_of(*run) for run in along),
     )

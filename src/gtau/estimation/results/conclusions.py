@@ -19,7 +19,6 @@ from gtau.findings.words import percent_text
 from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.statements import FIRST_MOMENTS
 
-RANKED = (Outcome.CONTRADICTORY, Outcome.NOT_IDENTIFIABLE, Outcome.WEAK, Outcome.GOOD, Outcome.GIVEN)
 NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 NAMED = 2  # groups of contradictory joints whose reason the headline gives
 VISIBLE = 0.01  # per cent: a smaller torque error is rounding
@@ -42,37 +41,43 @@ def headline(result: Result) -> str:
 
 def _against(result: Result) -> Iterator[str]:
     """Say what contradicts the result, and which requirements it misses; empty where it is accepted."""
-    groups = [each for each in reasons(result) if each.outcome == Outcome.CONTRADICTORY]
-    for each in groups[:NAMED]:
-        verb = "contradict" + "s" * (len(each.joints) == 1)
-        subject = "All joints" if 1 < len(each.joints) == len(result.drive_gains) else _subject(each.joints)
-        yield f"{subject} {verb} the description: {each.why}."
-    if rest := [joint for each in groups[NAMED:] for joint in each.joints]:
-        yield f"{_subject(rest)} contradict{'s' * (len(rest) == 1)} it too."
-    stated = {f"Payload '{payload.name}'": payload.verdict for payload in result.payloads}
-    stated |= {f"The {sensor.source}": sensor.verdict for sensor in result.sensors}
-    for name, verdict in stated.items():
+    groups = [reason for reason in reasons(result) if reason.outcome == Outcome.CONTRADICTORY]
+    for reason in groups[:NAMED]:
+        verb = "contradict" + "s" * (len(reason.joints) == 1)
+        subject = "All joints" if 1 < len(reason.joints) == len(result.drive_gains) else _subject(reason.joints)
+        yield f"{subject} {verb} the description: {reason.why}."
+    if others := [joint for reason in groups[NAMED:] for joint in reason.joints]:
+        yield f"{_subject(others)} contradict{'s' * (len(others) == 1)} it too."
+    for name, verdict in _stated(result):
         if verdict.outcome == Outcome.CONTRADICTORY:
-            yield f"{name} contradicts the data: {verdict.why}."
+            yield f"{name[0].upper()}{name[1:]} contradicts the data: {verdict.why}."
     if failed := missed(result):
         yield f"Requirement missed: {'; '.join(failed)}."
 
 
+def _stated(result: Result) -> Iterator[tuple[str, Verdict]]:
+    """Name payloads and sensors, with their verdicts."""
+    payloads = {payload.name: payload.verdict for payload in result.payloads}
+    yield from ((f"payload '{name}'", verdict) for name, verdict in payloads.items())
+    yield from ((f"the {sensor.source}", sensor.verdict) for sensor in result.sensors)
+
+
 def missed(result: Result) -> list[str]:
     """Describe each requirement that is not met."""
-    said = []
-    for each in result.requirements:
-        if not each.met:
-            found = "not known" if each.found is None else f"{each.found:.2f} % (joint '{each.joint}')"
-            said.append(f"{' of '.join(required(each))}: {found}, and {each.limit:g} % is required")
-    return said
+    return [
+        f"{' of '.join(required(requirement))}: "
+        + ("not known" if requirement.found is None else f"{requirement.found:.2f} % (joint '{requirement.joint}')")
+        + f", and {requirement.limit:g} % is required"
+        for requirement in result.requirements
+        if not requirement.met
+    ]
 
 
-def required(each: Requirement) -> tuple[str, str]:
+def required(requirement: Requirement) -> tuple[str, str]:
     """Name what a requirement limits, and of what."""
-    if each.name == "gain_interval":
+    if requirement.name == "gain_interval":
         return "half the 95 % interval", "gains"
-    return ("torque error", f"run '{each.run}'") if each.run else ("torque residual", "rows used")
+    return ("torque error", f"run '{requirement.run}'") if requirement.run else ("torque residual", "rows used")
 
 
 def _known(result: Result) -> str:
@@ -98,24 +103,21 @@ def _known(result: Result) -> str:
 
 
 def reasons(result: Result) -> tuple[Reason, ...]:
-    """List reasons and advice for the verdicts on gains, the worst first: joints with equal advice share a row."""
+    """List reasons and advice for the verdicts on gains, the worst first: joints with equal advice share a row.
+
+    Where the numbers of a reason differ between joints, those of the first and worst are given.
+    """
     groups: dict[tuple[Outcome, str, str], list[Estimate]] = {}
     for gain in sorted(result.drive_gains.values(), key=lambda gain: -(gain.half_width or 0.0)):
-        found = gain.verdict.finding
-        if found is not None:
-            groups.setdefault((gain.verdict.outcome, found.kind, gain.verdict.advice), []).append(gain)
-    ranked = sorted(groups.items(), key=lambda group: RANKED.index(group[0][0]))
-    return tuple(
-        Reason(outcome, tuple(gain.name for gain in members), _why(members), advice)
-        for (outcome, _, advice), members in ranked
-    )
-
-
-def _why(gains: Sequence[Estimate]) -> str:
-    """Give the reason for several gains; where the numbers differ, that of the first and worst."""
-    whys = dict.fromkeys(gain.verdict.why for gain in gains)
-    first = next(iter(whys))
-    return first if len(whys) == 1 else f"{first} ('{gains[0].name}')"
+        if gain.verdict.finding is not None:
+            key = gain.verdict.outcome, gain.verdict.finding.kind, gain.verdict.advice
+            groups.setdefault(key, []).append(gain)
+    listed = []
+    for (outcome, _, advice), gains in groups.items():
+        whys = [gain.verdict.why for gain in gains]
+        why = whys[0] if len(set(whys)) == 1 else f"{whys[0]} ('{gains[0].name}')"
+        listed.append(Reason(outcome, tuple(gain.name for gain in gains), why, advice))
+    return tuple(sorted(listed, key=lambda reason: -list(Outcome).index(reason.outcome)))
 
 
 def _good(gains: Sequence[Estimate], accuracy: float) -> str:
@@ -160,58 +162,45 @@ def findings(result: Result) -> list[Finding]:
 def remarks(result: Result) -> list[Finding]:
     """Note faults of the fit beside the gains, with advice."""
     notes = []
-    for payload in {each.name: each for each in result.payloads}.values():
-        if payload.verdict.outcome != Outcome.GOOD:
-            what = f"payload '{payload.name}' {payload.verdict.outcome.value}: {payload.verdict.why}"
-            notes.append(_of_verdict(what, payload.verdict))
+    for name, verdict in _stated(result):
+        if verdict.outcome != Outcome.GOOD:
+            said = {"what": f"{name} {verdict.outcome.value}: {verdict.why}", "action": verdict.advice}
+            notes.append(Finding(F.MODEL if verdict.finding is None else verdict.finding.kind, values=said))
+    for name, payload in {payload.name: payload for payload in result.payloads}.items():
         if "m" not in payload.parameters:
-            notes.append(Finding(F.MASS_UNSEEN, (), payload.name, {"sums": sums_with_mass(payload)}))
-    for sensor in result.sensors:
-        if sensor.verdict.outcome != Outcome.GOOD:
-            what = f"the {sensor.source} {sensor.verdict.outcome.value}: {sensor.verdict.why}"
-            notes.append(_of_verdict(what, sensor.verdict))
+            notes.append(Finding(F.MASS_UNSEEN, (), name, {"sums": sums_with_mass(payload)}))
     lack = result.statistics["lack_of_fit"]
-    if lack > INFLATED and any(each.relative > VISIBLE for each in result.residuals):
+    if lack > INFLATED and any(error.relative > VISIBLE for error in result.residuals):
         notes.append(Finding(F.AUTOCORRELATED, values={"factor": lack}))
-    return notes + not_separated([name for name, each in result.parameters.items() if each.value is None])
+    return notes + not_separated([name for name, estimate in result.parameters.items() if estimate.value is None])
 
 
 def sums_with_mass(payload: PayloadEstimate) -> list[str]:
     """List the identifiable sums that contain an unidentifiable payload mass, as ``my - 0.1445 m``."""
     kinds = FIRST_MOMENTS if set(FIRST_MOMENTS) & set(payload.parameters) else tuple(payload.parameters)
     regroupings = [payload.parameters[kind].regrouping for kind in kinds if kind in payload.parameters]
-    return [each.replace("+ -", "- ") for each in regroupings if each.split()[-1] == "m"]
+    return [text.replace("+ -", "- ") for text in regroupings if text.split()[-1] == "m"]
 
 
-def _of_verdict(what: str, verdict: Verdict) -> Finding:
-    kind = F.MODEL if verdict.finding is None else verdict.finding.kind
-    return Finding(kind, values={"what": what, "action": verdict.advice})
-
-
-def without_temperature(result: Result, signals: Signals) -> list[str]:
+def without_temperature(result: Result, signals: Signals) -> list[Finding]:
     """Note the temperature assumed for logs without one where the model's friction depends on it."""
     warm = result.temperatures
-    depends = {name.body for name in result.friction if name.kind in TEMPERATURE_TERMS}
-    if warm is None or not depends or signals.temperature is not None:
+    joints = sorted({name.body for name in result.friction if name.kind in TEMPERATURE_TERMS})
+    if warm is None or not joints or signals.temperature is not None:
         return []
-    listed = ", ".join(f"'{joint}' {warm.of_joint[joint]:.4g}" for joint in sorted(depends))
-    return [
-        f"friction depends on the temperature, which these logs lack; the reference is assumed ({listed} "
-        f"{warm.unit}); add 'temperature' to the signals"
-    ]
+    assumed = [[joint, warm.of_joint[joint]] for joint in joints]
+    return [Finding(F.ASSUMED_TEMPERATURE, tuple(joints), values={"assumed": assumed, "unit": warm.unit})]
 
 
 def not_separated(names: Sequence[str]) -> list[Finding]:
     """Note base parameters that the motions cannot separate from others, if there are any."""
-    if not names:
-        return []
-    return [Finding(F.NOT_SEPARATED, values={"parameters": list(names)})]
+    return [Finding(F.NOT_SEPARATED, values={"parameters": list(names)})] if names else []
 
 
 def near_singularities(nearest: Iterable[NearestPose]) -> list[Finding]:
     """Note every run so close to a singularity of type 2 that modelling errors are magnified."""
     return [
-        Finding(F.SINGULARITY, values={"distance": each.distance}, source=each.run, time=each.time)
-        for each in nearest
-        if each.type == 2 and each.distance < NEAR_SINGULAR
+        Finding(F.SINGULARITY, values={"distance": pose.distance}, source=pose.run, time=pose.time)
+        for pose in nearest
+        if pose.type == 2 and pose.distance < NEAR_SINGULAR
     ]

@@ -127,12 +127,15 @@ class FrictionCurve:
         By how many standard errors blocks left out are better for ``presliding``, ``bent``, ``load``, ``temperature``.
     error, plain_error : float
         Of blocks left out, with this friction and with the plain law, per cent of the torque that is left to friction.
+    parameters : tuple of Parameter
+        That the curve has; not held by ``model.json``.
     """
 
     joint: str
     evidence: Mapping[str, float]
     error: NonNegativeFloat
     plain_error: NonNegativeFloat
+    parameters: tuple[Parameter, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -30,21 +29,9 @@ from gtau.robots.robot import PLAIN_FRICTION, Robot
 BETWEEN = {"width": 0.09, "speed": 0.07}
 
 
-@dataclass(frozen=True, eq=False)
-class FrictionStep:
-    """Friction of all samples: the updated estimates, the curve of each joint, and errors over all samples.
-
-    ``names`` are those that it estimates, and ``errors``, by motor, the rms of error and torque, N m or N. Without
-    curves the plain law predicts.
-    """
-
-    estimates: Estimates
-    names: tuple[Parameter, ...] = ()
-    curves: Mapping[str, FrictionCurve] = field(default_factory=dict)
-    errors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-
-
-def friction_step(fit: Fit, estimates: Estimates) -> FrictionStep:
+def friction_step(
+    fit: Fit, estimates: Estimates
+) -> tuple[Estimates, dict[str, FrictionCurve], dict[str, tuple[float, float]]]:
     """Identify the friction of every joint on all samples.
 
     Parameters
@@ -54,6 +41,15 @@ def friction_step(fit: Fit, estimates: Estimates) -> FrictionStep:
     estimates : Estimates
         Of the fit, whose friction is replaced; its covariance has a share in that of the new friction through the
         torque left to it.
+
+    Returns
+    -------
+    Estimates
+        The updated ones.
+    dict
+        Joint to its curve; without curves the plain law predicts.
+    dict
+        Motor to the rms of error and torque over all samples, N m or N.
 
     Raises
     ------
@@ -65,7 +61,6 @@ def friction_step(fit: Fit, estimates: Estimates) -> FrictionStep:
     name_of = dict(zip(base.standard, base.names, strict=True))
     curves: dict[str, FrictionCurve] = {}
     errors: dict[str, tuple[float, float]] = {}
-    listed: list[Parameter] = []
     of_rows = normal_equations(fit, law, joints)  # behind whose filter errors are stated
     fixed = _fixed(fit, estimates, {joint.name for joint in joints})
     for group, rows in zip(normal_equations(fit, law, joints, FINER), of_rows, strict=True):
@@ -75,12 +70,10 @@ def friction_step(fit: Fit, estimates: Estimates) -> FrictionStep:
             unknowns = [name_of.get(name, name) for name in names]
             freedom = float(len(group.G) - 1)
             estimates = estimates.updated(unknowns, values, _widened(slopes @ fixed, estimates), scatter, freedom)
-            listed += unknowns
-            curves |= _curves(group, candidate, plain, evidence)
+            curves |= _curves(group, candidate, plain, evidence, unknowns)
             motors = (fit.dataset.model.actuated[j] for j in group.motors)
             errors |= dict(zip(motors, _errors(rows, candidate), strict=True))
-    curves = {joint.name: curves[joint.name] for joint in joints if joint.name in curves}
-    return FrictionStep(estimates, tuple(listed), curves, errors)
+    return estimates, {joint.name: curves[joint.name] for joint in joints if joint.name in curves}, errors
 
 
 def reference_temperatures(fit: Fit) -> ReferenceTemperatures | None:
@@ -89,8 +82,9 @@ def reference_temperatures(fit: Fit) -> ReferenceTemperatures | None:
     return None if warm is None else ReferenceTemperatures(warm.unit, warm.reference)
 
 
-def friction_unit(kind: str, joint: str, robot: Robot, temperatures: ReferenceTemperatures | None) -> str:
-    """Return the unit of a joint's friction parameter of a kind; ``width`` is that of presliding, ``vs`` a speed."""
+def friction_unit(name: Parameter, robot: Robot, temperatures: ReferenceTemperatures | None) -> str:
+    """Return the unit of a friction parameter; ``width`` is that of presliding, ``vs`` a speed."""
+    kind, joint = name.kind, name.body
     if kind in ("width", "vs"):
         return position_unit(robot, joint) + ("/s" if kind == "vs" else "")
     of_terms = UNITS[robot.joint(joint).kind]
@@ -200,17 +194,22 @@ def group_estimates(
 
 
 def _curves(
-    group: FrictionGroup, candidate: Candidate, plain: Candidate, evidence: Mapping[tuple[int, str], float]
+    group: FrictionGroup,
+    candidate: Candidate,
+    plain: Candidate,
+    evidence: Mapping[tuple[int, str], float],
+    unknowns: Sequence[Parameter],
 ) -> dict[str, FrictionCurve]:
     """Collect what the data say of the friction of each joint of a group, by its name."""
     signal = max(float(group.G[..., -1, -1].sum()), 1e-300)
-    error, plain_error = (100 * float(np.sqrt(max(each.errors.sum(), 0.0) / signal)) for each in (candidate, plain))
+    error, plain_error = (100 * float(np.sqrt(max(law.errors.sum(), 0.0) / signal)) for law in (candidate, plain))
     return {
         joint.name: FrictionCurve(
             joint.name,
             {WORDS[kind]: float(evidence[s, kind]) for kind in KINDS if (s, kind) in evidence},
             error,
             plain_error,
+            tuple(name for name in unknowns if name.body == joint.name),
         )
         for s, joint in enumerate(group.joints)
     }

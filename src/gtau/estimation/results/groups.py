@@ -13,6 +13,7 @@ from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.estimators.physical_consistency import Consistency
+from gtau.estimation.regression.dataset import base_of, model_of
 from gtau.estimation.results.estimate import (
     Distances,
     Estimate,
@@ -26,7 +27,7 @@ from gtau.estimation.results.estimate import (
 )
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.findings import Finding
-from gtau.model.base_parameters import BaseParameters, base_parameters
+from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import Robot
@@ -36,24 +37,23 @@ from gtau.signals.run import Run
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A robot with its inverse dynamic model and its base parameters, derived when asked for unless handed on.
+    """A robot with its inverse dynamic model and its base parameters, which are derived when asked for.
 
     ``sensors`` are the joints with a torque sensor, which separate more base parameters.
     """
 
     robot: Robot
     sensors: tuple[str, ...] = ()
-    derived: tuple[InverseDynamics, BaseParameters] | None = None
 
     @cached_property
     def idm(self) -> InverseDynamics:
         """The inverse dynamic identification model."""
-        return self.derived[0] if self.derived else InverseDynamics(self.robot)
+        return model_of(self.robot)
 
     @cached_property
     def base(self) -> BaseParameters:
         """The base parameters, of motors and torque sensors together."""
-        return self.derived[1] if self.derived else base_parameters(self.idm, sensors=self.sensors)
+        return base_of(self.robot, self.sensors)
 
 
 @dataclass(frozen=True, eq=False)

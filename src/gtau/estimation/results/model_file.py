@@ -128,6 +128,10 @@ def _alternative(alternative: Alternative) -> dict[str, Any]:
     return held | {"subject": alternative.subject, "causes": causes}
 
 
+def _curve(curve: FrictionCurve) -> dict[str, Any]:
+    return {key: value for key, value in asdict(curve).items() if key != "parameters"}
+
+
 def _method(name: str) -> str:
     if name not in NAMES and name not in registered(GROUP):
         raise ValueError(unknown(f"method '{name}'", name, NAMES))
@@ -293,7 +297,7 @@ class _Model(_Group):
     parameters: Annotated[_ByParameter, _listed("regrouping", "spread", "essential")]
     friction: Annotated[_ByParameter, _listed()]
     equation_friction: Annotated[_ByParameter, _listed()] = Field(default=(), validate_default=True)
-    curves: tuple[FrictionCurve, ...] = ()
+    curves: tuple[Annotated[FrictionCurve, PlainSerializer(_curve)], ...] = ()
     sensors: tuple[_Sensor, ...] = ()
     payloads: Annotated[tuple[_Payload, ...], PlainSerializer(payload_documents)]
     residuals: tuple[_TorqueError, ...]

@@ -1,10 +1,4 @@
-"""Payloads: estimates of their parameters, and the rigid body behind them in the frame that a controller needs.
-
-A weighing finds sums of the ten inertial parameters ``chi`` at the frame of the body that carries the payload. The body
-is the one whose sums are nearest to these, in units of their covariance, among those of positive definite
-pseudo-inertia. Its intervals are those of the sums, by the derivatives of each quantity (delta method), so that the
-centre ``mx/m`` has the correlation of mass and first moments.
-"""
+"""Payloads: estimates of their parameters, and the rigid body behind them in a frame, as data."""
 
 from __future__ import annotations
 
@@ -16,38 +10,18 @@ import numpy as np
 
 from gtau import display
 from gtau.documents.validation import PATH, takes
-from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict, parameter_verdict, verdict_of
-from gtau.estimation.estimators.standard_parameters import Body, constrained_least_squares, unbounded
 from gtau.estimation.regression.column_blocks import PayloadColumns, known_values
-from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System
+from gtau.estimation.regression.dataset import System
+from gtau.estimation.regression.unknowns import Estimates
 from gtau.estimation.results.estimate import Estimate
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.robots.geometry import longest_placement
 from gtau.robots.parameter import Parameter, unit_of
-from gtau.robots.readers.read import frame_on
-from gtau.robots.rigid_body import RigidBody, inertial_parameters
-from gtau.robots.robot import INERTIAL, Placement, Pose
+from gtau.robots.rigid_body import RigidBody
+from gtau.robots.robot import INERTIAL, Pose, Robot
 from gtau.signals.reading.statements import FIRST_MOMENTS, PAYLOAD_KINDS
-
-QUANTITIES = ("m", "cx", "cy", "cz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
-UNITS = ("kg", *("m",) * 3, *("kg m2",) * 6)
-LOOSE = 10.0  # natural sizes: standard deviation of what is supposed where the data say nothing
-COMPACT = 2700.0  # kg/m3, aluminium: such a ball is supposed where the data say nothing of the inertia
-EXACT = 1e-6  # natural sizes: standard deviation of what is stated
-NARROW = 1 / 3
-"""Half an interval over the mean moment of inertia: above it, and a compact body's moment, the inertia is not shown.
-
-At 1 chance decides: on a simulated Staubli TX40 whose motion shows no inertia under 1 % of noise, moments that noise
-had made large passed, and 3 of 5 intervals of Izz held the truth. At 1/3 none of 120 passes there (20 weighings), and
-all 120 of a UR10e and 118 of 120 of a Puma 560, whose intervals hold the truth in 95 %, still do.
-"""
-STEP = 1e-20  # of complex derivatives
-IN_SUMS = 1e-6  # of a derivative: a smaller rest is rounding
-SEEN = 2.0  # standard deviations of a mass above zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,85 +66,6 @@ class PayloadBody:
         return tuple(name for name, each in self.parameters.items() if each.value is None)
 
 
-def payload_body(name: str, run: str, weighed: Weighed, frame: str, placement: Placement) -> PayloadBody:
-    """Find the body that was weighed, in a ``frame`` whose pose in that of the carrier is ``placement``."""
-    R, p = placement.rotation, placement.position
-    (seen,), (mass,), (std_of_mass,) = _seen(weighed, np.eye(10)[9:])
-    if not seen or mass < SEEN * std_of_mass:
-        lost = {key: Estimate(key, None, None, unit) for key, unit in zip(QUANTITIES, UNITS, strict=True)}
-        return PayloadBody(name, run, frame, lost, None)
-    chi = _consistent(weighed, float(mass))
-    values = quantities(chi, R, p)
-    J = np.stack([quantities(chi + 1j * STEP * unit, R, p).imag / STEP for unit in np.eye(10)], axis=1)
-    seen_of, _, stds = _seen(weighed, J)
-    rigid = rigid_of(values)
-    moment = max(compact_moment(values[0]), NARROW * np.trace(rigid.inertia) / 3)
-    widest = np.repeat([np.inf, weighed.reach, moment], [1, 3, 6])  # wider intervals say nothing
-    estimates = {}
-    for k, (key, unit) in enumerate(zip(QUANTITIES, UNITS, strict=True)):
-        std = float(stds[k]) or None
-        each = Estimate(key, float(values[k]), std, unit, freedom=weighed.freedom)
-        shown = seen_of[k] and (each.half_interval() or 0.0) <= widest[k]
-        estimates[key] = each if shown else replace(each, value=None, std=None)
-    return PayloadBody(name, run, frame, estimates, rigid)
-
-
-def quantities(chi: np.ndarray, rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """Compute the QUANTITIES (10,) in a frame from parameters (10,), real or complex, at another frame's origin."""
-    m = chi[9]
-    center = chi[6:9] / m
-    tensor = np.zeros((3, 3), chi.dtype)
-    tensor[np.triu_indices(3)] = chi[:6]
-    tensor = tensor + np.triu(tensor, 1).T - m * ((center @ center) * np.eye(3) - np.outer(center, center))
-    turned = rotation.T @ tensor @ rotation
-    entries = turned[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    return np.concatenate([[m], rotation.T @ (center - position), entries])
-
-
-def compact_moment(mass: float) -> float:
-    """Compute the moment of inertia, kg m2, of a solid ball of aluminium of a mass, kg."""
-    return float(0.4 * mass * (3 * mass / (4 * np.pi * COMPACT)) ** (2 / 3))
-
-
-def rigid_of(values: np.ndarray) -> RigidBody:
-    """Make the body of QUANTITIES (10,)."""
-    xx, yy, zz, xy, xz, yz = values[4:]
-    return RigidBody(float(values[0]), values[1:4], np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
-
-
-def _seen(weighed: Weighed, J: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Express linear functions J (q, 10) of chi by the sums and what is stated.
-
-    Returns whether these show them, their values without regard to consistency, and standard deviations, (q,) each.
-    """
-    unit = np.array([weighed.reach**2] * 6 + [weighed.reach] * 3 + [1.0])
-    rows, k = np.concatenate([weighed.sums, weighed.exact]) * unit, len(weighed.sums)
-    sizes = np.linalg.norm(rows, axis=1)
-    W = np.linalg.lstsq((rows / sizes[:, None]).T, (J * unit).T, rcond=1e-12)[0].T / sizes
-    rest = np.linalg.norm(J * unit - W @ rows, axis=1)
-    variances = np.einsum("qi,ij,qj->q", W[:, :k], weighed.covariance, W[:, :k])
-    shown = rest <= IN_SUMS * np.linalg.norm(J * unit, axis=1)
-    return shown, W @ np.concatenate([weighed.values, weighed.stated]), np.sqrt(np.maximum(variances, 0.0))
-
-
-def _consistent(weighed: Weighed, mass: float) -> np.ndarray:
-    """Find the physically consistent parameters (10,) nearest to the sums, compact where these are uninformative."""
-    shown, moments, _ = _seen(weighed, np.eye(10)[6:9])
-    center = np.where(shown, moments, 0.0) / mass
-    ball = RigidBody(mass, center, compact_moment(mass) * np.eye(3))
-    supposed = np.array([inertial_parameters(ball)[kind] for kind in INERTIAL])
-    length = float(np.hypot(np.linalg.norm(center), np.sqrt(compact_moment(mass) / mass)))
-    unit = mass * np.array([length**2] * 6 + [length] * 3 + [1.0])
-    stds = np.maximum(np.sqrt(np.diag(weighed.covariance)), 1e-12)
-    spread, axes = np.linalg.eigh(weighed.covariance / np.outer(stds, stds))
-    whiten = (axes / np.sqrt(np.maximum(spread, 1e-9))).T / stds
-    tight = 1 / (EXACT * (np.abs(weighed.exact) @ unit))
-    R = np.concatenate([whiten @ weighed.sums, weighed.exact * tight[:, None], np.diag(1 / (LOOSE * unit))])
-    y = np.concatenate([whiten @ weighed.values, weighed.stated * tight, supposed / (LOOSE * unit)])
-    body = Body("payload", np.arange(10), np.zeros(10))
-    return constrained_least_squares(R, y, unbounded([body], unit, mass, length))
-
-
 @dataclass(frozen=True, repr=False)
 class PayloadEstimate:
     """Inertial parameters of the payload of a run, by kind, in the frame of the body that carries it.
@@ -211,50 +106,54 @@ class PayloadEstimate:
         GtauError
             Where there is no such frame, or the payload was not weighed.
         """
-        if self.weighed is None:
-            raise GtauError(f"payload '{self.name}' was not weighed here; take it from gtau.weigh.")
-        called, placement = frame_on(self.weighed.body, frame, file)
-        return replace(payload_body(self.name, self.run, self.weighed, called, placement), named=bool(frame))
+        body: PayloadBody = display.late("uses.payload_body").payload_body(self, frame, file)
+        return body
 
 
-def payload_estimates(
-    dataset: Dataset,
-    system: System,
-    theta: np.ndarray,
-    covariance: np.ndarray,
-    masses: Mapping[str, Verdict],
-    freedom: np.ndarray | None,
-) -> tuple[PayloadEstimate, ...]:
+def payload_estimates(system: System, vector: Estimates, masses: Mapping[str, Verdict]) -> tuple[PayloadEstimate, ...]:
     """Collect the payload of every loaded run, known and unknown parameters together.
 
-    ``theta`` are the problem's parameters, the first that ``covariance`` is of; ``masses`` are verdicts on
-    known payloads, by name; ``freedom`` the degrees of freedom behind each.
+    ``vector`` are the estimates by the equations, ``masses`` verdicts on known payloads, by name.
     """
-    robot = dataset.robot
-    found = named_estimates(system.problem, theta, np.sqrt(np.diag(covariance)), freedom)
-    payloads = []
-    for each in system.payloads:
-        known = known_values(each.payload)
-        label = {name.kind: name for name in each.unknown}
-        estimates = {}
-        for kind in PAYLOAD_KINDS:
-            unit = unit_of(kind, robot, robot.tool)
-            if kind in known:
-                deviation = each.payload.mass_std or None if kind == "m" else None
-                estimates[kind] = Estimate(kind, known[kind], deviation, unit, kind)
-            elif kind in label:
-                lost = Estimate(kind, None, None, unit, verdict=parameter_verdict(None, None))
-                own = found.get(label[kind], lost)
-                estimates[kind] = replace(own, name=kind, unit=unit, regrouping=each.regrouping(label[kind]))
-        if "m" in estimates and each.payload.center is not None:
-            unit = unit_of("mx", robot, robot.tool)
-            moments = zip(FIRST_MOMENTS, each.payload.center, strict=True)
+    dataset, payloads = system.dataset, []
+    for carried in system.payloads:
+        known, name = known_values(carried.payload), carried.payload.name
+        sums = _sums(carried, vector, dataset.robot)
+        estimates = {kind: sums[kind] for kind in PAYLOAD_KINDS if kind in sums}
+        if "m" in estimates and carried.payload.center is not None:
+            unit = unit_of("mx", dataset.robot, dataset.robot.tool)
+            moments = zip(FIRST_MOMENTS, carried.payload.center, strict=True)
             estimates |= {kind: _of_mass(kind, estimates["m"], at, unit) for kind, at in moments}
-        name, run = each.payload.name, dataset.runs[each.run].name
-        weighed = None if "m" in known else _weighed(dataset, system.problem, each, covariance, found)
+        weighed = None if "m" in known else _weighed(dataset.robot, carried, vector)
         verdict = masses.get(name) or _possible(estimates.get("m"))
+        run = dataset.runs[carried.run].name
         payloads.append(PayloadEstimate(name, run, estimates, frozenset(known), verdict, weighed))
     return tuple(payloads)
+
+
+def _sums(carried: PayloadColumns, vector: Estimates, robot: Robot) -> dict[str, Estimate]:
+    """Collect the parameters of a payload by kind: what is stated, and the identified sums."""
+    estimates = {}
+    for kind, known in known_values(carried.payload).items():
+        stated = carried.payload.mass_std or None if kind == "m" else None
+        estimates[kind] = Estimate(kind, known, stated, unit_of(kind, robot, robot.tool), kind)
+    for name in carried.unknown:
+        if (kind := name.kind) not in estimates:
+            value, std, freedom = _estimated(vector, name)
+            verdict, unit = parameter_verdict(value, std), unit_of(kind, robot, robot.tool)
+            estimates[kind] = Estimate(
+                kind, value, std, unit, carried.regrouping(name), verdict=verdict, freedom=freedom
+            )
+    return estimates
+
+
+def _estimated(vector: Estimates, name: Parameter) -> tuple[float | None, float | None, float | None]:
+    """Return value, standard deviation and degrees of freedom of a sum, None where it is not identifiable."""
+    if name not in vector.unknowns.places:
+        return None, None, None
+    k = vector.unknowns.places[name]
+    freedom = None if vector.effective_freedom is None else float(vector.effective_freedom[k])
+    return float(vector.values[k]), float(np.sqrt(vector.covariance[k, k])), freedom
 
 
 def _possible(mass: Estimate | None) -> Verdict:
@@ -265,50 +164,30 @@ def _possible(mass: Estimate | None) -> Verdict:
     return verdict_of(Finding(F.NEGATIVE_PAYLOAD, values={"mass": mass.value, "std": mass.std}))
 
 
-def _weighed(
-    dataset: Dataset,
-    problem: Problem,
-    carried: PayloadColumns,
-    covariance: np.ndarray,
-    estimates: Mapping[Parameter, Estimate],
-) -> Weighed:
+def _weighed(robot: Robot, carried: PayloadColumns, vector: Estimates) -> Weighed:
     """Collect the identified sums of parameters, and the stated values of the others."""
-    found = [name for name in carried.unknown if name in problem.parameters]
-    places = [problem.parameters.index(name) for name in found]
-    sums = np.zeros((len(found), len(INERTIAL)))
-    rows = [carried.unknown.index(name) for name in found]
+    seen = [name for name in carried.unknown if name in vector.unknowns.places]
+    sums = np.zeros((len(seen), len(INERTIAL)))
+    rows = [carried.unknown.index(name) for name in seen]
     sums[:, [INERTIAL.index(kind) for kind in carried.summed]] = carried.sums[rows]
-    freedoms = (estimates[name].freedom for name in found)
+    estimates = vector.select(seen)
     unit = dict(zip(INERTIAL, np.eye(len(INERTIAL)), strict=True))
     stated = [(unit[kind], value) for kind, value in known_values(carried.payload).items()]
     center = zip(FIRST_MOMENTS, carried.payload.center or (), strict=False)
     stated += [(unit[kind] - at * unit["m"], 0.0) for kind, at in center]
     return Weighed(
-        dataset.robot.tool,
+        robot.tool,
         sums,
-        np.array([estimates[name].value for name in found], dtype=float),
-        covariance[np.ix_(places, places)],
+        estimates.values,
+        estimates.covariance,
         np.reshape([row for row, _ in stated], (len(stated), len(INERTIAL))),
         np.array([value for _, value in stated]),
-        min((each for each in freedoms if each is not None), default=None),
-        longest_placement(dataset.robot),
+        None if estimates.effective_freedom is None or not seen else float(estimates.effective_freedom.min()),
+        longest_placement(robot),
     )
 
 
 def _of_mass(kind: str, mass: Estimate, at: float, unit: str) -> Estimate:
     """Derive a first moment from a mass whose centre is known."""
-    value, std = (None if each is None else size * each for each, size in ((mass.value, at), (mass.std, abs(at))))
+    value, std = None if mass.value is None else at * mass.value, None if mass.std is None else abs(at) * mass.std
     return replace(mass, name=kind, value=value, std=std, unit=unit, regrouping=f"{at:.5g} m")
-
-
-def named_estimates(
-    problem: Problem, theta: np.ndarray, std: np.ndarray, freedom: np.ndarray | None
-) -> dict[Parameter, Estimate]:
-    """Name the estimates of a problem's parameters; their units are those of what they are estimates of."""
-    found = {}
-    for k, name in enumerate(problem.parameters):
-        value, deviation = float(theta[k]), float(std[k])
-        of_freedom = None if freedom is None else float(freedom[k])
-        verdict = parameter_verdict(value, deviation)
-        found[name] = Estimate(name, value, deviation, "", verdict=verdict, freedom=of_freedom)
-    return found

@@ -267,7 +267,8 @@ class Result:
     def friction_parameters(self) -> Mapping[Parameter, Estimate]:
         """All friction by the names of standard parameters, its shapes apart."""
         pairs = zip(self.base.standard, self.base.names, strict=True)
-        plain = {name: self.parameters[base] for name, base in pairs if name.kind in PLAIN_FRICTION}
+        listed = self.parameters
+        plain = {name: listed[base] for name, base in pairs if name.kind in PLAIN_FRICTION and base in listed}
         return plain | {name: each for name, each in self.friction.items() if name.kind not in SHAPES}
 
     def payload(self, name: str) -> dict[str, float]:

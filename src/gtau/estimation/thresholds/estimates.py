@@ -386,20 +386,14 @@ LIKELY_SHARES = Threshold(
     faulty="the same",
     evidence="Wilks' theorem",
 )
-SIGN_STD = Threshold(
-    2.0,
-    "size of a coefficient in standard deviations, above which it has a sign",
-    evidence="a level",
-)
+SIGN_STD = Threshold(2.0, "size of a coefficient in standard deviations, above which it has a sign", evidence="a level")
 RETRIED = Threshold(
     2.0,
     "share that a joint's columns leave over that of its own parameters: more is tried with other columns",
     evidence="a choice",
 )
 HARDLY_NEGATIVE = Threshold(
-    0.05,
-    "most negative value over the largest of a column of magnitudes behind a filter",
-    evidence="a choice",
+    0.05, "most negative value over the largest of a column of magnitudes behind a filter", evidence="a choice"
 )
 TINY = Threshold(1e-9, "share of a torque that is rounding", evidence="a choice")
 MASS_ABSENT = Threshold(

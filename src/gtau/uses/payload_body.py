@@ -1,0 +1,121 @@
+"""The rigid body that was weighed, in the frame that a controller needs.
+
+A weighing finds sums of the ten inertial parameters ``chi`` at the frame of the body that carries the payload. The body
+is the one whose sums are nearest to these, in units of their covariance, among those of positive definite
+pseudo-inertia. Its intervals are those of the sums, by the derivatives of each quantity (delta method), so that the
+centre ``mx/m`` has the correlation of mass and first moments.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.estimators.standard_parameters import Body, constrained_least_squares, unbounded
+from gtau.estimation.results.estimate import Estimate
+from gtau.estimation.results.payload import PayloadBody, PayloadEstimate, Weighed
+from gtau.robots.readers.read import frame_on
+from gtau.robots.rigid_body import RigidBody, inertial_parameters
+from gtau.robots.robot import INERTIAL, Pose
+
+QUANTITIES = ("m", "cx", "cy", "cz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
+UNITS = ("kg", *("m",) * 3, *("kg m2",) * 6)
+LOOSE = 10.0  # natural sizes: standard deviation of what is supposed where the data say nothing
+COMPACT = 2700.0  # kg/m3, aluminium: such a ball is supposed where the data say nothing of the inertia
+EXACT = 1e-6  # natural sizes: standard deviation of what is stated
+NARROW = 1 / 3
+"""Half an interval over the mean moment of inertia: above it, and a compact body's moment, the inertia is not shown.
+
+At 1 chance decides: on a simulated Staubli TX40 whose motion shows no inertia under 1 % of noise, moments that noise
+had made large passed, and 3 of 5 intervals of Izz held the truth. At 1/3 none of 120 passes there (20 weighings), and
+all 120 of a UR10e and 118 of 120 of a Puma 560, whose intervals hold the truth in 95 %, still do.
+"""
+STEP = 1e-20  # of complex derivatives
+IN_SUMS = 1e-6  # of a derivative: a smaller rest is rounding
+SEEN = 2.0  # standard deviations of a mass above zero
+
+
+def payload_body(payload: PayloadEstimate, frame: str | Pose = "", file: str | Path | None = None) -> PayloadBody:
+    """Find the body that was weighed, in a frame on its carrier; see :meth:`gtau.PayloadEstimate.in_frame`."""
+    if (weighed := payload.weighed) is None:
+        raise GtauError(f"payload '{payload.name}' was not weighed here; take it from gtau.weigh.")
+    called, placement = frame_on(weighed.body, frame, file)
+    found = partial(PayloadBody, payload.name, payload.run, called, named=bool(frame))
+    R, p = placement.rotation, placement.position
+    (seen,), (mass,), (std_of_mass,) = _seen(weighed, np.eye(10)[9:])
+    if not seen or mass < SEEN * std_of_mass:
+        return found({key: Estimate(key, None, None, unit) for key, unit in zip(QUANTITIES, UNITS, strict=True)}, None)
+    chi = _consistent(weighed, float(mass))
+    values = quantities(chi, R, p)
+    J = np.stack([quantities(chi + 1j * STEP * unit, R, p).imag / STEP for unit in np.eye(10)], axis=1)
+    seen_of, _, stds = _seen(weighed, J)
+    rigid = rigid_of(values)
+    moment = max(compact_moment(values[0]), NARROW * np.trace(rigid.inertia) / 3)
+    widest = np.repeat([np.inf, weighed.reach, moment], [1, 3, 6])  # wider intervals say nothing
+    estimates = {}
+    for k, (key, unit) in enumerate(zip(QUANTITIES, UNITS, strict=True)):
+        std = float(stds[k]) or None
+        estimate = Estimate(key, float(values[k]), std, unit, freedom=weighed.freedom)
+        shown = seen_of[k] and (estimate.half_interval() or 0.0) <= widest[k]
+        estimates[key] = estimate if shown else replace(estimate, value=None, std=None)
+    return found(estimates, rigid)
+
+
+def quantities(chi: np.ndarray, rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """Compute the QUANTITIES (10,) in a frame from parameters (10,), real or complex, at another frame's origin."""
+    m = chi[9]
+    center = chi[6:9] / m
+    tensor = np.zeros((3, 3), chi.dtype)
+    tensor[np.triu_indices(3)] = chi[:6]
+    tensor = tensor + np.triu(tensor, 1).T - m * ((center @ center) * np.eye(3) - np.outer(center, center))
+    turned = rotation.T @ tensor @ rotation
+    entries = turned[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    return np.concatenate([[m], rotation.T @ (center - position), entries])
+
+
+def compact_moment(mass: float) -> float:
+    """Compute the moment of inertia, kg m2, of a solid ball of aluminium of a mass, kg."""
+    return float(0.4 * mass * (3 * mass / (4 * np.pi * COMPACT)) ** (2 / 3))
+
+
+def rigid_of(values: np.ndarray) -> RigidBody:
+    """Make the body of QUANTITIES (10,)."""
+    xx, yy, zz, xy, xz, yz = values[4:]
+    return RigidBody(float(values[0]), values[1:4], np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+
+
+def _seen(weighed: Weighed, J: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Express linear functions J (q, 10) of chi by the sums and what is stated.
+
+    Returns whether these show them, their values without regard to consistency, and standard deviations, (q,) each.
+    """
+    unit = np.array([weighed.reach**2] * 6 + [weighed.reach] * 3 + [1.0])
+    rows, k = np.concatenate([weighed.sums, weighed.exact]) * unit, len(weighed.sums)
+    sizes = np.linalg.norm(rows, axis=1)
+    W = np.linalg.lstsq((rows / sizes[:, None]).T, (J * unit).T, rcond=1e-12)[0].T / sizes
+    rest = np.linalg.norm(J * unit - W @ rows, axis=1)
+    variances = np.einsum("qi,ij,qj->q", W[:, :k], weighed.covariance, W[:, :k])
+    shown = rest <= IN_SUMS * np.linalg.norm(J * unit, axis=1)
+    return shown, W @ np.concatenate([weighed.values, weighed.stated]), np.sqrt(np.maximum(variances, 0.0))
+
+
+def _consistent(weighed: Weighed, mass: float) -> np.ndarray:
+    """Find the physically consistent parameters (10,) nearest to the sums, compact where these are uninformative."""
+    shown, moments, _ = _seen(weighed, np.eye(10)[6:9])
+    center = np.where(shown, moments, 0.0) / mass
+    ball = RigidBody(mass, center, compact_moment(mass) * np.eye(3))
+    supposed = np.array([inertial_parameters(ball)[kind] for kind in INERTIAL])
+    length = float(np.hypot(np.linalg.norm(center), np.sqrt(compact_moment(mass) / mass)))
+    unit = mass * np.array([length**2] * 6 + [length] * 3 + [1.0])
+    stds = np.maximum(np.sqrt(np.diag(weighed.covariance)), 1e-12)
+    spread, axes = np.linalg.eigh(weighed.covariance / np.outer(stds, stds))
+    whiten = (axes / np.sqrt(np.maximum(spread, 1e-9))).T / stds
+    tight = 1 / (EXACT * (np.abs(weighed.exact) @ unit))
+    R = np.concatenate([whiten @ weighed.sums, weighed.exact * tight[:, None], np.diag(1 / (LOOSE * unit))])
+    y = np.concatenate([whiten @ weighed.values, weighed.stated * tight, supposed / (LOOSE * unit)])
+    body = Body("payload", np.arange(10), np.zeros(10))
+    return constrained_least_squares(R, y, unbounded([body], unit, mass, length))
