@@ -26,7 +26,7 @@ from realism.plants import PLANTS, Plant, of_limits
 from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.effort import AS_STATED, rank_meanings
+from gtau.estimation.diagnostics.effort import AS_STATED, rank_meanings, stated_meaning
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
@@ -232,7 +232,6 @@ def measured(name: str, data: Path) -> dict[str, str]:
                 command=np.ascontiguousarray(
                     alter(run.command, own, rated, round(max(LATE, 1.4 * slowest) * run.rate))
                 ),
-                whole=None,
             )
             for run, own in zip(runs, gravity, strict=True)
         ]
@@ -247,12 +246,13 @@ def measured(name: str, data: Path) -> dict[str, str]:
 def meaning(dataset: Dataset, slowest: float) -> str:
     """The answer of the ranking and of the size, without that of a payload."""
     ranking, doubtful = rank_meanings(dataset, slowest), list(doubtful_commands(dataset.runs, dataset.robot))
-    share = 0.0 if ranking.scale is None else sum(map(abs, np.multiply(ranking.scale, (1, 2))))
+    scale = stated_meaning(ranking).values.get("scale")
+    share = 0.0 if scale is None else sum(map(abs, np.multiply(scale, (1, 2))))
     if doubtful:
         return str(doubtful[0].kind)
-    if ranking.best == AS_STATED and 1 / BEYOND_GEARS < share < 1 / GEARED and dataset.runs[0].kind == "torque":
+    if ranking[0].kind == AS_STATED and 1 / BEYOND_GEARS < share < 1 / GEARED and dataset.runs[0].kind == "torque":
         return str(F.MOTOR_SIDE)
-    return ranking.best
+    return ranking[0].kind
 
 
 def main() -> None:

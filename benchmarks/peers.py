@@ -186,7 +186,7 @@ class ExcitationByHand:
         self.loop = PinocchioLoop(robot, random_parameters(robot, np.random.default_rng(1)))
         order = {kind: k for k, kind in enumerate(("m", "mx", "my", "mz", "xx", "xy", "yy", "xz", "yz", "zz"))}
         bodies = {name: k for k, name in enumerate(robot.bodies)}
-        names = (name.split("_", 1) for name in task.regressor.names)
+        names = (name.split("_", 1) for name in task.base.standard)
         drives = {kind: k for k, kind in enumerate(("ia", "fv", "fs", "off"))}
         self.columns = [
             10 * bodies[body] + order[kind] if kind in order else 10 * len(bodies) + 4 * bodies[body] + drives[kind]

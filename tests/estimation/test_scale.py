@@ -39,7 +39,6 @@ from gtau.model.base_parameters import base_parameters, seen_by_sensor
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent
 from gtau.robots.robot import DRIVE, Joint, Mdh, Robot
-from gtau.signals.reading.columns import Calibration
 from gtau.signals.reading.statements import Payload, Prior
 from gtau.signals.run import Run
 
@@ -416,7 +415,9 @@ def test_columns_that_are_refused(more: dict, said: str, tmp_path: Path) -> None
 def test_the_calibration_of_a_sensor_counts_by_its_share_in_the_scale() -> None:
     plant = arm().with_sensors("2")
     runs = [plant.run(1), plant.run(2, STEEL, Payload(name="steel", mass=STEEL["m"]))]
-    known = [replace(run, calibration=Calibration(joint_torque=0.05)) for run in runs]
+    known = [
+        replace(run, channels=tuple(replace(c, std=0.05 * c.kind.link_side) for c in run.channels)) for run in runs
+    ]
     fit = fit_of(ARM, known)
     extra = scale_uncertainty(fit.system, fit.solve)
     shares = scale_shares(fit)["torque sensor of '2'"]

@@ -17,7 +17,7 @@ from gtau.estimation.estimators.instrumental_variables import Pair, instrumental
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.simulated_motion import POLE, reference_cutoff, resimulated
 from gtau.estimation.identify import identify
-from gtau.estimation.regression.dataset import Dataset, System, reduce_runs
+from gtau.estimation.regression.dataset import System, reduce_runs
 from gtau.estimation.regression.equations import triangle
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.results.result import Result
@@ -55,9 +55,8 @@ def clean() -> list[Run]:
 
 
 @pytest.fixture(scope="module")
-def least_squares_step() -> tuple[Dataset, System]:
-    data = reduce_runs(FIVE_BAR, logs(Plant(noise=0.02)))
-    return data, data.system(per_run=True)
+def least_squares_step() -> System:
+    return reduce_runs(FIVE_BAR, logs(Plant(noise=0.02))).system(per_run=True)
 
 
 # The simulation
@@ -209,8 +208,8 @@ def _vector(chi: Mapping[str, float]) -> np.ndarray:
     return np.array([chi.get(name, 0.0) for name in five_bar().parameter_names])
 
 
-def test_jackknife_of_instruments_is_leaving_units_out(least_squares_step: tuple[Dataset, System]) -> None:
-    data, system = least_squares_step
+def test_jackknife_of_instruments_is_leaving_units_out(least_squares_step: System) -> None:
+    system = least_squares_step
     pair = paired(system, ml(system.problem))
     solution = with_instruments(pair, ml(system.problem), True)
     quick = solution.replicates()
@@ -228,8 +227,8 @@ def test_jackknife_of_instruments_is_leaving_units_out(least_squares_step: tuple
         assert np.corrcoef(ours, truth)[0, 1] > 0.98
 
 
-def test_the_regressor_as_its_own_instrument_is_maximum_likelihood(least_squares_step: tuple[Dataset, System]) -> None:
-    data, system = least_squares_step
+def test_the_regressor_as_its_own_instrument_is_maximum_likelihood(least_squares_step: System) -> None:
+    system = least_squares_step
     free = ml(system.problem)
     pair = paired(system, free)
     same = with_instruments(Pair(pair.measured, pair.measured, (pair.whole[0], pair.whole[0])), free, True)

@@ -98,7 +98,7 @@ def test_deviations_expected_are_those_of_100_simulated_experiments(found: Desig
     assert len(gains) >= 95
     expected = np.array([each.std for each in forecast(found.task, found.x).gains])
     assert gains.std(axis=0, ddof=1) / expected == pytest.approx(1.0, abs=0.2)
-    assert np.abs(gains.mean(axis=0) - found.task.gains).max() < 4 * expected.max() / 10
+    assert np.abs(gains.mean(axis=0) - found.task.prior.gains).max() < 4 * expected.max() / 10
 
 
 @pytest.mark.slow
@@ -161,7 +161,7 @@ def test_runs_may_have_motions_of_their_own(tmp_path: Path) -> None:
 
 
 def test_the_design_criterion_agrees_with_the_forecast(found: Design) -> None:
-    unknowns = found.task.unknowns
+    unknowns = found.task.information
     gains = [unknowns.names.index(f"gain_{joint}") for joint in found.task.model.actuated]
     R = information(evaluate(found.task, found.x, design_grid(found.task)))
     expected = np.array([each.relative for each in forecast(found.task, found.x).gains]) / 100

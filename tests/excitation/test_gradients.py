@@ -13,6 +13,7 @@ from gtau.excitation.constraints import constraint_usages
 from gtau.excitation.evaluation import design_grid, evaluate, objective
 from gtau.excitation.gradients import Slopes, in_platform_space, pullback, smooth_regressor
 from gtau.excitation.information import NAMED, Window, criterion, derivative
+from gtau.excitation.prior import KnownGain, Prior
 from gtau.excitation.task import DesignProblem, MotionLimits
 from gtau.excitation.trajectory import FourierSeries, move_duration, quintic
 from gtau.model.base_parameters import base_parameters
@@ -41,23 +42,10 @@ def make_task(robot: Robot, platform: bool = False, one_motion: bool = True) -> 
     )
     half = 0.05 if robot.closures else 2.0
     center = np.zeros(3) if platform else limits.position.mean(axis=1)
-    series = FourierSeries(center, np.full(len(center), half), 0.2, 4)
+    series = FourierSeries(center, np.full(len(center), half), 0.2, 4, platform)
     chi = base.matrix @ rng.uniform(0.2, 1.0, len(model.parameter_names))
-    return DesignProblem(
-        model,
-        base,
-        series,
-        platform,
-        500.0,
-        1,
-        None,
-        (None, DISC),
-        one_motion,
-        limits,
-        chi,
-        np.full(n, 9.0),
-        np.full(n, 0.02),
-    )
+    prior = Prior(chi, (KnownGain(9.0, (9.0, 9.0), "given"),) * n, np.full(n, 0.02))
+    return DesignProblem(model, base, series, 500.0, 1, None, (None, DISC), one_motion, limits, prior)
 
 
 def slope(function, x: np.ndarray, way: np.ndarray, h: float = 1e-5) -> float:
@@ -78,7 +66,7 @@ def task(request) -> DesignProblem:
 @pytest.mark.parametrize("name", [*NAMED, "gain"])
 def test_gradients_of_criteria_agree_with_differences(task: DesignProblem, name: str, rng: np.random.Generator) -> None:
     called = f"gain_{task.model.actuated[0]}" if name == "gain" else name
-    chosen, grid = criterion(called, task.unknowns), design_grid(task)
+    chosen, grid = criterion(called, task.information), design_grid(task)
     x = 0.3 * random_x(task, rng)
     points = evaluate(task, x, grid)
     gradient = objective(points, chosen, name == "condition")[1]
@@ -205,6 +193,6 @@ def test_trajectories_begin_at_rest_and_are_their_own_derivatives(rng: np.random
 def test_names_that_are_no_parameters_are_refused() -> None:
     task = make_task(load_robot("ur10e"))
     with pytest.raises(GtauError, match="no criterion or parameter 'gian_elbow'"):
-        criterion("gian_elbow", task.unknowns)
+        criterion("gian_elbow", task.information)
     with pytest.raises(GtauError, match="no platforms"):
         in_platform_space(task.model.robot)

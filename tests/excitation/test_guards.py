@@ -234,7 +234,7 @@ def test_limits_hold_at_the_worst_end_of_a_gain(tmp_path: Path) -> None:
     gains = tuple(KnownGain(10.0, (8.0, 12.0), "weak") for _ in range(4))
     exact, ranged = (
         {usage.what: usage for usage in usages_of_motion(evaluate(each, x, design_grid(each))[0])}
-        for each in (task, replace(task, known=gains))
+        for each in (task, replace(task, prior=replace(task.prior, known=gains)))
     )
     assert {usage.unit for what, usage in exact.items() if what.startswith("torque")} == {"N m"}
     assert ranged["torque of joint 'forearm'"].excess == pytest.approx(1.2 * exact["torque of joint 'forearm'"].excess)

@@ -63,7 +63,7 @@ def test_a_held_joint_adds_its_link_to_the_one_before(tmp_path: Path) -> None:
     whole, held = load_robot(tmp_path / "bent.urdf"), load_robot(tmp_path / "bent.urdf", held={"b": 0.7})
     q, qd, qdd = np.array([0.4, 0.7]), np.array([0.9, 0.0]), np.array([-1.1, 0.0])
     np.testing.assert_allclose(torques(held, q[:1], qd[:1], qdd[:1])[0], torques(whole, q, qd, qdd)[0], rtol=1e-9)
-    assert not any(name.endswith("_b") for name, _ in held.inertias)
+    assert not any(name.endswith("_b") for name in held.inertias)
 
 
 def test_an_mjcf_file_has_the_inertias_and_armatures_of_mujoco(tmp_path: Path, rng: np.random.Generator) -> None:
@@ -81,7 +81,7 @@ def test_inertias_of_shapes_are_no_statement_of_the_file(tmp_path: Path) -> None
         '<mujoco><worldbody><body><joint name="a"/><geom size="0.1"/></body></worldbody>'
         '<actuator><motor joint="a"/></actuator></mujoco>'
     )
-    assert load_robot(tmp_path / "ball.xml").inertias == ()
+    assert load_robot(tmp_path / "ball.xml").inertias == {}
 
 
 def test_a_floating_base_has_the_inertia_of_the_root_link(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from gtau.signals.preparation.prepared_run import prepare
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def repeated_gains(task: DesignProblem, x: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Drive gains (count, n) identified by maximum likelihood from logs with white current noise of ``task.sigma``.
+    """Drive gains (count, n) identified by maximum likelihood from logs with white current noise.
 
     A row is nan where the iteration does not converge. Identification is linear in the currents up to the triangular
     factors, so the regressor's rows are made once.
@@ -28,7 +28,7 @@ def repeated_gains(task: DesignProblem, x: np.ndarray, count: int, rng: np.rando
     runs = expected_runs(task, x)
     preparation = choose_preparation(runs)
     decimator, names = preparation.decimator, task.base.standard
-    n, p = len(task.gains), len(names) + EXTRA
+    n, p = len(task.prior.gains), len(names) + EXTRA
     regressor = task.model.columns(names)
     clean, kept, cuts = [], [], []
     for run in runs:
@@ -47,7 +47,7 @@ def repeated_gains(task: DesignProblem, x: np.ndarray, count: int, rng: np.rando
     for _ in range(count):
         factors = []
         for A, keep, (samples, cut) in zip(clean, kept, cuts, strict=True):
-            noise = rng.normal(size=(samples, n)) * task.sigma
+            noise = rng.normal(size=(samples, n)) * task.prior.sigma
             slopes = differentiate(noise, task.rate)
             noisy = A.copy()
             noisy[:, :, SIGNALS] += np.stack(

@@ -101,7 +101,8 @@ def init(
     json_: Json = False,
 ) -> None:
     """Draft an experiment file from logs: find the time, positions and currents, their units and the sampling rate."""
-    from gtau.signals.reading.drafting import UNSURE, draft_logs, write_draft
+    from gtau.signals.reading.discovery import UNSURE
+    from gtau.signals.reading.drafting import draft_logs, write_draft
     from gtau.signals.reading.log_file import is_rosbag
 
     if out.exists():
@@ -119,7 +120,7 @@ def init(
     if not json_:
         typer.echo(_page(draft, out, open_))
         return
-    columns = {"position": dict(draft.position), draft.kind: dict(draft.command), "units": dict(draft.units)}
+    columns = {"position": dict(draft.signals["position"]), draft.kind: dict(draft.command), "units": dict(draft.units)}
     clock = list(draft.time) or {"rate": draft.rate}
     print_json({"file": str(out), "time": clock, **columns, "to_confirm": open_})
 
@@ -134,7 +135,8 @@ def _answered(draft: Draft) -> Draft:
 
     if "rate" in draft.open:
         rate = typer.prompt("Sampling rate of the logs, Hz", type=float)
-        draft = replace(draft, rate=rate, open=tuple(key for key in draft.open if key != "rate"))
+        signals = {**draft.signals, "time": {"rate": rate}}
+        draft = replace(draft, signals=signals, open=tuple(key for key in draft.open if key != "rate"))
     if "kind" in draft.open:
         named = ", ".join(list(draft.command.values())[:3])
         kind = typer.prompt(f"Are {named} ... currents or torques?", default=draft.kind)
@@ -154,11 +156,11 @@ def _page(draft: Draft, out: Path, open_: list[str]) -> str:
     why = draft.reasons.get("time")
     rows = {
         "time": clock + (f" ({why})" if why else ""),
-        "position": ", ".join(f"{joint}: {column}" for joint, column in draft.position.items()),
+        "position": ", ".join(f"{joint}: {column}" for joint, column in draft.signals["position"].items()),
         draft.kind: ", ".join(f"{joint}: {column}" for joint, column in draft.command.items()),
         "units": ", ".join(f"{key} in {unit}" for key, unit in draft.units.items()),
-        "to check": ", ".join((*draft.motion, *draft.wrenches)),
-        "not used": "; ".join(draft.others),
+        "to check": ", ".join((*draft.beside.get("motion", ()), *draft.beside.get("wrenches", ()))),
+        "not used": "; ".join(draft.beside.get("others", ())),
     }
     lines = [f"written: {out}, with these columns of the logs"]
     for name, words in rows.items():
@@ -251,7 +253,7 @@ def experiment_of(
     masses = _masses(payloads or [])
     drafted = draft_logs(sources, robot, masses=masses, kind=None if kind is None else kind.value, preset=preset)
     draft = with_sensors(drafted)
-    if draft.robot is None:
+    if "file" not in draft.robot:
         raise GtauError(
             f"{sources[0]} does not name its robot; give it by --robot ROBOT, a catalog name (gtau robot) or the path "
             "of a URDF, MJCF or robot file."

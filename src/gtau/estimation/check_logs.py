@@ -38,8 +38,8 @@ from gtau.signals.preparation.prepared_run import Preparation, PreparedRun
 from gtau.signals.reading.experiment import Experiment
 from gtau.signals.reading.logged_run import LoggedRun
 from gtau.signals.reading.statements import Prior
-from gtau.signals.run import Run, arrange
-from gtau.signals.storage import Store, sizes
+from gtau.signals.run import Run
+from gtau.signals.storage import Store, block_size
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +215,7 @@ def _read(
             else:
                 assert experiment is not None  # whose entry it is
                 (run,) = read_runs(experiment, [entry], advance)
-            run = arrange(run, model.actuated)
+            run = run.ordered(model.actuated)
             moving_spectra(run)
             runs[k] = run
     return runs
@@ -274,7 +274,7 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
     lowest, highest, fastest, strongest = ([] for _ in range(4))
     positions, distances, masks = Store((n,)), Store((2,), np.float32), Store((n,), bool)
     power, path = np.zeros(run.command.shape[1]), None
-    for block in decimator.blocks(len(prepared), max(sizes().block // decimator.factor, 1)):
+    for block in decimator.blocks(len(prepared), max(block_size() // decimator.factor, 1)):
         samples = prepared.samples(block.samples.start, block.samples.stop)
         last = block.first + (block.outputs.stop - block.outputs.start - 1) * decimator.factor
         at = slice(block.first, last + 1, decimator.factor)

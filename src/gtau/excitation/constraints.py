@@ -11,7 +11,6 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.excitation.clearance import FLOOR, Clearance, Nearest
 from gtau.excitation.evaluation import Grid, Point
-from gtau.excitation.gradients import Slopes
 from gtau.excitation.task import DesignProblem, close
 from gtau.excitation.trajectory import approach_duration, quintic
 from gtau.robots.parameter import torque_unit
@@ -144,14 +143,15 @@ def _drives(point: Point) -> Iterator[ConstraintUsage]:
         carried = "" if payload is None else f" with payload '{payload.name}'"
         for j, joint in enumerate(task.model.actuated):
             torque, current = (
-                np.broadcast_to(of, task.gains.shape)[j] for of in (task.limits.torque, task.limits.current)
+                np.broadcast_to(limit, task.prior.sigma.shape)[j] for limit in (task.limits.torque, task.limits.current)
             )
-            least, excess = (task.known[j].least, task.known[j].excess) if task.known else (abs(task.gains[j]), 1.0)
-            kinds = (("torque", torque, 1 / excess, torque_unit(robot, joint)), ("current", current, least, "A"))
+            gain = task.prior.known[j]
+            unit = torque_unit(robot, joint)
+            kinds = (("torque", torque, 1 / gain.excess, unit), ("current", current, gain.least, "A"))
             for kind, limit, factor, unit in kinds:
                 if not np.isfinite(limit):
                     continue
-                load = task.unknowns.load[run] / (factor * limit)
+                load = task.information.load[run] / (factor * limit)
 
                 def rows(j: int = j, load: np.ndarray = load) -> np.ndarray:
                     weights = np.zeros_like(point.W)
@@ -166,15 +166,13 @@ def _drives(point: Point) -> Iterator[ConstraintUsage]:
 def _workspace(point: Point) -> Iterator[ConstraintUsage]:
     task, motion = point.task, point.motion
     position = task.tool[0](motion.c)
-    zero, no_J = np.zeros_like(motion.yd), np.zeros_like(motion.J[task.model.layout.passive])
     for axis, (low, high) in task.limits.workspace.items():
         k, middle, half = "xyz".index(axis), (low + high) / 2, (high - low) / 2
 
         def rows(k: int = k, half: float = half) -> np.ndarray:
             weights = np.zeros_like(position)
             weights[k] = 1.0 / half
-            slopes = Slopes(task.tool[1](np.vstack([motion.c, weights])), zero, zero, no_J)
-            return point.to_rows(point.to_joints(slopes))
+            return point.rows_by_configuration(task.tool[1](motion.c, weights))
 
         yield ConstraintUsage(
             f"{axis} of the tool's frame", half, "m", (position[k] - middle) / half, rows, middle=middle
@@ -209,8 +207,7 @@ def _nearing(
     for k, (pair, near) in enumerate(zip(pairs, nearest, strict=True)):
         if (chosen := which == k).any():
             by_c[:, chosen] = clearance.slopes(motion.c, pair, near)[:, chosen] / clearance.least
-    zero, no_J = np.zeros_like(motion.yd), np.zeros_like(motion.J[point.task.model.layout.passive])
-    return point.to_rows(point.to_joints(Slopes(by_c, zero, zero, no_J)))
+    return point.rows_by_configuration(by_c)
 
 
 def _approach(point: Point) -> Point | None:
@@ -227,7 +224,7 @@ def _approach(point: Point) -> Point | None:
         motion = close(task.model, joints[0], joints[1], joints[2], None)
     except GtauError:  # which the whole run is checked for
         return None
-    return Point(task, Grid(part, point.grid.step, way), point.runs, joints, motion, None, point.W[:, :APPROACH])
+    return Point(task, Grid(point.grid.step, way), point.runs, joints, motion, None, point.W[:, :APPROACH])
 
 
 def _away_from_reversals(point: Point, counted: np.ndarray | None) -> Iterator[ConstraintUsage]:

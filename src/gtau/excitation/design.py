@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,9 +11,9 @@ import numpy as np
 from gtau.documents.validation import FUNCTION, TEXT, WHOLE, takes
 from gtau.errors import GtauError
 from gtau.excitation.constraints import ConstraintUsage, constraint_usages, whole_run
-from gtau.excitation.evaluation import Grid, Point, design_grid, evaluate
+from gtau.excitation.evaluation import along, design_grid, evaluate
 from gtau.excitation.nlp import ITERATIONS, Programme, promising_start, solve
-from gtau.excitation.task import SPEED_FRACTION, DesignProblem, close
+from gtau.excitation.task import SPEED_FRACTION, DesignProblem
 from gtau.model.interpreter.program import single_threaded_blas
 from gtau.progress import Progress, silent
 
@@ -172,44 +172,50 @@ def _from_one(
         keep(guess)  # the motion that an early interruption leaves
     for number in range(ROUNDS):
         programme = Programme(task, criterion, tightness)
-        iterations, values = itertools.count(number * ITERATIONS), [np.inf] * STALLED
-
-        def stop_here(
-            iterations: Iterator[int] = iterations, values: list[float] = values, programme: Programme = programme
-        ) -> bool:
-            progress(next(iterations))
-            values.append(programme.best_value)
-            return stop() or values[-1] > values[-1 - STALLED] - WORTHLESS
-
-        ended = solve(programme, x, stop_here)
-        best = programme.best
-        if best is None and kept is not None:
-            break
-        if best is None:
-            over = max(programme.constraint_usages(ended), key=lambda usage: usage.shortfall, default=None)
-            return over if over is not None and over.shortfall > 0 else worst
+        ended = solve(programme, x, _stalled(programme, stop, progress, number * ITERATIONS))
+        if programme.best is None:
+            if kept is not None:
+                return None
+            return _most_exceeded(programme.constraint_usages(ended), 0.0) or worst
+        x = programme.best
         if stop():
-            found = next(filter(None, (_feasible(task, criterion, part * best, start) for part in SMALLER)), None)
-            if found is not None:
+            smaller = (_feasible(task, criterion, part * x, start) for part in SMALLER)
+            if (found := next(filter(None, smaller), None)) is not None:
                 keep(found)
             break
-        usages = check(task, best)
-        exceeded = [usage for usage in usages if usage.excess > 1.0]
-        if exceeded:
-            worst = max(exceeded, key=lambda usage: usage.shortfall)
-            tightness = tightness | {
-                usage.what: 0.98 * tightness[usage.what] / min(usage.excess, TIGHTER) for usage in exceeded
-            }
-        else:
-            before = np.inf if kept is None else kept.value
-            value = float(np.exp(programme.best_value))
-            if value < before:
-                kept = Design(task, criterion, best, value, usages, start)
-                keep(kept)
-            if value > WORTH * before:
-                break
-        x = best
+        usages = check(task, x)
+        if exceeded := {usage.what: usage.excess for usage in usages if usage.excess > 1.0}:
+            worst = _most_exceeded(usages, -np.inf)
+            tighter = {what: 0.98 * tightness[what] / min(excess, TIGHTER) for what, excess in exceeded.items()}
+            tightness = tightness | tighter
+            continue
+        before, value = np.inf if kept is None else kept.value, float(np.exp(programme.best_value))
+        if value < before:
+            kept = Design(task, criterion, x, value, usages, start)
+            keep(kept)
+        if value > WORTH * before:
+            break
     return None if kept is not None else worst
+
+
+def _stalled(
+    programme: Programme, stop: Callable[[], bool], progress: Callable[[int], None], done: int
+) -> Callable[[], bool]:
+    """Make what is asked in every iteration: whether to stop, or the criterion no longer improves."""
+    iterations, values = itertools.count(done), [np.inf] * STALLED
+
+    def ended() -> bool:
+        progress(next(iterations))
+        values.append(programme.best_value)
+        return stop() or values[-1] > values[-1 - STALLED] - WORTHLESS
+
+    return ended
+
+
+def _most_exceeded(usages: Iterable[ConstraintUsage], least: float) -> ConstraintUsage | None:
+    """Find the limit that is exceeded most, by more than the share ``least``."""
+    worst = max(usages, key=lambda usage: usage.shortfall, default=None)
+    return worst if worst is not None and worst.shortfall > least else None
 
 
 def _feasible(task: DesignProblem, criterion: str, x: np.ndarray, start: int) -> Design | None:
@@ -235,9 +241,7 @@ def check(task: DesignProblem, x: np.ndarray, finer: int = FINER) -> tuple[Const
     points, shares = [], []
     for period in evaluate(task, x, grid):
         joints = whole_run(task, period.joints, 1 / grid.step)
-        motion = close(task.model, joints[0], joints[1], joints[2], None)
-        run = Grid(np.arange(joints.shape[2]) * grid.step, grid.step, np.empty((4, 0, 0)))
-        points.append(Point(task, run, period.runs, joints, motion, None, task.regressor(motion)))
+        points.append(along(task, joints, grid.step, period.runs))
         rms = np.sqrt(np.mean(joints[1] ** 2, axis=1))
         shares.append(share_away(task, period.joints[1], grid.step, rms))
     return tuple(constraint_usages(points, shares))

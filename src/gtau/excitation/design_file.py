@@ -17,9 +17,10 @@ from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
 from gtau.excitation.clearance import Shape, capsule, hull
 from gtau.excitation.gradients import in_platform_space
-from gtau.excitation.guards import guard
+from gtau.excitation.guards import Guarded, guard
 from gtau.excitation.prior import (
     KnownGain,
+    Prior,
     given_parameters,
     identified_gains,
     noise_of,
@@ -188,14 +189,14 @@ def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
     base = base_parameters(model)
     payloads = tuple(None if run.payload == "none" else run.payload for run in file.runs)
     assumed: dict[str, str] = {}
-    chi, known, sigma = _prior(file.prior, model, payloads, assumed)
+    prior = _prior(file.prior, model, payloads, assumed)
     if "gains" in assumed and file.limits.current:
         raise GtauError("limits.current needs the drive gains; add prior.gains or prior.model, or limit torques.")
     limits = _limits(file.limits, robot, assumed)
     stated = None if file.limits.shapes == "none" else _shapes(file.limits.shapes)
     poses = model.motion(*(each[:, None] for each in (rest, 0 * rest, 0 * rest))).c
     guarded = guard(model, poses, file.limits.clearance, stated, file.limits.floor, Path(file.robot))
-    limits = replace(limits, clearance=guarded.clearance)
+    limits = replace(limits, guarded=Guarded(guarded.clearance, (*guarded.said, *said)))
     for name, pose, (low, high) in zip(robot.actuated, rest, limits.position, strict=True):
         if file.approach and not low <= pose <= high:
             raise GtauError(
@@ -212,9 +213,8 @@ def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
         series = FourierSeries(np.where(free, home, center), np.where(free, TURN, half), 1 / period, file.harmonics)
     return (
         DesignProblem(
-            model, base, series, file.space == "platform", file.rate, file.repetitions,
-            rest if file.approach else None, payloads, file.motions == "one", limits, chi,
-            np.array([gain.value for gain in known]), sigma, known, (*guarded.said, *said),
+            model, base, series, file.rate, file.repetitions,
+            rest if file.approach else None, payloads, file.motions == "one", limits, prior,
         ),
         assumed,
     )  # fmt: skip
@@ -308,12 +308,12 @@ def _platform_series(robot: Robot, entry: LimitsEntry, period: float, harmonics:
                 raise GtauError(f"a motion in platform space needs limits.workspace.{dof}, an interval in m; add it.")
             low, high = entry.workspace[dof]
             center[k], half[k] = (low + high) / 2 - platform.home.xyz["xyz".index(dof)], (high - low) / 2
-    return FourierSeries(center, half, 1 / period, harmonics)
+    return FourierSeries(center, half, 1 / period, harmonics, of_platform=True)
 
 
 def _prior(
     prior: DesignPrior, model: InverseDynamics, payloads: tuple[Payload | None, ...], assumed: dict[str, str]
-) -> tuple[np.ndarray, tuple[KnownGain, ...], np.ndarray]:
+) -> Prior:
     """Determine base parameters, gains and noise."""
     base = base_parameters(model)
     result = None if prior.model is None else Result.load(prior.model)
@@ -349,4 +349,4 @@ def _prior(
         if len(prior.noise) < len(gains):
             assumed["noise"] = "noise of the currents: white, 0.5 % of the largest current, a sample"
     sigma = np.array([prior.noise.get(joint, each) for joint, each in zip(model.actuated, sigma, strict=True)])
-    return chi, known, sigma
+    return Prior(chi, known, sigma)

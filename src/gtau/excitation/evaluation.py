@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -18,19 +18,17 @@ PER_HARMONIC = 12  # instants of the design grid in a period of the highest harm
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Instants of one period, evenly spaced, and the trajectory's basis there, (4, N, free)."""
+    """Instants ``step`` s apart, of one period or a whole run, and the series' basis there, (4, N, free), if any."""
 
-    time: np.ndarray
     step: float
-    basis: np.ndarray
+    basis: np.ndarray = field(default_factory=lambda: np.empty((4, 0, 0)))
 
 
 def design_grid(task: DesignProblem, finer: int = 1) -> Grid:
     """Make the grid on which motions are designed, or one ``finer`` times finer."""
     samples = PER_HARMONIC * task.series.harmonics * finer
     step = task.series.period / samples
-    time = step * np.arange(samples)
-    return Grid(time, step, task.series.basis(time))
+    return Grid(step, task.series.basis(step * np.arange(samples)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,16 +64,20 @@ class Point:
             J = np.zeros((len(model.passive), len(model.actuated), c.shape[1]))
             by = np.stack(self.task.platform_pullback(self.platform, Slopes(c, yd, ydd, J)))
         rows = by.transpose(2, 1, 0) @ self.grid.basis[:3].transpose(1, 0, 2) * series.half[:, None]
-        return np.asarray(rows.reshape(len(self.grid.time), series.size))
+        return np.asarray(rows.reshape(len(rows), series.size))
+
+    def rows_by_configuration(self, by_c: np.ndarray) -> np.ndarray:
+        """Pull derivatives (n_c, N) by c alone back to the series' coefficients, (N, series.size)."""
+        return self.to_rows(self.to_joints(Slopes.by_configuration(by_c, self.motion, self.task.model.layout)))
 
     def jerk_rows(self, joint: int) -> np.ndarray:
         """Compute the gradient (N, series.size) of a joint's jerk with respect to the series' numbers."""
         series = self.task.series
         if self.platform is None:
-            rows = np.zeros((len(self.grid.time), len(series.center), series.free))
+            rows = np.zeros((self.joints.shape[2], len(series.center), series.free))
             rows[:, joint] = self.grid.basis[3] * series.half[joint]
             return rows.reshape(len(rows), series.size)
-        by = np.zeros((3, len(self.task.model.actuated), len(self.grid.time)))
+        by = np.zeros((3, *self.joints.shape[1:]))
         by[2, joint] = 1.0
         return derivative(self.to_rows(by).T, self.grid.step).T
 
@@ -111,6 +113,18 @@ def evaluate_one(
         table = np.stack([platform.c[motors], platform.yd[motors], qdd, derivative(qdd, grid.step)])
     motion = close(task.model, table[0], table[1], table[2], None if near is None else near.motion.c)
     return Point(task, grid, runs, table, motion, platform, task.regressor(motion))
+
+
+def along(task: DesignProblem, joints: np.ndarray, step: float, runs: tuple[int, ...]) -> Point:
+    """Evaluate a motion of joints (4, n, N), ``step`` s apart, that is more than a period of the series, or another.
+
+    Raises
+    ------
+    GtauError
+        Where it is not reachable.
+    """
+    motion = close(task.model, joints[0], joints[1], joints[2], None)
+    return Point(task, Grid(step), runs, joints, motion, None, task.regressor(motion))
 
 
 def information(points: Sequence[Point]) -> np.ndarray:

@@ -14,11 +14,10 @@ from gtau.estimation.regression.factors import reduce_run
 from gtau.estimation.regression.problem import Problem
 from gtau.excitation.constraints import whole_run
 from gtau.excitation.design import Design
-from gtau.excitation.evaluation import PER_HARMONIC, Grid, Point, design_grid, evaluate, information
+from gtau.excitation.evaluation import PER_HARMONIC, Grid, along, design_grid, evaluate, information
 from gtau.excitation.information import root_covariance
-from gtau.excitation.task import DesignProblem, close
+from gtau.excitation.task import DesignProblem
 from gtau.model.interpreter.program import single_threaded_blas
-from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter
 from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.preparation.prepared_run import prepare
@@ -56,7 +55,7 @@ def sampled_motions(task: DesignProblem, x: np.ndarray) -> tuple[tuple[np.ndarra
     """Sample a whole run of every motion at the controller's rate: instants (N,), s; q, qd, qdd and jerk, (4, n, N)."""
     samples = round(task.series.period * task.rate)
     time = np.arange(samples) / task.rate
-    periods = evaluate(task, x, Grid(time, 1 / task.rate, task.series.basis(time)))
+    periods = evaluate(task, x, Grid(1 / task.rate, task.series.basis(time)))
     wholes = [whole_run(task, period.joints, task.rate) for period in periods]
     return tuple((np.arange(joints.shape[2]) / task.rate, joints) for joints in wholes)
 
@@ -68,8 +67,8 @@ def expected_runs(task: DesignProblem, x: np.ndarray) -> tuple[Run, ...]:
     for (time, joints), followed in zip(sampled_motions(task, x), task.motions, strict=True):
         entries = regressor(task.model.layout, task.model.motion(joints[0], joints[1], joints[2]))
         for k in followed:
-            torques = regressor.torques(entries, task.unknowns.load[k], len(task.gains))
-            currents = (torques / task.gains[:, None]).T
+            torques = regressor.torques(entries, task.information.load[k], len(task.prior.gains))
+            currents = (torques / task.prior.gains[:, None]).T
             name, payload = f"run{k + 1}", task.payloads[k]
             runs.append(Run(name, task.model.actuated, time, joints[0].T, currents, payload=payload))
     return tuple(runs)
@@ -80,7 +79,7 @@ def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
     """Predict the standard deviations that identification will reach with the motion ``x``.
 
     The noise-free logs are filtered, decimated and reduced as identification does it, and the covariance is that of
-    maximum likelihood for white noise of ``task.sigma``. Model errors and coloured noise are not included.
+    maximum likelihood for white noise of the prior's ``sigma``. Model errors and coloured noise are not included.
 
     Raises
     ------
@@ -93,21 +92,23 @@ def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
     factors = [reduce_run(task.model, task.base.standard, each, preparation.decimator) for each in prepared]
     slowest = 0.5 / (2 * np.pi * preparation.bandwidth)
     problem = plain_problem(task.model, task.base, factors, task.payloads, slowest)
-    prior = dict(zip(task.base.names, task.chi, strict=True))
+    prior = dict(zip(task.base.names, task.prior.chi, strict=True))
     theta = np.array([prior.get(name, 0.0) for name in problem.parameters])
     # a row is a mean over its filter, whose gain is one where the motion is: white noise is divided by the factor
-    sigma = task.sigma / np.sqrt(preparation.decimator.factor)
-    std = np.sqrt(np.diag(ml_covariance(problem, theta, task.gains, sigma)))
+    sigma = task.prior.sigma / np.sqrt(preparation.decimator.factor)
+    std = np.sqrt(np.diag(ml_covariance(problem, theta, task.prior.gains, sigma)))
     found = dict(zip(problem.parameters, std, strict=False))
     gains = [Parameter("gain", joint) for joint in task.model.actuated]
     return Forecast(
         tuple(
             Expected(joint, float(g), float(g * of_gain))
-            for joint, g, of_gain in zip(task.model.actuated, task.gains, std[problem.unknowns.gains], strict=True)
+            for joint, g, of_gain in zip(
+                task.model.actuated, task.prior.gains, std[problem.unknowns.gains], strict=True
+            )
         ),
         tuple(
             Expected(name, float(value), float(found.get(name, np.nan)))
-            for name, value in zip(task.base.names, task.chi, strict=True)
+            for name, value in zip(task.base.names, task.prior.chi, strict=True)
         ),
         problem.total_rows
         / sum(len(preparation.decimator.instants(len(each.time))) for each in prepared)
@@ -162,7 +163,7 @@ def weak_unknowns(design: Design, expected: Forecast) -> tuple[Weak, ...]:
     """
     task = design.task
     points = evaluate(task, design.x, design_grid(task))
-    unknowns, R = task.unknowns, information(points)
+    unknowns, R = task.information, information(points)
     middle = np.mean([point.joints[0].mean(axis=1) for point in points], axis=0)
     before = _relative(task, R)
     relative = {
@@ -189,17 +190,7 @@ def weak_unknowns(design: Design, expected: Forecast) -> tuple[Weak, ...]:
 
 
 def _relative(task: DesignProblem, R: np.ndarray) -> np.ndarray:
-    return np.asarray(np.linalg.norm(root_covariance(R, task.unknowns.precision), axis=1) / task.unknowns.scale)
-
-
-def _possible(task: DesignProblem, joints: np.ndarray) -> Motion | None:
-    """Compute the motion along joints (4, n, N); None where it is not reachable or bodies come too close."""
-    try:
-        motion = close(task.model, joints[0], joints[1], joints[2], None)
-    except GtauError:
-        return None
-    clear = task.limits.clearance is None or task.limits.clearance.holds(motion.c)
-    return motion if clear else None
+    return np.asarray(np.linalg.norm(root_covariance(R, task.information.precision), axis=1) / task.information.scale)
 
 
 def _alone(task: DesignProblem, middle: np.ndarray, j: int, span: float, speed: float) -> np.ndarray | None:
@@ -218,14 +209,13 @@ def _alone(task: DesignProblem, middle: np.ndarray, j: int, span: float, speed: 
         joints[0, j] = center + amplitude * np.sin(omega * time)
         joints[1, j] = amplitude * omega * np.cos(omega * time)
         joints[2, j] = -amplitude * omega**2 * np.sin(omega * time)
-        motion = _possible(task, joints)
-        if motion is None:
-            span /= 2
-            center = (center + middle[j]) / 2
-            continue
-        step = period / samples
-        grid = Grid(time, step, np.empty((4, 0, 0)))
-        alone = Point(task, grid, every, joints, motion, None, task.regressor(motion))
-        # as long as a run: the rows of one cycle count for all of its cycles
-        return information([alone]) * np.sqrt(task.series.period / period)
+        try:
+            alone = along(task, joints, period / samples, every)
+        except GtauError:  # not reachable
+            alone = None
+        if alone is not None and (limits.clearance is None or limits.clearance.holds(alone.motion.c)):
+            # as long as a run: the rows of one cycle count for all of its cycles
+            return information([alone]) * np.sqrt(task.series.period / period)
+        span /= 2
+        center = (center + middle[j]) / 2
     return None

@@ -22,7 +22,7 @@ from gtau.errors import GtauError
 from gtau.model.closures import closure_expressions
 from gtau.model.dynamics import torques
 from gtau.model.interpreter.program import Program, compile_program
-from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.kinematics import Coordinates, configuration_rates, constant
 from gtau.model.loops import Motion
 from gtau.robots.geometry import characteristic_length, compose, moved_ends
@@ -38,6 +38,12 @@ class Slopes:
     yd: np.ndarray
     ydd: np.ndarray
     J: np.ndarray
+
+    @classmethod
+    def by_configuration(cls, by_c: np.ndarray, motion: Motion, layout: Coordinates) -> Slopes:
+        """Complete the derivatives of a function of c alone."""
+        zero = np.zeros_like(motion.yd)
+        return cls(by_c, zero, zero, np.zeros_like(motion.J[layout.passive]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,19 +76,10 @@ class Pullback:
         on_acceleration = multiplier(slopes.ydd[p])
         on_J = multiplier(slopes.J)
         J = motion.J[p].reshape(-1, samples)
-        by_yd = slopes.yd + self.by_yd(np.vstack([motion.c, motion.yd, motion.ydd, on_acceleration]))
+        by_yd = slopes.yd + self.by_yd(motion.c, motion.yd, motion.ydd, on_acceleration)
         on_velocity = multiplier(by_yd[p])
-        stacked = [
-            motion.c,
-            motion.yd,
-            motion.ydd,
-            J,
-            on_acceleration,
-            on_velocity,
-            on_J.reshape(-1, samples),
-            slopes.c,
-        ]
-        by_y = self.by_c(np.vstack(stacked))
+        multipliers = on_acceleration, on_velocity, on_J.reshape(-1, samples)
+        by_y = self.by_c(motion.c, motion.yd, motion.ydd, J, *multipliers, slopes.c)
         return tuple(
             slope + np.einsum("ias,is->as", G_a, on)
             for slope, on in (
@@ -104,9 +101,8 @@ class Pullback:
         size, spread = np.trace(M, axis1=1, axis2=2), np.trace(inverse, axis1=1, axis2=2)
         # d(log)/dG = G / trace(M) - G M^-2 / trace(M^-1)
         by_G = G / size - np.einsum("ips,spq->iqs", G, inverse @ inverse) / spread
-        by_c = self.of_G(np.vstack([motion.c, by_G.reshape(-1, len(size))]))
-        zero = np.zeros_like(motion.yd)
-        return np.log(size * spread) / 2, Slopes(by_c, zero, zero, np.zeros_like(motion.J[self.layout.passive]))
+        by_c = self.of_G(motion.c, by_G.reshape(-1, len(size)))
+        return np.log(size * spread) / 2, Slopes.by_configuration(by_c, motion, self.layout)
 
 
 def pullback(model: InverseDynamics) -> Pullback | None:
@@ -203,63 +199,47 @@ def in_platform_space(robot: Robot) -> Robot:
 
 @dataclass(frozen=True, eq=False)
 class SmoothRegressor:
-    """Chosen standard columns; Coulomb friction acts as ``v / sqrt(v^2 + width^2)`` instead of ``sign(v)``.
+    """Columns of a robot's regressor with smooth Coulomb friction; ``back`` gives slopes of their weighted sum."""
 
-    ``width`` (n_joints,) in rad/s or m/s. The other attributes are as in
-    :class:`gtau.model.inverse_dynamics.Regressor`; ``back`` gives the slopes of a weighted sum of the entries.
-    """
-
-    model: InverseDynamics
-    names: tuple[str, ...]
-    width: np.ndarray
-    program: Program
+    layout: Coordinates
+    entries: Regressor
     back: Program
-    rows: np.ndarray
-    columns: np.ndarray
+    width: np.ndarray  # (joints,) rad/s or m/s, over which Coulomb friction changes its sign
 
     def __call__(self, motion: Motion) -> np.ndarray:
         """Evaluate the columns of every actuated joint's row, (n, N, columns)."""
-        entries = self.program(self._inputs(motion))
-        W = np.zeros((len(self.model.actuated), entries.shape[1], len(self.names)))
-        W[self.rows, :, self.columns] = entries
+        entries = self.entries.program(*self._inputs(motion))
+        W = np.zeros((len(self.layout.actuated), entries.shape[1], len(self.entries.names)))
+        W[self.entries.rows, :, self.entries.columns] = entries
         return W
 
     def slopes(self, motion: Motion, weights: np.ndarray) -> Slopes:
         """Differentiate ``sum(weights * W)`` a sample, weights (n, N, columns)."""
-        layout, samples = self.model.layout, motion.c.shape[1]
-        found = self.back(np.vstack([self._inputs(motion), weights[self.rows, :, self.columns]]))
-        c, yd, ydd, J = np.split(found, np.cumsum([layout.n_c, layout.n_y, layout.n_y]))
-        return Slopes(c, yd, ydd, J.reshape(len(layout.passive), len(layout.actuated), samples))
+        layout, weights = self.layout, weights[self.entries.rows, :, self.entries.columns]
+        slopes = self.back(*self._inputs(motion), weights)
+        c, yd, ydd, J = np.split(slopes, np.cumsum([layout.n_c, layout.n_y, layout.n_y]))
+        return Slopes(c, yd, ydd, J.reshape(motion.J[layout.passive].shape))
 
-    def _inputs(self, motion: Motion) -> np.ndarray:
-        layout, samples = self.model.layout, motion.c.shape[1]
-        J = motion.J[layout.passive].reshape(len(layout.passive) * len(layout.actuated), samples)
-        width = np.broadcast_to(self.width[:, None], (len(self.width), samples))
-        return np.vstack([motion.c, motion.yd, motion.ydd, J, width])
+    def _inputs(self, motion: Motion) -> tuple[np.ndarray, ...]:
+        width = np.broadcast_to(self.width[:, None], (len(self.width), motion.c.shape[1]))
+        return *self.entries.sources(self.layout, motion), width
 
 
 def smooth_regressor(model: InverseDynamics, names: Sequence[Parameter], width: np.ndarray) -> SmoothRegressor:
-    """Compile the columns ``names`` of a robot's regressor and their pullback."""
-    layout, joints = model.layout, model.robot.joints
-    (c, yd, ydd, passive), J = model.symbols
-    wide = ca.SX.sym("width", len(joints))
+    """Compile the columns ``names`` of a robot's regressor and their pullback.
+
+    Coulomb friction acts as ``v / sqrt(v^2 + width^2)`` instead of ``sign(v)``.
+    """
+    inputs, J = model.symbols
+    (c, yd, ydd, passive), wide = inputs, ca.SX.sym("width", len(model.robot.joints))
     chi = {name: ca.SX.sym(name) for name in model.parameter_names}
-    tau = torques(layout, c, yd, ydd, J, {name: each for name, each in chi.items() if name.kind != "fs"})
-    for k, joint in enumerate(joints):
+    tau = torques(model.layout, c, yd, ydd, J, {name: value for name, value in chi.items() if name.kind != "fs"})
+    for k, joint in enumerate(model.robot.joints):
         if Parameter("fs", joint.name) in chi:
             tau += J[k, :].T * chi[Parameter("fs", joint.name)] * yd[k] / ca.sqrt(yd[k] ** 2 + wide[k] ** 2)
-    W = ca.jacobian(tau, ca.vertcat(*(chi[name] for name in names)))
-    rows, columns = (np.array(index, dtype=int) for index in W.sparsity().get_triplet())
-    entries = ca.vec(W.nz[:])
-    weights = ca.SX.sym("weights", entries.numel())
-    inputs = [c, yd, ydd, passive, wide]
-    back = ca.gradient(ca.dot(weights, entries), ca.veccat(c, yd, ydd, passive))
-    return SmoothRegressor(
-        model,
-        tuple(names),
-        width,
-        compile_program(inputs, [entries]),
-        compile_program([*inputs, weights], [back]),
-        rows,
-        columns,
-    )
+    inputs = [*inputs, wide]
+    entries = Regressor(tuple(names), inputs, ca.jacobian(tau, ca.vertcat(*(chi[name] for name in names))))
+    values = ca.vec(entries.matrix.nz[:])
+    weights = ca.SX.sym("weights", values.numel())
+    back = ca.gradient(ca.dot(weights, values), ca.veccat(c, yd, ydd, passive))
+    return SmoothRegressor(model.layout, entries, compile_program([*inputs, weights], [back]), width)

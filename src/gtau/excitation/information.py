@@ -21,68 +21,13 @@ from gtau.errors import GtauError
 from gtau.estimation.regression.assembly import plain_problem
 from gtau.estimation.regression.equations import MODEL, modelled, triangle
 from gtau.estimation.regression.factors import EXTRA, Factors
+from gtau.excitation.prior import Prior
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter
 from gtau.signals.reading.statements import Payload
 
 VAGUE = 1e3  # prior standard deviations of the unknowns, in units of their scale: wide enough to have no influence
-
-
-@dataclass(frozen=True, eq=False)
-class DesignUnknowns:
-    """The unknowns (theta, log g, d) and how rows of the base regressor become their equations.
-
-    Attributes
-    ----------
-    names : tuple of str
-        (P,), ``gain_`` and ``delay_`` before a joint's name.
-    scale : ndarray
-        (P,) reference of relative standard deviations.
-    maps : ndarray
-        (runs, n, n_b, P): a row of W times this is a row of the current's Jacobian, without delays.
-    load, smooth : ndarray
-        (runs, n_b): prior values of the base columns, with payload; and those without Coulomb friction.
-    precision : ndarray
-        (P,) of the vague prior.
-    """
-
-    names: tuple[Parameter, ...]
-    scale: np.ndarray
-    maps: np.ndarray
-    load: np.ndarray
-    smooth: np.ndarray
-    gains: np.ndarray
-    precision: np.ndarray
-
-
-def unknowns(
-    model: InverseDynamics,
-    base: BaseParameters,
-    payloads: Sequence[Payload | None],
-    chi: np.ndarray,
-    gains: np.ndarray,
-) -> DesignUnknowns:
-    """Assemble the unknowns of an experiment with these runs, at base parameters ``chi`` (n_b,) and ``gains`` (n,)."""
-    n, n_b, runs = len(model.actuated), base.count, len(payloads)
-    p = n_b + EXTRA
-    # factors that are the identity bring out the matrices with which identification joins its runs
-    whole = Factors(np.broadcast_to(np.eye(p), (1, n, p, p)).copy(), np.full((1, n), 1000))
-    problem = plain_problem(model, base, [whole] * runs, payloads)
-    names = problem.unknowns
-    M = problem.blocks[:, 0, :n_b]  # (runs, n_b, parameters + 4), the same for all joints
-    theta = np.zeros(len(problem.parameters))
-    theta[[problem.parameters.index(name) for name in base.names if name in problem.parameters]] = [
-        value for name, value in zip(base.names, chi, strict=True) if name in problem.parameters
-    ]
-    load = modelled(M, theta)
-    smooth = load * np.array([not name.startswith("fs_") for name in base.names])
-    maps = np.zeros((runs, n, n_b, len(names)))
-    for j in range(n):
-        maps[:, j, :, names.theta] = -M[..., MODEL] / gains[j]
-        maps[:, j, :, names.gains.start + j] = load / gains[j]
-    scale = np.concatenate([_scales(problem.parameters, theta, payloads), np.ones(n), np.full(n, 1e-2)])
-    return DesignUnknowns(names, scale, maps, load, smooth, gains, (VAGUE * scale) ** -2.0)
 
 
 def _scales(names: tuple[Parameter, ...], theta: np.ndarray, payloads: Sequence[Payload | None]) -> np.ndarray:
@@ -167,27 +112,53 @@ def derivative(values: np.ndarray, step: float) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """Information about the unknowns from rows of one motion carried out in the runs ``runs``."""
+    """The unknowns (theta, log g, d), and the information of rows about them.
 
-    unknowns: DesignUnknowns
-    sigma: np.ndarray  # (n,) A: standard deviation of a current's sample
-    rate: float  # samples a second of the motion
+    Attributes
+    ----------
+    names : tuple of Parameter
+        (P,), of kind ``gain`` and ``delay`` behind the parameters.
+    scale : ndarray
+        (P,) reference of relative standard deviations.
+    maps : ndarray
+        (runs, n, n_b, P): a row of W times this is a row of the current's Jacobian, without delays.
+    load, smooth : ndarray
+        (runs, n_b): prior values of the base columns, with payload; and those without Coulomb friction.
+    gains, sigma : ndarray
+        Prior gains (n,), and standard deviations (n,) of a current's sample, A.
+    rate : float
+        Samples a second of the motion, over all repetitions.
+    """
+
+    names: tuple[Parameter, ...]
+    scale: np.ndarray
+    maps: np.ndarray
+    load: np.ndarray
+    smooth: np.ndarray
+    gains: np.ndarray
+    sigma: np.ndarray
+    rate: float
+
+    @property
+    def precision(self) -> np.ndarray:
+        """Precision (P,) of the vague prior."""
+        return np.asarray((VAGUE * self.scale) ** -2.0)
 
     def jacobians(self, W: np.ndarray, run: int, step: float) -> np.ndarray:
         """Turn columns W (n, N, n_b) on a periodic grid into rows (n, N, P) of a run."""
-        n, P = W.shape[0], len(self.unknowns.names)
-        A = np.einsum("jsb,jbp->jsp", W, self.unknowns.maps[run], optimize=True)
-        slope = derivative(W @ self.unknowns.smooth[run], step) / self.unknowns.gains[:, None]
+        n, P = W.shape[0], len(self.names)
+        A = np.einsum("jsb,jbp->jsp", W, self.maps[run], optimize=True)
+        slope = derivative(W @ self.smooth[run], step) / self.gains[:, None]
         for j in range(n):
             A[j, :, P - n + j] = -slope[j]
         return A
 
     def back(self, by_A: np.ndarray, run: int, step: float) -> np.ndarray:
         """Pull derivatives with respect to the rows back to W."""
-        n, P = by_A.shape[0], len(self.unknowns.names)
-        by_W = np.einsum("jsp,jbp->jsb", by_A, self.unknowns.maps[run], optimize=True)
-        by_slope = np.stack([-by_A[j, :, P - n + j] for j in range(n)]) / self.unknowns.gains[:, None]
-        by_W -= derivative(by_slope, step)[:, :, None] * self.unknowns.smooth[run]
+        n, P = by_A.shape[0], len(self.names)
+        by_W = np.einsum("jsp,jbp->jsb", by_A, self.maps[run], optimize=True)
+        by_slope = np.stack([-by_A[j, :, P - n + j] for j in range(n)]) / self.gains[:, None]
+        by_W -= derivative(by_slope, step)[:, :, None] * self.smooth[run]
         return by_W
 
     def counts(self, weights: np.ndarray, step: float) -> np.ndarray:
@@ -200,13 +171,38 @@ class Information:
         return triangle(*((A * root).reshape(-1, A.shape[2]) for A in rows))
 
 
+def information_of(
+    model: InverseDynamics, base: BaseParameters, payloads: Sequence[Payload | None], prior: Prior, rate: float
+) -> Information:
+    """Assemble the unknowns of an experiment with these runs, at the values of a prior."""
+    n, n_b, runs, gains = len(model.actuated), base.count, len(payloads), prior.gains
+    p = n_b + EXTRA
+    # factors that are the identity bring out the matrices with which identification joins its runs
+    whole = Factors(np.broadcast_to(np.eye(p), (1, n, p, p)).copy(), np.full((1, n), 1000))
+    problem = plain_problem(model, base, [whole] * runs, payloads)
+    names = problem.unknowns
+    M = problem.blocks[:, 0, :n_b]  # (runs, n_b, parameters + 4), the same for all joints
+    theta = np.zeros(len(problem.parameters))
+    theta[[problem.parameters.index(name) for name in base.names if name in problem.parameters]] = [
+        value for name, value in zip(base.names, prior.chi, strict=True) if name in problem.parameters
+    ]
+    load = modelled(M, theta)
+    smooth = load * np.array([not name.startswith("fs_") for name in base.names])
+    maps = np.zeros((runs, n, n_b, len(names)))
+    for j in range(n):
+        maps[:, j, :, names.theta] = -M[..., MODEL] / gains[j]
+        maps[:, j, :, names.gains.start + j] = load / gains[j]
+    scale = np.concatenate([_scales(problem.parameters, theta, payloads), np.ones(n), np.full(n, 1e-2)])
+    return Information(names, scale, maps, load, smooth, gains, prior.sigma, rate)
+
+
 Criterion = Callable[[np.ndarray], tuple[float, np.ndarray, np.ndarray]]
 """From the factor R of M to the criterion's logarithm, and F (P, k), f (k,): its derivative by M is F diag(f) F^T."""
 
 NAMED = ("gains", "condition", "logdet", "trace")
 
 
-def criterion(name: str, unknowns: DesignUnknowns) -> Criterion:
+def criterion(name: str, unknowns: Information) -> Criterion:
     """Look up the criterion called ``name``.
 
     ``gains``: rms of the relative standard deviations of the drive gains; ``logdet`` (D-optimal): geometric mean of all

@@ -34,7 +34,7 @@ class Programme:
         self.task, self.tightness = task, tightness
         self.grid = design_grid(task)
         self.of_regressor = criterion_name == "condition"
-        self.criterion = criterion(criterion_name, task.unknowns)
+        self.criterion = criterion(criterion_name, task.information)
         self.best: np.ndarray | None = None
         self.best_value = np.inf
         self._x = np.array([])
@@ -245,7 +245,7 @@ def _clear_center(task: DesignProblem, rng: np.random.Generator, x: np.ndarray) 
     """
     series, clearance = task.series, task.limits.clearance
     resting = np.zeros_like(x)
-    if clearance is None or task.in_platform_space:
+    if clearance is None or task.series.of_platform:
         return resting
     centers = rng.uniform(-SPREAD, SPREAD, (len(series.center), CENTERS))
     poses = series.center[:, None] + series.half[:, None] * centers

@@ -42,6 +42,20 @@ class KnownGain:
         return max(map(abs, self.interval)) / abs(self.value)
 
 
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """Base parameters ``chi`` (n_b,), gains, and standard deviations ``sigma`` (n,) of a sample of each current, A."""
+
+    chi: np.ndarray
+    known: tuple[KnownGain, ...]
+    sigma: np.ndarray
+
+    @property
+    def gains(self) -> np.ndarray:
+        """Values of the gains (n,)."""
+        return np.array([gain.value for gain in self.known])
+
+
 def identified_gains(result: Result, file: Path) -> tuple[KnownGain, ...]:
     """Take the gains of an earlier result, with their intervals and verdicts.
 

@@ -12,8 +12,9 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.excitation.clearance import Clearance
 from gtau.excitation.gradients import Pullback, SmoothRegressor, in_platform_space, pullback, smooth_regressor
-from gtau.excitation.information import DesignUnknowns, Information, Window, unknowns
-from gtau.excitation.prior import KnownGain
+from gtau.excitation.guards import Guarded
+from gtau.excitation.information import Information, Window, information_of
+from gtau.excitation.prior import Prior
 from gtau.excitation.trajectory import FourierSeries, approach_duration
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.interpreter.program import Program, compile_program
@@ -36,7 +37,7 @@ class MotionLimits:
     ``position`` (n, 2), ``velocity``, ``acceleration``, ``jerk`` in rad or m and s; ``current`` in A, ``torque`` in N m
     or N, one of them for a joint; ``workspace`` maps x, y, z of the tool's frame to an interval in m; ``condition`` is
     the largest condition number of the closures; ``away`` the least share of each joint's samples away from its
-    reversals; ``clearance`` keeps bodies apart.
+    reversals; ``guarded`` keeps bodies apart.
     """
 
     position: np.ndarray
@@ -47,8 +48,13 @@ class MotionLimits:
     workspace: Mapping[str, tuple[float, float]]
     condition: float
     away: float
-    clearance: Clearance | None = None
+    guarded: Guarded = field(default_factory=lambda: Guarded(None, ()))
     torque: np.ndarray = field(default_factory=lambda: np.full(1, np.inf))
+
+    @property
+    def clearance(self) -> Clearance | None:
+        """Bodies that are kept apart."""
+        return self.guarded.clearance
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +67,6 @@ class DesignProblem:
         The robot.
     series : FourierSeries
         Of the actuated joints, or of the platform.
-    in_platform_space : bool
-        True if ``series`` moves the platform; its coordinates are then relative to the platform's home position.
     rate : float
         Of the controller, Hz.
     repetitions : int
@@ -75,29 +79,20 @@ class DesignProblem:
         True if all runs follow one motion; otherwise each has its own.
     limits : MotionLimits
         Of the motion.
-    chi, gains, sigma : ndarray
-        Prior base parameters (n_b,), gains (n,), and standard deviations of a sample of each current (n,), A.
-    known : tuple of KnownGain
-        The gains with their intervals, by which limits of torque and current are converted; exact if left out.
-    guards : tuple of str
-        What keeps the robot from harm, what was guessed, and what is not checked, a sentence each.
+    prior : Prior
+        Parameters and noise, and the gains with their intervals, by which limits of torque and current are converted.
     """
 
     model: InverseDynamics
     base: BaseParameters
     series: FourierSeries
-    in_platform_space: bool
     rate: float
     repetitions: int
     rest: np.ndarray | None
     payloads: tuple[Payload | None, ...]
     one_motion: bool
     limits: MotionLimits
-    chi: np.ndarray
-    gains: np.ndarray
-    sigma: np.ndarray
-    known: tuple[KnownGain, ...] = ()
-    guards: tuple[str, ...] = ()
+    prior: Prior
 
     def __repr__(self) -> str:
         return f"DesignProblem({self.model.robot.name!r}, runs: {len(self.payloads)}, rate: {self.rate:g} Hz)"
@@ -120,20 +115,20 @@ class DesignProblem:
         """Length of x: the free numbers of the series, motion by motion."""
         return len(self.motions) * self.series.size
 
+    @property
+    def guards(self) -> tuple[str, ...]:
+        """What keeps the robot from harm, what was guessed, and what is not checked, a sentence each."""
+        return self.limits.guarded.said
+
     @cached_property
-    def unknowns(self) -> DesignUnknowns:
-        """Unknowns estimated from all runs together."""
-        return unknowns(self.model, self.base, self.payloads, self.chi, self.gains)
+    def information(self) -> Information:
+        """Unknowns estimated from all runs together, and the information of rows about them, over all repetitions."""
+        return information_of(self.model, self.base, self.payloads, self.prior, self.rate * self.repetitions)
 
     @cached_property
     def decimator(self) -> Decimator:
         """Decimation filter that identification will choose for this bandwidth."""
         return Decimator(decimation_factor(self.rate, self.series.harmonics * self.series.base_frequency))
-
-    @cached_property
-    def information(self) -> Information:
-        """Information of rows, over all repetitions."""
-        return Information(self.unknowns, self.sigma, self.rate * self.repetitions)
 
     def window(self, step: float) -> Window:
         """Return the loss of rows near reversals on a time grid of spacing ``step``."""
@@ -143,7 +138,7 @@ class DesignProblem:
     def approach_speed(self) -> np.ndarray:
         """Upper bound (n,) on the rms speed that approach and return add to a run, rad/s or m/s."""
         if self.rest is None:
-            return np.zeros(len(self.gains))
+            return np.zeros(len(self.prior.sigma))
         limits = self.limits
         way = np.abs(limits.position - self.rest[:, None]).max(axis=1)
         way = np.where(np.isfinite(way), way, 0.0)
@@ -155,7 +150,7 @@ class DesignProblem:
     @cached_property
     def platform_model(self) -> InverseDynamics | None:
         """The robot driven by its platform, for a motion in platform space."""
-        return InverseDynamics(in_platform_space(self.model.robot), "inertial") if self.in_platform_space else None
+        return InverseDynamics(in_platform_space(self.model.robot), "inertial") if self.series.of_platform else None
 
     @cached_property
     def regressor(self) -> SmoothRegressor:

@@ -27,12 +27,15 @@ class FourierSeries:
         Hz.
     harmonics : int
         Number of sines and cosines, at least 2.
+    of_platform : bool
+        True if the coordinates are the platform's, relative to its home position; else the actuated joints'.
     """
 
     center: np.ndarray
     half: np.ndarray
     base_frequency: float
     harmonics: int
+    of_platform: bool = False
 
     @property
     def period(self) -> float:

@@ -62,7 +62,7 @@ class Regressor:
 
     def __call__(self, layout: Coordinates, motion: Motion, parameters: np.ndarray = NONE) -> np.ndarray:
         """Compute the entries (entries, N) for the samples of ``motion``, and ``parameters`` of the program."""
-        return self.program(*self._sources(layout, motion), parameters=parameters)
+        return self.program(*self.sources(layout, motion), parameters=parameters)
 
     def torques(self, entries: np.ndarray, chi: np.ndarray, n: int) -> np.ndarray:
         """Compute torques (n, N) from the ``entries`` (entries, N) and values ``chi`` of the columns."""
@@ -74,11 +74,11 @@ class Regressor:
 
     def torques_along(self, layout: Coordinates, motion: Motion, chi: np.ndarray) -> np.ndarray:
         """Compute torques (n, N) along ``motion`` without storing the entries."""
-        return self.summed(*self._sources(layout, motion), parameters=np.asarray(chi, dtype=float))
+        return self.summed(*self.sources(layout, motion), parameters=np.asarray(chi, dtype=float))
 
     def fill(self, layout: Coordinates, motion: Motion, W: np.ndarray) -> None:
         """Put the entries into ``W`` (N, n, columns), whose other entries are zero."""
-        self.program.fill(W.reshape(len(W), -1), *self._places, *self._sources(layout, motion))
+        self.program.fill(W.reshape(len(W), -1), *self._places, *self.sources(layout, motion))
 
     @cached_property
     def _places(self) -> tuple[np.ndarray, np.ndarray]:
@@ -87,7 +87,8 @@ class Regressor:
         order = np.argsort(places)
         return order, places[order]
 
-    def _sources(self, layout: Coordinates, motion: Motion) -> tuple[np.ndarray, ...]:
+    def sources(self, layout: Coordinates, motion: Motion) -> tuple[np.ndarray, ...]:
+        """Return the inputs of the program along ``motion``."""
         passive = motion.J[layout.passive].reshape(layout.passive.size * len(layout.actuated), motion.c.shape[1])
         return motion.c, motion.yd, motion.ydd, passive
 

@@ -158,7 +158,7 @@ def design_document(outlook: Outlook) -> dict[str, Any]:
         "tool": {"frame": outlook.robot.tool, "speed": speed, **dict(zip("xyz", places.T.tolist(), strict=True))},
         "priors": [
             {"name": joint, "value": known.value, "interval": list(known.interval), "source": known.source}
-            for joint, known in zip(outlook.robot.actuated, task.known, strict=False)
+            for joint, known in zip(outlook.robot.actuated, task.prior.known, strict=False)
         ],
         "gains": [_entry(outlook, gain, "gains" in outlook.assumed) for gain in expected.gains],
         "parameters": [_entry(outlook, each, "parameters" in outlook.assumed) for each in expected.parameters],
@@ -289,7 +289,7 @@ def _expected_table(outlook: Outlook, unknowns: Sequence[Expected], assumed: boo
     """Tabulate standard deviations to expect; of a gain that is only assumed, just the relative one means something."""
     hidden = assumed and unknowns is outlook.forecast.gains
     sources = dict.fromkeys((each.name for each in unknowns), "assumed" if assumed else "given")
-    for joint, known in zip(outlook.robot.actuated, outlook.task.known, strict=False):
+    for joint, known in zip(outlook.robot.actuated, outlook.task.prior.known, strict=False):
         if known.source not in ("given", "assumed"):
             sources[joint] = "{}, {:.4g} to {:.4g}".format(known.source, *known.interval)
     return table_of(

@@ -22,12 +22,13 @@ def geometry_section(test: GeometryTest | None) -> Section | None:
     if test is None:
         return None
     said = [ESTIMATED[test.source]]
-    if test.delay_std < POSE_DELAY_STD:
-        said.append(f"the poses lag {1e3 * test.delay:.1f} ± {1e3 * test.delay_std:.1g} ms behind the positions")
+    delay, std = test.delay
+    if std < POSE_DELAY_STD:
+        said.append(f"the poses lag {1e3 * delay:.1f} ± {1e3 * std:.1g} ms behind the positions")
     return section(
         "Logged pose and geometry",
         Text(str(test.note), tuple(said), STYLES[test.outcome]),  # type: ignore[arg-type]
-        *(section(trace.run, _traces(test, k), folded=k > 0) for k, trace in enumerate(test.traces)),
+        *(section(run, _traces(test, run), folded=k > 0) for k, run in enumerate(_traced_runs(test))),
         section(f"Residuals of the pose of '{test.body}': logged less computed", _residuals(test), folded=False),
         section(
             "Constants, each by itself, sorted by the share of the residual variance explained",
@@ -42,24 +43,28 @@ def geometry_section(test: GeometryTest | None) -> Section | None:
     )
 
 
-def _traces(test: GeometryTest, k: int) -> Chart:
-    trace = test.traces[k]
-    names = [(each.name, each.unit) for each in test.residuals if each.run == trace.run]
-    shown = [("logged less computed", trace.before)]
-    shown += [("with the change", trace.after)] if test.explained_by else []
+def _traced_runs(test: GeometryTest) -> dict[str, None]:
+    return dict.fromkeys(residual.run for residual in test.residuals if residual.time.size)
+
+
+def _traces(test: GeometryTest, run: str) -> Chart:
+    components = [residual for residual in test.residuals if residual.run == run]
+    shown = {"logged less computed": [residual.before for residual in components]}
+    if test.explained_by:
+        shown["with the change"] = [residual.after for residual in components]
     panels = []
-    for words, values in shown:
+    for words, values in shown.items():
         for unit in ("m", "rad"):
             lines = [
-                Series(f"{name}, {words}", trace.time, 1e3 * values[:, j], colour(j))
-                for j, (name, of_name) in enumerate(names)
-                if of_name == unit
+                Series(f"{residual.name}, {words}", residual.time, 1e3 * values[j], colour(j))
+                for j, residual in enumerate(components)
+                if residual.unit == unit
             ]
             if lines:
                 panels.append(
                     Panel(Axis("time from the start of the run, s"), Axis(f"{words}, m{unit}"), tuple(lines), height=2)
                 )
-    return Chart(tuple(panels), trace.run, live=True)
+    return Chart(tuple(panels), run, live=True)
 
 
 def _residuals(test: GeometryTest) -> Table:

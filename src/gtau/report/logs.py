@@ -14,7 +14,7 @@ from gtau.robots.parameter import command_unit, position_unit
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.bandwidth import spectra
 from gtau.signals.preparation.prepared_run import Preparation
-from gtau.signals.reading.log_set import find_logs
+from gtau.signals.reading.log_set import read_logs
 from gtau.signals.run import Log, Run
 from gtau.signals.storage import block, spans
 
@@ -116,8 +116,7 @@ def preparation_chart(log: LogCheck) -> Chart:
         Panel(FREQUENCY, share, speeds, "Power of the velocities", rules, height=2.3),
         Panel(FREQUENCY, share, accelerations, ends, rules, height=2.3),
     ]
-    stamps = None if log.run.log is None else _stamps(log.run.log)
-    panels += [] if stamps is None else [_steps(stamps, log.run)]
+    panels += [_steps(_stamps(log.run.log), log.run)] if log.run.log.paths else []
     panels.append(_used(log))
     return Chart(tuple(panels), log.run.name)
 
@@ -141,7 +140,9 @@ def _shares(log: LogCheck, what: str) -> tuple[Series, ...]:
 
 def _stamps(log: Log) -> np.ndarray:
     """Read the time column (N,) of a whole log, s."""
-    time = np.concatenate([values[:, -1] for values in find_logs(log.paths, log.signals, log.units).blocks()])
+    assert log.signals is not None and log.units is not None  # noqa: PT018 (it has files)
+    _, parts = read_logs(log.paths, log.signals, log.units, [])
+    time = np.concatenate([values[:, -1] for values in parts])
     return np.asarray(time[np.isfinite(time)])
 
 

@@ -15,7 +15,7 @@ from gtau.report.evidence import RunEvidence
 from gtau.report.page import Column, Kind, Section, Text, joint_label, section, table_of
 from gtau.robots.parameter import position_unit
 from gtau.robots.robot import Robot
-from gtau.signals.run import Run, arrange
+from gtau.signals.run import Run
 from gtau.signals.storage import rows_at
 
 TYPES = {1: "type 1 (serial)", 2: "type 2 (parallel)"}
@@ -116,7 +116,7 @@ def body_path(result: Result, run: Run) -> np.ndarray:
     from gtau.model.kinematics import frames
 
     model = result.idm
-    run = arrange(run, model.actuated)
+    run = run.ordered(model.actuated)
     shown = np.arange(0, len(run.time), -(-len(run.time) // POSES))
     c = model.path(np.ascontiguousarray(rows_at(run.position, shown).T))
     symbol = ca.SX.sym("c", model.layout.n_c)

@@ -16,11 +16,10 @@ from gtau.report.evidence import RunEvidence
 from gtau.report.gains import VALUE, regroups, value_cells
 from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, section, table
 from gtau.robots.parameter import Parameter, position_unit, torque_unit
-from gtau.signals.channel import BEHIND_DRIVE
+from gtau.signals.channel import LINK_SIDE
 from gtau.signals.preparation.filters import position_filter
-from gtau.signals.run import arrange
 
-GROUPS = ("base parameter", "friction", *(kind.name for kind in BEHIND_DRIVE))
+GROUPS = ("base parameter", "friction", *(kind.name for kind in LINK_SIDE))
 KINDS = ("width", "vs", "fv", "fs", "fb", "fl", "off")
 POINTS = 3000  # of a panel
 CONTRADICTED = 6  # parameters on a short page
@@ -128,7 +127,7 @@ def _panels(result: Result, runs: Sequence[RunEvidence]) -> list[Panel]:
     gathered: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
     for each in runs:
         assert each.prediction is not None
-        found, run = each.prediction, arrange(each.run, result.idm.actuated)
+        found, run = each.prediction, each.run.ordered(result.idm.actuated)
         count = int(np.searchsorted(run.time, found.time[-1])) + 1
         qd = position_filter(run.position, run.rate, result.preparation.at(run.rate).cutoff, 0, count)[1]
         speeds = qd[np.minimum(np.searchsorted(run.time, found.time), count - 1)]

@@ -18,7 +18,7 @@ from gtau.signals.preparation.prepared_run import PreparedRun, prepare
 from gtau.signals.reading.experiment import Experiment, read_experiment
 from gtau.signals.reading.samples import WHOLE, Part
 from gtau.signals.reading.statements import Payload
-from gtau.signals.run import Run, arrange, read_run
+from gtau.signals.run import Run, read_run
 
 
 def suited(result: Result, run: Run) -> Run:
@@ -28,7 +28,7 @@ def suited(result: Result, run: Run) -> Run:
             f"this takes a run, not a {type(run).__name__}; read the log with gtau.read_run(log, signals), which knows "
             "its columns."
         )
-    run = arrange(run, result.idm.actuated)
+    run = run.ordered(result.idm.actuated)
     if run.kind != result.kind:
         raise GtauError(
             f"run '{run.name}' holds {run.kind}s, but the model was identified from {result.kind}s; give a run of the "

@@ -26,7 +26,7 @@ from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
 from gtau.signals.reading.experiment import Experiment
-from gtau.signals.run import Run, without_sensors
+from gtau.signals.run import Run
 from gtau.uses.runs import require_same
 
 
@@ -95,7 +95,7 @@ def weigh(
         g_tau = model.gains
         rows = [model.covariance_names.index(Parameter("gain", joint)) for joint in robot.actuated]
         covariance = model.covariance[np.ix_(rows, rows)]
-    weighed = tuple(without_sensors(run) for run in chosen)  # the model's gains say as much
+    weighed = tuple(run.ordered(run.joints, link_side=False) for run in chosen)  # the model's gains say as much
     dataset = reduce_runs(robot, weighed, at_rate_of(weighed, model.preparation), progress=progress)
 
     def solve(problem: Problem) -> Solution:

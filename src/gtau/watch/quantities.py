@@ -35,7 +35,7 @@ from gtau.estimation.results.result import Result
 from gtau.robots.parameter import Parameter, unit_of
 from gtau.robots.robot import PLAIN_FRICTION
 from gtau.signals.reading.statements import Payload
-from gtau.signals.run import Run, arrange, without_sensors
+from gtau.signals.run import Run
 from gtau.uses.prediction import check_temperature_unit, friction_along, loaded_parameters
 
 STEP = 1e-3  # rad or m, of an encoder zero: torques are linear over this
@@ -114,7 +114,7 @@ def normal_equations(model: Result, run: Run) -> NormalEquations:
             "same kind."
         )
     idm, base = model.idm, model.base
-    run = without_sensors(arrange(run, idm.actuated))
+    run = run.ordered(idm.actuated, link_side=False)
     check_wrenches(model.robot, run)
     check_temperature_unit(model, run)
     preparation = at_rate_of([run], model.preparation)

@@ -19,6 +19,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import friction_levels, rms_speeds, rms_torques
+from gtau.estimation.diagnostics.effort import stated_meaning
 from gtau.estimation.diagnostics.examine import Examination
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
 from gtau.estimation.diagnostics.parameter_checks import motors, unexplained_shares
@@ -179,8 +180,8 @@ def logged_torques(fit: Fit, examined: Examination, estimates: Estimates) -> Ite
         return
     if kind == "torque" and fit.free_gains:
         scales = np.abs(fit.gains)[half_widths(fit, estimates) < 1]
-    elif kind == "torque" and examined.effort.scale is not None:
-        share, std = examined.effort.scale
+    elif kind == "torque" and (scale := stated_meaning(examined.effort).values.get("scale")):
+        share, std = scale
         scales = 1 / np.maximum([abs(share) + 2 * std, abs(share) - 2 * std], 1e-300)
     if len(scales) and scales.min() > GEARED and scales.max() < BEYOND_GEARS:
         yield Finding(F.MOTOR_SIDE, values={"least": float(scales.min()), "most": float(scales.max())})

@@ -254,7 +254,7 @@ def on_channels(offer: Offer, felt: bool) -> Offer:
 
     def with_sensors(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
         columns = offer(window, motion, values)
-        behind = [each.row for each in window.run.channels if each.kind.behind_drive]
+        behind = [each.row for each in window.run.channels if each.kind.link_side]
 
         def of_channels(rows: Rows) -> np.ndarray:
             torques = columns(rows)

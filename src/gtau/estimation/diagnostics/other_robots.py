@@ -322,7 +322,7 @@ def fitted(fit: Fit, dataset: Dataset, gravity: np.ndarray) -> Fit | None:
     model, base = dataset.model, dataset.base
     if not np.array_equal(gravity, dataset.robot.gravity):
         model = model.with_gravity(gravity)
-        base = base_parameters(model, sensors=dataset.runs[0].sensed)
+        base = base_parameters(model, sensors=dataset.runs[0].sensors)
     gains = None if fit.free_gains else fit.gains
     terms = tuple(term for term in fit.system.terms if term.kind != "fl")
     try:

@@ -71,7 +71,7 @@ def stated_constants(system: System) -> list[StatedConstant]:
 
     The last three are scales, of value 1, of each sensor, of all wrenches, and of all known parameters together.
     """
-    problem, calibration = system.problem, system.dataset.runs[0].calibration
+    problem = system.problem
     torques, readings, known = np.zeros(problem.blocks.shape[:3]), np.zeros(len(problem.channels)), problem.known[:, -1]
     found = []
     for name in dict.fromkeys(each.payload.name for each in system.payloads if each.acts):
@@ -81,11 +81,12 @@ def stated_constants(system: System) -> list[StatedConstant]:
             found.append(StatedConstant(f"payload '{name}'", value, std, of_unit, readings, 0.0 * known))
     for k in problem.sensor_channels:
         channel, of_sensor = problem.channels[k], np.eye(len(readings))[k]
-        source, std = f"{channel.kind.name} of '{channel.joint}'", calibration.of(channel)
+        source, std = f"{channel.kind.name} of '{channel.joint}'", channel.std
         found.append(StatedConstant(source, 1.0, std, torques, of_sensor, 0.0 * known))
     if problem.base or system.of_wrenches is not None:
         of_bodies = torques if system.of_wrenches is None else system.of_wrenches
-        std, of_base = calibration.wrenches or 0.0, np.eye(len(readings))[problem.base].sum(axis=0)
+        std = max((each.std for each in system.dataset.runs[0].channels if not each.kind.of_joint), default=0.0)
+        of_base = np.eye(len(readings))[problem.base].sum(axis=0)
         found.append(StatedConstant(_wrenches(problem), 1.0, std, of_bodies, of_base, 0.0 * known))
     if len(known):
         found.append(StatedConstant("known parameters", 1.0, 0.0, torques, readings, -known))
@@ -220,7 +221,7 @@ def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
             sides.append((A.T @ A, A.T @ (unit[:, -1] + unit[:, columns] @ step)))
         of_known_part = back[-1] @ (of_known[:, columns] @ back).T  # what no unit of the data shows
         variance = jackknife(one_step(sides) @ back[-1:].T)[0, 0] + of_known_part @ of_known_part
-        std = float(np.hypot(np.sqrt(variance), fit.dataset.runs[0].calibration.of(problem.channels[sensor])))
+        std = float(np.hypot(np.sqrt(variance), problem.channels[sensor].std))
         found.append(SensorScale(problem.channels[sensor], 1 - float(step[-1]), std, T @ step[:-1]))
     return tuple(found)
 

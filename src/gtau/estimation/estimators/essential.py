@@ -23,7 +23,7 @@ def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> Syste
     Terms supported by the joints' own equations, but not identifiable from all equations, are left out. The data of the
     system are streamed again where a joint has load-dependent friction.
     """
-    per_run, sensors = len(dataset.runs) > 1, [each.name for each in dataset.runs[0].channels if each.kind.behind_drive]
+    per_run, sensors = len(dataset.runs) > 1, [each.name for each in dataset.runs[0].channels if each.kind.link_side]
     warm = () if dataset.temperatures is None else tuple(dataset.temperatures.reference)
     of_temperature = all_terms(warm, TEMPERATURE_TERMS)
     offered = (*all_terms(dataset.robot.motors), *of_temperature, *all_terms(sensors, BEARING))

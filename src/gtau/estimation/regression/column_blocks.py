@@ -114,7 +114,7 @@ def column_blocks(
     ``base`` are the base parameters, whose standard columns the factors have, ``terms`` those of further friction to
     take. In each of ``drifting`` runs friction is another; 1 if it is the same in all.
     """
-    offsets = tuple(Parameter("off", channel.name) for channel in channels if channel.kind.behind_drive)
+    offsets = tuple(Parameter("off", channel.name) for channel in channels if channel.kind.link_side)
     return (
         ColumnBlock(base.names, lambda run, channel, above: _felt(base, channel, np.eye(base.count))),
         *(_payload_block(base, payload) for payload in payloads),
@@ -126,7 +126,7 @@ def column_blocks(
 
 def _felt(base: BaseParameters, channel: Channel, columns: np.ndarray) -> np.ndarray:
     """Place columns (n_b, k) in those of the factors, (p, k); a sensor does not measure those of its joint's drive."""
-    felt = columns * seen_by_sensor(base.standard, channel.joint)[:, None] if channel.kind.behind_drive else columns
+    felt = columns * seen_by_sensor(base.standard, channel.joint)[:, None] if channel.kind.link_side else columns
     return np.concatenate([felt, np.zeros((EXTRA, columns.shape[1]))])
 
 

@@ -37,7 +37,7 @@ from gtau.robots.robot import Robot
 from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.preparation.prepared_run import InMemoryRun, Preparation, PreparedRun, prepare
 from gtau.signals.reading.statements import Payload, Prior
-from gtau.signals.run import Run, arrange
+from gtau.signals.run import Run
 
 
 @lru_cache(maxsize=8)
@@ -338,7 +338,7 @@ def reduce_runs(
         different bodies, or one that the robot lacks, or a payload beyond a sensor that already measures it.
     """
     model = model_of(robot)
-    runs = tuple(arrange(run, model.actuated) for run in runs)
+    runs = tuple(run.ordered(model.actuated) for run in runs)
     if len({run.kind for run in runs}) > 1:
         raise GtauError("some runs hold currents and others torques; identify them separately.")
     if len({run.wrenches for run in runs}) > 1:

@@ -59,13 +59,14 @@ def within_limits(robot: Robot, prepared: PreparedRun) -> PreparedRun:
 def _check_units(robot: Robot, run: Run, span: np.ndarray, speeds: np.ndarray) -> None:
     """Refuse motions impossible for a robot of this size, and name the wrong unit or clock; (n,) rad or m, s."""
     # Motors behind gears make any number of turns, and floating bases move without limits.
+    units = run.log.units
     geared = {name for each in robot.couplings for name in (each.joint, *dict(each.ratios))}.union(robot.base)
     for kind, (basic, other) in UNITS.items():
         joints = [j for j, name in enumerate(run.joints) if robot.joint(name).kind == kind and name not in geared]
         if not joints:
             continue
         widest = max(joints, key=lambda j: span[j])
-        declared = {run.log.units.of_position(run.joints[j]) or basic for j in joints} if run.log else {basic}
+        declared = {units.of_position(run.joints[j]) or basic for j in joints} if units else {basic}
         size = 1.0 if kind == "revolute" else characteristic_length(robot)
         moved = f"{span[widest]:.3g} {basic}"
         if 0 < span[widest] < LEAST[kind] * size and declared == {other}:
@@ -90,8 +91,8 @@ def _check_units(robot: Robot, run: Run, span: np.ndarray, speeds: np.ndarray) -
 
 def stated_rate(run: Run) -> float | None:
     """Return the sampling rate (Hz) stated for a log's signals; None if the log has time stamps."""
-    stated = run.log is not None and isinstance(run.log.signals.time, SampleRate)
-    return run.log.signals.time.rate if stated else None  # type: ignore[union-attr]
+    stated = None if run.log.signals is None else run.log.signals.time
+    return stated.rate if isinstance(stated, SampleRate) else None
 
 
 def _judge(run: str, joint: Joint, low: float, high: float, speed: float) -> Iterator[Finding]:
@@ -130,7 +131,7 @@ def sensors_of(robot: Robot, runs: Sequence[Run]) -> tuple[str, ...]:
     GtauError
         Where runs differ in their sensors, or a motor drives a sensor's joint through a coupling.
     """
-    behind = [[each for each in run.channels if each.kind.behind_drive] for run in runs]
+    behind = [[each for each in run.channels if each.kind.link_side] for run in runs]
     for run, own in zip(runs, behind, strict=True):
         for kind in dict.fromkeys(each.kind for each in (*behind[0], *own)):
             first, other = ([each.joint for each in of if each.kind == kind] for of in (behind[0], own))
@@ -151,7 +152,7 @@ def sensors_of(robot: Robot, runs: Sequence[Run]) -> tuple[str, ...]:
             raise GtauError(
                 f"joint '{each.name}' has the name of a {each.kind.name} of '{each.joint}'; rename the joint."
             )
-    return runs[0].sensed
+    return runs[0].sensors
 
 
 def check_wrenches(robot: Robot, run: Run) -> None:

@@ -71,7 +71,7 @@ class Problem:
     @cached_property
     def joints(self) -> tuple[str, ...]:
         """Actuated joints, those of a floating base included, (n,)."""
-        return tuple(each.joint for each in self.channels if not each.kind.behind_drive)
+        return tuple(each.joint for each in self.channels if not each.kind.link_side)
 
     @cached_property
     def sensor_channels(self) -> list[int]:

@@ -61,7 +61,7 @@ def model_estimates(
         _estimate(predicting, Parameter("delay", channel.name), "s", channel.joint, verdict)
         for channel, verdict in zip(channels, diagnosis.delays, strict=True)
     ]
-    sensors = {channel.name for channel in channels if channel.kind.behind_drive}
+    sensors = {channel.name for channel in channels if channel.kind.link_side}
     friction = _friction_names(fit, curves)
     given = {Parameter("gain", sensor) for sensor in sensors}
     if curves:  # terms of the equations that predict nothing

@@ -33,7 +33,7 @@ from gtau.documents.validation import Positive, unknown, validate
 from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.alternatives import Alternative
-from gtau.estimation.diagnostics.geometry_findings import GeometryTest
+from gtau.estimation.diagnostics.geometry_findings import GeometryTest, from_document
 from gtau.estimation.diagnostics.geometry_findings import to_document as geometry_document
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
@@ -58,7 +58,7 @@ from gtau.findings.finding import finding_document, note_document, read_note
 from gtau.robots.parameter import Parameter, parameter_of, unit_of
 from gtau.robots.readers.native import parse_native
 from gtau.robots.readers.native_text import native_text
-from gtau.signals.channel import SENSOR, ChannelKind, sensor_kind
+from gtau.signals.channel import SENSOR, ChannelKind, link_side_kind
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import Preparation
 
@@ -199,7 +199,7 @@ class _Sensor(_Group):
     delay: _Joint
     residual: _TorqueError
     ratio: _Joint | None
-    kind: Annotated[ChannelKind, BeforeValidator(sensor_kind), PlainSerializer(lambda kind: kind.name)] = SENSOR
+    kind: Annotated[ChannelKind, BeforeValidator(link_side_kind), PlainSerializer(lambda kind: kind.name)] = SENSOR
 
 
 class _Preparation(_Group):
@@ -308,7 +308,7 @@ class _Model(_Group):
     alternatives: tuple[Annotated[Alternative, PlainSerializer(_alternative)], ...]
     singularities: tuple[NearestPose, ...]
     temperatures: ReferenceTemperatures | None = None
-    geometry: Annotated[GeometryTest, PlainSerializer(geometry_document)] | None = None
+    geometry: Annotated[GeometryTest, BeforeValidator(from_document), PlainSerializer(geometry_document)] | None = None
     audit: Annotated[InertiaAudit, _with("stated_error", "identified_error")] | None = None
     notes: tuple[NoteEntry, ...]
     covariance: _Covariance

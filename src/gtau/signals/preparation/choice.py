@@ -48,7 +48,7 @@ def choose_preparation(runs: Sequence[Run], decimator: Literal["fir", "chebyshev
     GtauError
         No joint moves in a run, or a filter that is given is none at the rate of the slowest run.
     """
-    settings = runs[0].settings
+    settings = runs[0].log.settings
     slowest = min(run.rate for run in runs)
     found = [moving_spectra(run) for run in runs]
     moving = [each for of_run in found for each in of_run if each.moves]

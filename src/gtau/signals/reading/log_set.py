@@ -18,256 +18,226 @@ from gtau.signals.reading.formats import ALL, Table
 from gtau.signals.reading.log_file import read_log
 from gtau.signals.reading.samples import Source
 from gtau.signals.reading.units import Units
-from gtau.signals.storage import block, spans, store
+from gtau.signals.storage import block, blocks, store
+
+LONGEST_STEP = 3.0  # usual steps of the commands, beyond which they are not interpolated but missing
+CLOSE = 0.01  # of a step: stamps that differ by less are the same, up to rounding
 
 
-@dataclass(frozen=True, eq=False)
-class Logged:
-    """Logs of a run, located but not yet read.
+def read_logs(
+    paths: Sequence[Path],
+    signals: Signals,
+    units: Units,
+    notes: list[Finding],
+    rows: range = ALL,
+    progress: Callable[[float], None] = lambda done: None,
+) -> tuple[Source, Iterator[np.ndarray]]:
+    """Find the columns of a run in its logs, and read their ``rows``.
 
-    Of the ``files``' columns side by side, ``order`` are those of positions and channels, or the
-    positions where the others are ``aligned``, and ``times`` the time, in one column or two; ``scale`` and
-    ``time_scale`` bring them to SI units. ``notes`` report what was left out or aligned.
+    The samples (M, n + c + 1), in blocks, are positions, commands, torque sensors, wrenches and time. ``notes`` report
+    what was left out or aligned; ``progress`` is called with the part of the log that has been read.
+
+    Raises
+    ------
+    GtauError
+        Where a column is missing or given twice, a file cannot be read on, or two files do not belong together.
     """
-
-    files: tuple[Table, ...]
-    source: Source
-    signals: Signals
-    order: tuple[int, ...]
-    scale: tuple[float, ...]
-    times: tuple[int, ...]
-    time_scale: float
-    aligned: Aligned | None
-    notes: tuple[Finding, ...]
-
-    def blocks(self, rows: range = ALL, progress: Callable[[float], None] = lambda done: None) -> Iterator[np.ndarray]:
-        """Read samples (M, n + c + 1) in order: positions, commands, torque sensors, wrenches and time.
-
-        Parameters
-        ----------
-        rows : range
-            Those wanted.
-        progress : callable
-            Called with the part of the log that has been read.
-
-        Raises
-        ------
-        GtauError
-            Where a file cannot be read on, or two files have different lengths.
-        """
-        row = rows.start
-        if self.aligned is not None:
-            shift = self.aligned.rows.start
-            rows = range(rows.start + shift, min(rows.stop + shift, self.aligned.rows.stop))
-        for values, done in _side_by_side(self.files, rows):
-            progress(done)
-            time = instants(self.signals, values[:, self.times], self.time_scale, row)
-            found = values[:, self.order]
-            if self.aligned is not None:
-                commands = self.aligned.at(time)
-                commands[np.isnan(found).all(axis=1)] = np.nan  # rows that hold other topics
-                found = np.hstack([found, commands])
-            row += len(values)
-            yield np.column_stack([self._converted(found * self.scale), time])
-
-    def _converted(self, values: np.ndarray) -> np.ndarray:
-        """Prepend the base's six coordinates, whose commands are 0; move the wrenches to the origins of their axes.
-
-        The columns (M, .) are those of positions, pose, commands and sensors, and wrenches.
-        """
-        base = self.signals.base
-        own = len(base.joints) if base else 0
-        joints, modelled = len(self.source.joints) - own, sum(each.kind.modelled for each in self.source.channels) - own
-        widths = [joints, len(base.pose) if base else 0, modelled]
-        q, pose, commands, wrenches = np.split(values, np.cumsum(widths), axis=1)
-        wrenches = at_origins(self.signals.all_wrenches, wrenches, base.yaw if base else 0.0)
-        if base is None:
-            return np.hstack([q, commands, wrenches])
-        return np.hstack([base.positions(pose), q, np.zeros((len(values), own)), commands, wrenches])
-
-
-def find_logs(paths: Sequence[Path], signals: Signals, units: Units) -> Logged:
-    """Find the columns of a run in its logs; raises GtauError."""
     if len(paths) not in (1, 2):
         raise GtauError(f"a run has {len(paths)} logs; give one, or two with the positions and the {signals.kind}s.")
     times, stamps, base = signals.time_columns, signals.command_time_columns, signals.base
     positions, commands = [*signals.position.values(), *(base.pose if base else ())], list(signals.measured)
-    position_scale, command_scale, time_scale = units.scale(signals)
-    if len(paths) == 1 and set(positions) & set(commands):
+    if len(paths) == 1 and (both := set(positions) & set(commands)):
         raise GtauError(
-            f"{paths[0]}: the column '{min(set(positions) & set(commands))}' is given both as a position and as a "
-            f"{signals.kind}; correct one of the two."
+            f"{paths[0]}: the column '{min(both)}' is given both as a position and as a {signals.kind}; correct one "
+            "of the two."
         )
-    beside = commands if len(paths) == 1 and not stamps else []
-    files = [read_log(paths[0], (*times, *positions, *beside))]
+    position_scale, command_scale, time_scale = units.scale(signals)
+    files = [read_log(paths[0], (*times, *positions, *(commands if len(paths) == 1 and not stamps else ())))]
     aligned = None
     if stamps:
-        clock = read_log(paths[0], times)
-        aligned = align(paths[-1], (*stamps, *commands), (clock, stamps), time_scale, f"{signals.kind}s")
+        log = _stamped(paths[-1], stamps, commands, time_scale, f"{signals.kind}s")
+        clock = store(seconds(values, time_scale) for values, _ in read_log(paths[0], times).blocks())
+        aligned = _aligned((paths[0], clock), (paths[-1], log), f"{signals.kind}s")
     elif len(paths) == 2:
         files.append(read_log(paths[1], commands))
-    columns = [(k, name) for k, file in enumerate(files) for name in file.columns]
-    wanted = [(0, name) for name in positions]
-    wanted += [(len(files) - 1, name) for name in commands if not stamps]
     first = files[0]
     source = Source(
         name=" and ".join(str(path) for path in paths),
-        joints=signals.joints,
         channels=signals.channels,
         columns=(*_labels(signals), " and ".join(times) or "rate"),
         texts=ChainMap(*(file.texts for file in reversed(files))),
         first_line=(first.first_line or 1) + (aligned.rows.start if aligned else 0),
         line_word="row" if first.first_line is None else "line",
     )
-    notes = [note.of_source(file.path.name) if len(files) > 1 else note for file in files for note in file.notes]
-    return Logged(
-        files=tuple(files),
-        source=source,
-        signals=signals,
-        order=tuple(columns.index(column) for column in wanted),
-        scale=(*position_scale, *command_scale),
-        times=tuple(columns.index((0, name)) for name in times),
-        time_scale=time_scale,
-        aligned=aligned,
-        notes=(*notes, *([aligned.note] if aligned and aligned.note else [])),
-    )
+    notes += [note.of_source(file.path.name) if len(files) > 1 else note for file in files for note in file.notes]
+    notes += [aligned.note] if aligned and aligned.note else []
+    columns = [(k, name) for k, file in enumerate(files) for name in file.columns]
+    wanted = [(0, name) for name in positions] + [(len(files) - 1, name) for name in commands if not stamps]
+    order, at_times = [columns.index(column) for column in wanted], [columns.index((0, name)) for name in times]
+
+    def parts() -> Iterator[np.ndarray]:
+        row, located = rows.start, rows
+        if aligned is not None:
+            shift = aligned.rows.start
+            located = range(rows.start + shift, min(rows.stop + shift, aligned.rows.stop))
+        for values, done in _side_by_side(files, located):
+            progress(done)
+            time = instants(signals, values[:, at_times], time_scale, row)
+            logged = values[:, order]
+            if aligned is not None:
+                between = aligned.at(time)
+                between[np.isnan(logged).all(axis=1)] = np.nan  # rows that hold other topics
+                logged = np.hstack([logged, between])
+            row += len(values)
+            yield np.column_stack([_converted(signals, logged * [*position_scale, *command_scale]), time])
+
+    return source, parts()
+
+
+def _converted(signals: Signals, values: np.ndarray) -> np.ndarray:
+    """Prepend the base's six coordinates, whose commands are 0; move the wrenches to the origins of their axes.
+
+    The columns (M, .) are those of positions, pose, commands and sensors, and wrenches.
+    """
+    base, acting = signals.base, signals.all_wrenches
+    joints, pose = len(signals.position), len(base.pose) if base else 0
+    modelled = len(signals.measured) - sum(len(wrench.columns) for wrench in acting)
+    q, of_base, commands, wrenches = np.split(values, np.cumsum([joints, pose, modelled]), axis=1)
+    wrenches = at_origins(acting, wrenches, base.yaw if base else 0.0)
+    if base is None:
+        return np.hstack([q, commands, wrenches])
+    return np.hstack([base.positions(of_base), q, np.zeros((len(values), len(base.joints))), commands, wrenches])
 
 
 def _labels(signals: Signals) -> Iterator[str]:
     """Name the columns of positions and channels, for messages."""
-    base = signals.base
-    own = len(base.joints) if base else 0
+    base, acting = signals.base, signals.all_wrenches
     yield from (*(base.labels if base else ()), *signals.position.values())
-    yield from ["no motor"] * own
-    yield from signals.measured[: sum(each.kind.modelled for each in signals.channels) - own]
-    yield from (label for each in signals.all_wrenches for label in each.labels)
+    yield from ["no motor"] * (len(base.joints) if base else 0)
+    yield from signals.measured[: len(signals.measured) - sum(len(wrench.columns) for wrench in acting)]
+    yield from (label for wrench in acting for label in wrench.labels)
 
 
 def _side_by_side(files: Sequence[Table], wanted: range) -> Iterator[tuple[np.ndarray, float]]:
     """Join rows of logs that were sampled together, with the fraction of the first read so far."""
+    if len(files) == 1:
+        yield from files[0].blocks(wanted)
+        return
     streams = [file.blocks(wanted) for file in files]
-    held = [next(stream, None) for stream in streams]
-    rows = [0] * len(files)
-    while all(each is not None for each in held):
-        count = min(len(each[0]) for each in held if each)
-        yield np.hstack([each[0][:count] for each in held if each]), held[0][1] if held[0] else 1.0
-        for k, (each, stream) in enumerate(zip(held, streams, strict=True)):
-            rows[k] += count
-            if each is not None:
-                held[k] = (each[0][count:], each[1]) if len(each[0]) > count else next(stream, None)
-    for k, (each, stream) in enumerate(zip(held, streams, strict=True)):
-        rows[k] += (len(each[0]) if each else 0) + sum(len(values) for values, _ in stream)
-    if len(set(rows)) > 1:
+    waiting = [np.empty((0, len(file.columns))) for file in files]
+    counts, done = [0] * len(files), 0.0
+    while True:
+        for k, stream in enumerate(streams):
+            if not len(waiting[k]) and (read := next(stream, None)) is not None:
+                waiting[k], counts[k] = read[0], counts[k] + len(read[0])
+                done = read[1] if k == 0 else done
+        count = min(map(len, waiting))
+        if not count:
+            break
+        yield np.hstack([values[:count] for values in waiting]), done
+        waiting = [values[count:] for values in waiting]
+    counts = [count + sum(len(values) for values, _ in stream) for count, stream in zip(counts, streams, strict=True)]
+    if len(set(counts)) > 1:
         raise GtauError(
-            f"{files[0].path} has {rows[0]} rows but {files[1].path} has {rows[1]}; give two logs that were sampled "
-            "together, or the stamps of each (time: {position: COLUMN, command: COLUMN})."
+            f"{files[0].path} has {counts[0]} rows but {files[1].path} has {counts[1]}; give two logs that were "
+            "sampled together, or the stamps of each (time: {position: COLUMN, command: COLUMN})."
         )
-
-
-LONGEST_STEP = 3.0  # usual steps of the commands, beyond which they are not interpolated but missing
-CLOSE = 0.01  # of a step: stamps that differ by less are the same, up to rounding
 
 
 @dataclass(frozen=True, eq=False)
 class Aligned:
-    """Commands (K, n) at ``time`` (K,) in s; ``rows`` of the positions' log lie between the first and the last of them.
+    """Time in s and commands, ``log`` (K, 1 + c); ``rows`` of the positions' log lie between the first and the last.
 
     ``longest`` (s) is the step over which they are interpolated; beyond it they are missing. ``note`` reports it.
     """
 
-    time: np.ndarray
-    command: np.ndarray
+    log: np.ndarray
     longest: float
     rows: range
     note: Finding | None
 
     def at(self, time: np.ndarray) -> np.ndarray:
-        """Interpolate commands (M, n) linearly between stamps at other instants (M,); nan where they are missing."""
+        """Interpolate commands (M, c) linearly between stamps at other instants (M,); nan where they are missing."""
         known = np.isfinite(time)
-        found = np.full((len(time), self.command.shape[1]), np.nan)
+        commands = np.full((len(time), self.log.shape[1] - 1), np.nan)
         if not known.any():
-            return found
-        begin = max(int(np.searchsorted(self.time, np.min(time[known]), side="right")) - 1, 0)
-        end = int(np.searchsorted(self.time, np.max(time[known]))) + 1
-        stamps, commands = block(self.time, begin, end), block(self.command, begin, end)
+            return commands
+        begin = max(int(np.searchsorted(self.log[:, 0], np.min(time[known]), side="right")) - 1, 0)
+        end = int(np.searchsorted(self.log[:, 0], np.max(time[known]))) + 1
+        stamps, *logged = block(self.log, begin, end).T
         after = np.clip(np.searchsorted(stamps, time[known], side="left"), 0, len(stamps) - 1)
         before = np.maximum(after - (stamps[after] != time[known]), 0)
         between = (stamps[after] - stamps[before] <= self.longest) & (stamps[after] >= time[known])
-        values = np.column_stack([np.interp(time[known], stamps, each) for each in commands.T])
-        found[known] = np.where(between[:, None], values, np.nan)
-        return found
+        values = np.column_stack([np.interp(time[known], stamps, command) for command in logged])
+        commands[known] = np.where(between[:, None], values, np.nan)
+        return commands
 
 
-def align(
-    path: Path, columns: Sequence[str], times: tuple[Table, Sequence[str]], scale: float, what: str
-) -> Aligned:  # fmt: skip
-    """Read commands and their time stamps, and compare these with the stamps of the positions.
-
-    Parameters
-    ----------
-    path : Path
-        The log of the commands.
-    columns : sequence of str
-        Their time, one column or two (seconds and nanoseconds), then the commands.
-    times : pair
-        The log of the positions, of their time columns alone, and the time columns of the commands.
-    scale : float
-        Of a time column, in s.
-    what : str
-        ``currents`` or ``torques``.
+def _stamped(path: Path, stamps: Sequence[str], commands: Sequence[str], scale: float, what: str) -> np.ndarray:
+    """Read the complete rows of commands and their time in s, (K, 1 + c); of equal stamps the first.
 
     Raises
     ------
     GtauError
-        Their stamps go back, or the two clocks do not overlap.
+        Their stamps go back, or hardly any row is complete.
     """
-    positions, stamp_names = times
-    file = read_log(path, columns)
-    wide = len(stamp_names)
-    stamps = [file.columns.index(name) for name in stamp_names]
-    others = [file.columns.index(name) for name in columns[wide:]]
-
-    parts = []
-    row, last = 0, -np.inf
-    kept = 0
+    file = read_log(path, (*stamps, *commands))
+    at_stamps, at_commands = ([file.columns.index(name) for name in names] for names in (stamps, commands))
+    parts, row, last, count = [], 0, -np.inf, 0
     for values, _ in file.blocks():
-        whole = np.isfinite(values).all(axis=1)
-        time = seconds(values[:, stamps], scale)
-        back = np.flatnonzero(np.diff(time[whole], prepend=last) < 0)
-        if back.size:
-            at = row + int(np.flatnonzero(whole)[back[0]]) + (file.first_line or 1)
+        complete = np.isfinite(values).all(axis=1)
+        time = seconds(values[:, at_stamps], scale)
+        steps = np.diff(time[complete], prepend=last)
+        if (steps < 0).any():
+            at = row + int(np.flatnonzero(complete)[np.argmax(steps < 0)]) + (file.first_line or 1)
             raise GtauError(
                 f"{path}, {'row' if file.first_line is None else 'line'} {at}: the time of the {what} goes back; cut "
                 "the log there into two runs, or correct the column."
             )
-        whole[whole] = np.diff(time[whole], prepend=last) > 0  # of equal stamps the first
-        parts.append(np.column_stack([time[whole], values[np.ix_(whole, others)]]))
-        row, kept = row + len(values), kept + int(whole.sum())
-        if whole.any():
-            last = float(time[whole][-1])
-    if kept < 2:
-        raise GtauError(f"{path} has {kept} complete rows of {what}; give the log and columns that hold them.")
-    table = store(parts, (1 + len(others),))
-    own, commands = table[:, 0], table[:, 1:]
+        last = float(time[complete][-1]) if complete.any() else last
+        complete[complete] = steps > 0
+        parts.append(np.column_stack([time[complete], values[np.ix_(complete, at_commands)]]))
+        row, count = row + len(values), count + len(parts[-1])
+    if count < 2:
+        raise GtauError(f"{path} has {count} complete rows of {what}; give the log and columns that hold them.")
+    return store(parts, (1 + len(commands),))
 
-    clock = store(seconds(values, scale) for values, _ in positions.blocks())
-    inside = np.flatnonzero((clock >= own[0]) & (clock <= own[-1]))
+
+def _aligned(positions: tuple[Path, np.ndarray], commands: tuple[Path, np.ndarray], what: str) -> Aligned:
+    """Compare the instants (N,) in s of a log of positions with those of commands (K, 1 + c), ``currents`` or others.
+
+    Raises
+    ------
+    GtauError
+        The two clocks do not overlap.
+    """
+    (path, clock), (other_path, log) = positions, commands
+    stamps = log[:, 0]
+    inside = np.flatnonzero((clock >= stamps[0]) & (clock <= stamps[-1]))
     finite = clock[np.isfinite(clock)]
     if not inside.size or not finite.size:
         spanned = f"{finite[0]:.9g} to {finite[-1]:.9g} s" if finite.size else "no time"
         raise GtauError(
-            f"{positions.path} holds positions from {spanned}, but {path} {what} from {own[0]:.9g} to {own[-1]:.9g} s: "
-            "their clocks do not overlap; log both with one clock, or give the logs of one run."
+            f"{path} holds positions from {spanned}, but {other_path} {what} from {stamps[0]:.9g} to {stamps[-1]:.9g} "
+            "s: their clocks do not overlap; log both with one clock, or give the logs of one run."
         )
     rows = range(int(inside[0]), int(inside[-1]) + 1)
-    steps = [float(np.median(np.diff(each))) for each in (finite, own)]
-    apart = _distances(finite, own)
-    longest = LONGEST_STEP * max(steps)
+    steps = [float(np.median(np.diff(time))) for time in (finite, stamps)]
+    apart = _distances(finite, stamps)
     if apart <= CLOSE * min(steps) and len(rows) == len(clock):
-        return Aligned(own, commands, longest, rows, None)
+        return Aligned(log, LONGEST_STEP * max(steps), rows, None)
     said = {"signal": what, "rate": 1 / steps[1], "position_rate": 1 / steps[0], "apart": apart * 1e3}
-    aligned = Finding(F.ALIGNED, values={**said, "left_out": len(clock) - len(rows)})
-    return Aligned(own, commands, longest, rows, aligned)
+    note = Finding(F.ALIGNED, values={**said, "left_out": len(clock) - len(rows)})
+    return Aligned(log, LONGEST_STEP * max(steps), rows, note)
+
+
+def _distances(time: np.ndarray, stamps: np.ndarray) -> float:
+    """Compute the typical distance in s from an instant to the closest stamp."""
+    medians = []
+    for part in blocks(time):
+        after = np.clip(np.searchsorted(stamps, part), 1, len(stamps) - 1)
+        medians.append(np.median(np.minimum(np.abs(part - stamps[after - 1]), np.abs(stamps[after] - part))))
+    return float(np.median(medians))
 
 
 def instants(signals: Signals, stamps: np.ndarray, scale: float, row: int) -> np.ndarray:
@@ -280,13 +250,3 @@ def instants(signals: Signals, stamps: np.ndarray, scale: float, row: int) -> np
 def seconds(stamps: np.ndarray, scale: float) -> np.ndarray:
     """Convert one column, or two with seconds and nanoseconds, to times (M,) in s."""
     return stamps[:, 0] * scale if stamps.shape[1] == 1 else stamps[:, 0] + stamps[:, 1] * 1e-9
-
-
-def _distances(time: np.ndarray, stamps: np.ndarray) -> float:
-    """Compute the typical distance in s from an instant to the closest stamp."""
-    found = []
-    for span in spans(len(time)):
-        part = block(time, *span)
-        after = np.clip(np.searchsorted(stamps, part), 1, len(stamps) - 1)
-        found.append(np.median(np.minimum(np.abs(part - stamps[after - 1]), np.abs(stamps[after] - part))))
-    return float(np.median(found))

@@ -10,10 +10,10 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
-from gtau.signals.reading.samples import Samples, ahead, extremes
+from gtau.signals.reading.samples import Samples, extremes
 from gtau.signals.repair.clock import REACH, WHITE, cubic_residuals
 from gtau.signals.repair.resampling import FROZEN, MISSING_STEP, Held
-from gtau.signals.storage import block, spans, store, stride_of
+from gtau.signals.storage import block, blocks, spans, stored_like, stride_of
 
 WIDEST = 3  # samples; positions that stay away longer are a slip, which is refused
 NEIGHBOURS = 6  # samples nearest to them, through which a cubic is fitted
@@ -99,7 +99,7 @@ def _blocks(
     samples: Samples, instants: np.ndarray, held: Held
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
     """Yield numbers, instants and positions of fresh samples in blocks, with those around, and which are inside."""
-    margin = 2 * (NEIGHBOURS + WIDEST) * (1 if held.by_chance else held.longest)
+    margin = 2 * (NEIGHBOURS + WIDEST) * held.longest
     for start, stop in spans(len(samples.time)):
         begin, end = max(0, start - margin), min(len(samples.time), stop + margin)
         position = block(samples.position, begin, end)
@@ -173,18 +173,20 @@ def without_glitches(samples: Samples, glitches: Sequence[Glitch]) -> Samples:
     def parts() -> Iterator[np.ndarray]:
         for start, stop in spans(len(samples.position)):
             part = block(samples.position, start, stop)
-            for each in glitches:
-                if start <= each.sample < stop:
-                    part[each.sample - start, each.joint] = each.value
+            for glitch in glitches:
+                if start <= glitch.sample < stop:
+                    part[glitch.sample - start, glitch.joint] = glitch.value
             yield part
 
-    return replace(samples, position=store(parts(), samples.position.shape[1:]))
+    return replace(samples, position=stored_like(samples.position, parts()))
 
 
 def glitch_note(samples: Samples, glitches: Sequence[Glitch]) -> Finding:
     """Report number and joints of the glitches, and the first one; ``samples`` still hold them."""
     names, first = samples.source.joints, glitches[0]
-    counts = [(names[j], sum(each.joint == j for each in glitches)) for j in sorted({each.joint for each in glitches})]
+    counts = [
+        (names[j], sum(glitch.joint == j for glitch in glitches)) for j in sorted({glitch.joint for glitch in glitches})
+    ]
     logged, place = float(samples.position[first.sample, first.joint]), samples.place(first.sample)
     values = {"counts": counts, "first": names[first.joint], "place": place}
     return Finding(
@@ -262,7 +264,7 @@ def refuse_frozen(samples: Samples, instants: np.ndarray, held: Held) -> None:
     stride, fast, usual = stride_of(count), [], []
     since, into = np.zeros(n, dtype=int), np.zeros(n)  # the first sample of the present value, and the step to it
     edges, spells = np.zeros(n), np.zeros((n, 2), dtype=int)
-    for start, stop in ahead(count):
+    for start, stop in spans(count, before=1):
         position = block(samples.position, start, stop)
         fresh = held.fresh(position)
         at, steps = start + np.flatnonzero(fresh), np.diff(position[fresh], axis=0)
@@ -328,7 +330,7 @@ def refuse_magnitudes(samples: Samples) -> None:
     """
     source, n = samples.source, len(samples.source.joints)
     low, high = (each[:n] for each in extremes(samples.command))
-    steps = [np.abs(np.diff(block(samples.position, *span), axis=0)).sum(axis=0) for span in ahead(len(samples.time))]
+    steps = [np.abs(np.diff(part, axis=0)).sum(axis=0) for part in blocks(samples.position, before=1)]
     first, last = extremes(samples.position)
     acting = (high > low) & (last > first)
     reversing = np.sum(steps, axis=0) > REVERSING * (last - first)
@@ -339,8 +341,8 @@ def refuse_magnitudes(samples: Samples) -> None:
 
 def whole_numbers(command: np.ndarray, joints: int) -> float:
     """Compute the share of the commands (N, c) of the first ``joints`` that are whole numbers."""
-    parts = [block(command, *span)[:, :joints] for span in ahead(len(command))]
-    return sum(int(np.sum(part == np.round(part))) for part in parts) / sum(part.size for part in parts)
+    parts = (part[:, :joints] for part in blocks(command))
+    return sum(int(np.sum(part == np.round(part))) for part in parts) / (len(command) * joints)
 
 
 CLIPPED_RUN = 3  # samples in a row at the extreme value
@@ -383,14 +385,14 @@ def clipped(samples: Samples, notes: list[Finding]) -> list[tuple[int, float]]:
 
 
 def _count_at(command: np.ndarray, j: int, level: float) -> int:
-    return sum(int(np.count_nonzero(block(command, *span)[:, j] == level)) for span in spans(len(command)))
+    return sum(int(np.count_nonzero(part[:, j] == level)) for part in blocks(command))
 
 
 def _count_beside(command: np.ndarray, j: int, level: float) -> int:
     """Count samples at the value next to an extreme one."""
     nearest, count = np.inf, 0
-    for span in spans(len(command)):
-        away = np.abs(block(command, *span)[:, j] - level)
+    for part in blocks(command):
+        away = np.abs(part[:, j] - level)
         away = away[away > 0]
         least = away.min(initial=np.inf)
         if least < nearest:
@@ -402,10 +404,10 @@ def _count_beside(command: np.ndarray, j: int, level: float) -> int:
 def _longest_at(samples: Samples, j: int, mover: int, level: float) -> int:
     """Find the longest run of samples in which joint j moves and its command stays at ``level``."""
     position, command, count = samples.position, samples.command, len(samples.time)
-    steps = [np.sum(np.diff(block(position, *span)[:, mover]) ** 2) for span in ahead(count)]
+    steps = [np.sum(np.diff(part[:, mover]) ** 2) for part in blocks(position, before=1)]
     least = 0.05 * np.sqrt(sum(steps) / count)
     longest = now = 0
-    for start, stop in ahead(count):
+    for start, stop in spans(count, before=1):
         speed = np.abs(np.diff(block(position, start, stop)[:, mover]))
         at = (block(command, start, stop)[1:, j] == level) & (speed > least)
         edges = np.flatnonzero(np.diff(np.r_[False, at, False]))

@@ -14,7 +14,7 @@ import numpy as np
 
 from gtau.errors import GtauError, missing_extra
 from gtau.signals.reading.formats import WIDEST, Table, common_length, readable
-from gtau.signals.storage import sizes
+from gtau.signals.storage import block_size
 
 if TYPE_CHECKING:
     import polars as pl
@@ -173,8 +173,8 @@ def _table(
         count = common_length(path, {name: rows[name] for name in names})
         with readable(path, "a log"), load({found[name][0] for name in names}) as arrays:
             end = min(wanted.stop, count)
-            for start in range(wanted.start, end, sizes().rows):
-                stop = min(start + sizes().rows, end)
+            for start in range(wanted.start, end, block_size()):
+                stop = min(start + block_size(), end)
                 frame = {name: _column(arrays, found[name], start, stop) for name in names}
                 yield pl.DataFrame(frame), stop / count
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from gtau.documents.files import in_order
 from gtau.errors import GtauError
 from gtau.signals.reading.formats import WIDEST, DataSet, Table
-from gtau.signals.storage import sizes
+from gtau.signals.storage import block_size
 
 if TYPE_CHECKING:
     import polars as pl
@@ -71,8 +71,8 @@ def _table(path: Path, parts: Sequence[Path], scan: Callable[[Path], pl.LazyFram
         first = 0  # row of the part
         for part, length in zip(parts, lengths, strict=True):
             begin, end = max(rows.start - first, 0), min(rows.stop - first, length)
-            for start in range(begin, end, sizes().rows):
-                stop = min(start + sizes().rows, end)
+            for start in range(begin, end, block_size()):
+                stop = min(start + block_size(), end)
                 try:
                     frame = scan(part).select([columns[name] for name in names]).slice(start, stop - start).collect()
                 except pl.exceptions.PolarsError as error:

@@ -16,7 +16,7 @@ import numpy as np
 
 from gtau.errors import GtauError, missing_extra
 from gtau.signals.reading.formats import WIDEST, Table, common_length, readable
-from gtau.signals.storage import sizes
+from gtau.signals.storage import block_size
 
 if TYPE_CHECKING:
     import polars as pl
@@ -87,7 +87,7 @@ def open_rosbag(path: Path) -> Table:
                 " (time: {position: COLUMN, command: COLUMN})."
             )
         getters = [columns[name][1] for name in names]
-        values = np.empty((min(sizes().rows, count), len(names)))
+        values = np.empty((min(block_size(), count), len(names)))
         filled = 0
         with readable(path, "a ROS bag"), _reader(path) as bag:
             connections = [each for each in bag.connections if each.topic == topics[0]]

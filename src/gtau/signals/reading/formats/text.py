@@ -18,7 +18,7 @@ from gtau.errors import GtauError
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.signals.reading.formats import Table
-from gtau.signals.storage import sizes
+from gtau.signals.storage import BYTES, block_size
 
 if TYPE_CHECKING:
     import polars as pl
@@ -254,7 +254,7 @@ def _whole_lines(path: Path, begin: int) -> Iterator[tuple[bytes, float]]:
     size, torn = path.stat().st_size, b""
     with path.open("rb") as file:
         file.seek(begin)
-        while read := file.read(sizes().text):
+        while read := file.read(BYTES * block_size()):
             end = read.rfind(b"\n") + 1
             if end:
                 text, torn = torn + read[:end], b""
