@@ -70,7 +70,7 @@ def _alternatives(fit: Fit, estimator: Finding, moves: np.ndarray, stds: np.ndar
         )
         if not (estimated and stds[k] > 0 and plausible[k] > 0 and values[k]):
             continue
-        scale, joints = abs(values[k]), (name.body,) if gain else ()
+        scale, joints = abs(values[k]), (problem.joints[j],) if gain else ()
         yield Alternative(
             estimator.kind,
             (replace(estimator, joints=joints, subject="" if gain else name),),

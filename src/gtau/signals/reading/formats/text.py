@@ -99,7 +99,8 @@ def open_text(path: Path) -> Table:
 
 def _skipped(lines: Sequence[int], header: _Line | None) -> Iterator[Finding]:
     if lines:
-        values = {"first": lines[0], "last": lines[-1], "header": header.number if header else 0}
+        last = lines[-1] if len(lines) > 1 else 0
+        values = {"first": lines[0], "last": last, "header": header.number if header else 0}
         yield Finding(F.SKIPPED_LINES, values=values)
 
 
