@@ -64,10 +64,8 @@ def _alternatives(fit: Fit, estimator: Finding, moves: np.ndarray, stds: np.ndar
     problem, values = fit.system.problem, fit.solution.values
     plausible = np.sqrt(np.diag(fit.solution.jackknife))
     for k, name in enumerate(problem.unknowns[: problem.gain_rows.stop]):
-        gain = name.kind == "gain"
-        estimated = (
-            problem.unknown_gains[k - problem.gain_rows.start] if gain else abs(moves[k]) >= DIFFERENT_STD * stds[k]
-        )
+        j, gain = k - problem.gain_rows.start, name.kind == "gain"
+        estimated = problem.unknown_gains[j] if gain else abs(moves[k]) >= DIFFERENT_STD * stds[k]
         if not (estimated and stds[k] > 0 and plausible[k] > 0 and values[k]):
             continue
         scale, joints = abs(values[k]), (problem.joints[j],) if gain else ()
