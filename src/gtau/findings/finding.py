@@ -217,17 +217,19 @@ def note_document(finding: Finding) -> dict[str, Any]:
 
 
 def read_note(document: Any) -> Any:
-    """Read a finding from the JSON document of :func:`note_document`; raises ValueError."""
+    """Give the JSON document of :func:`note_document` the keys of a :class:`Finding`; raises ValueError."""
     if not isinstance(document, dict):
         return document
     if missing := {"kind", "what"} - set(document):
         raise ValueError(f"the key '{min(missing)}' is missing; add it")
-    precise, topic = document.get("finding"), document["kind"]
-    return Finding(
-        F(precise if precise in set(F) else topic),
-        (document["joint"],) if document.get("joint") else (),
-        values={"what": document["what"], "action": document.get("action") or ""},
-        source=document.get("source") or "",
-        time=document.get("time"),
-        share=document.get("share"),
-    )
+    what, action, precise = document["what"], document.get("action") or "", document.get("finding")
+    if not (isinstance(what, str) and isinstance(action, str)):
+        raise ValueError("'what' and 'action' are texts; write them as such")
+    return {
+        "kind": precise if isinstance(precise, str) and precise in set(F) else document["kind"],
+        "joints": (document["joint"],) if document.get("joint") else (),
+        "values": {"what": what, "action": action},
+        "source": document.get("source") or "",
+        "time": document.get("time"),
+        "share": document.get("share"),
+    }

@@ -8,23 +8,30 @@ from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
+from gtau.documents.files import system_refusals
 from gtau.errors import GtauError
-from gtau.extensions import Extensions
-from gtau.signals.reading.formats import Table, system_refusals
+from gtau.extensions import added, built_in
+from gtau.signals.reading.formats import Table
 from gtau.signals.reading.formats.columnar import INFO
 from gtau.signals.reading.formats.rosbag import LOG_FORMATS as BAGS
 from gtau.signals.reading.formats.text import open_text
 
-FORMATS: Extensions[Callable[[Path], Table]] = Extensions("gtau.log_formats", "gtau.signals.reading.formats", Callable)
-"""Readers by the ending of the file's name; anything else is text."""
+GROUP = "gtau.log_formats"
+"""Of the entry points of other distributions."""
+
+
+def reader_of(ending: str) -> Callable[[Path], Table] | None:
+    """Find the reader of files whose name has an ending (``.npz``); None where it has none of its own."""
+    found = built_in(GROUP, "gtau.signals.reading.formats").get(ending) or added(GROUP, ending, Callable)
+    return cast("Callable[[Path], Table] | None", found)
 
 
 def read_log(path: str | Path, names: Iterable[str]) -> Table:
-    """Locate columns of a log by name, unchecked; the ending of its name gives the format, see :data:`FORMATS`.
+    """Locate columns of a log by name, unchecked; the ending of its name gives the format, see :func:`reader_of`.
 
     Raises
     ------
@@ -42,7 +49,7 @@ def find_columns(path: Path) -> Table:
     with system_refusals(path):
         if not path.is_dir():
             path.open("rb").close()  # the system's reason, not a library's, where there is no such file
-        reader = FORMATS.find(_ending(path)) or open_text
+        reader = reader_of(_ending(path)) or open_text
         return reader(path)
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gtau.documents.files import system_refusals
 from gtau.errors import GtauError
 from gtau.findings import Finding
 from gtau.signals.storage import store
@@ -97,15 +98,6 @@ def _numbers(series: pl.Series) -> tuple[np.ndarray, str | None]:
         return numbers, None
     entry = series[int(bad[0])]
     return numbers, "" if entry is None else str(entry)
-
-
-@contextmanager
-def system_refusals(path: Path) -> Iterator[None]:
-    """Turn an error of the system into one sentence."""
-    try:
-        yield
-    except OSError as error:
-        raise GtauError(f"{path} cannot be read: {(error.strerror or str(error)).lower()}; check the path.") from None
 
 
 @contextmanager
