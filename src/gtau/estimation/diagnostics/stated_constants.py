@@ -33,7 +33,6 @@ from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.equations import KNOWN, SIGNALS, delayed_signal, modelled, triangle
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import APART, MISFIT_GIVEN, PAYLOAD_MOVES
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
@@ -315,8 +314,8 @@ def _freed(fit: Fit, method: str, payload: Payload, kind: str, accuracy: float) 
         parameters.index(label)
         for load in other.system.payloads
         if load.payload.name == payload.name
-        for (label, of), sums in zip(load.unknown.items(), load.sums, strict=True)
-        if of == kind and np.count_nonzero(sums) == 1 and label in parameters
+        for label, sums in zip(load.unknown, load.sums, strict=True)
+        if label.kind == kind and np.count_nonzero(sums) == 1 and label in parameters
     ]
     if not columns or not set(other.system.unexcited) <= set(fit.system.unexcited):
         return None  # or it cannot be separated from what is not declared
