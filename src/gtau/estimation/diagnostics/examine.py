@@ -12,13 +12,12 @@ from gtau.estimation.diagnostics.effort import UNRANKED, Meaning, effort_finding
 from gtau.estimation.diagnostics.hypotheses import HYPOTHESES, find_alternatives, ranked
 from gtau.estimation.diagnostics.hypotheses.description import GRAVITY, WRENCH_OFFSETS, WRENCH_POINTS
 from gtau.estimation.diagnostics.hypotheses.drives import GAIN_CHANGE, gain_changes
-from gtau.estimation.diagnostics.log_checks import frozen_encoders, lack_of_fit
+from gtau.estimation.diagnostics.log_checks import frozen_encoders, gravity_not_shown, lack_of_fit
 from gtau.estimation.diagnostics.other_estimators import ESTIMATORS, other_estimators, two_stage_difference
 from gtau.estimation.diagnostics.other_robots import (
     LENGTHS,
     TOOL_BODIES,
     gravity_asked_for,
-    gravity_not_shown,
     likelier_gravity,
     missing_gravity,
     other_gravity,
@@ -245,7 +244,7 @@ def estimates_of(fit: Fit, examined: Examination, correlated: bool) -> Estimates
     That is by the block jackknife and with the model part, or by the method's formula alone, as the paper does.
     """
     problem, solution = fit.system.problem, fit.solution
-    of_scale = scale_uncertainty(fit.dataset, fit.system, fit.solve)
+    of_scale = scale_uncertainty(fit.system, fit.solve)
     if not correlated:
         parts = (solution.covariance, of_scale, np.zeros_like(of_scale))
         return Estimates(problem.unknowns, solution.values, *parts, None)

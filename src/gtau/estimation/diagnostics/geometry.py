@@ -9,12 +9,14 @@ leaves the torque errors of the UPV robot (docs/evidence/zoo.md) as they are.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry_findings import ConstantChange, GeometryTest, PoseResidual
-from gtau.estimation.diagnostics.pose_fit import PoseFit, component_names, fit_frames, fit_poses
+from gtau.estimation.diagnostics.pose_fit import FLOOR, PoseFit, Poses, component_names, first_frames, fit_poses
+from gtau.estimation.regression.rows import Labels
 from gtau.estimation.thresholds.logs import (
     GEOMETRY_ALIKE,
     GEOMETRY_CHANGE,
@@ -25,13 +27,18 @@ from gtau.estimation.thresholds.logs import (
     GEOMETRY_STD,
 )
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.lengths import Constant
+from gtau.model.lengths import Constant, VariableGeometry, variable_geometry
 from gtau.progress import Progress, silent
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import Robot
 from gtau.signals.reading.body_columns import PoseColumns
 from gtau.signals.reading.side_signals import LoggedPoses
 
+SAMPLES = 400  # of all runs together: residuals are smooth, so that more hardly add anything
+STRETCHES = 8  # of a run, whose residuals are taken for independent of each other
+LONGEST = 0.1  # s: delays of poses beyond it are none
+SHORTEST = 1e-3  # s: a smaller delay needs no positions of its own
+APART = 5  # rows on either side, over which speeds are taken from positions
 TRIED = 4  # constants that are fitted beyond the first order at each step; one that is the explanation was the first
 MOST = 4  # constants that may explain the residuals together: the effort of the search; three were the most found
 
@@ -43,7 +50,7 @@ def geometry_test(
     logged: Sequence[LoggedPoses],
     progress: Progress = silent,
 ) -> GeometryTest:
-    """Test the geometry of a robot by logged poses; see :func:`gtau.estimation.diagnostics.pose_fit.fit_frames`."""
+    """Test the geometry of a robot by logged poses; for parameters and refusals see :func:`fit_frames`."""
     progress("geometry", 0, MOST + 1)
     given = fit_frames(model, columns, joints, logged)
     tried, fit = _tried(given), given
@@ -173,3 +180,58 @@ def _unexplained(fit: PoseFit) -> np.ndarray:
 
 def _rms_distance(residual: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
+
+
+def fit_frames(
+    model: InverseDynamics, columns: PoseColumns, joints: Sequence[str], logged: Sequence[LoggedPoses]
+) -> PoseFit:
+    """Fit the unknown frames alone, components weighted by the residual that no constant explains to first order.
+
+    ``joints`` is the order of the logged positions, ``logged`` one for each run. Raises GtauError where the loops
+    cannot be closed along them, or a run's time does not rise.
+    """
+    geometry = variable_geometry(model.robot, columns.body or model.robot.tool)
+    fit = _fit_delayed(model, geometry, columns, joints, logged, 0.0)
+    delay = float(np.clip(fit.frames.delay, -LONGEST, LONGEST))
+    # a delay by velocities alone is wrong by half the acceleration times its square, 0.4 mm at 20 ms of a quick arm
+    return _fit_delayed(model, geometry, columns, joints, logged, delay) if abs(delay) > SHORTEST else fit
+
+
+def _fit_delayed(
+    model: InverseDynamics,
+    geometry: VariableGeometry,
+    columns: PoseColumns,
+    joints: Sequence[str],
+    logged: Sequence[LoggedPoses],
+    delay: float,
+) -> PoseFit:
+    """Fit the frames, with the positions of the joints taken by a ``delay`` earlier than the poses."""
+    order = [list(joints).index(joint) for joint in model.actuated]
+    turning = [model.robot.joint(joint).turns for joint in model.actuated]
+    parts: list[tuple[np.ndarray, ...]] = []
+    for k, log in enumerate(logged):
+        q, time = np.array(log.q[:, order]), np.asarray(log.time)
+        q[:, turning] = np.unwrap(q[:, turning], axis=0)
+        count = min(max(SAMPLES // len(logged), 2 * STRETCHES), len(q) - 2 * APART)
+        at = np.unique(np.linspace(APART, len(q) - 1 - APART, count).round().astype(int))
+        step = time[at + APART] - time[at - APART]
+        if not (step > 0).all():
+            raise GtauError(f"run '{log.run}': its time does not rise at the logged poses; correct the time column.")
+        qd = (q[at + APART] - q[at - APART]) / step[:, None]
+        stretch = STRETCHES * k + np.arange(len(at)) * STRETCHES // len(at)
+        earlier = np.stack([np.interp(time[at] - delay, time, column) for column in q.T])
+        c = model.path(earlier, Labels(log.run, time[at]))
+        parts.append((np.asarray(log.values[at]), qd, time[at] - time[0], np.full(len(at), k), stretch, c.T))
+    values, qd, time, run, stretch, c = (np.concatenate(log) for log in zip(*parts, strict=True))
+    weights = np.ones(len(component_names(columns)))
+    poses = Poses(geometry, columns, values, qd, time, run, stretch, weights, delay)
+    c, change = c.T.copy(), np.zeros(len(geometry.constants))
+    body = geometry.pose(c, change)
+    fit = fit_poses(PoseFit(poses, first_frames(poses, body), change, c, body, ()), ())
+    assert fit is not None  # without other constants the loops stay closed
+    seen = np.flatnonzero(np.isfinite(fit.compared[2]).all(axis=(0, 1)))
+    left = replace(fit, chosen=tuple(seen.tolist())).beyond(fit.residual).reshape(len(values), -1)
+    weights = 1 / np.maximum(np.sqrt(np.mean(left**2, axis=0)), FLOOR)
+    weighed = fit_poses(replace(fit, poses=replace(poses, weights=weights)), ())
+    assert weighed is not None
+    return weighed

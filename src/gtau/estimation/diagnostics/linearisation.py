@@ -29,7 +29,10 @@ SPANNED = 1e-6  # of the square of a column: less is left by the other unknowns,
 CandidateColumns = Callable[[Rows], np.ndarray]
 """Gives torques (n, K, m), or (c, K, m) of all channels, in N m or N at each block of a window's rows, in order."""
 
-Offer = Callable[[InMemoryRun, Callable[[], Motion], np.ndarray], CandidateColumns]
+Moving = Callable[[], Motion]
+"""Makes the motion along a window, once."""
+
+Offer = Callable[[InMemoryRun, Moving, np.ndarray], CandidateColumns]
 """Makes the candidate columns along a window: from its motion, and the values (n_b,) of the base columns in its run."""
 
 
@@ -152,7 +155,7 @@ def window_rows(
     Their columns are those of :class:`gtau.estimation.regression.factors.Factors`, and m candidates.
     """
     regressor, c = model.columns(fit.dataset.base.standard), len(fit.system.problem.channels)
-    loaded = any(term.kind == "fl" for term in fit.system.friction.terms)
+    loaded = any(term.kind == "fl" for term in fit.system.terms)
     load = fit.system.load(run, fit.solution.theta) if loaded else None
     decimator = fit.dataset.preparation.at(window.run.rate).decimator
     parts, keep = [], []
@@ -224,7 +227,7 @@ def at_full_rate(window: InMemoryRun, fit: Fit, torques: np.ndarray) -> Candidat
 def on_channels(offer: Offer, felt: bool) -> Offer:
     """Add a joint's torque to its torque sensor's rows where the sensor has ``felt`` it, otherwise zeros."""
 
-    def with_sensors(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+    def with_sensors(window: InMemoryRun, motion: Moving, values: np.ndarray) -> CandidateColumns:
         columns = offer(window, motion, values)
         behind = [channel.row for channel in window.run.channels if channel.kind.link_side]
 
@@ -240,7 +243,7 @@ def on_channels(offer: Offer, felt: bool) -> Offer:
 def side_by_side(offers: Sequence[Offer]) -> Offer:
     """Build the columns of several hypotheses in one pass over the windows."""
 
-    def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+    def offer(window: InMemoryRun, motion: Moving, values: np.ndarray) -> CandidateColumns:
         made = [make(window, motion, values) for make in offers]
         return lambda rows: np.concatenate([columns(rows) for columns in made], axis=-1)
 

@@ -17,20 +17,23 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.alternatives import rms_torques
+from gtau.estimation.diagnostics.linearisation import window_motion
 from gtau.estimation.estimators.estimator import Fit, Solution
-from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.equations import SIGNAL, SIGNALS
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import MISFIT, UNFELT_PAYLOAD
 from gtau.estimation.thresholds.logs import (
     DELAY_MOTION,
+    GRAVITY_FELT,
     LAG_LEAST,
     LAG_LOSS,
     LAG_SAMPLES,
     LAG_STD,
     LIMIT_SHARE,
     STEPS,
+    UNFELT,
     UNSEEN_MISFIT,
     UNSEEN_RATIO,
     WHOLE,
@@ -188,3 +191,26 @@ def unexplained_by_run(fit: Fit) -> np.ndarray:
         rest = v - W @ np.linalg.lstsq(W, v, rcond=1e-9)[0]
         shares[run, joint] = np.linalg.norm(rest) / max(float(np.linalg.norm(v)), 1e-300)
     return shares
+
+
+def gravity_not_shown(fit: Fit) -> Iterator[Finding]:
+    """Find that hardly any torque of a robot that gravity could move is due to it."""
+    felt = float(gravity_shares(fit).max(initial=0.0))
+    if UNFELT <= felt < GRAVITY_FELT:
+        yield Finding(F.NO_GRAVITY_SHOWN, values={"felt": felt})
+
+
+def gravity_shares(fit: Fit) -> np.ndarray:
+    """Compute the ratio of rms gravity torque (about its mean) to rms total torque of each joint, (n,)."""
+    dataset, n = fit.dataset, len(fit.gains)
+    gravity = np.array(dataset.robot.gravity)
+    if not gravity.any():
+        return np.zeros(n)
+    regressor, shares = dataset.model.gravity_torques(dataset.base.standard), np.zeros(n)
+    for run, window in dataset.windows():
+        entries = regressor(
+            dataset.model.layout, window_motion(dataset.model, window), fit.system.motion(run, fit.solution.theta)
+        )
+        torques = np.reshape(regressor.torques(entries, gravity, n), (n, -1))
+        shares = np.maximum(shares, torques.std(axis=1))
+    return np.asarray(shares / np.maximum(rms_torques(fit), 1e-300))

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -30,17 +31,15 @@ from gtau.estimation.diagnostics.alternatives import (
     of_refit,
     refitted,
     residual_ratio,
-    rms_torques,
 )
 from gtau.estimation.diagnostics.hypotheses.description import DEGREE, GRAVITY, OTHER_GRAVITY
-from gtau.estimation.diagnostics.linearisation import linearise, on_channels, window_motion
+from gtau.estimation.diagnostics.linearisation import linearise, on_channels
 from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
-from gtau.estimation.estimators.estimator import Fit, Given
+from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.friction import Friction
 from gtau.estimation.thresholds.estimates import (
     GRAVITY_ALIKE,
     GRAVITY_LEAST,
@@ -53,13 +52,11 @@ from gtau.estimation.thresholds.estimates import (
     REFUTED_STD,
 )
 from gtau.estimation.thresholds.logs import (
-    GRAVITY_FELT,
     LENGTH_ALIKE,
     LENGTH_CHANGE,
     LENGTH_MOST,
     LENGTH_SHARE,
     LENGTH_TRIED,
-    UNFELT,
 )
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
@@ -68,7 +65,8 @@ from gtau.model.base_parameters import base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.lengths import SAME, models_alike
 from gtau.progress import Progress, silent
-from gtau.robots.robot import Attachment, Closure, Mdh, Placement, Robot, Spring
+from gtau.robots.geometry import moved_ends
+from gtau.robots.robot import Attachment, Joint, Mdh, Placement, Robot
 from gtau.signals.preparation.prepared_run import InMemoryRun
 from gtau.signals.reading.statements import Payload
 
@@ -148,7 +146,7 @@ def _of_bodies(fit: Fit, other: Fit, own: Fit, carried: Sequence[int]) -> Altern
     return of_refit(fit, TOOL_BODIES, cause, other, own)
 
 
-Tie = TypeVar("Tie", Closure, Spring)
+Placed = TypeVar("Placed", Joint, Attachment)
 
 STEP = 0.01  # relative change of a length
 MOST = 12  # lengths that are tried, the longest first: the effort of the search
@@ -208,8 +206,9 @@ def _longer(robot: Robot, step: float) -> Iterator[tuple[Finding, Robot]]:
                 lengths[same].append(name)
     longest = sorted((length for length in lengths if length > LENGTH_TRIED * max(lengths)), reverse=True)[:MOST]
     for length in longest:
-        joints = tuple(replace(joint, placement=_scaled(joint.placement, length, step)) for joint in robot.joints)
-        closures, springs = _moved(robot.closures, length, step), _moved(robot.springs, length, step)
+        scaled = partial(_scaled, length=length, step=step)
+        joints = tuple(map(scaled, robot.joints))
+        closures, springs = moved_ends(robot, scaled)
         longer = replace(robot, joints=joints, closures=closures, springs=springs)
         yield Finding(F.LENGTH, values={"length": length, "bodies": lengths[length]}), longer
 
@@ -223,26 +222,17 @@ def _lengths(placement: Placement) -> list[float]:
     return [length for length in values if length > 0]
 
 
-def _moved(ties: tuple[Tie, ...], length: float, step: float) -> tuple[Tie, ...]:
-    """Place the ends of closures or springs at lengths longer by a share ``step``."""
-
-    def moved(end: Attachment) -> Attachment:
-        return replace(end, placement=_scaled(end.placement, length, step))
-
-    return tuple(replace(tie, a=moved(tie.a), b=moved(tie.b)) for tie in ties)
-
-
-def _scaled(placement: Placement, length: float, step: float) -> Placement:
-    """Lengthen the lengths of this size in a placement by a share ``step``."""
+def _scaled(placed: Placed, length: float, step: float) -> Placed:
+    """Lengthen the lengths of this size in the placement of a joint or an end by a share ``step``."""
+    placement = placed.placement
     if isinstance(placement, Mdh):
         values = {name: getattr(placement, name) for name in ("d", "r", "b")}
-        return replace(
-            placement, **{k: v * (1 + step) for k, v in values.items() if abs(abs(v) - length) < SAME * length}
-        )
+        longer = {k: v * (1 + step) for k, v in values.items() if abs(abs(v) - length) < SAME * length}
+        return replace(placed, placement=replace(placement, **longer))
     if abs(float(np.linalg.norm(placement.xyz)) - length) < SAME * length:
         x, y, z = placement.xyz
-        return replace(placement, xyz=(x * (1 + step), y * (1 + step), z * (1 + step)))
-    return placement
+        return replace(placed, placement=replace(placement, xyz=(x * (1 + step), y * (1 + step), z * (1 + step))))
+    return placed
 
 
 STEPS = 4  # of Gauss-Newton, from an axis at most 55 degrees off
@@ -305,12 +295,11 @@ def fitted(fit: Fit, dataset: Dataset, gravity: np.ndarray) -> Fit | None:
     if not np.array_equal(gravity, dataset.robot.gravity):
         model = model.with_gravity(gravity)
         base = base_parameters(model, sensors=dataset.runs[0].sensors)
-    friction, given = fit.system.friction, Given(None if fit.free_gains else fit.gains)
-    friction = Friction(tuple(term for term in friction.terms if term.kind != "fl"), friction.per_run)
+    gains = None if fit.free_gains else fit.gains
+    terms = tuple(term for term in fit.system.terms if term.kind != "fl")
     try:
-        other = replace(dataset, robot=model.robot, model=model, base=base, factors=()).reduced()
-        system = other.system(friction, fit.system.problem.slowest > 0)
-        return fit_by(ml_or_wls(given), other, system, given)
+        other = replace(dataset, model=model, base=base, factors=(), alike=dataset).reduced()
+        return fit_by(ml_or_wls(gains), fit.system.again(other, terms), fit.free_gains)
     except GtauError:
         return None
 
@@ -354,13 +343,6 @@ def missing_gravity(fit: Fit) -> Alternative | None:
     return of_refit(fit, GRAVITY.name, cause, other, own)
 
 
-def gravity_not_shown(fit: Fit) -> Iterator[Finding]:
-    """Find that hardly any torque of a robot that gravity could move is due to it."""
-    felt = float(gravity_shares(fit).max(initial=0.0))
-    if UNFELT <= felt < GRAVITY_FELT:
-        yield Finding(F.NO_GRAVITY_SHOWN, values={"felt": felt})
-
-
 def likelier_gravity(fit: Fit, missing: Alternative | None, other: Alternative | None) -> Alternative | None:
     """Choose between no gravity and another one by residual variance; if similar, only logged torques lack it."""
     if missing is None or other is None:
@@ -368,19 +350,3 @@ def likelier_gravity(fit: Fit, missing: Alternative | None, other: Alternative |
     alike = 1 / GRAVITY_ALIKE if fit.dataset.runs[0].kind == "torque" else GRAVITY_ALIKE
     left, without = (effect.causes[0].values["remains"] for effect in (other, missing))
     return other if left < alike * without else missing
-
-
-def gravity_shares(fit: Fit) -> np.ndarray:
-    """Compute the ratio of rms gravity torque (about its mean) to rms total torque of each joint, (n,)."""
-    dataset, n = fit.dataset, len(fit.gains)
-    gravity = np.array(dataset.robot.gravity)
-    if not gravity.any():
-        return np.zeros(n)
-    regressor, shares = dataset.model.gravity_torques(dataset.base.standard), np.zeros(n)
-    for run, window in dataset.windows():
-        entries = regressor(
-            dataset.model.layout, window_motion(dataset.model, window), fit.system.motion(run, fit.solution.theta)
-        )
-        torques = np.reshape(regressor.torques(entries, gravity, n), (n, -1))
-        shares = np.maximum(shares, torques.std(axis=1))
-    return np.asarray(shares / np.maximum(rms_torques(fit), 1e-300))

@@ -12,7 +12,7 @@ opposite sign depend on the load, and bias the gains as a wrong payload does.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -23,6 +23,7 @@ from gtau.estimation.diagnostics.hypotheses.drives import FALLING_CONSTANT, LOAD
 from gtau.estimation.diagnostics.linearisation import (
     CandidateColumns,
     Linearised,
+    Moving,
     at_full_rate,
     errors_and_jacobian,
     least_squares_step,
@@ -37,7 +38,6 @@ from gtau.estimation.regression.windows import SAMPLES
 from gtau.estimation.thresholds.estimates import CORRELATED, CORRELATED_STD, PROBABLE, RIPPLE_SHARE
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
-from gtau.model.loops import Motion
 from gtau.signals.preparation.prepared_run import InMemoryRun
 
 KNOTS = 24  # of the piecewise linear function, over a joint's range in all runs
@@ -59,7 +59,7 @@ def position_ripple(fit: Fit) -> Alternative:
     knots = np.linspace(low, high, KNOTS)  # (KNOTS, n)
     width = np.maximum(knots[1] - knots[0], 1e-300)
 
-    def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+    def offer(window: InMemoryRun, motion: Moving, values: np.ndarray) -> CandidateColumns:
         q = window.samples().q.T
         hats = np.maximum(0.0, 1 - np.abs(q[:, None, :] - knots.T[:, :, None]) / width[:, None, None])
         return at_full_rate(window, fit, hats.swapaxes(0, 1))

@@ -29,7 +29,14 @@ from gtau.estimation.diagnostics.alternatives import (
     rms_speeds,
     rms_torques,
 )
-from gtau.estimation.diagnostics.linearisation import CandidateColumns, Linearised, Offer, at_full_rate, weighted
+from gtau.estimation.diagnostics.linearisation import (
+    CandidateColumns,
+    Linearised,
+    Moving,
+    Offer,
+    at_full_rate,
+    weighted,
+)
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import jacobian_of_known, to_gains
 from gtau.estimation.regression.equations import KNOWN, modelled
@@ -40,7 +47,6 @@ from gtau.estimation.thresholds.estimates import ALTERNATIVE_PRIOR, DOMINANT, PL
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.findings.words import RELATIVE
-from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter
 from gtau.signals.preparation.filters import differentiate
 from gtau.signals.preparation.prepared_run import InMemoryRun
@@ -76,11 +82,9 @@ def _friction_shape(fit: Fit) -> Offer:
     level = np.maximum(fv * speeds + fs, 0.02 * rms_torques(fit))
     model, base = fit.dataset.model, fit.dataset.base
     regressor, acting = model.columns(base.standard), is_transmitted(base.names)
-    absent = {
-        term: np.array([Parameter(term, j) not in fit.system.friction.terms for j in joints]) for term in ("f3", "fl")
-    }
+    absent = {term: np.array([Parameter(term, j) not in fit.system.terms for j in joints]) for term in ("f3", "fl")}
 
-    def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+    def offer(window: InMemoryRun, motion: Moving, values: np.ndarray) -> CandidateColumns:
         samples = window.samples()
         ratio, sign = samples.qd / np.where(speeds > 0, speeds, 1.0), np.sign(samples.qd)
         cubic = level * ratio**3 / 3 * absent["f3"]
@@ -92,9 +96,8 @@ def _friction_shape(fit: Fit) -> Offer:
     return offer
 
 
-FRICTION_SHAPE = Hypothesis(
-    "friction shape", False, _friction_shape, (CUBIC_FRICTION, LOAD_FRICTION, STRIBECK_FRICTION)
-)
+FRICTION = CUBIC_FRICTION, LOAD_FRICTION, STRIBECK_FRICTION
+FRICTION_SHAPE = Hypothesis("friction shape", False, _friction_shape, FRICTION)
 
 DRIFTING_FRICTION = "let the robot warm up before the runs, or split long runs"
 FRICTION_CHANGE = Threshold(0.1, "relative change of friction along a run", evidence="experience")
@@ -114,14 +117,14 @@ COULOMB_DRIFT = Cause(
 
 def _friction_drift(fit: Fit) -> Offer:
     """Add viscous or Coulomb friction that changes along the runs."""
-    joints, terms = fit.dataset.model.actuated, fit.system.friction.terms
+    joints, terms = fit.dataset.model.actuated, fit.system.terms
     # friction that depends on the temperature has a slope of its own for this
     fv, fs = friction_levels(fit) * np.array(
         [Parameter("fvt", j) not in terms and Parameter("fst", j) not in terms for j in joints]
     )
     along = _along_runs(fit)
 
-    def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+    def offer(window: InMemoryRun, motion: Moving, values: np.ndarray) -> CandidateColumns:
         samples = window.samples()
         change = along(window, samples.time)
         return at_full_rate(
@@ -167,7 +170,7 @@ def _saturation(fit: Fit) -> Offer:
     regressor, n = fit.dataset.model.columns(fit.dataset.base.standard), len(fit.gains)
     scale = LARGE * rms_torques(fit)
 
-    def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+    def offer(window: InMemoryRun, motion: Moving, values: np.ndarray) -> CandidateColumns:
         def columns(rows: Rows) -> np.ndarray:
             tau = regressor.torques(rows.entries, values, n)
             return (np.abs(tau) * tau / scale[:, None])[:, :, None]
@@ -197,7 +200,7 @@ def _gain_drift(fit: Fit) -> Offer:
     regressor, n = fit.dataset.model.columns(fit.dataset.base.standard), len(fit.gains)
     along = _along_runs(fit)
 
-    def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+    def offer(window: InMemoryRun, motion: Moving, values: np.ndarray) -> CandidateColumns:
         return lambda rows: (regressor.torques(rows.entries, values, n) * along(window, rows.time))[:, :, None]
 
     return offer
@@ -226,7 +229,7 @@ def _current_lag(fit: Fit) -> Offer:
     model = fit.dataset.model
     regressor = model.columns(fit.dataset.base.standard)
 
-    def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+    def offer(window: InMemoryRun, motion: Moving, values: np.ndarray) -> CandidateColumns:
         torques = regressor.torques_along(model.layout, motion(), values)
         _, change = differentiate(torques.T, window.run.rate)
         return at_full_rate(window, fit, change.T[None])
