@@ -36,23 +36,12 @@ NOISY = 1e3  # signal-to-noise ratios below are noted: noise then adds more than
 class Preparation:
     """Preparation of the runs of an experiment.
 
-    Attributes
-    ----------
-    bandwidth, cutoff : float
-        Of the motion and of the position filter (None: no filter), Hz.
-    decimator : Decimator
-        Of runs with this ``rate``; others are decimated to the same row rate.
-    speed_fraction : float
-        A joint's row is left out where its speed is below this share of its rms speed.
-    rate : float
-        Sampling rate of the slowest run, Hz; 0 if unknown.
-    given : tuple of str
-        Names of settings made by hand, see :class:`gtau.signals.reading.statements.PreparationSettings`.
-    prediction_cutoffs : tuple
-        Of the position filter of each joint when torques are predicted, Hz; empty for that of identification. See
-        :func:`gtau.uses.prediction.with_prediction_cutoffs`.
-    position_noise : tuple of float
-        Of the same joints, see :func:`gtau.signals.preparation.bandwidth.position_noise`.
+    ``bandwidth`` of the motion and ``cutoff`` of the position filter (None: no filter) are in Hz. The ``decimator`` is
+    that of runs with this ``rate`` (Hz, of the slowest run; 0 if unknown); others are decimated to the same row rate. A
+    joint's row is left out where its speed is below the ``speed_fraction`` of its rms speed. ``given`` names the
+    settings made by hand. ``prediction_cutoffs`` (Hz) and ``position_noise`` of each joint, where they are known, are
+    for predicted torques: see :func:`gtau.uses.prediction_filter.with_prediction_cutoffs` and
+    :func:`gtau.signals.preparation.bandwidth.position_noise`.
     """
 
     bandwidth: float
@@ -102,27 +91,14 @@ class SampleWindow:
 
 @dataclass(frozen=True, eq=False)
 class PreparedRun:
-    """Prepared run; :meth:`samples` returns any stretch of it ready for the model.
+    """Prepared run; :meth:`samples` returns any part of it ready for the model.
 
-    Attributes
-    ----------
-    run, preparation : Run, Preparation
-        The run and its preparation.
-    kept : range
-        Samples of the run that are used: those from the first motion to the last.
-    moves : ndarray
-        (n,) True for joints that move.
-    speeds : ndarray
-        (n, n) Mean of ``qd qd^T`` over these samples, the reference of the joints' speed thresholds.
-    motor_to_joint_speed : ndarray
-        (n_y, n) Joint speeds from motor speeds; nonzero where a joint's friction appears in the motor's row: for the
-        motor's own joint, and for others in coupled chains.
-    peaks : ndarray
-        (PARTS, n) Largest speeds in equal parts of the run.
-    notes : tuple of Note
-        On omitted parts.
-    cutoffs : tuple
-        Of the position filter of each joint, Hz; empty for that of the preparation.
+    Of the run's samples those ``kept`` are used, from the first motion to the last. ``moves`` (n,) marks joints that
+    move; ``speeds`` (n, n) is the mean of ``qd qd^T`` over these samples, the reference of the joints' speed
+    thresholds. ``motor_to_joint_speed`` (n_y, n) gives joint speeds from motor speeds; it is nonzero where a joint's
+    friction appears in the motor's row: for the motor's own joint, and for others in coupled chains. ``peaks`` (PARTS,
+    n) are the largest speeds in equal parts of the run; ``notes`` report omitted parts. ``cutoffs`` (Hz) are those of
+    the position filter of each joint; empty for that of the preparation.
     """
 
     run: Run
@@ -243,28 +219,11 @@ def joined(windows: Sequence[SampleWindow]) -> SampleWindow:
 
 
 def prepare(run: Run, preparation: Preparation, motor_to_joint_speed: np.ndarray | None = None) -> PreparedRun:
-    """Find the moving part of a run.
+    """Find the moving part of a run: the rest at its beginning and end, where no joint is fast enough, is cut off.
 
-    The rest at the beginning and the end, where no joint exceeds its speed threshold, is cut off.
-
-    Parameters
-    ----------
-    run : Run
-        One run.
-    preparation : Preparation
-        Of its experiment.
-    motor_to_joint_speed : ndarray, optional
-        See :class:`PreparedRun`; a joint of its own for each motor if left out.
-
-    Returns
-    -------
-    PreparedRun
-        Not decimated: decimation is applied to the columns of the model.
-
-    Raises
-    ------
-    GtauError
-        No joint moves, or the log is shorter than its filters.
+    ``motor_to_joint_speed``, see :class:`PreparedRun`, is a joint of its own for each motor if left out. Nothing is
+    decimated, as decimation is applied to the columns of the model. Raises GtauError where no joint moves, or the log
+    is shorter than its filters.
     """
     samples, n = len(run.time), len(run.joints)
     found = spectra(run)

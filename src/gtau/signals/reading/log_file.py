@@ -26,10 +26,7 @@ FORMATS: Extensions[Callable[[Path], Table]] = Extensions("gtau.log_formats", "g
 def read_log(path: str | Path, names: Iterable[str]) -> Table:
     """Locate columns of a log by name, unchecked; the ending of its name gives the format, see :data:`FORMATS`.
 
-    Raises
-    ------
-    GtauError
-        The file cannot be read, or a column is not in it.
+    Raises GtauError where the file cannot be read, or lacks a column.
     """
     table = find_columns(Path(path))
     names = tuple(dict.fromkeys(names))
@@ -92,15 +89,8 @@ def _refuse_missing(names: Iterable[str], table: Table) -> None:
 def as_log(table: Any) -> Iterator[Path]:
     """Write a table to a temporary Parquet file for the context, so that it is read and checked like any log.
 
-    Parameters
-    ----------
-    table : polars.DataFrame, pandas.DataFrame, mapping or ndarray
-        Columns by name; those of an array (N, columns) without names are numbered from 1.
-
-    Raises
-    ------
-    GtauError
-        Where it is none of these, or its columns have different lengths.
+    It is a frame of Polars or pandas, a mapping, or an array (N, columns), whose columns are numbered from 1 if
+    unnamed.
     """
     with TemporaryDirectory(prefix="gtau-") as folder:
         path = Path(folder) / "table.parquet"

@@ -32,15 +32,10 @@ def read_logs(
     rows: range = ALL,
     progress: Callable[[float], None] = lambda done: None,
 ) -> tuple[Source, Iterator[np.ndarray]]:
-    """Find the columns of a run in its logs, and read their ``rows``.
+    """Find the columns of a run in its logs, and read their ``rows``; raises GtauError.
 
     The samples (M, n + c + 1), in blocks, are positions, commands, torque sensors, wrenches and time. ``notes`` report
     what was left out or aligned; ``progress`` is called with the part of the log that has been read.
-
-    Raises
-    ------
-    GtauError
-        Where a column is missing or given twice, a file cannot be read on, or two files do not belong together.
     """
     if len(paths) not in (1, 2):
         raise GtauError(f"a run has {len(paths)} logs; give one, or two with the positions and the {signals.kind}s.")
@@ -174,13 +169,7 @@ class Aligned:
 
 
 def _stamped(path: Path, stamps: Sequence[str], commands: Sequence[str], scale: float, what: str) -> np.ndarray:
-    """Read the complete rows of commands and their time in s, (K, 1 + c); of equal stamps the first.
-
-    Raises
-    ------
-    GtauError
-        Their stamps go back, or hardly any row is complete.
-    """
+    """Read the complete rows of commands and their time in s, (K, 1 + c); of equal stamps the first."""
     file = read_log(path, (*stamps, *commands))
     at_stamps, at_commands = ([file.columns.index(name) for name in names] for names in (stamps, commands))
     parts, row, last, count = [], 0, -np.inf, 0
@@ -204,13 +193,7 @@ def _stamped(path: Path, stamps: Sequence[str], commands: Sequence[str], scale: 
 
 
 def _aligned(positions: tuple[Path, np.ndarray], commands: tuple[Path, np.ndarray], what: str) -> Aligned:
-    """Compare the instants (N,) in s of a log of positions with those of commands (K, 1 + c), ``currents`` or others.
-
-    Raises
-    ------
-    GtauError
-        The two clocks do not overlap.
-    """
+    """Compare the instants (N,) in s of a log of positions with those of commands (K, 1 + c), called ``what``."""
     (path, clock), (other_path, log) = positions, commands
     stamps = log[:, 0]
     inside = np.flatnonzero((clock >= stamps[0]) & (clock <= stamps[-1]))

@@ -36,10 +36,7 @@ class Folders(NamedTuple):
 def file_or_name(robot: str, folder: Path) -> str:
     """Return the path of a robot file beside an experiment file in ``folder``, or a name of the catalog.
 
-    Raises
-    ------
-    ValueError
-        The entry is the path of a file that does not exist.
+    Raises ValueError where the entry is the path of a file that does not exist.
     """
     file = folder / robot
     if file.is_file() or (file / "robot.urdf").is_file():

@@ -30,11 +30,6 @@ def open_parquet(path: Path) -> Table:
     """Find the columns of a Parquet file, or of a folder of them as one log (``part_2`` before ``part_10``).
 
     The folder may be that of a LeRobot data set.
-
-    Raises
-    ------
-    GtauError
-        There is no such file in the folder, or it is damaged.
     """
     import polars as pl
 
@@ -47,7 +42,7 @@ def open_parquet(path: Path) -> Table:
 
 
 def open_feather(path: Path) -> Table:
-    """Find the columns of a Feather file, version 2 (Arrow IPC); raises GtauError where it is damaged."""
+    """Find the columns of a Feather file, version 2 (Arrow IPC)."""
     import polars as pl
 
     return _table(path, [path], pl.scan_ipc, "Feather")
@@ -142,11 +137,6 @@ def _data_set(log: Path) -> tuple[float | None, Mapping[str, Sequence[str]]]:
     """Read rate (Hz) and names of the items of each feature from the data set of a file of frames, or their folder.
 
     None and no names where a log is of no data set.
-
-    Raises
-    ------
-    GtauError
-        Its description is damaged.
     """
     folders = [log, *log.absolute().parents[:DEPTH]]
     file = next((folder / INFO for folder in folders if (folder / INFO).is_file()), None)
