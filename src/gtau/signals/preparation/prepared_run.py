@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -67,15 +67,16 @@ class Preparation:
 
 @dataclass(frozen=True, eq=False)
 class SampleWindow:
-    """Consecutive samples of a run, ready for the model; arrays share the sample axis M.
+    """Consecutive samples of a run in memory, ready for the model; arrays share the sample axis M.
 
     ``q``, ``qd``, ``qdd`` (M, n) in rad or m, s; ``command`` (M, c + 6 k), of the joints, then of the torque sensors,
     then of k wrenches, and its time derivatives ``command_d``, ``command_dd``, the columns of a delay. ``usable``
-    (M, c) is False where a row
-    must not be used: around the joint's reversals and rests, at gaps, at the ends of the filter, and
-    always for a joint that does not move. ``time`` (M,) in s.
+    (M, c) is False where a row must not be used: around the joint's reversals and rests, at gaps, at the ends of the
+    filter, and always for a joint that does not move. ``time`` (M,) in s. It may be a part ``of`` another window, that
+    begins with the sample of this number.
     """
 
+    run: Run
     time: np.ndarray
     q: np.ndarray
     qd: np.ndarray
@@ -84,9 +85,28 @@ class SampleWindow:
     command_d: np.ndarray
     command_dd: np.ndarray
     usable: np.ndarray
+    of: tuple[SampleWindow, int] | None = field(default=None, kw_only=True)
+
+    def __len__(self) -> int:
+        return len(self.time)
 
     def __getitem__(self, samples: slice) -> SampleWindow:
-        return SampleWindow(*(getattr(self, field.name)[samples] for field in fields(self)))
+        return SampleWindow(self.run, *(getattr(self, name)[samples] for name in ARRAYS))
+
+    def awake(self) -> tuple[np.ndarray, np.ndarray]:
+        """Split the samples into parts at (parts + 1,) indices, and mark the parts in which a row is usable."""
+        at = _parts(len(self))
+        return at, np.array([bool(np.any(block(self.usable, *span))) for span in pairwise(at.tolist())])
+
+    def samples(self, start: int = 0, stop: int | None = None) -> SampleWindow:
+        """Return samples from ``start`` to before ``stop``."""
+        stop = len(self) if stop is None else stop
+        if stored(self.q) is None:
+            return self if (start, stop) == (0, len(self)) else self[start:stop]
+        return SampleWindow(self.run, *(block(getattr(self, name), start, stop) for name in ARRAYS))
+
+
+ARRAYS = "time", "q", "qd", "qdd", "command", "command_d", "command_dd", "usable"
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,45 +196,16 @@ class PreparedRun:
         for frame, six in wrenches:
             usable &= valid[:, six].all(axis=1, keepdims=True) | (frame.body in run.base) & ~base
         return SampleWindow(
-            block(run.time, at.start, at.stop), q, qd, qdd, command, command_d, command_dd, usable
+            run, block(run.time, at.start, at.stop), q, qd, qdd, command, command_d, command_dd, usable
         )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class InMemoryRun:
-    """In-memory run along a synthetic motion, ready for the model; interface of :class:`PreparedRun`.
-
-    It may be a window of another run, ``whole``, that begins with its sample ``first``.
-    """
-
-    run: Run
-    all: SampleWindow
-    whole: InMemoryRun | None = None
-    first: int = 0
-
-    def __len__(self) -> int:
-        return len(self.all.time)
-
-    def awake(self) -> tuple[np.ndarray, np.ndarray]:
-        """Split the samples into parts at (parts + 1,) indices, and mark the parts in which a row is usable."""
-        at = _parts(len(self))
-        moving = [bool(np.any(block(self.all.usable, *each))) for each in pairwise(at.tolist())]
-        return at, np.array(moving)
-
-    def samples(self, start: int = 0, stop: int | None = None) -> SampleWindow:
-        """Return samples from ``start`` to before ``stop``."""
-        stop = len(self) if stop is None else stop
-        if stored(self.all.q) is None:
-            return self.all[start:stop]
-        return SampleWindow(*(block(getattr(self.all, field.name), start, stop) for field in fields(SampleWindow)))
-
-
 def joined(windows: Sequence[SampleWindow]) -> SampleWindow:
-    """Concatenate stretches of samples."""
+    """Concatenate windows of a run."""
     if len(windows) == 1:
         return windows[0]
     return SampleWindow(
-        *(np.concatenate([getattr(each, field.name) for each in windows]) for field in fields(windows[0]))
+        windows[0].run, *(np.concatenate([getattr(window, name) for window in windows]) for name in ARRAYS)
     )
 
 

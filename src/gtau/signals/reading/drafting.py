@@ -20,7 +20,7 @@ from gtau.robots.robot import Robot
 from gtau.signals.reading.columns import PRESETS
 from gtau.signals.reading.discovery import UNSURE, Draft, discover
 from gtau.signals.reading.formats.rosbag import robot_description
-from gtau.signals.reading.log_file import find_columns, is_rosbag
+from gtau.signals.reading.logs import find_columns, is_rosbag
 
 SEAL = "# as drafted: "  # a checksum of all above follows
 URDF = "robot.urdf"  # beside the experiment file, where a bag holds it

@@ -21,7 +21,7 @@ from pydantic import (
 from gtau.documents.files import matching
 from gtau.documents.validation import Keys, Positive
 from gtau.errors import GtauError
-from gtau.signals.reading.log_file import find_columns, is_log_folder
+from gtau.signals.reading.logs import find_columns, is_log_folder
 from gtau.signals.reading.samples import Part
 from gtau.signals.reading.statements import Payload
 

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 
 from gtau.errors import GtauError
 from gtau.signals.reading.columns import Signals
-from gtau.signals.reading.log_file import read_log
-from gtau.signals.reading.log_set import instants
+from gtau.signals.reading.logs import instants, read_log
 from gtau.signals.reading.samples import WHOLE, Part
 from gtau.signals.reading.units import Units
 from gtau.signals.storage import store
