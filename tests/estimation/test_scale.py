@@ -294,7 +294,7 @@ def test_a_result_keeps_its_sensors(tmp_path: Path) -> None:
     assert "torque sensor" in result.summary(verbose=False)
     assert "off_2_sensor" in result.summary()
     last_first = {"torque sensor of '3'": 0.7, "torque sensor of '2'": 0.3}
-    shared = result.replaced(drive_gains={k: replace(gain, scale=last_first) for k, gain in result.drive_gains.items()})
+    shared = result.replaced(scale=dict.fromkeys(result.drive_gains, last_first))
     assert "scale: from the torque sensors of '2', '3'" in shared.summary(verbose=False)
     result.save(tmp_path / "model.json")
     again = Result.load(tmp_path / "model.json")
@@ -304,9 +304,7 @@ def test_a_result_keeps_its_sensors(tmp_path: Path) -> None:
     (tmp_path / "other.json").write_text(text.replace('"kind": "torque sensor"', '"kind": "spring"', 1))
     with pytest.raises(GtauError, match="'spring' is not a kind of sensor; write torque sensor"):
         Result.load(tmp_path / "other.json")
-    assert {name: gain.scale for name, gain in again.drive_gains.items()} == {
-        name: gain.scale for name, gain in result.drive_gains.items()
-    }
+    assert again.scale == result.scale
     bare = arm().run(3)
     assert [each.rms for each in again.validate(bare)] == [each.rms for each in result.validate(bare)]
     assert max(each.relative for each in again.validate(bare)) < 1.0

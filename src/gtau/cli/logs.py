@@ -168,8 +168,8 @@ def _page(draft: Draft, out: Path, open_: list[str]) -> str:
             lines += textwrap.wrap(words, WIDTH, initial_indent=f"  {name:<10}", subsequent_indent=" " * 12)
     if open_:
         lines += ["", "Before you go on, edit its lines marked CHECK:"]
-        for each in open_:
-            lines += textwrap.wrap(f"- {each}", WIDTH, subsequent_indent="  ")
+        for doubt in open_:
+            lines += textwrap.wrap(f"- {doubt}", WIDTH, subsequent_indent="  ")
     return "\n".join([*lines, "", f"Then: gtau check {out}"])
 
 
@@ -236,17 +236,14 @@ def experiment_of(
 ) -> tuple[Path, tuple[Finding, ...]]:
     """Take an experiment file as it is; draft one from logs to ``folder``, with a note on every guess in it.
 
-    Raises
-    ------
-    GtauError
-        Experiment files are mixed with logs, or the logs cannot be drafted without a question.
+    Raises GtauError where experiment files are mixed with logs, or the logs cannot be drafted without a question.
     """
     stated = {"robot": robot, "payload": payloads, "kind": kind, "preset": preset}
     if len(sources) == 1 and not _is_log(sources[0]):
         if given := [f"--{name}" for name, value in stated.items() if value]:
             raise GtauError(f"{given[0]} is for logs; an experiment file states this itself, so omit it.")
         return sources[0], ()
-    if others := [each for each in sources if each.suffix in (".yaml", ".yml") or kind_of(each) == EXPERIMENT]:
+    if others := [source for source in sources if source.suffix in (".yaml", ".yml") or kind_of(source) == EXPERIMENT]:
         raise GtauError(f"{others[0]} is an experiment file; give either it or logs.")
     from gtau.signals.reading.drafting import draft_logs, guesses, with_sensors, write_draft
 
@@ -270,19 +267,21 @@ def experiment_of(
 
 
 def _is_log(path: Path) -> bool:
-    from gtau.signals.reading.logs import FORMATS, is_log_folder
+    from gtau.signals.reading.logs import is_log_folder, reader_of
 
-    return path.suffix.lower() in FORMATS.names or (is_log_folder(path) if path.is_dir() else kind_of(path) == LOG)
+    return reader_of(path.suffix.lower()) is not None or (
+        is_log_folder(path) if path.is_dir() else kind_of(path) == LOG
+    )
 
 
 def _masses(payloads: list[str]) -> dict[str, float]:
-    found = {}
-    for each in payloads:
-        log, _, mass = each.rpartition("=")
+    masses = {}
+    for stated in payloads:
+        log, _, mass = stated.rpartition("=")
         try:
-            found[log] = float(mass)
+            masses[log] = float(mass)
         except ValueError:
             log = ""
         if not log:
-            raise GtauError(f"--payload is '{each}'; write the name of a log and kg, such as loaded.mcap=0.48.")
-    return found
+            raise GtauError(f"--payload is '{stated}'; write the name of a log and kg, such as loaded.mcap=0.48.")
+    return masses

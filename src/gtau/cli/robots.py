@@ -158,11 +158,11 @@ def excite(
 
         try:
             with stop_request(STOPPING) as stop:
-                found = run(task, criterion, starts, seed, progress, keep, stop)
+                best = run(task, criterion, starts, seed, progress, keep, stop)
         except Stopped as stopped:
             raise KeyboardInterrupt(str(stopped).rstrip(".")) from None
         progress("predicting standard deviations", 0, 1)
-        outlook = pages.Outlook(found, assumed, tuple(masses))
+        outlook = pages.Outlook(best, assumed, tuple(masses))
         report = write_report(pages.design_report(outlook), folder_of(out), seconds(), (("design", design),))
         written = (report, *pages.write_design(outlook, out))
     answer(json_, lambda: pages.design_document(outlook), lambda: pages.design_page(outlook), written)

@@ -34,13 +34,11 @@ THICKNESS = 0.012  # m: of the links as drawn
 def export(result: Result, out: Path) -> Exported:
     """Write ``NAME.xml`` into ``out``.
 
-    Raises
-    ------
-    GtauError
-        Where the result has no physically consistent parameters, or MuJoCo is not installed or refuses them.
+    Raises GtauError where the result has no physically consistent parameters, or MuJoCo is not installed or refuses
+    them.
     """
-    text, said, found = model_text(imported(), consistent_model(result, "MJCF"))
-    return Exported(written(out, {f"{identifier(result.robot.name)}.xml": text}), said, found)
+    text, said, figures = model_text(imported(), consistent_model(result, "MJCF"))
+    return Exported(written(out, {f"{identifier(result.robot.name)}.xml": text}), said, figures)
 
 
 def model_text(
@@ -53,13 +51,13 @@ def model_text(
     result = model.result
     spec, expressed = _spec(mujoco, model)
     _add_home(spec, compile_spec(spec), result)
-    found = differences(model, expressed, cubic=_polynomial(spec))
-    said = [difference_note(found), *notes(model, expressed, _polynomial(spec), delays)]
-    if forces := [each.name for each in result.robot.springs if spring_attributes(each, model.standard) is None]:
+    figures = differences(model, expressed, cubic=_polynomial(spec))
+    said = [difference_note(figures), *notes(model, expressed, _polynomial(spec), delays)]
+    if forces := [spring.name for spring in result.robot.springs if spring_attributes(spring, model.standard) is None]:
         said.append(
             f"no tendon has the force of {', '.join(forces)}: an actuator without gain does, whose ctrl has no effect"
         )
-    return _text(spec, friction_comments(model)), tuple(said), found
+    return _text(spec, friction_comments(model)), tuple(said), figures
 
 
 def imported() -> ModuleType:

@@ -53,10 +53,8 @@ def export(result: Result, out: Path) -> Exported:
 
     A platform is the end of a chain with one passive joint per degree of freedom, with massless links in between.
 
-    Raises
-    ------
-    GtauError
-        Where the result has no physically consistent parameters, or a joint is coupled to more than one other.
+    Raises GtauError where the result has no physically consistent parameters, or a joint is coupled to more than one
+    other.
     """
     model = consistent_model(result, "URDF")
     robot, name = result.robot, identifier(result.robot.name)
@@ -70,10 +68,7 @@ def export(result: Result, out: Path) -> Exported:
 def export_into(result: Result, source: Path, out: Path) -> Exported:
     """Write a copy of the URDF ``source`` with identified inertias and friction into ``out``, and the drives beside it.
 
-    Raises
-    ------
-    GtauError
-        Where the result has no physically consistent parameters, or the file is not that of its robot.
+    Raises GtauError where the result has no physically consistent parameters, or the file is not that of its robot.
     """
     model = consistent_model(result, "URDF")
     if source.suffix.lower() != ".urdf":

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from gtau.errors import GtauError
+from gtau.estimation.diagnostics.alternatives import refitted, residual_ratio
 from gtau.estimation.diagnostics.linearisation import weighted
 from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
 from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, known_verdict, verdict_of
@@ -33,7 +33,6 @@ from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.equations import KNOWN, SIGNALS, delayed_signal, modelled, triangle
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import APART, MISFIT_GIVEN, PAYLOAD_MOVES
 from gtau.findings import Finding
@@ -302,53 +301,46 @@ def weigh_known(fit: Fit, method: str, accuracy: float) -> dict[str, Verdict]:
 
 def _freed(fit: Fit, method: str, payload: Payload, kind: str, accuracy: float) -> tuple[float, Verdict] | None:
     """Estimate a payload's parameter without stating it: what that leaves, and a verdict; None if not identifiable."""
-    dataset, system = fit.dataset, fit.system
     values = {other: value for other, value in payload.parameters.items() if other != kind}
     mass = None if kind == "m" else payload.mass
     changed = payload.model_copy(update={"mass": mass, "parameters": values})
-    payloads = [changed if run.payload and run.payload.name == payload.name else run.payload for run in dataset.runs]
-    other = dataset.system(system.friction, system.problem.slowest > 0, payloads)
-    try:
-        if fit.free_gains:
-            require_scale(dataset.robot, other, payloads, method)
-        free = fit.solve(other.problem)
-    except GtauError:
+    runs = fit.dataset.runs
+    loads = [changed if run.payload and run.payload.name == payload.name else run.payload for run in runs]
+    other = refitted(fit, loads, method=method)
+    if other is None:
         return None  # without this value nothing gives the scale
-    std = np.sqrt(np.diag(free.jackknife))
+    parameters, std = other.system.problem.parameters, np.sqrt(np.diag(other.solution.jackknife))
     columns = [
-        other.problem.parameters.index(label)
-        for each in other.payloads
-        if each.payload.name == payload.name
-        for (label, of), sums in zip(each.unknown.items(), each.sums, strict=True)
-        if of == kind and np.count_nonzero(sums) == 1 and label in other.problem.parameters
+        parameters.index(label)
+        for load in other.system.payloads
+        if load.payload.name == payload.name
+        for (label, of), sums in zip(load.unknown.items(), load.sums, strict=True)
+        if of == kind and np.count_nonzero(sums) == 1 and label in parameters
     ]
-    if not columns or not set(other.unexcited) <= set(system.unexcited):
+    if not columns or not set(other.system.unexcited) <= set(fit.system.unexcited):
         return None  # or it cannot be separated from what is not declared
     best = min(columns, key=lambda k: float(std[k]))
-    value, declared = float(free.theta[best]), known_values(payload)[kind]
+    value, declared = float(other.solution.theta[best]), known_values(payload)[kind]
+    left = float(other.system.problem.total_rows @ np.log(other.solution.sigma))
     if fit.free_gains:
-        small = kind != "m" and float(np.abs(free.gains / fit.solution.gains - 1).max()) < PAYLOAD_MOVES
+        small = kind != "m" and float(np.abs(other.solution.gains / fit.solution.gains - 1).max()) < PAYLOAD_MOVES
     else:
         small = abs(value - declared) <= accuracy * abs(declared)
-    left = float(other.problem.total_rows @ np.log(free.sigma))
-    if small:
-        return left, GOOD
     of_mass = payload.mass_std if mass is None else value * payload.mass_std / mass
-    misfits = [unexplained_shares(*each) for each in ((system.problem, fit.solution), (other.problem, free))]
-    explained = tuple(
-        joint
-        for joint, before, after in zip(system.problem.joints, *misfits, strict=False)
-        if before > MISFIT_GIVEN >= after
-    )
-    rows = system.problem.total_rows
-    remains = float(np.exp(2 * (left - rows @ np.log(fit.solution.sigma)) / rows.sum()))
     tested = {
         "parameter": kind,
         "declared": declared,
         "found": value,
         "std": float(np.hypot(std[best], of_mass)),
-        "unit": unit_of(kind, dataset.robot, dataset.robot.tool),
-        "remains": remains,
-        "given": "" if fit.free_gains else dataset.runs[0].kind,
+        "unit": unit_of(kind, fit.dataset.robot, fit.dataset.robot.tool),
+        "remains": residual_ratio(other, fit),
+        "given": "" if fit.free_gains else runs[0].kind,
     }
-    return left, known_verdict(tested, explained)
+    return left, GOOD if small else known_verdict(tested, _explained(fit, other))
+
+
+def _explained(fit: Fit, other: Fit) -> tuple[str, ...]:
+    """List the joints whose torque only the fit leaves unexplained, not the other one."""
+    before, after = (unexplained_shares(each.system.problem, each.solution) for each in (fit, other))
+    joints = zip(fit.system.problem.joints, before, after, strict=False)
+    return tuple(joint for joint, share, less in joints if share > MISFIT_GIVEN >= less)

@@ -6,12 +6,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from gtau.estimation.diagnostics.hypotheses import HYPOTHESES
+import gtau.estimation.diagnostics.hypotheses  # noqa: F401 whose causes have words
 from gtau.estimation.thresholds.estimates import APART, NEGATIVE_STD, WEAK_PARAMETER
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.findings import Outcome as Outcome  # which verdicts have
-from gtau.findings.finding import WORDS
 from gtau.robots.parameter import Parameter
 
 
@@ -38,7 +37,6 @@ class Verdict:
         return self.outcome.value + (f": {self.why}; {self.advice}" if self.finding else "")
 
 
-WORDS.update({cause.kind: cause.words for hypothesis in HYPOTHESES for cause in hypothesis.causes})
 GIVEN, GOOD = Verdict(Outcome.GIVEN), Verdict(Outcome.GOOD)
 NONNEGATIVE = {"m", "xx", "yy", "zz", "ia", "fv", "fs"}
 OUTCOMES: Mapping[str, Outcome] = {kind: kind.outcome for kind in F if kind.outcome}

@@ -113,6 +113,5 @@ def _judge(run: str, joint: Joint, low: float, high: float, speed: float) -> Ite
             yield Finding(F.LIMITS, (joint.name,), values=values)
     if joint.limits.velocity is not None and speed > joint.limits.velocity:
         # in many files a placeholder, so no log is refused
-        yield Finding(
-            F.SPEED_LIMIT, (joint.name,), values={"speed": speed, "limit": joint.limits.velocity, "unit": unit}
-        )
+        values = {"speed": speed, "ratio": speed / joint.limits.velocity, "limit": joint.limits.velocity, "unit": unit}
+        yield Finding(F.SPEED_LIMIT, (joint.name,), values=values)

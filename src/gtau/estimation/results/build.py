@@ -113,10 +113,20 @@ def fit_record(
             for k, joint in enumerate(dataset.model.actuated)
         ),
         logged_speeds=_logged_speeds(fit),
+        scale=_scale(fit) if fit.free_gains else {},
         statistics={**solution.statistics, **statistics, "condition_number": _condition_number(total)},
         singular_values=tuple(np.linalg.svd(_scaled(total), compute_uv=False).tolist()) if fit.free_gains else (),
         data=dataset.runs,
     )
+
+
+def _scale(fit: Fit) -> dict[str, dict[str, float]]:
+    """List what the scale of each motor's gain rests on, in shares."""
+    actuated, shares = fit.dataset.model.actuated, scale_shares(fit)
+    return {
+        joint: {source: float(share[actuated.index(joint)]) for source, share in shares.items()}
+        for joint in fit.dataset.robot.motors
+    }
 
 
 def evidence(
@@ -167,22 +177,17 @@ def _estimate(
 
 
 def _gains(fit: Fit, vector: Estimates, diagnosis: Diagnosis) -> dict[str, Estimate]:
-    """Collect the drive gains of the motors, with the sources of their scale."""
+    """Collect the drive gains of the motors."""
     robot, kind = fit.dataset.robot, fit.dataset.runs[0].kind
-    scales = scale_shares(fit) if fit.free_gains else {}
     return {
-        joint: replace(
-            _estimate(vector, Parameter("gain", joint), gain_unit(robot, joint, kind), joint, diagnosis.gains[joint]),
-            scale={source: float(share[k]) for source, share in scales.items()},
-        )
-        for k, joint in enumerate(fit.dataset.model.actuated)
-        if joint in robot.motors
+        joint: _estimate(vector, Parameter("gain", joint), gain_unit(robot, joint, kind), joint, diagnosis.gains[joint])
+        for joint in robot.motors
     }
 
 
 def _parameters(fit: Fit, vector: Estimates, essential: Problem) -> dict[Parameter, Estimate]:
     """Collect the base parameters, those without a value included."""
-    base, robot, spread = fit.dataset.base, fit.dataset.robot, _spread(fit.system, fit.solution.theta)
+    base, robot, between_runs = fit.dataset.base, fit.dataset.robot, _between_runs(fit.system, fit.solution.theta)
     found = {}
     for name, terms in regrouped(base, fit.dataset.model.parameter_names).items():
         unit = unit_of(name.kind, robot, name.body)
@@ -190,7 +195,7 @@ def _parameters(fit: Fit, vector: Estimates, essential: Problem) -> dict[Paramet
         found[name] = replace(
             made,
             regrouping=base.regroupings[name],
-            spread=spread.get(name),
+            between_run_std=between_runs.get(name),
             verdict=judge_parameter(made.value, made.std, terms),
             essential=name in essential.parameters,
         )
@@ -252,7 +257,7 @@ def _sensors(
     return tuple(sensors)
 
 
-def _spread(system: System, theta: np.ndarray) -> dict[str, float]:
+def _between_runs(system: System, theta: np.ndarray) -> dict[str, float]:
     """Compute the standard deviation between runs of each friction parameter that may drift."""
     differences: dict[str, list[float]] = {}
     for name, value in zip(system.problem.parameters, theta, strict=True):

@@ -289,7 +289,8 @@ def _notes(
     if noisy:
         yield Finding(F.NOISY, tuple(joint for joint, _ in noisy), values={"shares": noisy})
     if preparation.bandwidth > CLOSE_TO_NYQUIST * run.rate:
-        yield Finding(F.RATE, values={"bandwidth": preparation.bandwidth, "nyquist": run.rate / 2})
+        bandwidth = preparation.bandwidth
+        yield Finding(F.RATE, values={"bandwidth": bandwidth, "nyquist": run.rate / 2, "wanted": 10 * bandwidth})
 
 
 def valid_samples(run: Run, preparation: Preparation, start: int, stop: int) -> np.ndarray:

@@ -10,16 +10,18 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
+from gtau.documents.files import system_refusals
 from gtau.errors import GtauError
-from gtau.extensions import Extensions
+from gtau.extensions import added, built_in
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.signals.reading.body_columns import at_origins
 from gtau.signals.reading.columns import SampleRate, Signals
-from gtau.signals.reading.formats import ALL, Table, system_refusals
+from gtau.signals.reading.formats import ALL, Table
 from gtau.signals.reading.formats.columnar import INFO
 from gtau.signals.reading.formats.rosbag import LOG_FORMATS as BAGS
 from gtau.signals.reading.formats.text import open_text
@@ -27,14 +29,23 @@ from gtau.signals.reading.samples import Source
 from gtau.signals.reading.units import Units
 from gtau.signals.storage import block, blocks, store
 
-FORMATS: Extensions[Callable[[Path], Table]] = Extensions("gtau.log_formats", "gtau.signals.reading.formats", Callable)
-"""Readers by the ending of the file's name; anything else is text."""
+GROUP = "gtau.log_formats"
+"""Of the entry points of other distributions."""
+
+
+def reader_of(ending: str) -> Callable[[Path], Table] | None:
+    """Find the reader of files whose name has an ending (``.npz``); None where it has none of its own."""
+    found = built_in(GROUP, "gtau.signals.reading.formats").get(ending) or added(GROUP, ending, Callable)
+    return cast("Callable[[Path], Table] | None", found)
 
 
 def read_log(path: str | Path, names: Iterable[str]) -> Table:
-    """Locate columns of a log by name, unchecked; the ending of its name gives the format, see :data:`FORMATS`.
+    """Locate columns of a log by name, unchecked; the ending of its name gives the format, see :func:`reader_of`.
 
-    Raises GtauError where the file cannot be read, or lacks a column.
+    Raises
+    ------
+    GtauError
+        The file cannot be read, or a column is not in it.
     """
     table = find_columns(Path(path))
     names = tuple(dict.fromkeys(names))
@@ -47,7 +58,7 @@ def find_columns(path: Path) -> Table:
     with system_refusals(path):
         if not path.is_dir():
             path.open("rb").close()  # the system's reason, not a library's, where there is no such file
-        reader = FORMATS.find(_ending(path)) or open_text
+        reader = reader_of(_ending(path)) or open_text
         return reader(path)
 
 
@@ -84,13 +95,14 @@ def _refuse_missing(names: Iterable[str], table: Table) -> None:
             continue
         if table.numbered:
             raise GtauError(
-                f"{path}: there is no column '{name}'; the file has no header, so its {len(columns)} columns are named "
-                f"1 to {len(columns)}."
+                f"there is no column '{name}'; the file has no header, so its {len(columns)} columns are named "
+                f"1 to {len(columns)}.",
+                source=path,
             )
         close = get_close_matches(name, columns, n=1)
         hint = f"did you mean '{close[0]}'? The" if close else "the"
         listed = ", ".join(columns[:40]) + (", ..." if len(columns) > 40 else "")
-        raise GtauError(f"{path}: there is no column '{name}'; {hint} columns are {listed}.")
+        raise GtauError(f"there is no column '{name}'; {hint} columns are {listed}.", source=path)
 
 
 LONGEST_STEP = 3.0  # usual steps of the commands, beyond which they are not interpolated but missing
@@ -116,8 +128,8 @@ def read_logs(
     positions, commands = [*signals.position.values(), *(base.pose if base else ())], list(signals.measured)
     if len(paths) == 1 and (both := set(positions) & set(commands)):
         raise GtauError(
-            f"{paths[0]}: the column '{min(both)}' is given both as a position and as a {signals.kind}; correct one "
-            "of the two."
+            f"the column '{min(both)}' is given both as a position and as a {signals.kind}; correct one of the two.",
+            source=paths[0],
         )
     position_scale, command_scale, time_scale = units.scale(signals)
     files = [read_log(paths[0], (*times, *positions, *(commands if len(paths) == 1 and not stamps else ())))]

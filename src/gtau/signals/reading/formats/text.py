@@ -94,7 +94,8 @@ def open_text(path: Path) -> Table:
 
 def _skipped(lines: Sequence[int], header: _Line | None) -> Iterator[Finding]:
     if lines:
-        values = {"first": lines[0], "last": lines[-1], "header": header.number if header else 0}
+        last = lines[-1] if len(lines) > 1 else 0
+        values = {"first": lines[0], "last": last, "header": header.number if header else 0}
         yield Finding(F.SKIPPED_LINES, values=values)
 
 
@@ -172,8 +173,8 @@ def _refuse_long_line(path: Path, length: int, number: int | None = None) -> Non
     if length > LONGEST:
         where = "a line" if number is None else f"line {number}"
         raise GtauError(
-            f"{path}: {where} is longer than {LONGEST >> 20} MB, too long for a row of a log; write one sample per "
-            f"line."
+            f"{where} is longer than {LONGEST >> 20} MB, too long for a row of a log; write one sample per line.",
+            source=path,
         )
 
 
