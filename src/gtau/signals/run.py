@@ -114,12 +114,9 @@ class Run:
             raise TypeError(f"a run has no '{min(strange)}'; give {', '.join(More.__annotations__)}")
         if problem := name_problem(name):
             raise GtauError(f"run: {problem}.")
-        log, base = (
-            more.get("log", Log()),
-            next((rows for joint in joints if set(rows := base_rows(joint)) <= set(joints)), ()),
-        )
-        if "settings" in more:
-            log = replace(log, settings=more["settings"])
+        base = next((rows for joint in joints if set(rows := base_rows(joint)) <= set(joints)), ())
+        of_log: Any = {key: more[key] for key in ("settings", "notes", "temperature") if key in more}
+        log = replace(more.get("log", Log()), **of_log)
         channels = tuple(more.get("channels") or channels_of(joints, base, {SENSOR: more.get("sensors", ())}))
         unit = "A" if kind == "current" else "N m"
         channels = tuple(replace(channel, unit=unit) if channel.name in joints else channel for channel in channels)
