@@ -82,7 +82,7 @@ def design_document(outlook: Outlook) -> dict[str, Any]:
             for joint, known in zip(outlook.robot.actuated, task.prior.known, strict=False)
         ],
         "gains": [_entry(outlook, gain, "gains" in outlook.assumed) for gain in expected.gains],
-        "parameters": [_entry(outlook, each, "parameters" in outlook.assumed) for each in expected.parameters],
+        "parameters": [_entry(outlook, value, "parameters" in outlook.assumed) for value in expected.parameters],
         "rows_kept": [
             {"joint": joint, "share": share}
             for joint, share in zip(task.model.actuated, expected.kept.tolist(), strict=True)
@@ -140,7 +140,7 @@ def design_page(outlook: Outlook) -> Page:
     assumed = "parameters" in outlook.assumed
     gains = _expected_table(outlook, expected.gains, "gains" in outlook.assumed)
     words = f"-: the value is zero, or assumed and its standard deviation exceeds {MOST} %"
-    unknown = Text(words, style="soft") if any(_meaningless(each, assumed) for each in expected.parameters) else None
+    unknown = Text(words, style="soft") if any(_meaningless(value, assumed) for value in expected.parameters) else None
     parameters = _expected_table(outlook, expected.parameters, assumed, name="parameter-table")
     facts = {
         "period": f"{task.series.period:.4g} s",
@@ -191,10 +191,10 @@ def _verdict(outlook: Outlook) -> Text:
         f"deviation of {outlook.rms:.2g} % (rms over the joints)."
     )
     weak: dict[str, list[str]] = {}
-    for each in outlook.weak:
-        share = 100 * each.relative
+    for unknown in outlook.weak:
+        share = 100 * unknown.relative
         size = f"{share:.3g}" if share <= MOST else f">\N{NO-BREAK SPACE}{MOST}"
-        weak.setdefault(_advice(each), []).append(f"{each.name} ({size} %)")
+        weak.setdefault(_advice(unknown), []).append(f"{unknown.name} ({size} %)")
     said = [
         f"not identified (30 % or more, of the value or of a typical one): {', '.join(names)}; {advice}"
         for advice, names in weak.items()
@@ -210,18 +210,18 @@ def _verdict(outlook: Outlook) -> Text:
 def _expected_table(outlook: Outlook, unknowns: Sequence[Expected], assumed: bool, name: str = "") -> Table:
     """Tabulate standard deviations to expect; of a gain that is only assumed, just the relative one means something."""
     hidden = assumed and unknowns is outlook.forecast.gains
-    sources = dict.fromkeys((each.name for each in unknowns), "assumed" if assumed else "given")
+    sources = dict.fromkeys((unknown.name for unknown in unknowns), "assumed" if assumed else "given")
     for joint, known in zip(outlook.robot.actuated, outlook.task.prior.known, strict=False):
         if known.source not in ("given", "assumed"):
             sources[joint] = "{}, {:.4g} to {:.4g}".format(known.source, *known.interval)
     return table_of(
         unknowns,
         (Column("name", Kind.NAME), "name"),
-        (Column("prior value", Kind.NUMBER, 4), lambda each: None if hidden else each.value),
-        (Column("std", Kind.NUMBER, 3), lambda each: None if hidden else _finite(each.std)),
-        (Column("%", Kind.NUMBER, 3), lambda each: None if _meaningless(each, assumed) else _finite(each.relative)),
+        (Column("prior value", Kind.NUMBER, 4), lambda value: None if hidden else value.value),
+        (Column("std", Kind.NUMBER, 3), lambda value: None if hidden else _finite(value.std)),
+        (Column("%", Kind.NUMBER, 3), lambda value: None if _meaningless(value, assumed) else _finite(value.relative)),
         (Column("unit"), outlook.unit),
-        (Column("prior value is"), lambda each: sources[each.name]),
+        (Column("prior value is"), lambda value: sources[value.name]),
         name=name,
     )
 
@@ -256,8 +256,8 @@ def motion_charts(outlook: Outlook) -> list[tuple[str, Chart]]:
         runs = [f"run {run + 1} ({_load(task.payloads[run])})" for run in task.motions[k]]
         panels = [
             panel
-            for each, (what, per) in zip(values, ORDERS, strict=False)
-            for panel in joint_panels(robot, task.model.actuated, time, each.T, what, 1.9, per)
+            for order, (what, per) in zip(values, ORDERS, strict=False)
+            for panel in joint_panels(robot, task.model.actuated, time, order.T, what, 1.9, per)
         ]
         charts.append((f"Motion {k + 1}: {', '.join(runs)}", Chart(tuple(panels), robot.name, live=True)))
     return charts

@@ -49,7 +49,7 @@ def validation_document(runs: Sequence[RunEvidence]) -> dict[str, Any]:
 
 def validation_page(result: Result, runs: Sequence[RunEvidence], notes: Sequence[Finding] = ()) -> Page:
     """Show the torque errors of each run; ``notes`` say what all predictions take for granted."""
-    said = [f"run '{each.run.name}': {note}" for each in runs for note in each.notes]
+    said = [f"run '{run.run.name}': {note}" for run in runs for note in run.notes]
     verdict = Text(headline(result, runs), (*said, *map(str, notes), CAUTION), "neutral")
     return page(
         f"Validation of {result.robot.name}",
