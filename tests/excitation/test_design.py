@@ -26,7 +26,7 @@ from gtau.model.home import load_robot
 from gtau.report.design import design_document, design_page
 from gtau.report.page import Table
 from gtau.report.render.terminal import plain
-from gtau.signals.reading.log_file import read_log
+from gtau.signals.reading.logs import read_log
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 ORTHOGLIDE = """
