@@ -215,7 +215,7 @@ def test_the_drafted_file_identifies(tmp_path: Path, monkeypatch: pytest.MonkeyP
 def test_on_a_terminal_it_asks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Robot, rate, kind and payload, in that order; what was answered is not marked."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("gtau.cli.logs._on_terminal", lambda: True)
+    monkeypatch.setattr("gtau.cli.logs.on_terminal", lambda: True)
     save(tmp_path / "a.csv", "q_left,q_right,v_left,v_right", Q, V)
     done = CliRunner().invoke(app, ["init", "a.csv"], input="five-bar\n250\ntorque\n")
     assert done.exit_code == 0, done.output

@@ -107,7 +107,7 @@ def init(
 
     if out.exists():
         raise GtauError(f"{out} exists already; give another name (--out FILE), or remove it.")
-    ask = not (yes or json_) and _on_terminal()
+    ask = not (yes or json_) and on_terminal()
     if robot is None and ask and not is_rosbag(logs[0]):
         robot = typer.prompt("Robot (catalog name or path of a file; empty if unknown)", default="") or None
     if base is not None and robot is None:
@@ -125,7 +125,8 @@ def init(
     print_json({"file": str(out), "time": clock, **columns, "to_confirm": open_})
 
 
-def _on_terminal() -> bool:
+def on_terminal() -> bool:
+    """Return whether somebody can be asked."""
     return sys.stdin.isatty() and sys.stdout.isatty()
 
 

@@ -149,7 +149,7 @@ def payload(
         inputs = (("model", model), *inputs_of(experiment, described))
         settings = {**settings_of(result), "drive gains": gains.value}
         written = [write_report(page, folder_of(out), seconds(), inputs, settings)]
-        for exported in () if to is None else _exported(bodies, to, out):
+        for exported in () if to is None else export_bodies(bodies, to, out):
             written += exported.files
             notes += exported.notes
     document = {
@@ -188,7 +188,7 @@ def _refuse_controller(to: str, frame: str, result: Result, file: str) -> None:
         refuse_unnamed(to, f"the frame of '{tool}'", links_on(tool, file))
 
 
-def _exported(bodies: Sequence[PayloadBody], to: str, out: Path) -> list[Exported]:
+def export_bodies(bodies: Sequence[PayloadBody], to: str, out: Path) -> list[Exported]:
     """Write payloads for a controller, each weighing to its own files."""
     from gtau.documents.files import identifier
     from gtau.export.payload import export_payload

@@ -210,7 +210,7 @@ def _read(
         def advance(what: str, done: int, total: int, k: int = k) -> None:
             progress(what, k * total + done, len(listed) * total)
 
-        with _noted(notes, kinds[k], logs=() if isinstance(entry, Run) else entry.log):
+        with _noted(notes, kinds[k]):
             if isinstance(entry, Run):
                 run = entry
             else:
@@ -223,23 +223,19 @@ def _read(
 
 
 @contextmanager
-def _noted(notes: list[Finding], kind: F = F.REFUSED, source: str = "", logs: Sequence[Path] = ()) -> Generator[None]:
+def _noted(notes: list[Finding], kind: F = F.REFUSED, source: str = "") -> Generator[None]:
     """Note a refusal instead of raising it."""
     try:
         yield
     except GtauError as error:
-        notes.append(refusal(error, kind, source, logs))
+        notes.append(refusal(error, kind, source))
 
 
-def refusal(error: GtauError, kind: F = F.REFUSED, source: str = "", logs: Sequence[Path] = ()) -> Finding:
-    """Note why an identification refuses a log; where no ``source`` is given, the sentence may name one of its logs."""
-    sentence = str(error).rstrip(".")
-    for log in logs:  # what is wrong with several logs is listed once, with all their names
-        if not source and sentence.startswith(f"{log}: "):
-            sentence, source = sentence.removeprefix(f"{log}: "), str(log)
-    what, _, action = sentence.rpartition("; ")
+def refusal(error: GtauError, kind: F = F.REFUSED, source: str = "") -> Finding:
+    """Note why an identification refuses a log; what several have in common is listed once, with all their names."""
+    what, _, action = error.sentence.rstrip(".").rpartition("; ")
     values = {"what": what or action, "action": action if what else ""}
-    return Finding(kind, values=values, source="" if source in what else source)
+    return Finding(kind, values=values, source=error.source or ("" if source in values["what"] else source))
 
 
 def few_rows(logs: Sequence[LogCheck]) -> Iterator[Finding]:

@@ -78,13 +78,13 @@ def consistent_model(result: Result, target: str) -> ConsistentModel:
     return ConsistentModel(result, standard, gains, cubics, tuple(straight))
 
 
-def differences(model: ConsistentModel, expressed: Mapping[str, float], cubic: bool) -> dict[str, float]:
-    """Compute the rms difference of torques from the identified ones over random states, per cent, by joint.
+def differences(
+    model: ConsistentModel, expressed: Mapping[str, float], cubic: bool = True
+) -> tuple[dict[str, float], str]:
+    """Compute the rms difference from the identified torques over random states, per cent by joint, and a note on it.
 
-    None is faster than the logs.
-
-    ``expressed`` are the standard parameters that the target holds, ``cubic`` says whether it holds f3 too; the
-    identified torques include all friction terms.
+    None is faster than the logs. ``expressed`` are the standard parameters that the target holds, ``cubic`` says
+    whether it holds f3 too; the identified torques include all friction terms.
     """
     result, idm = model.result, model.result.idm
     motion = random_motion(idm, STATES, np.random.default_rng(0))
@@ -99,15 +99,11 @@ def differences(model: ConsistentModel, expressed: Mapping[str, float], cubic: b
     if cubic:
         made += np.array([[model.cubic(joint)] for joint in idm.actuated]) * motion.yd[idm.layout.actuated] ** 3
     rms, size = (np.sqrt(np.mean(torques**2, axis=1)) for torques in (made - tau, tau))
-    return {joint: float(100 * a / b) for joint, a, b in zip(idm.actuated, rms, size, strict=True)}
-
-
-def difference_note(rms_percent: Mapping[str, float]) -> str:
-    """Describe the differences in a sentence."""
-    worst = max(rms_percent, key=lambda joint: rms_percent[joint])
-    return (
+    per_cent = {joint: float(100 * a / b) for joint, a, b in zip(idm.actuated, rms, size, strict=True)}
+    worst = max(per_cent, key=lambda joint: per_cent[joint])
+    return per_cent, (
         f"over {STATES} random states within the logged speeds the exported torques differ from the identified "
-        f"ones by at most {rms_percent[worst]:.2g} % rms (joint '{worst}')"
+        f"ones by at most {per_cent[worst]:.2g} % rms (joint '{worst}')"
     )
 
 

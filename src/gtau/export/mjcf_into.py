@@ -13,7 +13,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
 from gtau.export import mjcf
-from gtau.export.consistent import ConsistentModel, consistent_model, difference_note, differences
+from gtau.export.consistent import ConsistentModel, consistent_model, differences
 from gtau.export.exported import Export, Exported, digits
 from gtau.export.input_file import InputFile, input_file
 from gtau.export.mjcf import imported, notes
@@ -60,11 +60,11 @@ def export(result: Result, source: Path, out: Path) -> Exported:
     expressed = {
         name: value for name, value in model.standard.items() if not name.startswith("off_") and name not in unable
     }
-    figures = differences(model, expressed, cubic=True)
+    figures, difference = differences(model, expressed)
     if lumped:
         said.append(f"bodies without joints are part of those that carry them, and weigh nothing: {', '.join(lumped)}")
     said.append("meshes and textures are named as in the original: put the file where they are found")
-    return Exported(file.save(out), (difference_note(figures), *notes(model, expressed, True), *said), figures)
+    return Exported(file.save(out), (difference, *notes(model, expressed, True), *said), figures)
 
 
 def _bodies(element: Element) -> Iterator[Element]:

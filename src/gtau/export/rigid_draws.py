@@ -175,21 +175,11 @@ class Target:
 
 
 def target_of(result: Result, estimates: Mapping[Parameter, Estimate]) -> tuple[Target, np.ndarray, np.ndarray]:
-    """Build the density of what was identified.
+    """Build the density of what was identified with ``consistent=True``.
 
-    Parameters
-    ----------
-    result : Result
-        Identified with ``consistent=True``.
-    estimates : mapping
-        Those to draw, by their names in the covariance; those of base parameters come first.
-
-    Returns
-    -------
-    Target
-        Of the standard parameters, and the changes of the other estimates.
-    unit, start : ndarray
-        Natural sizes (n,) of the standard parameters, and unknowns (n + r,) to search from.
+    Returns it for the standard parameters and the changes of the other ``estimates``, those to draw by their names in
+    the covariance, base parameters first; natural sizes (n,) of the standard parameters; and unknowns (n + r,) to
+    search from.
     """
     robot, base, names = result.robot, result.base, result.idm.parameter_names
     assert result.consistency is not None

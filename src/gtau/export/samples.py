@@ -26,24 +26,12 @@ ALLOWED = 1.0  # standard deviations by which a draw may lie outside what was id
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Draws of an identified model.
+    """Draws of an identified model, N of each quantity, SI units.
 
-    Attributes
-    ----------
-    result : Result
-        Identification result.
-    standard, base : ndarray
-        Standard parameters (N, n_st) and base parameters (N, n_b), SI units, in the order of the robot's model.
-    gains, delays : ndarray
-        Drive gains (N, n) and delays (N, n) of the actuated joints, N m/A or N/A, and s.
-    friction : dict
-        Draws (N,) of the friction with which the model predicts, by name.
-    moved : ndarray
-        Distance by which rigid bodies keep each draw outside the 95 % region of the estimates, in standard deviations,
-        (N,).
-    shifts : mapping
-        Distance of the mean of the draws from each estimate, in its standard deviations, by name.
-    seed : int
+    ``standard`` (N, n_st) and ``base`` (N, n_b) parameters are in the order of the robot's model, ``gains`` and
+    ``delays`` (N, n) in that of its actuated joints; ``friction`` (N,) is that with which the model predicts. ``moved``
+    (N,) is the distance by which rigid bodies keep each draw outside the 95 % region of the estimates, in standard
+    deviations; ``shifts`` the distance of the mean of the draws from each estimate, in its standard deviations.
     """
 
     result: Result
@@ -136,16 +124,7 @@ class Samples:
 
 
 def draw(result: Result, count: int, seed: int = 0) -> Samples:
-    """Draw models from the identified distribution.
-
-    Parameters
-    ----------
-    result : Result
-        Identified with ``consistent=True``.
-    count : int
-        Number of draws.
-    seed : int
-        The same seed gives the same draws.
+    """Draw ``count`` models from the distribution identified with ``consistent=True``; a ``seed`` gives the same draws.
 
     Raises GtauError where the result has no physically consistent parameters, or no standard deviations.
     """

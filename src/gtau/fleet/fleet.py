@@ -143,13 +143,13 @@ def identify_fleet(
     reports: dict[int, Report] = {}
     progress("robots", 0, len(members))
     items = [(member.anywhere, key) for member, key in zip(members, known, strict=True)]
-    for k, outcome in mapper(partial(_identify_member, method), items):
+    for k, outcome in mapper(partial(identify_member, method), items):
         reports[k] = _keep(out, members[k], outcome)
         progress("robots", len(reports), len(members))
     return tuple(reports[k] for k in range(len(members)))
 
 
-def _identify_member(method: str, item: tuple[Member, str]) -> tuple[str, str] | GtauError:
+def identify_member(method: str, item: tuple[Member, str]) -> tuple[str, str] | GtauError:
     """Identify a member: the key of its inputs and the text of its model, empty if the key is the known one."""
     from gtau.estimation.identify import identify
 

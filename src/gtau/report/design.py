@@ -294,7 +294,7 @@ def _expected_table(outlook: Outlook, unknowns: Sequence[Expected], assumed: boo
             sources[joint] = "{}, {:.4g} to {:.4g}".format(known.source, *known.interval)
     return table_of(
         unknowns,
-        (Column("name", Kind.NAME), lambda each: each.name),
+        (Column("name", Kind.NAME), "name"),
         (Column("prior value", Kind.NUMBER, 4), lambda each: None if hidden else each.value),
         (Column("std", Kind.NUMBER, 3), lambda each: None if hidden else _finite(each.std)),
         (Column("%", Kind.NUMBER, 3), lambda each: None if _meaningless(each, assumed) else _finite(each.relative)),
@@ -311,10 +311,10 @@ def _meaningless(unknown: Expected, assumed: bool) -> bool:
 def _limits(design: Design) -> Table:
     return table_of(
         sorted(design.constraint_usages, key=lambda usage: -usage.excess),
-        (Column("limit"), lambda usage: usage.what),
-        (Column("value", Kind.NUMBER, 4), lambda usage: usage.limit),
-        (Column("unit"), lambda usage: usage.unit),
-        (Column("used, %", Kind.SHARE, decimals=1), lambda usage: usage.excess),
+        (Column("limit"), "what"),
+        (Column("value", Kind.NUMBER, 4), "limit"),
+        (Column("unit"), "unit"),
+        (Column("used, %", Kind.SHARE, decimals=1), "excess"),
     )
 
 

@@ -207,8 +207,8 @@ def requirements_section(result: Result) -> Section | None:
         (Column("required"), lambda requirement: required(requirement)[0]),
         (Column("of"), lambda requirement: required(requirement)[1]),
         (Column("outcome", Kind.BADGE), lambda requirement: "passed" if requirement.met else "failed"),
-        (Column("limit, %", Kind.NUMBER), lambda requirement: requirement.limit),
-        (Column("found, %", Kind.NUMBER, decimals=2), lambda requirement: requirement.found),
+        (Column("limit, %", Kind.NUMBER), "limit"),
+        (Column("found, %", Kind.NUMBER, decimals=2), "found"),
         (Column("worst joint"), lambda requirement: requirement.joint or None),
     )
     return section("Requirements", listed, id="requirements")
@@ -224,10 +224,10 @@ def _consistency_section(consistency: Consistency | None) -> Section | None:
     shown += [move for name in gains for move in consistency.moves if move.name == name]
     listed = table_of(
         shown,
-        (Column("estimate", Kind.NAME), lambda move: move.name),
-        (Column("free", Kind.NUMBER, 5), lambda move: move.free),
-        (Column("consistent", Kind.NUMBER, 5), lambda move: move.consistent),
-        (Column("moved, std", Kind.NUMBER, decimals=2), lambda move: move.deviations),
+        (Column("estimate", Kind.NAME), "name"),
+        (Column("free", Kind.NUMBER, 5), "free"),
+        (Column("consistent", Kind.NUMBER, 5), "consistent"),
+        (Column("moved, std", Kind.NUMBER, decimals=2), "deviations"),
     )
     joint = max(consistency.loss, key=lambda name: consistency.loss[name])
     words = (

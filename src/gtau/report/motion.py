@@ -65,10 +65,10 @@ def singularities_section(nearest: Sequence[NearestPose]) -> Section | None:
         return None
     listed = table_of(
         nearest,
-        (Column("run"), lambda pose: pose.run),
+        (Column("run"), "run"),
         (Column("singularity"), lambda pose: TYPES[pose.type]),
-        (Column("nearest", Kind.NUMBER, 3), lambda pose: pose.distance),
-        (Column("at, s", Kind.NUMBER), lambda pose: pose.time),
+        (Column("nearest", Kind.NUMBER, 3), "distance"),
+        (Column("at, s", Kind.NUMBER), "time"),
         (Column("pose, rad or m", wide=True), lambda pose: ", ".join(f"{j} {q:.3g}" for j, q in pose.pose.items())),
     )
     words = "Reciprocal condition numbers: 1 at best, 0 at a singular pose."

@@ -146,9 +146,9 @@ def _joints(model: InverseDynamics) -> Table:
 
     return table_of(
         robot.joints,
-        (Column("joint"), lambda joint: joint.name),
-        (Column("antecedent"), lambda joint: joint.antecedent),
-        (Column("kind"), lambda joint: joint.kind),
+        (Column("joint"), "name"),
+        (Column("antecedent"), "antecedent"),
+        (Column("kind"), "kind"),
         (Column("role"), role),
         (Column("home", Kind.NUMBER, 4), lambda joint: round(home[robot.joints.index(joint)], 10) + 0.0),
         (Column("unit"), lambda joint: position_unit(robot, joint.name)),

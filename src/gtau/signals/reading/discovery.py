@@ -129,8 +129,9 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
         listed = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
         what = "positions" if positions is None else "currents or torques"
         raise GtauError(
-            f"{paths[0]}: no columns of {what} are recognised among {listed}; write the experiment file by hand "
-            "(docs/lookup/experiment-file.md), or rename the columns, such as q1 and current1."
+            f"no columns of {what} are recognised among {listed}; write the experiment file by hand "
+            "(docs/lookup/experiment-file.md), or rename the columns, such as q1 and current1.",
+            source=paths[0],
         )
     reasons, units = dict(position_log.reasons), dict[str, str]()
     joints, reasons["position"], by_order = _joints(positions, commands, robot)

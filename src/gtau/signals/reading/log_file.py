@@ -86,13 +86,14 @@ def _refuse_missing(names: Iterable[str], table: Table) -> None:
             continue
         if table.numbered:
             raise GtauError(
-                f"{path}: there is no column '{name}'; the file has no header, so its {len(columns)} columns are named "
-                f"1 to {len(columns)}."
+                f"there is no column '{name}'; the file has no header, so its {len(columns)} columns are named "
+                f"1 to {len(columns)}.",
+                source=path,
             )
         close = get_close_matches(name, columns, n=1)
         hint = f"did you mean '{close[0]}'? The" if close else "the"
         listed = ", ".join(columns[:40]) + (", ..." if len(columns) > 40 else "")
-        raise GtauError(f"{path}: there is no column '{name}'; {hint} columns are {listed}.")
+        raise GtauError(f"there is no column '{name}'; {hint} columns are {listed}.", source=path)
 
 
 @contextmanager

@@ -48,8 +48,8 @@ def read_logs(
     positions, commands = [*signals.position.values(), *(base.pose if base else ())], list(signals.measured)
     if len(paths) == 1 and (both := set(positions) & set(commands)):
         raise GtauError(
-            f"{paths[0]}: the column '{min(both)}' is given both as a position and as a {signals.kind}; correct one "
-            "of the two."
+            f"the column '{min(both)}' is given both as a position and as a {signals.kind}; correct one of the two.",
+            source=paths[0],
         )
     position_scale, command_scale, time_scale = units.scale(signals)
     files = [read_log(paths[0], (*times, *positions, *(commands if len(paths) == 1 and not stamps else ())))]

@@ -58,8 +58,9 @@ def read_poses(paths: Sequence[Path], signals: Signals, units: Units, part: Part
     table = _complete_rows(path, columns, signals, units, part, scale)
     if len(table) < FEWEST:
         raise GtauError(
-            f"{path}: {len(table)} rows hold all of the pose ({', '.join(pose.columns)}) and the positions; give the "
-            "columns that hold them, or remove 'pose' from the signals."
+            f"{len(table)} rows hold all of the pose ({', '.join(pose.columns)}) and the positions; give the "
+            "columns that hold them, or remove 'pose' from the signals.",
+            source=path,
         )
     return LoggedPoses(path.stem + part.label, table[:, -1], table[:, :n], table[:, n:-1])
 
@@ -104,8 +105,9 @@ def read_temperature(paths: Sequence[Path], signals: Signals, units: Units, part
     table = _complete_rows(Path(paths[0]), columns, signals, units, part)
     if not len(table):
         raise GtauError(
-            f"{paths[0]}: no row holds a number in the temperature columns ({', '.join(columns)}); correct them, or "
-            "remove 'temperature' from the signals."
+            f"no row holds a number in the temperature columns ({', '.join(columns)}); correct them, or "
+            "remove 'temperature' from the signals.",
+            source=paths[0],
         )
     parts = np.array_split(table, min(KEPT, len(table)))
     means = np.array([each.mean(axis=0) for each in parts])

@@ -108,7 +108,7 @@ def _refuse_stuck(samples: Samples, notes: list[Finding]) -> None:
             )
     still = (low == high)[:n]
     if still.all():
-        raise GtauError(f"{source.name}: no position ever changes; give a log of a moving robot.")
+        raise GtauError("no position ever changes; give a log of a moving robot.", source=source.name)
     for channel, column, least, most in zip(source.channels, source.columns[n:-1], low[n:], high[n:], strict=True):
         if least < most or not channel.kind.of_joint:
             continue
@@ -225,6 +225,7 @@ def _refuse_rates(samples: Samples, clock: Clock) -> None:
             "one that differs from the others)"
         )
         raise GtauError(
-            f"{samples.source.name}: by its '{column}' it is sampled at {clock.rate:.3g} Hz (steps of "
-            f"{clock.period:.3g} s), which is not a plausible sampling rate; {repair}."
+            f"by its '{column}' it is sampled at {clock.rate:.3g} Hz (steps of "
+            f"{clock.period:.3g} s), which is not a plausible sampling rate; {repair}.",
+            source=samples.source.name,
         )

@@ -236,8 +236,9 @@ def refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:
     usually, speeds = (np.quantile(np.concatenate(each), 0.999, axis=0) for each in (usual, fast))
     for j in np.flatnonzero(speeds > LARGEST_SPEED).tolist():
         raise GtauError(
-            f"{source.name}: joint '{source.joints[j]}' moves at {speeds[j]:.2g} (rad or m)/s, faster than any joint; "
-            "give the units of its position and of the time (units: {position: ..., time: ...})."
+            f"joint '{source.joints[j]}' moves at {speeds[j]:.2g} (rad or m)/s, faster than any joint; "
+            "give the units of its position and of the time (units: {position: ..., time: ...}).",
+            source=source.name,
         )
     low, high = extremes(samples.position)
     far = np.abs(jumps) > np.maximum(SLIP_RANGE * (high - low), SLIP_QUANTA * np.array(held.quanta))
@@ -336,7 +337,7 @@ def refuse_magnitudes(samples: Samples) -> None:
     reversing = np.sum(steps, axis=0) > REVERSING * (last - first)
     unsigned, touching = ((low >= 0) & reversing)[acting], (low <= NEAR_ZERO * high)[acting]
     if acting.any() and unsigned.all() and touching.mean() >= TOUCHING:
-        raise GtauError(f"{source.name}: its commands are {UNSIGNED}.")
+        raise GtauError(f"its commands are {UNSIGNED}.", source=source.name)
 
 
 def whole_numbers(command: np.ndarray, joints: int) -> float:
@@ -372,11 +373,12 @@ def clipped(samples: Samples, notes: list[Finding]) -> list[tuple[int, float]]:
             if _longest_at(samples, j, channel.row, level) < CLIPPED_RUN:
                 continue
             if at > MAX_CLIPPED * count and level == low[j] == 0.0:
-                raise GtauError(f"{source.name}: {what} is {UNSIGNED}.")
+                raise GtauError(f"{what} is {UNSIGNED}.", source=source.name)
             if at > MAX_CLIPPED * count:
                 raise GtauError(
-                    f"{source.name}: {what} is clipped at {level:.4g} in {at} of {count} samples; record it again "
-                    f"with slower motions or a higher limit of the drive."
+                    f"{what} is clipped at {level:.4g} in {at} of {count} samples; record it again "
+                    f"with slower motions or a higher limit of the drive.",
+                    source=source.name,
                 )
             values = {"signal": channel.kind.name, "level": level, "samples": at}
             notes.append(Finding(F.CLIPPED, (channel.joint,), values=values, share=at / count))

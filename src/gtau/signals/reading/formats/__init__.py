@@ -120,7 +120,8 @@ def common_length(path: Path, lengths: Mapping[str, int]) -> int:
         (one, rows), *others = lengths.items()
         other = next(name for name, count in others if count != rows)
         raise GtauError(
-            f"{path}: '{one}' has {rows} rows but '{other}' has {lengths[other]}; give columns that were sampled "
-            "together, or each topic's own stamps (time: {position: COLUMN, command: COLUMN})."
+            f"'{one}' has {rows} rows but '{other}' has {lengths[other]}; give columns that were sampled "
+            "together, or each topic's own stamps (time: {position: COLUMN, command: COLUMN}).",
+            source=path,
         )
     return next(iter(lengths.values()))

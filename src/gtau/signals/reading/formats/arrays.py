@@ -95,7 +95,7 @@ def open_mat(path: Path) -> Table:
     def load(names: Collection[str]) -> Iterator[Mapping[str, Any]]:
         arrays = variables(*{name.partition(".")[0] for name in names})
         if lost := set(names) - arrays.keys():
-            raise GtauError(f"{path}: '{min(lost)}' holds complex numbers; give a column of real ones.")
+            raise GtauError(f"'{min(lost)}' holds complex numbers; give a column of real ones.", source=path)
         yield arrays
 
     return _table(path, shapes, load)

@@ -82,9 +82,10 @@ def open_rosbag(path: Path) -> Table:
         count = common_length(path, {name: counts[topic] for name, topic in zip(names, topics, strict=True)})
         if len(set(topics)) > 1:
             raise GtauError(
-                f"{path}: '{names[0]}' and '{names[[t != topics[0] for t in topics].index(True)]}' come from two "
+                f"'{names[0]}' and '{names[[t != topics[0] for t in topics].index(True)]}' come from two "
                 f"topics with separate time stamps; give both"
-                " (time: {position: COLUMN, command: COLUMN})."
+                " (time: {position: COLUMN, command: COLUMN}).",
+                source=path,
             )
         getters = [columns[name][1] for name in names]
         values = np.empty((min(block_size(), count), len(names)))

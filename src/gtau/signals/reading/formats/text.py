@@ -178,8 +178,8 @@ def _refuse_long_line(path: Path, length: int, number: int | None = None) -> Non
     if length > LONGEST:
         where = "a line" if number is None else f"line {number}"
         raise GtauError(
-            f"{path}: {where} is longer than {LONGEST >> 20} MB, too long for a row of a log; write one sample per "
-            f"line."
+            f"{where} is longer than {LONGEST >> 20} MB, too long for a row of a log; write one sample per line.",
+            source=path,
         )
 
 
