@@ -13,12 +13,11 @@ from gtau.estimation.diagnostics.stated_constants import scale_shares, sensor_ve
 from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, judge_parameter, parameter_verdict, verdict_of
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import residuals, stacked
-from gtau.estimation.regression.column_blocks import CarriedPayload, known_values
-from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.column_blocks import PayloadColumns, known_values
+from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.equations import triangle
 from gtau.estimation.regression.friction import BEARING
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System
 from gtau.estimation.regression.unknowns import Estimates
 from gtau.estimation.results.estimate import (
     Estimate,
@@ -62,7 +61,7 @@ def model_estimates(
     essential : Problem
         Of the essential parameters.
     """
-    dataset, channels, terms = fit.dataset, fit.system.problem.channels, fit.system.friction.terms
+    dataset, channels, terms = fit.dataset, fit.system.problem.channels, fit.system.terms
     temperatures, base_names = reference_temperatures(fit), set(dataset.base.names)
     delays = [
         _estimate(predicting, Parameter("delay", channel.name), "s", channel.joint, verdict)
@@ -83,7 +82,7 @@ def model_estimates(
             for name in friction
             if name in predicting.unknowns.places and name not in base_names and name.body not in sensors
         ),
-        payloads=payload_estimates(dataset, fit.system, equations, diagnosis.payloads),
+        payloads=payload_estimates(fit.system, equations, diagnosis.payloads),
         covariance_names=tuple(listed),
         covariance=predicting.select(listed).covariance,
         sensors=_sensors(fit, diagnosis, predicting, delays),
@@ -94,7 +93,7 @@ def model_estimates(
 def _friction_names(fit: Fit, curves: Mapping[str, FrictionCurve]) -> tuple[Parameter, ...]:
     """List the friction that predicts: of the curves, or without any the terms of the equations."""
     if not curves:
-        return fit.system.friction.terms
+        return fit.system.terms
     return tuple(name for curve in curves.values() for name in curve.parameters)
 
 
@@ -141,7 +140,7 @@ def evidence(
 ) -> Evidence:
     """Collect what speaks for and against the estimates, those of the equations among them."""
     dataset, temperatures = fit.dataset, reference_temperatures(fit)
-    replaced = {*_friction_names(fit, curves), *fit.system.friction.terms} if curves else set()
+    replaced = {*_friction_names(fit, curves), *fit.system.terms} if curves else set()
     along = [
         (prepared, dataset.preparation.at(prepared.run.rate).decimator, factors.distances)
         for prepared, factors in zip(dataset.prepared, dataset.factors, strict=True)
@@ -274,14 +273,12 @@ def _between_runs(system: System, theta: np.ndarray) -> dict[str, float]:
     return {name: float(np.std([*each, -sum(each)], ddof=1)) for name, each in differences.items()}
 
 
-def payload_estimates(
-    dataset: Dataset, system: System, vector: Estimates, masses: Mapping[str, Verdict]
-) -> tuple[PayloadEstimate, ...]:
+def payload_estimates(system: System, vector: Estimates, masses: Mapping[str, Verdict]) -> tuple[PayloadEstimate, ...]:
     """Collect the payload of every loaded run, known and unknown parameters together.
 
     ``vector`` are the estimates by the equations, ``masses`` verdicts on known payloads, by name.
     """
-    payloads = []
+    dataset, payloads = system.dataset, []
     for carried in system.payloads:
         known, name = known_values(carried.payload), carried.payload.name
         sums = _sums(carried, vector, dataset.robot)
@@ -297,18 +294,19 @@ def payload_estimates(
     return tuple(payloads)
 
 
-def _sums(carried: CarriedPayload, vector: Estimates, robot: Robot) -> dict[str, Estimate]:
+def _sums(carried: PayloadColumns, vector: Estimates, robot: Robot) -> dict[str, Estimate]:
     """Collect the parameters of a payload by kind: what is stated, and the identified sums."""
     estimates = {}
     for kind, known in known_values(carried.payload).items():
         stated = carried.payload.mass_std or None if kind == "m" else None
         estimates[kind] = Estimate(kind, known, stated, unit_of(kind, robot, robot.tool), kind)
-    names = {kind: name for name, kind in carried.unknown.items()}
-    for kind, regrouping in carried.regroupings.items():
-        if kind not in estimates:
-            value, std, freedom = _estimated(vector, names[kind])
+    for name in carried.unknown:
+        if (kind := name.kind) not in estimates:
+            value, std, freedom = _estimated(vector, name)
             verdict, unit = parameter_verdict(value, std), unit_of(kind, robot, robot.tool)
-            estimates[kind] = Estimate(kind, value, std, unit, regrouping, verdict=verdict, freedom=freedom)
+            estimates[kind] = Estimate(
+                kind, value, std, unit, carried.regrouping(name), verdict=verdict, freedom=freedom
+            )
     return estimates
 
 
@@ -329,12 +327,12 @@ def _possible(mass: Estimate | None) -> Verdict:
     return verdict_of(Finding(F.NEGATIVE_PAYLOAD, values={"mass": mass.value, "std": mass.std}))
 
 
-def _weighed(robot: Robot, carried: CarriedPayload, vector: Estimates) -> Weighed:
+def _weighed(robot: Robot, carried: PayloadColumns, vector: Estimates) -> Weighed:
     """Collect the identified sums of parameters, and the stated values of the others."""
     seen = [name for name in carried.unknown if name in vector.unknowns.places]
     sums = np.zeros((len(seen), len(INERTIAL)))
-    rows = [list(carried.unknown).index(name) for name in seen]
-    sums[:, [INERTIAL.index(kind) for kind in carried.free]] = carried.sums[rows]
+    rows = [carried.unknown.index(name) for name in seen]
+    sums[:, [INERTIAL.index(kind) for kind in carried.summed]] = carried.sums[rows]
     estimates = vector.select(seen)
     unit = dict(zip(INERTIAL, np.eye(len(INERTIAL)), strict=True))
     stated = [(unit[kind], value) for kind, value in known_values(carried.payload).items()]
