@@ -14,19 +14,16 @@ import numpy as np
 
 from gtau.documents.files import system_refusals
 from gtau.errors import GtauError
-from gtau.extensions import added, built_in
+from gtau.extensions import find
 from gtau.signals.reading.formats import Table
 from gtau.signals.reading.formats.columnar import INFO
 from gtau.signals.reading.formats.rosbag import LOG_FORMATS as BAGS
 from gtau.signals.reading.formats.text import open_text
 
-GROUP = "gtau.log_formats"
-"""Of the entry points of other distributions."""
-
 
 def reader_of(ending: str) -> Callable[[Path], Table] | None:
     """Find the reader of files whose name has an ending (``.npz``); None where it has none of its own."""
-    found = built_in(GROUP, "gtau.signals.reading.formats").get(ending) or added(GROUP, ending, Callable)
+    found = find("gtau.log_formats", "gtau.signals.reading.formats", ending, Callable)
     return cast("Callable[[Path], Table] | None", found)
 
 
