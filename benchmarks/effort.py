@@ -28,13 +28,11 @@ from threadpoolctl import threadpool_limits
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.effort import AS_STATED, rank_meanings, stated_meaning
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
-from gtau.estimation.estimators.estimator import Given
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.experiment_runs import describe, read_runs
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
-from gtau.estimation.regression.friction import Friction
 from gtau.estimation.results.conclusions import findings
 from gtau.estimation.thresholds.logs import BEYOND_GEARS, GEARED
 from gtau.findings import FindingKind as F
@@ -214,9 +212,9 @@ def measured(name: str, data: Path) -> dict[str, str]:
         dataset = reduce_runs(subject.robot, read_runs(subject.experiment, subject.experiment.runs))
     n, runs = len(dataset.model.actuated), dataset.runs
     slowest = dataset.system().problem.slowest
-    system = dataset.system(Friction(), True)
-    given = Given(None if runs[0].kind == "current" else np.ones(n))
-    fit = fit_by(ml_or_wls(given), dataset, system, given)
+    system = dataset.system()
+    gains = None if runs[0].kind == "current" else np.ones(n)
+    fit = fit_by(ml_or_wls(gains), system, gains is None)
     falling = [parameter_of(each).kind in INERTIAL for each in dataset.base.standard]
     regressor, gravity = dataset.model.columns(dataset.base.standard), []
     for k, run in enumerate(runs):

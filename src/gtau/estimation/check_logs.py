@@ -18,10 +18,9 @@ from gtau.estimation.diagnostics.log_checks import command_lag, doubtful_command
 from gtau.estimation.diagnostics.unit_checks import doubtful_currents, doubtful_payloads
 from gtau.estimation.experiment_runs import Subject, describe, geometry_of, options_of, read_runs
 from gtau.estimation.preconditions import estimator_for, plan, reduced, require_inputs
+from gtau.estimation.regression.assembly import FEWEST_ROWS
 from gtau.estimation.regression.dataset import Dataset, model_of, prepare_runs, robot_notes
-from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.rows import Labels
-from gtau.estimation.regression.system import FEWEST_ROWS
 from gtau.estimation.results.conclusions import near_singularities, not_separated
 from gtau.estimation.results.estimate import Distances, NearestPose, distances_of, nearest_poses
 from gtau.findings import Finding, Severity
@@ -248,7 +247,7 @@ def few_rows(logs: Sequence[LogCheck]) -> Iterator[Finding]:
 
 def _together(subject: Subject, dataset: Dataset) -> list[Finding]:
     """List findings that need all runs: the scale of the gains, the payload's effect, inseparable parameters."""
-    system = dataset.system(Friction())
+    system = dataset.system()
     notes = [*command_lag(dataset, system), *not_separated(system.unexcited)]
     try:
         planned = plan(subject, dataset, system)

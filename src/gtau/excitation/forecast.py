@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.regression.assembly import plain_problem
 from gtau.estimation.regression.equations import MODEL, SIGNALS, modelled, triangle
 from gtau.estimation.regression.factors import reduce_run
-from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import assemble_system
 from gtau.excitation.constraints import whole_run
 from gtau.excitation.design import Design
 from gtau.excitation.evaluation import PER_HARMONIC, Grid, along, design_grid, evaluate, information
@@ -81,20 +80,13 @@ def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
 
     The noise-free logs are filtered, decimated and reduced as identification does it, and the covariance is that of
     maximum likelihood for white noise of the prior's ``sigma``. Model errors and coloured noise are not included.
-
-    Raises
-    ------
-    GtauError
-        Where identification would refuse such logs.
     """
     runs = expected_runs(task, x)
     preparation = choose_preparation(runs)
     prepared = [prepare(run, preparation) for run in runs]
     factors = [reduce_run(task.model, task.base.standard, each, preparation.decimator) for each in prepared]
     slowest = 0.5 / (2 * np.pi * preparation.bandwidth)
-    problem = assemble_system(
-        task.model, task.base, factors, task.payloads, slowest, Friction((), len(runs) > 1)
-    ).problem
+    problem = plain_problem(task.model, task.base, factors, task.payloads, slowest)
     prior = dict(zip(task.base.names, task.prior.chi, strict=True))
     theta = np.array([prior.get(name, 0.0) for name in problem.parameters])
     # a row is a mean over its filter, whose gain is one where the motion is: white noise is divided by the factor

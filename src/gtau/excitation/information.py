@@ -18,10 +18,9 @@ from difflib import get_close_matches
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.regression.assembly import plain_problem
 from gtau.estimation.regression.equations import MODEL, modelled, triangle
 from gtau.estimation.regression.factors import EXTRA, Factors
-from gtau.estimation.regression.friction import Friction
-from gtau.estimation.regression.system import assemble_system
 from gtau.excitation.prior import Prior
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -115,20 +114,11 @@ def derivative(values: np.ndarray, step: float) -> np.ndarray:
 class Information:
     """The unknowns (theta, log g, d), and the information of rows about them.
 
-    Attributes
-    ----------
-    names : tuple of Parameter
-        (P,), of kind ``gain`` and ``delay`` behind the parameters.
-    scale : ndarray
-        (P,) reference of relative standard deviations.
-    maps : ndarray
-        (runs, n, n_b, P): a row of W times this is a row of the current's Jacobian, without delays.
-    load, smooth : ndarray
-        (runs, n_b): prior values of the base columns, with payload; and those without Coulomb friction.
-    gains, sigma : ndarray
-        Prior gains (n,), and standard deviations (n,) of a current's sample, A.
-    rate : float
-        Samples a second of the motion, over all repetitions.
+    ``names`` (P,) have kind ``gain`` and ``delay`` behind the parameters, and ``scale`` (P,) is the reference of
+    relative standard deviations. A row of W times ``maps`` (runs, n, n_b, P) is a row of the current's Jacobian,
+    without delays. ``load`` and ``smooth`` (runs, n_b) are prior values of the base columns, with payload, and those
+    without Coulomb friction; ``gains`` and ``sigma`` (n,) the prior gains and standard deviations of a current's
+    sample, A. ``rate`` are samples a second of the motion, over all repetitions.
     """
 
     names: tuple[Parameter, ...]
@@ -180,7 +170,7 @@ def information_of(
     p = n_b + EXTRA
     # factors that are the identity bring out the matrices with which identification joins its runs
     whole = Factors(np.broadcast_to(np.eye(p), (1, n, p, p)).copy(), np.full((1, n), 1000))
-    problem = assemble_system(model, base, [whole] * runs, payloads, 0.0, Friction((), runs > 1)).problem
+    problem = plain_problem(model, base, [whole] * runs, payloads)
     names = problem.unknowns
     M = problem.blocks[:, 0, :n_b]  # (runs, n_b, parameters + 4), the same for all joints
     theta = np.zeros(len(problem.parameters))

@@ -101,7 +101,7 @@ def weigh(
     def solve(problem: Problem) -> Solution:
         return wls(problem, g_tau)
 
-    dataset, system = select_friction(dataset, solve, progress)
+    system = select_friction(dataset, solve, progress)
     lost = [name for each in system.payloads for name in each.unknown if name in system.unexcited]
     if lost:
         raise GtauError(
@@ -109,14 +109,14 @@ def weigh(
             "with one of which all parameters are known."
         )
     solution = solve(system.problem)
-    total = solution.jackknife + scale_uncertainty(dataset, system, solve)
+    total = solution.jackknife + scale_uncertainty(system, solve)
     if covariance.any():
         slopes = np.stack([_slope(system.problem, g_tau, j, solution.values) for j in range(len(g_tau))], axis=1)
         total = total + slopes @ covariance @ slopes.T
     none = np.zeros_like(total)
     freedom = degrees_of_freedom(system.problem, solution, False)
     vector = Estimates(system.problem.unknowns, solution.values, total, none, none, freedom)
-    estimates = payload_estimates(dataset, system, vector, {})
+    estimates = payload_estimates(system, vector, {})
     return tuple(payload for payload in estimates if "m" not in payload.known)
 
 

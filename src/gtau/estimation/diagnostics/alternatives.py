@@ -144,16 +144,15 @@ def refitted(
     fit: Fit, payloads: Sequence[Payload | None] | None = None, dataset: Dataset | None = None, method: str = "ml"
 ) -> Fit | None:
     """Fit the same equations with other loads, or another dataset's priors; None where then nothing gives the scale."""
-    dataset = fit.dataset if dataset is None else dataset
-    payloads = [run.payload for run in dataset.runs] if payloads is None else payloads
-    system = dataset.system(fit.system.friction, fit.system.problem.slowest > 0, payloads)
+    system = fit.system.again(dataset, payloads=payloads)
+    payloads = [run.payload for run in fit.dataset.runs] if payloads is None else payloads
     try:
         if fit.free_gains:
-            require_scale(dataset.robot, system, payloads, method)
+            require_scale(fit.dataset.robot, system, payloads, method)
         solution = fit.solve(system.problem)
     except GtauError:
         return None
-    return replace(fit, dataset=dataset, system=system, solution=solution, unrefined=solution)
+    return replace(fit, system=system, solution=solution, unrefined=solution)
 
 
 def residual_ratio(other: Fit, own: Fit) -> float:

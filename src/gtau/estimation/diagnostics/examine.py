@@ -247,7 +247,7 @@ def estimates_of(fit: Fit, examined: Examination, correlated: bool) -> Estimates
         By the block jackknife and with the model part, or by the method's formula alone, as the paper does.
     """
     problem, solution = fit.system.problem, fit.solution
-    of_scale = scale_uncertainty(fit.dataset, fit.system, fit.solve)
+    of_scale = scale_uncertainty(fit.system, fit.solve)
     if not correlated:
         parts = (solution.covariance, of_scale, np.zeros_like(of_scale))
         return Estimates(problem.unknowns, solution.values, *parts, None)

@@ -142,7 +142,7 @@ def wrench_contradictions(fit: Fit) -> Iterator[Finding]:
     Both are against all gains.
     """
     floating, problem = fit.dataset.robot.floating, fit.system.problem
-    name = whole_mass(fit.system.base, fit.dataset.model.parameter_names) if floating else ""
+    name = whole_mass(fit.dataset.base, fit.dataset.model.parameter_names) if floating else ""
     if name in problem.parameters:
         k = problem.parameters.index(name)
         mass, std = float(fit.solution.theta[k]), float(np.sqrt(fit.solution.covariance[k, k]))

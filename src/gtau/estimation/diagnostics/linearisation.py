@@ -174,7 +174,7 @@ def window_rows(
     Their columns are those of :class:`gtau.estimation.regression.factors.Factors`, and m candidates.
     """
     regressor, c = model.columns(fit.dataset.base.standard), len(fit.system.problem.channels)
-    loaded = any(term.kind == "fl" for term in fit.system.friction.terms)
+    loaded = any(term.kind == "fl" for term in fit.system.terms)
     load = fit.system.load(run, fit.solution.theta) if loaded else None
     decimator = fit.dataset.preparation.at(window.run.rate).decimator
     parts, keep = [], []

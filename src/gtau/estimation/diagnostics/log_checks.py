@@ -18,10 +18,9 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.estimators.estimator import Fit, Solution
-from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.equations import SIGNAL, SIGNALS
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import MISFIT, UNFELT_PAYLOAD
 from gtau.estimation.thresholds.logs import (
     DELAY_MOTION,

@@ -35,12 +35,11 @@ from gtau.estimation.diagnostics.alternatives import (
 from gtau.estimation.diagnostics.hypotheses.description import DEGREE, GRAVITY, OTHER_GRAVITY
 from gtau.estimation.diagnostics.linearisation import linearise, on_channels, window_motion
 from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
-from gtau.estimation.estimators.estimator import Fit, Given
+from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.friction import Friction
 from gtau.estimation.thresholds.estimates import (
     GRAVITY_ALIKE,
     GRAVITY_LEAST,
@@ -305,12 +304,11 @@ def fitted(fit: Fit, dataset: Dataset, gravity: np.ndarray) -> Fit | None:
     if not np.array_equal(gravity, dataset.robot.gravity):
         model = model.with_gravity(gravity)
         base = base_parameters(model, sensors=dataset.runs[0].sensors)
-    friction, given = fit.system.friction, Given(None if fit.free_gains else fit.gains)
-    friction = Friction(tuple(each for each in friction.terms if each.kind != "fl"), friction.per_run)
+    gains = None if fit.free_gains else fit.gains
+    terms = tuple(term for term in fit.system.terms if term.kind != "fl")
     try:
-        other = replace(dataset, robot=model.robot, model=model, base=base, factors=()).reduced()
-        system = other.system(friction, fit.system.problem.slowest > 0)
-        return fit_by(ml_or_wls(given), other, system, given)
+        other = replace(dataset, model=model, base=base, factors=(), alike=dataset).reduced()
+        return fit_by(ml_or_wls(gains), fit.system.again(other, terms), fit.free_gains)
     except GtauError:
         return None
 

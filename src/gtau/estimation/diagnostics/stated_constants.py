@@ -30,10 +30,9 @@ from gtau.estimation.estimators.newton import (
     whitening,
 )
 from gtau.estimation.regression.column_blocks import known_values
-from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.equations import KNOWN, SIGNALS, delayed_signal, modelled, triangle
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import APART, MISFIT_GIVEN, PAYLOAD_MOVES
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
@@ -66,7 +65,7 @@ class StatedConstant:
         return replace(problem, blocks=blocks)
 
 
-def stated_constants(dataset: Dataset, system: System) -> list[StatedConstant]:
+def stated_constants(system: System) -> list[StatedConstant]:
     """List all constants that give the scale: payloads' parameters, torque sensors, wrenches, known parameters.
 
     The last three are scales, of value 1, of each sensor, of all wrenches, and of all known parameters together.
@@ -77,7 +76,7 @@ def stated_constants(dataset: Dataset, system: System) -> list[StatedConstant]:
     for name in dict.fromkeys(each.payload.name for each in system.payloads if each.acts):
         payload = next(each.payload for each in system.payloads if each.payload.name == name)
         for kind, value in known_values(payload).items():
-            std, of_unit = payload.mass_std if kind == "m" else 0.0, _torques_of_unit(dataset, system, name, kind)
+            std, of_unit = payload.mass_std if kind == "m" else 0.0, _torques_of_unit(system, name, kind)
             found.append(StatedConstant(f"payload '{name}'", value, std, of_unit, readings, 0.0 * known))
     for k in problem.sensor_channels:
         channel, of_sensor = problem.channels[k], np.eye(len(readings))[k]
@@ -85,7 +84,7 @@ def stated_constants(dataset: Dataset, system: System) -> list[StatedConstant]:
         found.append(StatedConstant(source, 1.0, std, torques, of_sensor, 0.0 * known))
     if problem.base or system.of_wrenches is not None:
         of_bodies = torques if system.of_wrenches is None else system.of_wrenches
-        std = max((each.std for each in dataset.runs[0].channels if not each.kind.of_joint), default=0.0)
+        std = max((each.std for each in system.dataset.runs[0].channels if not each.kind.of_joint), default=0.0)
         of_base = np.eye(len(readings))[problem.base].sum(axis=0)
         found.append(StatedConstant(_wrenches(problem), 1.0, std, of_bodies, of_base, 0.0 * known))
     if len(known):
@@ -93,8 +92,9 @@ def stated_constants(dataset: Dataset, system: System) -> list[StatedConstant]:
     return found
 
 
-def _torques_of_unit(dataset: Dataset, system: System, name: str, kind: str) -> np.ndarray:
+def _torques_of_unit(system: System, name: str, kind: str) -> np.ndarray:
     """Compute the torques (U, c, p) of a unit of a payload's parameter, in the rows of the problem."""
+    dataset = system.dataset
     parts, channels = [np.zeros(factor.R.shape[:3]) for factor in dataset.factors], system.problem.channels
     for run in (each.run for each in system.payloads if each.payload.name == name):
         block = next(each for each in system.effects if f"{kind}_L{run + 1}" in each.stated)
@@ -140,7 +140,7 @@ def scale_shares(fit: Fit) -> dict[str, np.ndarray]:
     fit : Fit
         With gains that were estimated.
     """
-    constants = stated_constants(fit.dataset, fit.system)
+    constants = stated_constants(fit.system)
     slopes = estimate_slopes(fit, constants)[fit.system.problem.gain_rows]
     shares: dict[str, np.ndarray] = {}
     for each, slope in zip(constants, slopes.T, strict=True):
@@ -150,7 +150,7 @@ def scale_shares(fit: Fit) -> dict[str, np.ndarray]:
     return {source: share / total for source, share in shares.items()}
 
 
-def scale_uncertainty(dataset: Dataset, system: System, solve: Solve) -> np.ndarray:
+def scale_uncertainty(system: System, solve: Solve) -> np.ndarray:
     """Compute the covariance of (theta, gains, delays) that the uncertainty of stated constants adds, (k, k).
 
     Each constant is larger and smaller by its standard deviation, and ``solve`` says how far the estimates move: those
@@ -159,7 +159,7 @@ def scale_uncertainty(dataset: Dataset, system: System, solve: Solve) -> np.ndar
     """
     problem = system.problem
     extra = np.zeros((len(problem.unknowns),) * 2)
-    for each in stated_constants(dataset, system):
+    for each in stated_constants(system):
         if each.std:
             above, below = (solve(each.changed(problem, by)).values for by in (each.std, -each.std))
             extra += np.outer(above - below, above - below) / 4
@@ -314,8 +314,8 @@ def _freed(fit: Fit, method: str, payload: Payload, kind: str, accuracy: float) 
         parameters.index(label)
         for load in other.system.payloads
         if load.payload.name == payload.name
-        for (label, of), sums in zip(load.unknown.items(), load.sums, strict=True)
-        if of == kind and np.count_nonzero(sums) == 1 and label in parameters
+        for label, sums in zip(load.unknown, load.sums, strict=True)
+        if label.kind == kind and np.count_nonzero(sums) == 1 and label in parameters
     ]
     if not columns or not set(other.system.unexcited) <= set(fit.system.unexcited):
         return None  # or it cannot be separated from what is not declared

@@ -23,9 +23,8 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.estimators.estimator import Solution
-from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.rows import Labels
-from gtau.estimation.regression.system import System
 from gtau.model.inverse_dynamics import PATH, InverseDynamics, Regressor
 from gtau.signals.preparation.bandwidth import spectra
 from gtau.signals.preparation.filters import below_nyquist, filter_edge, position_filter
@@ -45,8 +44,9 @@ CONVERGED = 1e-6  # change of the accelerations, of their rms
 MEASURED = ("command", "command_d", "command_dd", "usable")
 
 
-def resimulated_runs(dataset: Dataset, system: System, solution: Solution) -> tuple[InMemoryRun, ...]:
+def resimulated_runs(system: System, solution: Solution) -> tuple[InMemoryRun, ...]:
     """Replace the motions of all runs by those of the simulated loop; see :func:`resimulated`."""
+    dataset = system.dataset
     if dataset.robot.floating:
         raise GtauError(
             f"motion is simulated from the currents of motors, and the base '{dataset.robot.floating}' has none; use "

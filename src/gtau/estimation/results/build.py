@@ -13,10 +13,10 @@ from gtau.estimation.diagnostics.stated_constants import scale_shares, sensor_ve
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict, judge_parameter, parameter_verdict
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import residuals, stacked
+from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.equations import triangle
 from gtau.estimation.regression.friction import BEARING
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System
 from gtau.estimation.regression.unknowns import Estimates
 from gtau.estimation.results.estimate import (
     Estimate,
@@ -55,7 +55,7 @@ def model_estimates(
     essential : Problem
         Of the essential parameters.
     """
-    dataset, channels, terms = fit.dataset, fit.system.problem.channels, fit.system.friction.terms
+    dataset, channels, terms = fit.dataset, fit.system.problem.channels, fit.system.terms
     temperatures, base_names = reference_temperatures(fit), set(dataset.base.names)
     delays = [
         _estimate(predicting, Parameter("delay", channel.name), "s", channel.joint, verdict)
@@ -76,7 +76,7 @@ def model_estimates(
             for name in friction
             if name in predicting.unknowns.places and name not in base_names and name.body not in sensors
         ),
-        payloads=payload_estimates(dataset, fit.system, equations, diagnosis.payloads),
+        payloads=payload_estimates(fit.system, equations, diagnosis.payloads),
         covariance_names=tuple(listed),
         covariance=predicting.select(listed).covariance,
         sensors=_sensors(fit, diagnosis, predicting, delays),
@@ -87,7 +87,7 @@ def model_estimates(
 def _friction_names(fit: Fit, curves: Mapping[str, FrictionCurve]) -> tuple[Parameter, ...]:
     """List the friction that predicts: of the curves, or without any the terms of the equations."""
     if not curves:
-        return fit.system.friction.terms
+        return fit.system.terms
     return tuple(name for curve in curves.values() for name in curve.parameters)
 
 
@@ -134,7 +134,7 @@ def evidence(
 ) -> Evidence:
     """Collect what speaks for and against the estimates, those of the equations among them."""
     dataset, temperatures = fit.dataset, reference_temperatures(fit)
-    replaced = {*_friction_names(fit, curves), *fit.system.friction.terms} if curves else set()
+    replaced = {*_friction_names(fit, curves), *fit.system.terms} if curves else set()
     along = [
         (prepared, dataset.preparation.at(prepared.run.rate).decimator, factors.distances)
         for prepared, factors in zip(dataset.prepared, dataset.factors, strict=True)

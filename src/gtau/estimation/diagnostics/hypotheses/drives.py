@@ -76,9 +76,7 @@ def _friction_shape(fit: Fit) -> Offer:
     level = np.maximum(fv * speeds + fs, 0.02 * rms_torques(fit))
     model, base = fit.dataset.model, fit.dataset.base
     regressor, acting = model.columns(base.standard), is_transmitted(base.names)
-    absent = {
-        term: np.array([Parameter(term, j) not in fit.system.friction.terms for j in joints]) for term in ("f3", "fl")
-    }
+    absent = {term: np.array([Parameter(term, j) not in fit.system.terms for j in joints]) for term in ("f3", "fl")}
 
     def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
         of = window.samples()
@@ -114,7 +112,7 @@ COULOMB_DRIFT = Cause(
 
 def _friction_drift(fit: Fit) -> Offer:
     """Add viscous or Coulomb friction that changes along the runs."""
-    joints, terms = fit.dataset.model.actuated, fit.system.friction.terms
+    joints, terms = fit.dataset.model.actuated, fit.system.terms
     # friction that depends on the temperature has a slope of its own for this
     fv, fs = friction_levels(fit) * np.array(
         [Parameter("fvt", j) not in terms and Parameter("fst", j) not in terms for j in joints]
