@@ -34,7 +34,7 @@ from gtau.estimation.diagnostics.alternatives import (
 )
 from gtau.estimation.diagnostics.hypotheses.description import DEGREE, GRAVITY, OTHER_GRAVITY
 from gtau.estimation.diagnostics.linearisation import linearise, on_channels, window_motion
-from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
+from gtau.estimation.diagnostics.verdict import unexplained_shares
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
