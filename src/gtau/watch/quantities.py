@@ -99,13 +99,7 @@ def quantities_of(model: Result, of_load: Iterable[str]) -> tuple[Quantity, ...]
 
 
 def normal_equations(model: Result, run: Run) -> NormalEquations:
-    """Reduce a log to the normal equations of the watched quantities.
-
-    Raises
-    ------
-    GtauError
-        The log does not fit the model, no joint moves in it, or the model refuses a sample.
-    """
+    """Reduce a log to the normal equations of the watched quantities; raises GtauError."""
     if model.robot.floating:
         raise GtauError(f"the base of robot '{model.robot.name}' floats; only robots with a fixed base are watched.")
     if run.kind != model.kind:

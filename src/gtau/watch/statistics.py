@@ -82,20 +82,7 @@ class LogStatistics:
 
 
 def statistics_of(model: Result, run: Run) -> LogStatistics:
-    """Compute the statistics of a finished log.
-
-    Parameters
-    ----------
-    model : Result
-        The robot as it was identified.
-    run : Run
-        From :func:`gtau.read_run`; its payload, if any, is part of what is expected.
-
-    Raises
-    ------
-    GtauError
-        The log does not fit the model, or contains too few usable rows.
-    """
+    """Compute the statistics of a finished log, whose payload is part of what is expected; raises GtauError."""
     normal = normal_equations(model, run)
     columns = _Columns.of(normal.quantities)
     total = normal.G.sum(axis=(0, 1))

@@ -62,19 +62,9 @@ class Pair:
 
 
 def instrumental(system: System, solution: Solution, free_gains: bool, progress: Progress) -> tuple[Pair, Solution]:
-    """Estimate by instrumental variables, and return the equations with their instruments.
+    """Estimate by instrumental variables from a ``solution`` without; return the equations with their instruments too.
 
-    Parameters
-    ----------
-    system, solution : System, Solution
-        The identification without instruments, where the simulations begin.
-    free_gains : bool
-        Estimate the gains, or take those of ``solution``.
-
-    Raises
-    ------
-    GtauError
-        If the robot cannot be simulated with the estimates, or the iteration does not converge.
+    Without ``free_gains`` those of ``solution`` stay. Raises GtauError.
     """
     for k in range(PASSES):
         progress("simulation", k, PASSES)
@@ -90,10 +80,7 @@ def instrumental(system: System, solution: Solution, free_gains: bool, progress:
 def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
     """Solve the measured equations with the Jacobian of the simulated ones, from the gains and delays of ``start``.
 
-    Raises
-    ------
-    GtauError
-        Where the iteration does not converge.
+    Raises GtauError.
     """
     problem, n = pair.measured, len(pair.measured.joints)
     state = Iterate(np.zeros(len(problem.parameters)), 1 / start.gains, start.delays)

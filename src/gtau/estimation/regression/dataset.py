@@ -146,7 +146,7 @@ class Dataset:
         delays: bool = True,
         payloads: Sequence[Payload | None] | None = None,
     ) -> System:
-        """Assemble the estimation problem.
+        """Assemble the estimation problem; raises GtauError.
 
         Parameters
         ----------
@@ -158,12 +158,6 @@ class Dataset:
             Whether currents may be delayed.
         payloads : sequence, optional
             Other than those of the runs, None for a run without.
-
-        Raises
-        ------
-        GtauError
-            Where some joint has no usable row in any run, nothing measured acts on a floating base, or a prior names no
-            parameter.
         """
         measured = self.runs[0].channels
         channels = [channel for channel in measured if channel.kind.modelled]
@@ -327,15 +321,9 @@ def reduce_runs(
     priors: Mapping[str, Prior] | None = None,
     prior_inertias: float = 0.0,
 ) -> Dataset:
-    """Prepare all runs and reduce them to triangular factors.
+    """Prepare all runs and reduce them to triangular factors; raises GtauError.
 
     ``priors`` are those of parameters; see :class:`Dataset`.
-
-    Raises
-    ------
-    GtauError
-        Where a run does not suit the robot, or the robot's loops cannot be closed along it; where runs have wrenches on
-        different bodies, or one that the robot lacks, or a payload beyond a sensor that already measures it.
     """
     model = model_of(robot)
     runs = tuple(run.ordered(model.actuated) for run in runs)
@@ -354,13 +342,7 @@ def reduce_runs(
 
 
 def prepare_runs(model: InverseDynamics, runs: Sequence[Run], preparation: Preparation) -> tuple[PreparedRun, ...]:
-    """Prepare runs with joints in the model's order.
-
-    Raises
-    ------
-    GtauError
-        Where nothing moves in a run, or its log is shorter than its filters.
-    """
+    """Prepare runs with joints in the model's order; raises GtauError."""
     ratios = motor_to_joint_speed(model)
     return tuple(within_limits(model.robot, prepare(run, preparation.at(run.rate), ratios)) for run in runs)
 

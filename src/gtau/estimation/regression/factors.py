@@ -132,11 +132,7 @@ def reduce_run(
     of squares; the product of a row and the coefficients of its channel is its residual. The run is streamed in blocks
     of ``fast`` samples. ``progress`` gets the samples done at each block.
     ``edges`` (BLOCKS + 1,) of the blocks are shares of its samples, those of :func:`block_edges` if left out.
-
-    Raises
-    ------
-    GtauError
-        Where the closures refuse a sample.
+    Raises GtauError.
     """
     regressor, near = idm.columns(columns), singularities(idm)
     blocks = block_of(block_edges(prepared) if edges is None else edges, decimator.outputs(len(prepared)))

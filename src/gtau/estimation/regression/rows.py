@@ -64,24 +64,10 @@ def stream_rows(
 ) -> Iterator[Rows]:
     """Evaluate ``regressor`` along a run and decimate it in parallel with the currents (eqs. 19 and 20).
 
-    Parameters
-    ----------
-    idm, regressor : InverseDynamics, Regressor
-        The model, and its required columns.
-    prepared, decimator : PreparedRun or InMemoryRun, Decimator
-        The run, and its filter.
-    load : ndarray, optional
-        Values of the columns (columns,) that give the torques transmitted by the joints, for friction
-        that depends on them; without it the command replaces the torque, up to the drive gain.
-    fast : int
-        Samples of a block before decimation.
-    friction : callable, optional
-        Torques outside the linear model, to be decimated too.
-
-    Raises
-    ------
-    GtauError
-        Where the loops cannot be closed at a sample, or a pose is too close to a singularity.
+    ``load`` (columns,) gives the torques transmitted by the joints, for friction that depends on them; without it the
+    command replaces the torque, up to the drive gain. ``fast`` samples make a block before decimation; ``friction``
+    are torques outside the linear model, to be decimated too. Raises GtauError where the loops cannot be closed at a
+    sample, or a pose is too close to a singularity.
     """
     n = len(prepared)
     size = max(fast, 8 * decimator.warm_up) // decimator.factor
@@ -118,12 +104,7 @@ def stream_torques(
     """Compute the torques of columns with ``values``, and of ``friction``, at every sample of a run.
 
     Behind no low-pass but that of the positions. Blocks (3, n, K) hold the torques of the model, with friction and
-    measured wrenches; friction alone; and the commands.
-
-    Raises
-    ------
-    GtauError
-        Where the loops cannot be closed at a sample, or a pose is too close to a singularity.
+    measured wrenches; friction alone; and the commands. Raises GtauError.
     """
     joints = len(idm.actuated)
     for _, of, c in _along(idm, prepared, _every_sample(prepared)):
@@ -173,13 +154,7 @@ def external_torques(idm: InverseDynamics, run: Run, motion: Motion, measured: n
 
 
 def configurations(idm: InverseDynamics, window: InMemoryRun) -> np.ndarray:
-    """Compute the configurations (n_c, N) of a model along a window.
-
-    Raises
-    ------
-    GtauError
-        Where the loops cannot be closed at a sample, or a pose is too close to a singularity.
-    """
+    """Compute the configurations (n_c, N) of a model along a window; raises GtauError."""
     whole = window if window.whole is None else window.whole
     return _along_whole(idm, whole)[1][:, window.first : window.first + len(window)]
 
