@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -159,10 +160,17 @@ def configurations(idm: InverseDynamics, window: InMemoryRun) -> np.ndarray:
     return _along_whole(idm, whole)[1][:, window.first : window.first + len(window)]
 
 
-@lru_cache(maxsize=16)  # of few runs: factors, friction, and windows of hypotheses are streamed along the same ones
+# Factors, friction, and windows of hypotheses are streamed along the same paths: they live as long as their runs.
+_PATHS: WeakKeyDictionary[Any, WeakKeyDictionary[InverseDynamics, tuple[SampleWindow, np.ndarray]]]
+_PATHS = WeakKeyDictionary()
+
+
 def _along_whole(idm: InverseDynamics, prepared: PreparedRun | InMemoryRun) -> tuple[SampleWindow, np.ndarray]:
-    of = prepared.samples()
-    return of, idm.path(of.q.T.copy(), Labels(prepared.run.name, of.time))
+    known = _PATHS.setdefault(prepared, WeakKeyDictionary())
+    if idm not in known:
+        of = prepared.samples()
+        known[idm] = of, idm.path(of.q.T.copy(), Labels(prepared.run.name, of.time))
+    return known[idm]
 
 
 def _along(
