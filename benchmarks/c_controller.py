@@ -29,7 +29,6 @@ from gtau.simulation.closed_loop import (
     Engine,
     Hardware,
     Reference,
-    computed_torque,
     rounded,
     sample,
     simulate,
@@ -37,6 +36,9 @@ from gtau.simulation.closed_loop import (
 from gtau.simulation.experiment_files import apparatus
 from gtau.simulation.simulation_file import read_simulation
 from gtau.simulation.trajectories import make_trajectory
+
+sys.path.append(str(Path(__file__).parents[1] / "examples"))
+from control_comparison import computed_torque
 
 DURATION = 8.0  # s, of each log that the model is identified from
 NAME = "orthoglide"
@@ -95,7 +97,7 @@ def main(figure: Path | None) -> None:
             none = np.zeros(len(model.actuated))
             parts = replace(parts, current_noise=none, current_quantum=none)  # of what is logged, to compare currents
             rng = np.random.default_rng(1)
-            made = simulate(described.name, engine, law, parts, rng, described.payload, model.actuated)
+            made = simulate(described.name, engine, law, parts, rng, model.actuated)
             parameters = loaded_parameters(library, described.payload)
             error, current = run_c(library, engine, law, parts, parameters, np.random.default_rng(1))
             for who, each in (("Python", made.error), ("C", error)):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,26 +11,29 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.identify import identify
+from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.loops import Motion
 from gtau.progress import Progress
 from gtau.robots.floating import refuse_floating
+from gtau.robots.parameter import Parameter
 from gtau.signals.reading.experiment import check_robot, read_experiment
 from gtau.signals.reading.statements import Payload
 from gtau.simulation.closed_loop import (
+    BANDWIDTH,
     Controller,
     Reference,
     Simulated,
-    computed_torque,
-    pid_with_velocity,
+    pid,
     sample,
-    simple_pid,
     simulate,
 )
 from gtau.simulation.experiment_files import apparatus
 from gtau.simulation.simulation_file import Simulation, check_joints, read_simulation
 from gtau.simulation.trajectories import make_trajectory
+from gtau.uses.prediction import torques_along
 
 ERROR_ON_GAINS = 1.25  # the paper's 25 % on the manufacturer's gains
 STRATEGIES = (
@@ -138,7 +141,7 @@ def compare_control(
                 done = (number * len(STRATEGIES) + place) * repetitions + repetition
                 progress("control laws", done, total)
                 rng = np.random.default_rng([simulation.seed, number, repetition])
-                made.append(simulate(strategy, engine, law, parts, rng, described.payload, robot.actuated))
+                made.append(simulate(strategy, engine, law, parts, rng, robot.actuated))
             errors = [np.abs(each.error) for each in made]
             maximum = np.mean([each.max(axis=0) for each in errors], axis=0)
             rms = np.mean([np.sqrt(np.mean(each**2, axis=0)) for each in errors], axis=0)
@@ -157,9 +160,43 @@ def controllers(
     }
     known = computed[STRATEGIES[2]]
     inertia = np.diag(np.diag(known.inertia[0]))  # each axis for itself
-    laws = (simple_pid, pid_with_velocity)
     pids = {
-        name: law(reference, inertia, known.gains, simulation.bandwidth)
-        for name, law in zip(STRATEGIES, laws, strict=False)
+        name: pid(reference, inertia, known.gains, simulation.bandwidth, weight)
+        for name, weight in zip(STRATEGIES, (0.0, 1.0), strict=False)
     }
     return pids | computed
+
+
+def computed_torque(
+    reference: Reference, result: Result, payload: Payload | None = None, bandwidth: float = BANDWIDTH
+) -> Controller:
+    """Make a computed torque law of an identified model, evaluated along the reference, and that model's gains.
+
+    The known parameters of a ``payload`` go into the model as they are.
+    """
+    model, n = result.idm, len(result.idm.actuated)
+    chi = model_parameters(result, payload)
+    regressor = model.columns(result.base.standard)
+
+    def torques(motion: Motion, parameters: np.ndarray = chi) -> np.ndarray:
+        return regressor.torques(regressor(model.layout, motion), parameters, n)
+
+    motion = model.motion(reference.q.T, reference.qd.T, reference.qdd.T)
+    feedforward = torques_along(result, motion, chi)
+    rest = replace(motion, yd=np.zeros_like(motion.yd), ydd=np.zeros_like(motion.ydd))
+    weight = torques(rest)
+    columns = [torques(replace(rest, ydd=np.ascontiguousarray(motion.J[:, k]))) - weight for k in range(n)]
+    inertia = np.stack(columns, axis=2).swapaxes(0, 1)
+    gains = np.array([result.drive_gains[joint].value for joint in model.actuated], dtype=float)
+    return Controller(reference, inertia, feedforward.T, gains, 1.0, bandwidth)
+
+
+def model_parameters(result: Result, payload: Payload | None) -> np.ndarray:
+    """Return the base parameters (n_b,) of the identified robot with the known parameters of its payload."""
+    model, base = result.idm, result.base
+    chi = np.array([result.params[name] for name in base.names])
+    if payload is not None:
+        place = {name: k for k, name in enumerate(model.parameter_names)}
+        for kind, value in {**result.payload(payload.name), **known_values(payload)}.items():
+            chi = chi + value * base.matrix[:, place[Parameter(kind, model.robot.tool)]]
+    return chi

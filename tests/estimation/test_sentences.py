@@ -529,6 +529,19 @@ SENTENCES = [  # finding, reason, advice
      "the motion passes within 0.021 of a type 2 singularity at 1.25 s, where errors of position and geometry are "
      "amplified",
      "keep the motion away from that pose"),
+    (Finding(F.CONFIRMED_GEOMETRY, (), "tool", {"before": "0.2 mm"}),
+     "the logged pose of 'tool' confirms the robot's geometry to 0.2 mm rms", ""),
+    (Finding(F.UNEXPLAINED_POSE, (), "tool", {"before": "12 mm", "changes": ["the length of leg '1' by 2 mm"],
+     "share": "23.1 %"}),
+     "the logged pose of 'tool' is 12 mm rms from the one computed from the positions, which lengths and encoder zeros "
+     "do not explain; the length of leg '1' by 2 mm would explain 23.1 % of its variance",
+     "check its columns, units and sequence of angles, whether it is of this body (source: tool) and in the robot's "
+     "base (source: tracker), and the angles of the robot's geometry"),
+    (Finding(F.GEOMETRY, (), "tool", {"before": "12 mm", "after": "1 mm", "changes": ["a", "b"], "count": 2,
+     "share": "97 %", "correct": ["correct the robot file"]}),
+     "the geometry is off: a and b explain 97 % of the residual variance of the logged pose of 'tool', which is 12 mm "
+     "rms from the one computed, and 1 mm with these changes",
+     "correct the robot file"),
     (Finding(F.UNKNOWN_PAYLOAD, (), "iron", {"known": ["steel", "lead"], "mass": 1.2, "tool": "wrist"}),
      "payload 'iron' is not a payload of the model ('steel', 'lead'), so it is treated as a point mass of 1.2 kg at "
      "the origin of 'wrist'",

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from c_code import FLAGS, GCC, Compiled, Controller, needs_gcc
+from control_comparison import computed_torque
 from models_to_export import model_of, preslid, sprung
 from propelling_models import LOGGED, held, propelling, states
 from robots_for_tests import ROBOTS, home, random_samples, slider_crank, trajectory, tree
@@ -21,7 +22,7 @@ from scipy.integrate import solve_ivp
 
 from gtau.export.c import export
 from gtau.robots.robot import Joint, Mdh, Robot
-from gtau.simulation.closed_loop import JointHardware, Reference, computed_torque, hardware, simulate
+from gtau.simulation.closed_loop import JointHardware, Reference, hardware, simulate
 from gtau.simulation.plant import Plant, PlantState
 from gtau.uses.identified import identified, torques, torques_of
 

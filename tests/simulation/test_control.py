@@ -24,8 +24,7 @@ from gtau.simulation.closed_loop import (
     JointHardware,
     Reference,
     hardware,
-    pid_with_velocity,
-    simple_pid,
+    pid,
     simulate,
     write_log,
 )
@@ -66,7 +65,7 @@ def run(plant, controller, seed=0, **of_joint):
 def test_the_loop_has_the_bandwidth_asked_for(slide):
     """A triple pole at 100 rad/s: the simple PID answers a step as w^3 / (s + w)^3 (3 w s + w^2 ...) does."""
     _, plant = slide
-    out = run(plant, simple_pid(step(), np.array([[2.0]]), np.array([5.0])))
+    out = run(plant, pid(step(), np.array([[2.0]]), np.array([5.0]), weight=0.0))
     time, w = out.run.time, 100.0
     decay = np.exp(-w * time)
     expected = 0.01 * decay * (1 + w * time - w**2 * time**2)  # error, by partial fractions
@@ -79,8 +78,8 @@ def test_velocity_feedforward_follows_a_ramp(slide):
     q = 0.5 * time[:, None]
     ramp = Reference(time, q, np.full_like(q, 0.5), np.zeros_like(q))
     late, prompt = (
-        np.abs(run(plant, law(ramp, np.array([[2.0]]), np.array([5.0]))).error).max()
-        for law in (simple_pid, pid_with_velocity)
+        np.abs(run(plant, pid(ramp, np.array([[2.0]]), np.array([5.0]), weight=weight)).error).max()
+        for weight in (0.0, 1.0)
     )
     assert prompt < 0.4 * late
 
@@ -88,7 +87,7 @@ def test_velocity_feedforward_follows_a_ramp(slide):
 def test_currents_are_limited_held_and_logged(slide):
     _, plant = slide
     limited = {"current_limit": 3.0, "position_quantum": 1e-4, "current_quantum": 1e-2}
-    out = run(plant, simple_pid(step(), np.array([[2.0]]), np.array([5.0])), **limited)
+    out = run(plant, pid(step(), np.array([[2.0]]), np.array([5.0]), weight=0.0), **limited)
     assert np.abs(out.run.command).max() == 3.0
     for logged, quantum in ((out.run.position, 1e-4), (out.run.command, 1e-2)):
         assert logged / quantum == pytest.approx(np.round(logged / quantum), abs=1e-6)
@@ -100,7 +99,7 @@ def test_positions_are_late_by_the_delay(slide):
     reference = Reference(*(np.arange(1500) / RATE,), *(np.zeros((1500, 1)),) * 3)
     swing = 0.1 * (1 - np.cos(4 * reference.time))[:, None]
     reference = Reference(reference.time, swing, np.zeros_like(swing), np.zeros_like(swing))
-    law = pid_with_velocity(reference, np.array([[2.0]]), np.array([5.0]))
+    law = pid(reference, np.array([[2.0]]), np.array([5.0]))
     out = run(plant, law, delay=2.3e-3)
     true = reference.q[:, 0] - out.error[:, 0]
     seen = np.interp(reference.time - 2.3e-3, reference.time, true)
@@ -110,7 +109,7 @@ def test_positions_are_late_by_the_delay(slide):
 def test_noise_and_ripple_have_their_size(slide):
     _, plant = slide
     still = Reference(np.arange(2000) / RATE, *(np.zeros((2000, 1)),) * 3)
-    law = pid_with_velocity(still, np.array([[2.0]]), np.array([5.0]))
+    law = pid(still, np.array([[2.0]]), np.array([5.0]))
     noisy = run(plant, law, current_noise=0.02)
     assert noisy.run.command.std() == pytest.approx(0.02, rel=0.1)
     rippled = run(plant, law, seed=2, ripple=1.0, ripple_period=0.01)
@@ -120,7 +119,7 @@ def test_noise_and_ripple_have_their_size(slide):
 def test_a_log_reads_back_as_it_was_made(slide, tmp_path):
     _, plant = slide
     coarse = {"position_quantum": 1e-6, "current_noise": 1e-3, "current_quantum": 1e-4}
-    out = run(plant, simple_pid(step(), np.array([[2.0]]), np.array([5.0])), **coarse)
+    out = run(plant, pid(step(), np.array([[2.0]]), np.array([5.0]), weight=0.0), **coarse)
     write_log(out.run, tmp_path / "r.csv")
     back = read_run(tmp_path / "r.csv", {"time": "t", "position": {"x": "qx"}, "current": {"x": "vx"}})
     np.testing.assert_array_equal(back.position, out.run.position)

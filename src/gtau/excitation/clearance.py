@@ -126,13 +126,7 @@ class Clearance:
 
 
 def clearance(layout: Coordinates, least: float, shapes: Mapping[str, Sequence[Shape]]) -> Clearance:
-    """Build the clearance of the bodies with shapes, for pairs that no joint or closure joins.
-
-    Raises
-    ------
-    GtauError
-        There is no such body.
-    """
+    """Build the clearance of the bodies with shapes, for pairs that no joint or closure joins."""
     robot = layout.robot
     known = (GROUND, *robot.bodies)
     for body in shapes:

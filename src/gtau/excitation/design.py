@@ -230,13 +230,7 @@ def _feasible(task: DesignProblem, criterion: str, x: np.ndarray, start: int) ->
 
 
 def check(task: DesignProblem, x: np.ndarray, finer: int = FINER) -> tuple[ConstraintUsage, ...]:
-    """Compute the usage of limits of whole runs, approach and return included, on a grid ``finer`` times finer.
-
-    Raises
-    ------
-    GtauError
-        Where the motion is not reachable.
-    """
+    """Compute the usage of limits of whole runs, approach and return included, on a grid ``finer`` times finer."""
     grid = design_grid(task, finer)
     points, shares = [], []
     for period in evaluate(task, x, grid):

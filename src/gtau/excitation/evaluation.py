@@ -83,13 +83,7 @@ class Point:
 
 
 def evaluate(task: DesignProblem, x: np.ndarray, grid: Grid, near: Sequence[Point] = ()) -> tuple[Point, ...]:
-    """Evaluate all motions for ``x`` (task.size,); loops are closed from the configurations of ``near`` if given.
-
-    Raises
-    ------
-    GtauError
-        Where the trajectory leaves the reachable workspace, or comes too close to a singular pose.
-    """
+    """Evaluate all motions for ``x`` (task.size,); loops are closed from the configurations of ``near`` if given."""
     before: Sequence[Point | None] = near or [None] * len(task.motions)
     parts = np.split(x, len(task.motions))
     return tuple(
@@ -116,13 +110,7 @@ def evaluate_one(
 
 
 def along(task: DesignProblem, joints: np.ndarray, step: float, runs: tuple[int, ...]) -> Point:
-    """Evaluate a motion of joints (4, n, N), ``step`` s apart, that is more than a period of the series, or another.
-
-    Raises
-    ------
-    GtauError
-        Where it is not reachable.
-    """
+    """Evaluate a motion of joints (4, n, N), ``step`` s apart, that is more than a period of the series, or another."""
     motion = close(task.model, joints[0], joints[1], joints[2], None)
     return Point(task, Grid(step), runs, joints, motion, None, task.regressor(motion))
 

@@ -80,11 +80,6 @@ def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
 
     The noise-free logs are filtered, decimated and reduced as identification does it, and the covariance is that of
     maximum likelihood for white noise of the prior's ``sigma``. Model errors and coloured noise are not included.
-
-    Raises
-    ------
-    GtauError
-        Where identification would refuse such logs.
     """
     runs = expected_runs(task, x)
     preparation = choose_preparation(runs)

@@ -159,11 +159,6 @@ def in_platform_space(robot: Robot) -> Robot:
 
     The same closure equations then give the inverse kinematics. The platform, free in x, y, z and at most in turns,
     becomes the last link of a chain of slides and hinges along the base axes.
-
-    Raises
-    ------
-    GtauError
-        Where the robot has no platform, or several.
     """
     if len(robot.platforms) != 1:
         raise GtauError(

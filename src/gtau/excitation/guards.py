@@ -54,11 +54,6 @@ def guard(
 
     ``rest`` (n_c, 1) is where runs begin, ``least`` the clearance in m, ``file`` the robot's. No body is checked where
     ``stated`` is None, and no floor where ``floor`` is "none"; its height, m, is guessed where it is None.
-
-    Raises
-    ------
-    GtauError
-        Stated shapes are too close at rest, or name a body that does not exist.
     """
     if stated is None:
         return Guarded(None, (f"collisions: not checked, as '{STATE}: none' says",))

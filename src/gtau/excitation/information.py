@@ -114,20 +114,11 @@ def derivative(values: np.ndarray, step: float) -> np.ndarray:
 class Information:
     """The unknowns (theta, log g, d), and the information of rows about them.
 
-    Attributes
-    ----------
-    names : tuple of Parameter
-        (P,), of kind ``gain`` and ``delay`` behind the parameters.
-    scale : ndarray
-        (P,) reference of relative standard deviations.
-    maps : ndarray
-        (runs, n, n_b, P): a row of W times this is a row of the current's Jacobian, without delays.
-    load, smooth : ndarray
-        (runs, n_b): prior values of the base columns, with payload; and those without Coulomb friction.
-    gains, sigma : ndarray
-        Prior gains (n,), and standard deviations (n,) of a current's sample, A.
-    rate : float
-        Samples a second of the motion, over all repetitions.
+    ``names`` (P,) have kind ``gain`` and ``delay`` behind the parameters, and ``scale`` (P,) is the reference of
+    relative standard deviations. A row of W times ``maps`` (runs, n, n_b, P) is a row of the current's Jacobian,
+    without delays. ``load`` and ``smooth`` (runs, n_b) are prior values of the base columns, with payload, and those
+    without Coulomb friction; ``gains`` and ``sigma`` (n,) the prior gains and standard deviations of a current's
+    sample, A. ``rate`` are samples a second of the motion, over all repetitions.
     """
 
     names: tuple[Parameter, ...]

@@ -57,13 +57,7 @@ class Prior:
 
 
 def identified_gains(result: Result, file: Path) -> tuple[KnownGain, ...]:
-    """Take the gains of an earlier result, with their intervals and verdicts.
-
-    Raises
-    ------
-    GtauError
-        A gain is contradictory, not identifiable, or not distinguishable from zero.
-    """
+    """Take the gains of an earlier result, with their intervals and verdicts."""
     found = []
     for joint in result.robot.actuated:
         gain = result.drive_gains.get(joint)
@@ -85,13 +79,7 @@ def identified_gains(result: Result, file: Path) -> tuple[KnownGain, ...]:
 
 
 def given_parameters(model: InverseDynamics, base: BaseParameters, parameters: Mapping[str, float]) -> np.ndarray:
-    """Compute base parameters (n_b,) from standard ones by name; those not named are zero.
-
-    Raises
-    ------
-    GtauError
-        Where the robot has no parameter of that name.
-    """
+    """Compute base parameters (n_b,) from standard ones by name; those not named are zero."""
     for name in parameters:
         if name not in model.parameter_names:
             raise GtauError(

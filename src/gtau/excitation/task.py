@@ -198,13 +198,7 @@ class DesignProblem:
 
 
 def close(model: InverseDynamics, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, near: np.ndarray | None) -> Motion:
-    """Close the loops sample by sample, from the configurations ``near`` (n_c, N) if given: the whole robot's motion.
-
-    Raises
-    ------
-    GtauError
-        Where a pose cannot be reached, or is close to a singularity.
-    """
+    """Close the loops sample by sample, from configurations ``near`` (n_c, N) if given: the whole robot's motion."""
     if model.loops is None or near is None or near.shape[1] != q.shape[1]:
         return model.motion(q, qd, qdd)
     c, reached = advance(model.loops, near, q)

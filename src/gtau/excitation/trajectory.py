@@ -15,20 +15,11 @@ PEAKS = (1.875, 10 / 3**0.5, 60.0)  # greatest speed, acceleration and jerk of a
 class FourierSeries:
     """Periodic motions of m coordinates, at rest at the beginning of every period.
 
-    A coordinate is ``center + sum over k of a_k sin(k w t) + b_k cos(k w t)``; the coefficients for which
-    its speed and acceleration vanish at t = 0 are ``2 harmonics - 1`` free numbers per coordinate. The vector x (size,)
-    holds these numbers, coordinate by coordinate, in units of ``half`` (m,), and amplitudes that fall with k.
-
-    Attributes
-    ----------
-    center, half : ndarray
-        (m,), rad or m: position at x = 0, and the unit of the amplitudes.
-    base_frequency : float
-        Hz.
-    harmonics : int
-        Number of sines and cosines, at least 2.
-    of_platform : bool
-        True if the coordinates are the platform's, relative to its home position; else the actuated joints'.
+    A coordinate is ``center + sum over k of a_k sin(k w t) + b_k cos(k w t)``, k up to ``harmonics`` and w of
+    ``base_frequency``, Hz; the coefficients for which its speed and acceleration vanish at t = 0 are ``2 harmonics -
+    1`` free numbers per coordinate. The vector x (size,) holds these numbers, coordinate by coordinate, in units of
+    ``half`` (m,), and amplitudes that fall with k. The coordinates are the actuated joints', or ``of_platform``,
+    relative to its home.
     """
 
     center: np.ndarray

@@ -140,8 +140,8 @@ class _Names(tuple[str, ...]):
     def __format__(self, spec: str) -> str:
         if spec == "s":
             return "s" * (len(self) > 1)
-        quoted = [f"'{name}'" for name in self] if spec else self
-        return (" and " if spec == "and" else ", ").join(quoted)
+        listed = [f"'{name}'" for name in self] if spec in (",", "and") else self
+        return (" and " if spec in ("&", "and") else ", ").join(listed)
 
 
 CHOICE = re.compile(r"<(\w+)(\+|=\w+)?\?([^<>|]*)\|?([^<>]*)>")

@@ -109,6 +109,19 @@ LOG_WORDS: Mapping[str, Words] = {
         "geometry are amplified",
         "keep the motion away from that pose",
     ),
+    F.CONFIRMED_GEOMETRY: ("the logged pose of '{subject}' confirms the robot's geometry to {before} rms", ""),
+    F.UNEXPLAINED_POSE: (
+        "the logged pose of '{subject}' is {before} rms from the one computed from the positions, which lengths and "
+        "encoder zeros do not explain<changes?; {changes:&} would explain {share} of its variance>",
+        "check its columns, units and sequence of angles, whether it is of this body (source: tool) and in the robot's "
+        "base (source: tracker), and the angles of the robot's geometry",
+    ),
+    F.GEOMETRY: (
+        "the geometry is off: {changes:&} <count=1?explains|explain> {share} of the residual variance of the logged "
+        "pose of '{subject}', which is {before} rms from the one computed, and {after} with <count=1?that change|these "
+        "changes>",
+        "{correct:&}",
+    ),
     F.UNKNOWN_PAYLOAD: (
         "payload '{subject}' is not a payload of the model (<known?{known:,}|it has none>), so it is treated as a "
         "point mass of {mass:.4g} kg at the origin of '{tool}'",

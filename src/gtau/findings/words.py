@@ -15,9 +15,10 @@ Sentence = tuple[str, str]
 Fields in braces are the values of the finding, its ``joints`` and their ``count``, its ``subject``, its first
 ``joint`` and the ``other`` one, the ``estimate`` that it is about, the ``cause`` and what ``to_do`` then, and how to
 correct the ``clock`` and the ``limits``. Beyond the formats of Python, ``%`` at the end prints a ratio in per cent,
-``m`` and ``k`` a thousand times a value and a thousandth of it, and ``|`` at the beginning its size; names are listed,
-quoted with ``,`` or ``and``, and ``s`` is a plural. Of ``<name?this|that>`` the first is taken where the value is true,
-not empty and not zero, of ``<name+?this|that>`` where it is positive, of ``<name=text?this|that>`` where it is that.
+``m`` and ``k`` a thousand times a value and a thousandth of it, and ``|`` at the beginning its size. Names are listed,
+``&`` with an "and", ``,`` and ``and`` with quotes, and ``s`` is their plural. Of ``<name?this|that>`` the first is
+taken where the value is true, not empty and not zero, of ``<name+?this|that>`` where it is positive, of
+``<name=text?this|that>`` where it is that.
 """
 Words = Sentence | Callable[[Values], Sentence]
 """The sentence of a kind of finding, or a function that makes it from the values."""

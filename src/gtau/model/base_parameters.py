@@ -167,21 +167,10 @@ def _settled_triangle(
 
 
 def independent_columns(A: np.ndarray) -> tuple[list[int], np.ndarray, list[int]]:
-    """Select the columns of ``A`` that do not depend on those before them.
+    """Select the columns of ``A`` (r, c), any matrix or its triangular factor, that do not depend on those before them.
 
-    Parameters
-    ----------
-    A : ndarray
-        (r, c), any matrix or its triangular factor.
-
-    Returns
-    -------
-    kept : list of int
-        Indices of the b independent columns.
-    coefficients : ndarray
-        (b, c): column k of ``A`` is ``A[:, kept] @ coefficients[:, k]``.
-    idle : list of int
-        Indices of the columns that are zero.
+    Returns the indices ``kept`` of the b independent columns, coefficients (b, c) with which column k of ``A`` is
+    ``A[:, kept] @ coefficients[:, k]``, and the indices of the columns that are zero.
     """
     norms = np.linalg.norm(A, axis=0)
     idle = norms <= IDLE * norms.max(initial=0.0)

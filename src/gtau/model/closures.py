@@ -38,17 +38,11 @@ def _acceleration(
 
 
 def assembly_errors(layout: Coordinates, c: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Compute the errors of closures and couplings at arbitrary configurations, closed or not.
+    """Compute the errors (rows,) of closures, then of couplings, at arbitrary configurations, closed or not; and flips.
 
     Near one it is the residual of :func:`closure_expressions`. That of a weld whose frames are turned by an angle is
-    its sine, zero again at half a turn; here it is twice the sine of half the angle.
-
-    Returns
-    -------
-    errors : SX
-        (rows,): of the closures, then of the couplings.
-    flips : SX
-        (welds,): one less the cosine of the angle, which is not zero at half a turn either.
+    its sine, zero again at half a turn; here it is twice the sine of half the angle. Its flip is one less the cosine of
+    the angle, which is not zero at half a turn either.
     """
     frame, rows, flips, start = frames(layout, c), [], [], 0
     residual = closure_expressions(layout, c, ca.SX(layout.n_y, 1))[0]
@@ -140,21 +134,11 @@ def _unit(layout: Coordinates) -> np.ndarray:
 def closure_expressions(layout: Coordinates, c: ca.SX, yd: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Express the closures and couplings symbolically, eqs. (3) and (4) in one; the rest of the loops is derived.
 
-    ``G = jacobian(velocity, yd)``, and accelerations obey ``G ydd + gamma = 0``. Where the loops are closed velocity
-    and gamma are the time derivatives of the residual, so that derivatives along the closed loops may be taken of any
-    of the three (``ca.gradient``, with :func:`gtau.model.kinematics.configuration_rates` for those by c).
-
-    Parameters
-    ----------
-    layout : Coordinates
-        Of the robot.
-    c, yd : SX
-        Configuration (n_c,), its quaternions of unit length, and velocities (n_y,), rad or m, s.
-
-    Returns
-    -------
-    residual, velocity, gamma : SX
-        (rows,) each: rad or lengths over the characteristic length, and per s and s2.
+    From c (n_c,), its quaternions of unit length, and yd (n_y,): residual, velocity and gamma (rows,), in rad or
+    lengths over the characteristic length, and per s and s2. ``G = jacobian(velocity, yd)``, and accelerations obey ``G
+    ydd + gamma = 0``. Where the loops are closed velocity and gamma are the time derivatives of the residual, so that
+    derivatives along the closed loops may be taken of any of the three (``ca.gradient``, with
+    :func:`gtau.model.kinematics.configuration_rates` for those by c).
     """
     robot, length = layout.robot, characteristic_length(layout.robot)
     frame = frames(layout, c)
@@ -187,28 +171,14 @@ def closure_expressions(layout: Coordinates, c: ca.SX, yd: ca.SX) -> tuple[ca.SX
 
 
 def solve(a: ca.SX, b: ca.SX, refine: bool) -> tuple[ca.SX, ca.SX]:
-    """Solve ``min |a x - b|`` by the sparse ``L D L^T`` of the normal equations.
+    """Solve ``min |a x - b|`` by the sparse ``L D L^T`` of the normal equations, a (m, n) sparse, b (m, k).
 
-    Rows and columns are eliminated in an order that keeps zeros, so robots with many legs cost no more than
-    each leg and the platform. With ``refine`` one step of iterative refinement restores the digits that the
-    normal equations lose.
+    Rows and columns are eliminated in an order that keeps zeros, so robots with many legs cost no more than each leg
+    and the platform. With ``refine`` one step of iterative refinement restores the digits that the normal equations
+    lose.
 
-    Parameters
-    ----------
-    a : SX
-        (m, n), m >= n, with structural zeros where it is zero.
-    b : SX
-        (m, k).
-    refine : bool
-        True for one step of iterative refinement.
-
-    Returns
-    -------
-    x : SX
-        (n, k).
-    condition : SX
-        Square root of ``trace(M) trace(M^-1)``, ``M = a^T a``: at least the condition number of ``a``, at most n
-        times it; not a number, infinite or huge where ``a`` is singular.
+    Returns x (n, k), and the square root of ``trace(M) trace(M^-1)``, ``M = a^T a``: at least the condition number of
+    ``a``, at most n times it; not a number, infinite or huge where ``a`` is singular.
     """
     normal = a.T @ a
     d, lt, order = ca.ldl(normal, True)

@@ -82,20 +82,10 @@ def torques(
 ) -> ca.SX:
     """Express the torques of the actuated joints ``tau_idm`` (n,), eq. (15).
 
-    They equal ``-B^T lambda`` with the multipliers of eqs. (11) and (12).
-
-    Parameters
-    ----------
-    layout : Coordinates
-        Of the robot.
-    c, yd, ydd : SX
-        Configuration (n_c,), velocities and accelerations (n_y,) of the whole virtual tree.
-    J : SX
-        ``dy/dq`` (n_y, n): the identity in the actuated rows, J_t and J_p in the others.
-    chi : dict
-        Standard parameters by name; missing drive parameters are zero.
-    gravity : SX, optional
-        In base axes (3,), m/s2; the robot's if omitted.
+    They equal ``-B^T lambda`` with the multipliers of eqs. (11) and (12). c (n_c,), yd and ydd (n_y,) are of the whole
+    virtual tree; J = ``dy/dq`` (n_y, n) is the identity in the actuated rows, J_t and J_p in the others. ``chi`` has
+    the standard parameters by name, missing drive parameters being zero; ``gravity`` (3,), m/s2 in base axes, is the
+    robot's if omitted.
     """
     robot = layout.robot
     frame = frames(layout, c)
@@ -139,17 +129,7 @@ def wrench_torques(layout: Coordinates, c: ca.SX, J: ca.SX, frames_of: Sequence[
     """Express the generalised forces of external wrenches on bodies, ``J^T w`` (n,), at the actuated joints.
 
     By the principle of virtual power (eq. 14), as in :func:`torques`: the motors' torques are less by these.
-
-    Parameters
-    ----------
-    layout : Coordinates
-        Of the robot.
-    c, J : SX
-        Configuration (n_c,), and ``dy/dq`` (n_y, n).
-    frames_of : sequence of WrenchFrame
-        Of each wrench.
-    wrenches : SX
-        Moment (N m) and force (N) of each, (6 k,).
+    ``wrenches`` (6 k,) are moment (N m) and force (N) of each frame.
     """
     frame = frames(layout, c)
     tau = []

@@ -102,27 +102,13 @@ def load_robot(
 
 
 def close_home(robot: Robot) -> Robot:
-    """Solve for a home configuration in which the loops of a robot close.
+    """Solve for a home configuration in which the loops of a robot close, with a note on what was moved.
 
     With the motors held at home, the passive coordinates are moved. If the loops do not close near there within the
-    position limits, all coordinates in loops are moved, from home and then from random starts, always the same, and
-    the solution nearest to home is taken, at any distance if the file gives no home. A solution close to a singularity
-    is moved within its assembly mode until it is well-conditioned. Coordinates in no loop stay, but within limits.
-
-    Parameters
-    ----------
-    robot : Robot
-        Any robot; one without closures and couplings keeps its home, within its limits.
-
-    Returns
-    -------
-    Robot
-        With a note on what was moved and by how much.
-
-    Raises
-    ------
-    GtauError
-        The loops close nowhere, or only far from the home that the file gives.
+    position limits, all coordinates in loops are moved, from home and then from random starts, always the same, and the
+    solution nearest to home is taken, at any distance if the file gives no home. A solution close to a singularity is
+    moved within its assembly mode until it is well-conditioned. Coordinates in no loop stay, but within limits. Raises
+    GtauError where the loops close nowhere, or only far from the home that the file gives.
     """
     if not (robot.closures or robot.couplings):
         return _within_limits(robot, set())

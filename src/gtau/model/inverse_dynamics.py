@@ -189,18 +189,10 @@ class InverseDynamics:
         self._regressors[regressor.names] = regressor
 
     def wrenches(self, frames: Sequence[WrenchFrame]) -> Regressor:
-        """Return the columns of wrenches on bodies, six per body: times the wrenches they give torques ``J^T w``.
+        """Return the columns (n, 6 k) of wrenches on bodies: times the wrenches they give torques ``J^T w``.
 
-        Parameters
-        ----------
-        frames : sequence of WrenchFrame
-            Of k wrenches.
-
-        Returns
-        -------
-        Regressor
-            (n, 6 k): of each wrench its moment (x, y, z), N m, and its force (x, y, z), N, eq. (14); see
-            :func:`gtau.model.dynamics.wrench_torques`.
+        Of each of the k wrenches its moment (x, y, z), N m, and its force (x, y, z), N, eq. (14); see
+        :func:`gtau.model.dynamics.wrench_torques`.
         """
         frames = tuple(frames)
         if frames not in self._wrenches:

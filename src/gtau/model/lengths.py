@@ -80,17 +80,8 @@ class VariableGeometry:
     def close(self, c: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray | None:
         """Close the loops after a change of the constants, with the motors at the same logged positions.
 
-        Parameters
-        ----------
-        c : ndarray
-            Configurations (n_c, N), closed with the changes ``before`` (constants,) of the constants.
-        after : ndarray
-            Changes (constants,) of the constants from their values in the robot's file.
-
-        Returns
-        -------
-        ndarray or None
-            (n_c, N); None where the closures cannot follow.
+        Configurations ``c`` (n_c, N) are closed with the changes ``before`` (constants,) from the values in the robot's
+        file, and are to be with those of ``after``; None where the closures cannot follow.
         """
         layout, change = self.layout, after - before
         step = np.zeros((layout.n_y, c.shape[1]))

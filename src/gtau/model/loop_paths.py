@@ -85,25 +85,11 @@ def follow(
     start: np.ndarray | None = None,
     segments: int = SEGMENTS,
 ) -> np.ndarray:
-    """Find the configurations (n_c, N) along the path ``q`` (n, N), all in the assembly mode of home.
+    """Find the configurations (n_c, N) along the path ``q`` (n, N), rad or m, all in the assembly mode of home.
 
-    Parameters
-    ----------
-    loops : Loops
-        From :func:`close_loops`.
-    q : ndarray
-        Actuated positions (n, N), rad or m.
-    labels : Labels, optional
-        Names of the samples in messages; ``"sample 17"`` if omitted.
-    start : ndarray, optional
-        Closed configuration (n_c,) at the start of the path; home if omitted.
-    segments : int
-        Parts of the path that are followed in parallel, at most.
-
-    Raises
-    ------
-    GtauError
-        A sample cannot be reached within the assembly mode.
+    ``labels`` name the samples in messages, ``"sample 17"`` if omitted; ``start`` is the closed configuration (n_c,) at
+    the start of the path, home if omitted; ``segments`` of the path, at most, are followed in parallel. Raises
+    GtauError where a sample cannot be reached within the assembly mode.
     """
     q, samples = np.ascontiguousarray(q, dtype=float), q.shape[1]
     labels = labels or Numbers()

@@ -111,14 +111,7 @@ class Loops:
 
 @lru_cache(maxsize=8)
 def close_loops(robot: Robot) -> Loops:
-    """Close the loops of a robot at home and check that its actuated joints move all of it; made once a robot.
-
-    Raises
-    ------
-    GtauError
-        The loops do not close near the home of the robot's file, actuation is redundant,
-        or passive coordinates remain free.
-    """
+    """Close the loops of a robot at home and check that its actuated joints move all of it; made once a robot."""
     layout = coordinates(robot)
     errors = loop_errors(layout)
     home = closed(errors, layout.home, errors.passive)
@@ -220,22 +213,8 @@ def differentiate(
 ) -> Motion:
     """Compute velocities and accelerations of the whole tree from those of the actuated joints (eqs. 5 to 8).
 
-    Parameters
-    ----------
-    loops : Loops
-        From :func:`close_loops`.
-    c : ndarray
-        Closed configurations (n_c, N).
-    qd, qdd : ndarray
-        Actuated velocities and accelerations (n, N).
-    labels : Labels, optional
-        Names of the samples in messages.
-
-    Raises
-    ------
-    GtauError
-        At a pose too close to a singularity, where the actuated coordinates do not determine the
-        passive ones.
+    ``c`` (n_c, N) are closed configurations, qd and qdd (n, N). Raises GtauError, with the names of ``labels``, at a
+    pose too close to a singularity, where the actuated coordinates do not determine the passive ones.
     """
     layout, samples = loops.layout, c.shape[1]
     found = loops.motion(c, qd, qdd)

@@ -47,33 +47,13 @@ def _range(joint: Joint, length: float) -> tuple[float, float]:
 
 
 def random_motion(idm: InverseDynamics, samples: int, rng: np.random.Generator, condition: float = REGULAR) -> Motion:
-    """Draw random states within the position limits, with the loops closed and away from singular poses.
+    """Draw ``samples`` random states within the position limits, with the loops closed and away from singular poses.
 
-    Speeds and accelerations are normally distributed with a third of their limits (1 rad/s or m/s and
-    ten times that per second where there are none) as standard deviation. A pose that cannot be
-    reached in the assembly mode of home is replaced by the last one on the way to it; one that hardly left home, is
-    nearly singular or beyond the limits is redrawn. If few feasible poses remain, all are drawn closer to home.
-
-    Parameters
-    ----------
-    idm : InverseDynamics
-        Model of the robot.
-    samples : int
-        States wanted.
-    rng : Generator
-        Random number generator.
-    condition : float
-        Condition number of the scaled passive columns below which a pose is regular.
-
-    Returns
-    -------
-    Motion
-        ``samples`` samples.
-
-    Raises
-    ------
-    GtauError
-        Hardly any pose around home is feasible.
+    Speeds and accelerations are normally distributed with a third of their limits (1 rad/s or m/s and ten times that
+    per second where there are none) as standard deviation. A pose that cannot be reached in the assembly mode of home
+    is replaced by the last one on the way to it; one that hardly left home, is nearly singular or beyond the limits is
+    redrawn. If few feasible poses remain, all are drawn closer to home; raises GtauError where hardly any pose around
+    it is feasible. A pose is regular where the condition number of the scaled passive columns is below ``condition``.
     """
     joints = [idm.robot.joint(name) for name in idm.actuated]
     length = idm.loops.length if idm.loops else 1.0
@@ -163,11 +143,6 @@ def singularities(idm: InverseDynamics) -> Singularities:
 
     The tool is the body that carries payloads, or where a loop is closed by a ``connect`` at that link, as in a
     five-bar, the point where it is closed.
-
-    Raises
-    ------
-    GtauError
-        The loops cannot be closed, or hardly any pose is regular.
     """
     program = compile_program(*_tool_jacobian(idm))
     found = Singularities(idm.layout, program, 0, 0.0)

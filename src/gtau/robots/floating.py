@@ -52,22 +52,8 @@ def base_joints(name: str) -> tuple[Joint, ...]:
 def float_base(robot: Robot, name: str = "base") -> Robot:
     """Let the base of a robot float: everything mounted on the ground is then carried by a body ``name``.
 
-    Parameters
-    ----------
-    robot : Robot
-        Its joints keep their motors; those of the base have none.
-    name : str
-        Name of the base and of its parameters.
-
-    Returns
-    -------
-    Robot
-        With :attr:`Robot.floating`.
-
-    Raises
-    ------
-    GtauError
-        A platform does not move in all six degrees of freedom, so it is tied to the ground; or the name is taken.
+    The joints keep their motors; those of the base have none. A platform that does not move in all six degrees of
+    freedom is tied to the ground, and refused.
     """
     for problem in _fixed_to_ground(robot):
         raise GtauError(f"robot '{robot.name}': {problem}.")

@@ -25,25 +25,10 @@ COAXIAL = 1e-8  # rad, and share of the length of the closure's arms
 
 
 def select_joints(robot: Robot, patterns: Sequence[str], held: Mapping[str, float]) -> Robot:
-    """Let some joints of a robot move and hold the others.
+    """Let some joints of a robot move and hold the others, with a note on these.
 
-    Parameters
-    ----------
-    robot : Robot
-    patterns : sequence of str
-        Names of the joints that move, with ``*`` and ``?``; if empty, all joints not in ``held`` move.
-    held : mapping of str to float
-        Positions of held joints, rad or m; those not named are held at home.
-
-    Returns
-    -------
-    Robot
-        With a note on the joints that are held.
-
-    Raises
-    ------
-    GtauError
-        A pattern matches no joint, or a joint is both selected and held.
+    ``patterns`` are names of the joints that move, with ``*`` and ``?``; if empty, all joints not in ``held`` move.
+    ``held`` are positions of held joints, rad or m; those not named are held at home.
     """
     names = [joint.name for joint in robot.joints if joint.name not in robot.base]
     for name in held:
@@ -81,11 +66,6 @@ def lock_joints(robot: Robot, positions: Mapping[str, float]) -> Robot:
     """Merge the links of joints, at ``positions``, into their carriers, which then have a mass if the links had.
 
     Closures and springs with both ends on one body are dropped.
-
-    Raises
-    ------
-    GtauError
-        No moving joint remains.
     """
     carried = {GROUND: Attachment(GROUND)} | {platform.name: Attachment(platform.name) for platform in robot.platforms}
     joints: list[Joint] = []
@@ -182,16 +162,11 @@ def listed(names: Sequence[str]) -> str:
 
 
 def without_idle_pins(robot: Robot) -> Robot:
-    """Lock, at zero, one of two coaxial pins at each closure, and pins through the point of a ``connect``.
+    """Lock, at zero, one of two coaxial pins at each closure, and pins through the point of a ``connect``, with a note.
 
     Only passive revolute joints that carry nothing but the closure count as pins, or a leg that slides along their axis
     to the point of a ``connect``. Where a pin is the last of three that make up a ball, their axes are chosen so that
     it is idle.
-
-    Returns
-    -------
-    Robot
-        With a note on every joint locked.
     """
     for number, closure in enumerate(robot.closures):
         # the second pin first, so that the first one stays

@@ -16,13 +16,7 @@ REACHED = 1e-9  # rad or m; a home on a limit is within it
 
 
 def oddities(robot: Robot) -> tuple[str, ...]:
-    """Note implausible entries: links of 350 m, limits of 130 rad, a home outside the limits.
-
-    Returns
-    -------
-    tuple of str
-        One sentence each, without a full stop; empty for most robots.
-    """
+    """Note implausible entries, a sentence each: links of 350 m, limits of 130 rad, a home outside the limits."""
     return (*_lengths(robot), *_angles(robot), *_homes(robot))
 
 

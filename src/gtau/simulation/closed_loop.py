@@ -10,7 +10,7 @@ feedforward. The gains put the three poles of a rigid axis at the bandwidth.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import inf
 from pathlib import Path
 from typing import Annotated, Protocol
@@ -20,15 +20,9 @@ from pydantic import AfterValidator, Field, FiniteFloat
 
 from gtau.documents.files import write_table
 from gtau.documents.validation import Keys, Positive
-from gtau.estimation.regression.column_blocks import known_values
-from gtau.estimation.results.result import Result
-from gtau.model.loops import Motion
-from gtau.robots.parameter import Parameter
-from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 from gtau.simulation.plant import PlantState
 from gtau.simulation.trajectories import NotNegative, Trajectory
-from gtau.uses.prediction import torques_along
 
 BANDWIDTH = 100.0  # rad/s
 FILTER = 10.0  # the derivative is filtered at this multiple of the bandwidth
@@ -72,68 +66,15 @@ def sample(trajectory: Trajectory, duration: float, rate: float) -> Reference:
     return Reference(time, *trajectory(time))
 
 
-def simple_pid(
-    reference: Reference, inertia: np.ndarray, gains: np.ndarray, bandwidth: float = BANDWIDTH
+def pid(
+    reference: Reference, inertia: np.ndarray, gains: np.ndarray, bandwidth: float = BANDWIDTH, weight: float = 1.0
 ) -> Controller:
-    """Make a PID with an ``inertia`` (n, n), kg or kg m2, or one for every sample (N, n, n)."""
-    inertias = np.broadcast_to(inertia, (*reference.q.shape, reference.q.shape[1]))
-    return Controller(reference, inertias, np.zeros_like(reference.q), gains, 0.0, bandwidth)
+    """Make a PID with an ``inertia`` (n, n), kg or kg m2, or one for every sample (N, n, n).
 
-
-def pid_with_velocity(
-    reference: Reference, inertia: np.ndarray, gains: np.ndarray, bandwidth: float = BANDWIDTH
-) -> Controller:
-    """Make a PID with the velocity of the reference fed forward."""
-    return replace(simple_pid(reference, inertia, gains, bandwidth), weight=1.0)
-
-
-def computed_torque(
-    reference: Reference, result: Result, payload: Payload | None = None, bandwidth: float = BANDWIDTH
-) -> Controller:
-    """Make a computed torque law of an identified model, evaluated along the reference, and that model's gains.
-
-    Parameters
-    ----------
-    reference : Reference
-        The motion to follow.
-    result : Result
-        From :func:`gtau.identify` or :meth:`gtau.Result.load`.
-    payload : Payload, optional
-        The load; its known parameters go into the model as they are.
-    bandwidth : float
-        Of the linear part, rad/s.
-
-    Raises
-    ------
-    GtauError
-        Where the robot cannot follow the reference.
+    By default the velocity of the reference is fed forward; with a ``weight`` of 0 it is the paper's simple PID.
     """
-    model, n = result.idm, len(result.idm.actuated)
-    chi = model_parameters(result, payload)
-    regressor = model.columns(result.base.standard)
-
-    def torques(motion: Motion, parameters: np.ndarray = chi) -> np.ndarray:
-        return regressor.torques(regressor(model.layout, motion), parameters, n)
-
-    motion = model.motion(reference.q.T, reference.qd.T, reference.qdd.T)
-    feedforward = torques_along(result, motion, chi)
-    rest = replace(motion, yd=np.zeros_like(motion.yd), ydd=np.zeros_like(motion.ydd))
-    weight = torques(rest)
-    columns = [torques(replace(rest, ydd=np.ascontiguousarray(motion.J[:, k]))) - weight for k in range(n)]
-    inertia = np.stack(columns, axis=2).swapaxes(0, 1)
-    gains = np.array([result.drive_gains[joint].value for joint in model.actuated], dtype=float)
-    return Controller(reference, inertia, feedforward.T, gains, 1.0, bandwidth)
-
-
-def model_parameters(result: Result, payload: Payload | None) -> np.ndarray:
-    """Return the base parameters (n_b,) of the identified robot with the known parameters of its payload."""
-    model, base = result.idm, result.base
-    chi = np.array([result.params[name] for name in base.names])
-    if payload is not None:
-        place = {name: k for k, name in enumerate(model.parameter_names)}
-        for kind, value in {**result.payload(payload.name), **known_values(payload)}.items():
-            chi = chi + value * base.matrix[:, place[Parameter(kind, model.robot.tool)]]
-    return chi
+    inertias = np.broadcast_to(inertia, (*reference.q.shape, reference.q.shape[1]))
+    return Controller(reference, inertias, np.zeros_like(reference.q), gains, weight, bandwidth)
 
 
 def _not_zero(gain: float) -> float:
@@ -215,37 +156,14 @@ def simulate(
     controller: Controller,
     hardware: Hardware,
     rng: np.random.Generator,
-    payload: Payload | None = None,
-    joints: tuple[str, ...] = (),
+    joints: tuple[str, ...],
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Simulated:
-    """Follow the controller's reference.
+    """Follow the controller's reference: a run as logged, and the true tracking error.
 
-    At every sample the positions are measured, the currents computed, logged and held until the next.
-
-    Parameters
-    ----------
-    name : str
-        Of the run.
-    engine : Engine
-        The robot, its payload included.
-    controller : Controller
-        The control law along its reference.
-    hardware : Hardware
-        From :func:`gtau.simulation.closed_loop.hardware`.
-    rng : Generator
-        Of the noise and the phase of the ripple.
-    payload : Payload, optional
-        Payload stated in the run.
-    joints : tuple of str
-        Names of the actuated joints.
-    progress : callable
-        Called with the samples done and their number.
-
-    Raises
-    ------
-    GtauError
-        Where the robot reaches a singular pose or the control loop diverges.
+    At every sample the positions are measured, the currents computed, logged and held until the next. ``rng`` draws the
+    noise and the phase of the ripple; ``progress`` is called with the samples done and their number. Raises GtauError
+    where the robot reaches a singular pose or the control loop diverges.
     """
     reference = controller.reference
     samples, n = reference.q.shape
@@ -274,7 +192,7 @@ def simulate(
             progress(k, samples)
     progress(samples, samples)
     logged = rounded(current + hardware.current_noise * rng.standard_normal(current.shape), hardware.current_quantum)
-    run = Run(name, joints, reference.time, np.round(position, DIGITS), np.round(logged, DIGITS), payload=payload)
+    run = Run(name, joints, reference.time, np.round(position, DIGITS), np.round(logged, DIGITS))
     return Simulated(run, error)
 
 

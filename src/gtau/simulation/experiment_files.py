@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from os.path import relpath
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,7 @@ from gtau.simulation.closed_loop import (
     Hardware,
     Simulated,
     hardware,
-    pid_with_velocity,
+    pid,
     sample,
     simulate,
     write_log,
@@ -53,13 +54,7 @@ def loaded(chi: Mapping[str, float], robot: Robot, payload: Payload | None) -> d
 
 
 def truth(simulation: Simulation, model: InverseDynamics) -> tuple[dict[str, float], JointFriction]:
-    """Return the standard parameters of the simulated robot, and its friction.
-
-    Raises
-    ------
-    GtauError
-        Where the identified model is of another robot, or a stated friction term is not part of the law.
-    """
+    """Return the standard parameters of the simulated robot, and its friction."""
     smoothing = simulation.friction_width.model_dump()
     if simulation.model is not None:
         result = Result.load(simulation.model)
@@ -92,13 +87,7 @@ def make_run(
     described: SimulatedRun,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Simulated:
-    """Make one run of a simulation file under PID with velocity feedforward and the robot's own inertia matrix.
-
-    Raises
-    ------
-    GtauError
-        Where its trajectory does not suit the robot, passive joints included, or the robot gets out of control.
-    """
+    """Make one run of a simulation file under PID with velocity feedforward and the robot's own inertia matrix."""
     motion, duration = make_trajectory(described.trajectory, model.robot, f"run '{described.name}'")
     reference = sample(motion, duration, simulation.rate)
     engine, plant, parts = apparatus(simulation, model, described.payload)
@@ -107,11 +96,10 @@ def make_run(
     for row, joint in enumerate(model.robot.joints):  # passive ones too
         check_positions(c[row], joint, f"run '{described.name}'")
     inertia = np.stack([plant.mass_matrix(each) for each in c.T[::HELD]]).repeat(HELD, axis=0)[: c.shape[1]]
-    controller = pid_with_velocity(reference, inertia, parts.gain, simulation.bandwidth)
+    controller = pid(reference, inertia, parts.gain, simulation.bandwidth)
     rng = np.random.default_rng([simulation.seed, *described.name.encode()])
-    return simulate(
-        described.name, engine, controller, parts, rng, described.payload, model.actuated, progress
-    )  # fmt: skip
+    made = simulate(described.name, engine, controller, parts, rng, model.actuated, progress)
+    return replace(made, run=replace(made.run, payload=described.payload))
 
 
 @takes(out=PATH, progress=FUNCTION)

@@ -30,21 +30,11 @@ BALANCES = 3  # iterations that scale propelling terms to the resulting load
 
 @dataclass(frozen=True, eq=False)
 class JointFriction:
-    """Friction and offsets of all joints.
+    """Friction and offsets of all joints, by the ``law`` of the robot.
 
-    Attributes
-    ----------
-    law : FrictionLaw
-        Of the robot.
-    values : dict
-        ``fv``, ``fs``, ``fb``, ``fl``, ``f3`` and ``off`` by name, SI units; missing ones are zero.
-    smoothing : dict
-        Kind of joint to the width of its ``sign(qd)``, m/s or rad/s.
-
-    Raises
-    ------
-    GtauError
-        Where a joint has a shape or load-dependent friction that the law does not include.
+    ``values`` are ``fv``, ``fs``, ``fb``, ``fl``, ``f3`` and ``off`` by name, SI units, those missing being zero;
+    ``smoothing`` has the width of ``sign(qd)`` by kind of joint, m/s or rad/s. A joint with a shape or load-dependent
+    friction that the law does not include is refused.
     """
 
     law: FrictionLaw
@@ -122,15 +112,8 @@ class JointFriction:
         """Express the effort left for the robot (n,), ``force - friction``, which is also the load of the joints.
 
         Friction by load is ``s |e|`` of the effort e itself, so that ``e + s |e|`` is the force less other friction.
-
-        Parameters
-        ----------
-        yd, J : SX
-            Velocities of the tree, and how actuated joints move it.
-        force : SX
-            (n,) of the motors.
-        z : SX
-            States (s,).
+        ``yd`` are the velocities of the tree, ``J`` how actuated joints move it, ``force`` (n,) that of the motors, and
+        ``z`` the states (s,).
         """
         (plain, loaded), speeds = self._forces(yd, z)
         n_joints, scales, effort = len(self.offsets), ca.SX.ones(plain.shape[0]), force

@@ -27,7 +27,9 @@ from gtau.robots.robot import (
     ROTATIONS,
     STIFFNESS,
     TRANSLATIONS,
+    Closure,
     Placement,
+    Platform,
     Robot,
     Spring,
 )
@@ -42,13 +44,7 @@ LIGHTEST = 1e-6  # kg, kg m2: MuJoCo moves no body without mass and inertia
 class MujocoPlant:
     """A robot in MuJoCo; parameters as of :class:`gtau.simulation.plant.Plant`.
 
-    A body lighter than 1e-6 kg or kg m2 is given as much.
-
-    Raises
-    ------
-    GtauError
-        Where MuJoCo is not installed, a body's inertia could not be built, or the robot has couplings or load-dependent
-        friction, which this engine does not support.
+    A body lighter than 1e-6 kg or kg m2 is given as much. Couplings and friction by load are not supported.
     """
 
     def __init__(self, model: InverseDynamics, chi: Mapping[str, float], friction: JointFriction | None = None):
@@ -99,13 +95,7 @@ class MujocoPlant:
         return PlantState(np.array(q, dtype=float), np.zeros(len(q)), qpos, np.zeros(self._model.nv), rest)
 
     def advance(self, state: PlantState, force: np.ndarray, duration: float) -> PlantState:
-        """Advance the state by ``duration`` s under constant forces (n,) of the actuated joints, N m or N.
-
-        Raises
-        ------
-        GtauError
-            Where the motion diverges.
-        """
+        """Advance the state by ``duration`` s under constant forces (n,) of the actuated joints, N m or N."""
         data, applied, z = self._data, np.zeros(self._model.nv), state.z
         steps = max(1, round(duration / STEP))
         self._model.opt.timestep = duration / steps
@@ -167,13 +157,12 @@ def robot_spec(mujoco: ModuleType, robot: Robot, chi: Mapping[str, float]) -> An
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.tolerance = 1e-12
     spec.compiler.boundmass = spec.compiler.boundinertia = LIGHTEST
-    hinge, slide, ball = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_BALL
     body = {GROUND: spec.worldbody}
     for joint in robot.joints:
         body[joint.name] = _add_body(mujoco, body[joint.antecedent], joint.placement, joint.name, chi)
         made = body[joint.name].add_joint(
             name=joint.name,
-            type=hinge if joint.turns else slide,
+            type=mujoco.mjtJoint.mjJNT_HINGE if joint.turns else mujoco.mjtJoint.mjJNT_SLIDE,
             axis=joint.axis,
             armature=chi.get(Parameter("ia", joint.name), 0.0),
             damping=chi.get(Parameter("fv", joint.name), 0.0),
@@ -183,34 +172,44 @@ def robot_spec(mujoco: ModuleType, robot: Robot, chi: Mapping[str, float]) -> An
             made.stiffness = (stiffness, 0.0, 0.0) if np.size(made.stiffness) == 3 else stiffness
             made.springref = joint.spring
     for platform in robot.platforms:
-        place = body[platform.name] = _add_body(mujoco, spec.worldbody, platform.home, platform.name, chi)
-        home = platform.home.rotation  # its rows are the base axes in the platform's own
-        for axis, dof in enumerate(TRANSLATIONS):
-            if dof in platform.dof:
-                place.add_joint(name=f"{dof}_{platform.name}", type=slide, axis=home[axis])
-        turns = [dof for dof in ROTATIONS if dof in platform.dof]
-        if len(turns) == 3:
-            place.add_joint(name=f"turn_{platform.name}", type=ball)
-        elif turns:
-            place.add_joint(name=f"turn_{platform.name}", type=hinge, axis=home[ROTATIONS.index(turns[0])])
+        body[platform.name] = _add_body(mujoco, spec.worldbody, platform.home, platform.name, chi)
+        _add_freedoms(mujoco, body[platform.name], platform)
     for number, closure in enumerate(robot.closures):
-        for label, end in (("a", closure.a), ("b", closure.b)):
-            quaternion = Rotation.from_matrix(end.placement.rotation).as_quat(scalar_first=True)
-            body[end.body].add_site(name=f"{label} {number}", pos=end.placement.position, quat=quaternion)
-        weld = closure.kind == "weld"
-        tie = spec.add_equality(
-            name1=f"a {number}",
-            name2=f"b {number}",
-            objtype=mujoco.mjtObj.mjOBJ_SITE,
-            type=mujoco.mjtEq.mjEQ_WELD if weld else mujoco.mjtEq.mjEQ_CONNECT,
-            solref=STIFF[0],
-            solimp=STIFF[1],
-        )
-        if weld:
-            tie.data[10] = 1.0  # torques count as much as forces
+        _add_closure(mujoco, spec, number, closure, body)
     for spring in robot.springs:
         _add_spring(mujoco, spec, spring, chi, body)
     return spec
+
+
+def _add_freedoms(mujoco: ModuleType, place: Any, platform: Platform) -> None:
+    """Add the joints of a platform, which count from its home."""
+    home, hinge = platform.home.rotation, mujoco.mjtJoint.mjJNT_HINGE  # rows of home: base axes in the platform's own
+    for axis, dof in enumerate(TRANSLATIONS):
+        if dof in platform.dof:
+            place.add_joint(name=f"{dof}_{platform.name}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=home[axis])
+    turns = [dof for dof in ROTATIONS if dof in platform.dof]
+    if len(turns) == 3:
+        place.add_joint(name=f"turn_{platform.name}", type=mujoco.mjtJoint.mjJNT_BALL)
+    elif turns:
+        place.add_joint(name=f"turn_{platform.name}", type=hinge, axis=home[ROTATIONS.index(turns[0])])
+
+
+def _add_closure(mujoco: ModuleType, spec: Any, number: int, closure: Closure, body: Mapping[str, Any]) -> None:
+    """Add a closure as an equality of two sites."""
+    for label, end in (("a", closure.a), ("b", closure.b)):
+        quaternion = Rotation.from_matrix(end.placement.rotation).as_quat(scalar_first=True)
+        body[end.body].add_site(name=f"{label} {number}", pos=end.placement.position, quat=quaternion)
+    weld = closure.kind == "weld"
+    tie = spec.add_equality(
+        name1=f"a {number}",
+        name2=f"b {number}",
+        objtype=mujoco.mjtObj.mjOBJ_SITE,
+        type=mujoco.mjtEq.mjEQ_WELD if weld else mujoco.mjtEq.mjEQ_CONNECT,
+        solref=STIFF[0],
+        solimp=STIFF[1],
+    )
+    if weld:
+        tie.data[10] = 1.0  # torques count as much as forces
 
 
 def spring_attributes(spring: Spring, chi: Mapping[str, float]) -> dict[str, Any] | None:

@@ -35,16 +35,12 @@ from gtau.simulation.joint_friction import JointFriction, plain_friction
 def constraints(loops: Loops) -> tuple[ca.Function, ca.Function]:
     """Select independent closure equations ``phi(c) = 0``, as many as there are passive coordinates.
 
-    Redundant rows, such as the rotations that the three welds of an Orthoglide share, are left out as found by
-    QR with pivoting at home. The rows are those in the axes of each closure's second body: a linkage whose plane turns
-    with the robot keeps the same redundant rows there, but not in base axes.
+    Redundant rows, such as the rotations that the three welds of an Orthoglide share, are left out as found by QR with
+    pivoting at home. The rows are those in the axes of each closure's second body: a linkage whose plane turns with the
+    robot keeps the same redundant rows there, but not in base axes.
 
-    Returns
-    -------
-    position : Function
-        From c to phi and to ``G = d(phi')/d(yd)`` of the passive and of the actuated coordinates.
-    drift : Function
-        From c and yd to gamma of ``G ydd + gamma = 0``.
+    Returns functions from c to phi and to ``G = d(phi')/d(yd)`` of the passive and of the actuated coordinates, and
+    from c and yd to gamma of ``G ydd + gamma = 0``.
     """
     layout = loops.layout
     c, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
@@ -101,19 +97,9 @@ class PlantState:
 class Plant:
     """Forward dynamics of a robot under forces on its actuated joints.
 
-    Parameters
-    ----------
-    model : InverseDynamics
-        Of the robot, with all parameters.
-    chi : mapping
-        Standard parameters by name, SI units; missing ones are zero.
-    friction : JointFriction, optional
-        In every joint, passive ones too; ``fv v + fs tanh(v / width) + off`` of chi if left out.
-
-    Raises
-    ------
-    GtauError
-        Where a parameter is none of the robot's, or the mass matrix is not positive.
+    Standard parameters ``chi`` by name, SI units, those missing being zero; ``friction`` in every joint, passive ones
+    too, is ``fv v + fs tanh(v / width) + off`` of chi if left out. Refuses parameters that are none of the robot's, and
+    a mass matrix that is not positive.
     """
 
     def __init__(self, model: InverseDynamics, chi: Mapping[str, float], friction: JointFriction | None = None):
@@ -153,13 +139,7 @@ class Plant:
         return PlantState(np.array(q, dtype=float), np.zeros(len(q)), c, np.zeros(len(q)), rest)
 
     def advance(self, state: PlantState, force: np.ndarray, duration: float) -> PlantState:
-        """Advance the state by ``duration`` s under constant forces (n,) of the actuated joints, N m or N.
-
-        Raises
-        ------
-        GtauError
-            Where the robot reaches a singular pose or its motion diverges.
-        """
+        """Advance the state by ``duration`` s under constant forces (n,) of the actuated joints, N m or N."""
         c, qd, z, left, step = state.c, state.qd, state.z, duration, duration
         actuated = self.layout.actuated
         while left > SHORTEST:

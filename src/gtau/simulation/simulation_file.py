@@ -131,13 +131,7 @@ class Simulation(Keys):
 
 
 def read_simulation(path: str | Path) -> Simulation:
-    """Read a simulation file.
-
-    Raises
-    ------
-    GtauError
-        The file cannot be read, or something in it is missing, misspelt or contradictory.
-    """
+    """Read a simulation file."""
     refuse_other_kind(path, SIMULATION)
     return validate(Simulation, read_yaml(path), context=Path(path).parent)
 

@@ -43,13 +43,7 @@ class Envelope:
 
 
 def envelope(robot: Robot, share: float = 0.9) -> Envelope:
-    """Take a share of the actuated joints' limits; ten times the speed in a second where no acceleration is given.
-
-    Raises
-    ------
-    GtauError
-        Where a joint has no limits of position or velocity.
-    """
+    """Take a share of the actuated joints' limits; ten times the speed in a second where no acceleration is given."""
     limits = {name: robot.joint(name).limits for name in robot.actuated}
     for name, each in limits.items():
         if each.position is None or each.velocity is None:
@@ -148,16 +142,8 @@ def point_to_point(within: Envelope, duration: float, rng: np.random.Generator) 
 def through(within: Envelope, duration: float, targets: Iterator[np.ndarray], rest: float = REST) -> PointToPoint:
     """Plan moves from the center through ``targets``, each as fast as the envelope allows.
 
-    Parameters
-    ----------
-    within : Envelope
-        Motion range of the moves.
-    duration : float
-        Duration, s; only moves that end before it are made, but at least one.
-    targets : iterator of ndarray
-        Points (n,), from -1 to 1 of the envelope's reach to either side of its center; without end.
-    rest : float
-        Between two moves, s.
+    Targets (n,), without end, are from -1 to 1 of the envelope's reach to either side of its center. Only moves that
+    end before ``duration``, s, are made, but at least one, with ``rest`` s between two.
     """
     points, now = [within.center], 0.0
     starts: list[float] = []
@@ -269,22 +255,7 @@ class MotionEntry(Keys):
 
 
 def make_trajectory(motion: MotionEntry, robot: Robot, where: str) -> tuple[Trajectory, float]:
-    """Make the trajectory that a file describes, and return its duration in s.
-
-    Parameters
-    ----------
-    motion : MotionEntry
-        From a simulation file.
-    robot : Robot
-        Whose actuated joints move.
-    where : str
-        Name of the run in messages.
-
-    Raises
-    ------
-    GtauError
-        Where the description lacks a joint, leaves the robot's limits, or needs limits that the robot lacks.
-    """
+    """Make the trajectory that a file describes, and return its duration in s; ``where`` names the run in messages."""
     made: Trajectory
     if (random := motion.sines or motion.moves) is not None:
         kind = sines if motion.sines else point_to_point
@@ -348,13 +319,7 @@ def _check_limits(made: tuple[np.ndarray, np.ndarray, np.ndarray], robot: Robot,
 
 
 def check_positions(q: np.ndarray, joint: Joint, where: str) -> None:
-    """Refuse positions (N,) of a joint, rad or m, beyond its limits; ``where`` names the run in the message.
-
-    Raises
-    ------
-    GtauError
-        Where there are some.
-    """
+    """Refuse positions (N,) of a joint, rad or m, beyond its limits; ``where`` names the run in the message."""
     low, high = joint.limits.position or (-np.inf, np.inf)
     if q.min() < low - 1e-9 or q.max() > high + 1e-9:
         raise GtauError(

@@ -102,29 +102,16 @@ class GeometryTest:
         units = {"position": "mm", "angle": "mrad"}
         sizes = [[f"{1e3 * size:.2g} {units[kind]}" for size in both] for kind, both in self.distances.items()]
         before, after = (" and ".join(part) for part in zip(*sizes, strict=True))
-        logged = f"the logged pose of '{self.body}'"
-        if self.outcome == "confirmed":
-            return Finding(F.ROBOT, values={"what": f"{logged} confirms the robot's geometry to {before} rms"})
-        changes = " and ".join(map(str, self.explained_by))
-        if self.outcome == "unexplained":
-            found = f"; {changes} would explain {percent(self.share)} of its variance" if changes else ""
-            what = (
-                f"{logged} is {before} rms from the one computed from the positions, which lengths and encoder zeros "
-                f"do not explain{found}"
-            )
-            action = (
-                "check its columns, units and sequence of angles, whether it is of this body (source: tool) and in the "
-                "robot's base (source: tracker), and the angles of the robot's geometry"
-            )
-            return Finding(F.GEOMETRY, values={"what": what, "action": action})
-        explained = "explains" if len(self.explained_by) == 1 else "explain"
-        what = (
-            f"the geometry is off: {changes} {explained} {percent(self.share)} of the residual variance of {logged}, "
-            f"which is {before} rms from the one computed, and {after} with "
-            f"{'that change' if len(self.explained_by) == 1 else 'these changes'}"
-        )
-        action = " and ".join(dict.fromkeys(CORRECT[bool(each.value)] for each in self.explained_by))
-        return Finding(F.GEOMETRY, values={"what": what, "action": action})
+        kinds = {"confirmed": F.CONFIRMED_GEOMETRY, "unexplained": F.UNEXPLAINED_POSE}
+        values = {
+            "before": before,
+            "after": after,
+            "changes": list(map(str, self.explained_by)),
+            "count": len(self.explained_by),
+            "share": percent(self.share),
+            "correct": list(dict.fromkeys(CORRECT[bool(constant.value)] for constant in self.explained_by)),
+        }
+        return Finding(kinds.get(self.outcome, F.GEOMETRY), (), self.body, values)
 
 
 def to_document(test: GeometryTest) -> dict[str, Any]:

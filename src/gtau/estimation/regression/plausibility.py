@@ -91,18 +91,15 @@ def stated_rate(run: Run) -> float | None:
 
 def _judge(run: str, joint: Joint, low: float, high: float, speed: float) -> Iterator[Finding]:
     unit = joint.unit
-    other = "deg" if joint.turns else "mm"
-    repair = (
-        f"if the log is in {other}, write that under 'units'; otherwise check the columns and the time, or "
-        f"{write_limits(joint.name)}."
-    )
     if joint.limits.position is not None:
         lower, upper = joint.limits.position
-        moved = f"joint '{joint.name}' goes from {low:.4g} to {high:.4g} {unit}"
-        limits = f"its limits {lower:.4g} to {upper:.4g} {unit}"
         excess = max(lower - low, high - upper) / (upper - lower)
         if excess > FAR_BEYOND_LIMITS:
-            raise GtauError(f"run '{run}': {moved}, far outside {limits}; {repair}")
+            raise GtauError(
+                f"run '{run}': joint '{joint.name}' goes from {low:.4g} to {high:.4g} {unit}, far outside its limits "
+                f"{lower:.4g} to {upper:.4g} {unit}; if the log is in {'deg' if joint.turns else 'mm'}, write that "
+                f"under 'units'; otherwise check the columns and the time, or {write_limits(joint.name)}."
+            )
         if excess > BEYOND_LIMITS:
             values = {"low": low, "high": high, "lower": lower, "upper": upper, "unit": unit}
             yield Finding(F.LIMITS, (joint.name,), values=values)

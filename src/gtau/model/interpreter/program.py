@@ -43,18 +43,9 @@ class Program:
     fixed: tuple[np.ndarray, np.ndarray]
 
     def __call__(self, *inputs: np.ndarray, parameters: np.ndarray = NONE) -> np.ndarray:
-        """Evaluate for samples along the last axis.
+        """Evaluate samples along the last axis: (inputs, N), given in one or more arrays, to (outputs, N).
 
-        Parameters
-        ----------
-        *inputs : ndarray
-            Arrays (., N) that together have as many rows as the program has inputs.
-        parameters : ndarray
-            Values (parameters,) common to all samples.
-
-        Returns
-        -------
-        ndarray (outputs, N)
+        ``parameters`` (parameters,) are common to all samples.
         """
         sources, samples = self._sources(inputs)
         result = np.empty((self.outputs, sources[0].shape[1]))
@@ -163,24 +154,9 @@ def _contiguous(array: np.ndarray) -> np.ndarray:
 def compile_program(inputs: list[ca.SX], outputs: list[ca.SX], parameters: Sequence[ca.SX] = ()) -> Program:
     """Compile instructions that compute the stacked dense ``outputs`` from the stacked ``inputs``.
 
-    Parameters
-    ----------
-    inputs : list of SX
-        Symbols, stacked column by column into one input vector.
-    outputs : list of SX
-        Expressions; their entries, structural zeros included, are stacked column by column.
-    parameters : sequence of SX
-        Symbols with values common to all samples.
-
-    Returns
-    -------
-    Program
-        Takes inputs (sum of the inputs' entries, N) and gives (sum of the outputs' entries, N).
-
-    Raises
-    ------
-    ValueError
-        An expression has an operation that the interpreter does not support.
+    Inputs are symbols, stacked column by column; of outputs all entries are, structural zeros included. ``parameters``
+    are symbols with values common to all samples. The program takes (sum of the inputs' entries, N) and gives (sum of
+    the outputs' entries, N). Raises ValueError on an operation that the interpreter does not support.
     """
     x, p, y = ca.veccat(*inputs), ca.veccat(*parameters), ca.densify(ca.veccat(*outputs))
     function = ca.Function("program", [ca.vertcat(x, p)], [ca.cse(y)])

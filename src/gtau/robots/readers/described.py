@@ -20,13 +20,7 @@ Value = Path | str | None
 
 
 def described_file(name: str) -> Path | None:
-    """Find the file of a robot by its name there, such as ``panda_description`` or ``panda``; None if unknown.
-
-    Raises
-    ------
-    GtauError
-        The package knows the robot, but its file is not on disk, or is made by xacro.
-    """
+    """Find the file of a robot by its name there, such as ``panda_description`` or ``panda``; None if unknown."""
     spec = find_spec(PACKAGE) if name.isidentifier() else None
     folders = [Path(each) for each in (spec.submodule_search_locations or ())] if spec else []
     modules = [folder / f"{each}.py" for folder in folders for each in (name, f"{name}_description")]

@@ -34,25 +34,11 @@ AffineInQ = tuple[float, float]
 
 
 def evaluate(text: str, names: Mapping[str, float] | None = None) -> float:
-    """Evaluate an expression.
+    """Evaluate an expression to a finite number.
 
-    Parameters
-    ----------
-    text : str
-        Numbers, ``pi``, constants, ``+ - * / **``, parentheses and the functions
-        ``sqrt sin cos tan asin acos atan atan2 deg`` (``deg`` takes degrees to radians).
-    names : mapping of str to float, optional
-        Values of the constants.
-
-    Returns
-    -------
-    float
-        A finite number.
-
-    Raises
-    ------
-    ValueError
-        The text is not such an expression or has no finite value; the message states the correct form.
+    It holds numbers, ``pi``, constants by their ``names``, ``+ - * / **``, parentheses and the functions ``sqrt sin cos
+    tan asin acos atan atan2 deg`` (``deg`` takes degrees to radians). Raises ValueError, which states the correct form,
+    on any other text, or where it has no finite value.
     """
     coefficient, constant = linear(text, names)
     if coefficient != 0.0:
@@ -61,15 +47,7 @@ def evaluate(text: str, names: Mapping[str, float] | None = None) -> float:
 
 
 def linear(text: str, names: Mapping[str, float] | None = None) -> AffineInQ:
-    """Find coefficient and constant of an expression linear in the joint coordinate, such as ``q - a``.
-
-    Parameters and errors are those of `evaluate`; here the text may hold ``q``.
-
-    Returns
-    -------
-    coefficient, constant : float
-        Of ``coefficient * q + constant``.
-    """
+    """Find coefficient and constant of ``coefficient * q + constant``, such as ``q - a``; see :func:`evaluate`."""
     if not isinstance(text, str):
         raise ValueError("write a single number or expression")
     if len(text) > MAX_LENGTH:

@@ -25,14 +25,7 @@ SHOWN = 4  # bodies that a note lists
 
 
 def urdf_inertias(root: Element, frames: Mapping[str, Attachment]) -> tuple[tuple[str, float], ...]:
-    """Read the inertial parameters of a URDF by the body that carries each link; none if no link has a mass.
-
-    Parameters
-    ----------
-    root : Element
-    frames : mapping
-        Attachment of each link's frame.
-    """
+    """Read the inertial parameters of a URDF by the body that carries each link; none if no link has a mass."""
     return _stated(lumped((frames[name], body) for name, body in _urdf_bodies(root) if name in frames))
 
 
@@ -94,11 +87,7 @@ def _stated(found: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
 def urdf_masses(root: Element, carried: Mapping[str, str]) -> Iterator[str]:
     """Note implausible masses and inertias of a URDF file.
 
-    Parameters
-    ----------
-    root : Element
-    carried : mapping
-        Links by the moving joint whose link they are part of; links of the ground are left out.
+    ``carried`` are links by the moving joint whose link they are part of; links of the ground are left out.
     """
     masses, odd, bodies = {}, [], {}
     for link in root.findall("link"):

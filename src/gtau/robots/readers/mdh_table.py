@@ -35,26 +35,14 @@ class MdhRow:
 
 
 def moving_parameter(name: str, sigma: float) -> str | None:
-    """Return the parameter that a joint's coordinate is added to: theta, r, or None for a fixed frame.
-
-    Raises
-    ------
-    GtauError
-        sigma is not 0, 1 or 2.
-    """
+    """Return the parameter that a joint's coordinate is added to: theta, r, or None for a fixed frame."""
     if sigma not in (0, 1, 2):
         raise GtauError(f"sigma of joint '{name}' is {sigma:g}; write 0 (revolute), 1 (prismatic) or 2 (fixed frame).")
     return ("theta", "r", None)[int(sigma)]
 
 
 def table_row(name: str, antecedent: str, mu: float, sigma: float, parameters: Sequence[float]) -> MdhRow:
-    """Make a row from numbers: mu, sigma, and (gamma, b, alpha, d, theta, r), angles in rad, lengths in m.
-
-    Raises
-    ------
-    GtauError
-        mu is neither 0 nor 1, or an angle looks like degrees.
-    """
+    """Make a row from numbers: mu, sigma, and (gamma, b, alpha, d, theta, r), angles in rad, lengths in m."""
     if mu not in (0, 1):
         raise GtauError(f"mu of joint '{name}' is {mu:g}; write 1 (driven by a motor) or 0 (passive).")
     gamma, b, alpha, d, theta, r = parameters
@@ -68,13 +56,7 @@ def table_row(name: str, antecedent: str, mu: float, sigma: float, parameters: S
 
 
 def table_joints(rows: Sequence[MdhRow]) -> tuple[tuple[Joint, ...], dict[str, Attachment]]:
-    """Make the joints of a table, and place its fixed frames in the links that carry them.
-
-    Raises
-    ------
-    GtauError
-        A row's antecedent is not in an earlier row.
-    """
+    """Make the joints of a table, and place its fixed frames in the links that carry them."""
     frames = {GROUND: Attachment(GROUND)}
     joints = []
     for row in rows:
@@ -106,16 +88,6 @@ def read_mdh_csv(path: str | Path) -> Robot:
     1 for a motor, 0 revolute, 1 prismatic or 2 fixed, and the parameters, rad and m. Cells are numbers or arithmetic
     such as ``pi/2``; ``theta`` or ``r`` of a joint may be written with its coordinate, ``q - a`` or ``q13 - a`` where
     13 is the joint's name. Lines ``name = value`` before the header give constants. Gravity is along -z.
-
-    Returns
-    -------
-    Robot
-        Without closures; save it as a robot file to add them.
-
-    Raises
-    ------
-    GtauError
-        The file cannot be read or is not an MDH table; names the line and the column.
     """
     path = Path(path)
     try:

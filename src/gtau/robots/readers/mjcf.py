@@ -37,28 +37,14 @@ def read_mjcf(path: str | Path, base: BaseChoice = None) -> Robot:
     """Read a robot from an MJCF file.
 
     Hinges and slides are joints; a ball becomes three revolute ones, about x, y and z, with massless links in between,
-    and a free body that closures hold a platform. Bodies without joints become part of those that carry them.
-    The equalities ``connect``, ``weld`` and ``joint`` (linear) become closures and couplings, and so do narrow limits
-    of fixed tendons; a joint with an actuator is actuated, and where there are no actuators, every joint that is not
+    and a free body that closures hold a platform. Bodies without joints become part of those that carry them. The
+    equalities ``connect``, ``weld`` and ``joint`` (linear) become closures and couplings, and so do narrow limits of
+    fixed tendons; a joint with an actuator is actuated, and where there are no actuators, every joint that is not
     coupled. Joints that a fixed tendon pulls are held. A joint with a stiffness has a spring; so do the bodies of two
-    sites with a tendon straight between them.
+    sites with a tendon straight between them. A ``base`` fixes free bodies that carry joints, as in the file, or, if
+    its ``rpy`` is given, with the axes of the world; ``"floating"`` makes the one there is a floating base.
 
-    Parameters
-    ----------
-    path : str or Path
-    base : Base, optional
-        Fixes free bodies that carry joints: as in the file, or, if its ``rpy`` is given, with the axes of the world;
-        ``"floating"`` makes the one there is a floating base.
-
-    Returns
-    -------
-    Robot
-        Joint coordinates are MuJoCo's ``qpos``. Notes list omitted elements and effects of the simulator alone.
-
-    Raises
-    ------
-    GtauError
-        MuJoCo is not installed or refuses the file, or the file contains elements that gtau does not support.
+    Joint coordinates are MuJoCo's ``qpos``. Notes list omitted elements and effects of the simulator alone.
     """
     path = Path(path)
     try:
@@ -190,15 +176,8 @@ Kind = Literal["revolute", "prismatic"]
 class Motors:
     """Joints and tendons driven by the actuators of a file.
 
-    Attributes
-    ----------
-    driven : frozenset of str
-        Joints with a motor, shafts among them.
-    pulled : frozenset of str
-        Other joints, pulled by fixed tendons, which are not modelled.
-    shafts, couplings : tuple
-        Motors of tendons, as joints on the ground, and the joints coupled to them.
-    notes : tuple of str
+    ``driven`` are the joints with a motor, shafts among them, and ``pulled`` others, pulled by fixed tendons, which are
+    not modelled. ``shafts`` are motors of tendons, as joints on the ground, and ``couplings`` tie joints to them.
     """
 
     driven: frozenset[str]

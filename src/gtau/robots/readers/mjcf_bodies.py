@@ -40,18 +40,9 @@ if TYPE_CHECKING:
 class Bodies:
     """Joints, platforms and floating base of a file, filled along the tree.
 
-    Attributes
-    ----------
-    joints : list of Joint
-        In the order of the file, those of a floating base first.
-    platforms : list of Platform
-        Free bodies that carry no joints.
-    carried : dict of int to Attachment
-        The joint or platform that carries each body, and where on it the body's frame is.
-    floating : str
-        The body that is a floating base, if any.
-    notes : list of str
-        On bodies that were fixed.
+    ``joints`` are in the order of the file, those of a floating base first; ``platforms`` are free bodies that carry no
+    joints; ``carried`` says which joint or platform carries each body, and where on it the body's frame is;
+    ``floating`` is the body that is a floating base, if any, and ``notes`` name bodies that were fixed.
     """
 
     joints: list[Joint] = field(default_factory=list)
@@ -62,13 +53,7 @@ class Bodies:
 
 
 def read_bodies(model: mujoco.MjModel, qpos: np.ndarray, base: BaseChoice) -> Bodies:
-    """Walk the tree of a compiled model, whose joints are at home at ``qpos``.
-
-    Raises
-    ------
-    GtauError
-        A free body carries joints, and ``base`` neither fixes it nor lets it float; or several of them would float.
-    """
+    """Walk the tree of a compiled model, whose joints are at home at ``qpos``."""
     import mujoco
 
     found, carriers = Bodies(), _carriers(model)
@@ -166,17 +151,8 @@ def read_ties(
 ) -> tuple[list[Closure], list[Coupling], dict[str, float], list[str]]:
     """Read the active equalities, and tendons with limits as narrow; ``carried`` places the frames of the bodies.
 
-    Kinds of joints are given by their names.
-
-    Returns
-    -------
-    tuple
-        Closures, couplings, the positions at which an equality holds joints, and notes.
-
-    Raises
-    ------
-    GtauError
-        One is no closure and no linear coupling.
+    Returns closures, couplings, the positions at which an equality holds joints, and notes; ``kinds`` of joints are
+    given by their names.
     """
     closures, couplings, held = _equalities(file.model, carried)
     tendons = fixed_tendons(file)

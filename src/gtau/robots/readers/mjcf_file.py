@@ -113,26 +113,11 @@ class SiteSpring:
 class MjcfFile:
     """Compiled model of a file, and the elements removed before compilation.
 
-    Attributes
-    ----------
-    model : mujoco.MjModel
-    elements : list of Element
-        The outermost elements of the file and of those it includes.
-    keys : dict
-        Positions of the keyframes by name.
-    actuators : list
-        Name, transmission, target and gear of each.
-    tied_tendons : list of TiedTendons
-        Active equalities between tendons.
-    limited_tendons : list
-        Name of each tendon with limits of its length, and these.
-    springs : list of SiteSpring
-    notes : list of str
-        Omitted elements.
-    inertias : dict
-        Bodies whose inertia the file states, by number.
-    armatures : dict
-        Armature of each joint by name.
+    ``elements`` are the outermost elements of the file and of those it includes, ``keys`` the positions of the
+    keyframes by name, ``actuators`` name, transmission, target and gear of each. ``tied_tendons`` are active equalities
+    between tendons, ``limited_tendons`` the name of each tendon with limits of its length, and these. ``notes`` say
+    what was omitted. ``inertias`` are the bodies whose inertia the file states, by number, and ``armatures`` those of
+    joints by name.
     """
 
     model: mujoco.MjModel
@@ -248,15 +233,38 @@ def _with_exact_orientations(spec: mujoco.MjSpec) -> tuple[str, ...]:
     return short_angles_note({each.name or f"unnamed {k}": exact(each) for k, each in enumerate(placed, start=1)})
 
 
-def compile_mjcf(root: Element, path: Path) -> MjcfFile:
-    """Compile the bodies, joints and equalities of an MJCF file whose outermost element is ``root``.
+def _tied_tendons(spec: mujoco.MjSpec, notes: list[str]) -> list[TiedTendons]:
+    """Take the equalities between tendons out of ``spec``, and those that are not active, with a note."""
+    import mujoco
 
-    Raises
-    ------
-    GtauError
-        MuJoCo is not installed or refuses the file, or it holds flexible bodies or too many copies of a body. The
-        message does not name the file; the caller does.
-    """
+    tied = []
+    for equality in list(spec.equalities):
+        if not equality.active:
+            notes.append(f"equality '{equality.name}' is not active in the file and was left out")
+        elif equality.type == mujoco.mjtEq.mjEQ_TENDON:
+            polynomial = tuple(map(float, equality.data[:5]))
+            tied.append(TiedTendons(equality.name, equality.name1, equality.name2, polynomial))
+        else:
+            continue
+        spec.delete(equality)
+    return tied
+
+
+def _delete_idle(spec: mujoco.MjSpec, kept: set[str]) -> None:
+    """Delete what does not matter to geometry, and the sites that neither equalities nor ``kept`` name."""
+    kept = kept | {name for equality in spec.equalities for name in (equality.name1, equality.name2)}
+    for kind in DELETED:
+        for element in list(getattr(spec, kind)):
+            spec.delete(element)
+    for site in list(spec.sites):
+        if site.name in kept:
+            site.material = ""
+        else:
+            spec.delete(site)
+
+
+def compile_mjcf(root: Element, path: Path) -> MjcfFile:
+    """Compile the bodies, joints and equalities of an MJCF file whose outermost element is ``root``."""
     elements = _with_included(root, path, ())
     _check_copies(elements)
     _check_numbers(elements)
@@ -278,26 +286,9 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
             for k, each in enumerate(spec.actuators)
             if k not in parts
         ]
-        lengths = []
-        for each in list(spec.equalities):
-            if not each.active:
-                notes.append(f"equality '{each.name}' is not active in the file and was left out")
-            elif each.type == mujoco.mjtEq.mjEQ_TENDON:
-                lengths.append(TiedTendons(each.name, each.name1, each.name2, tuple(map(float, each.data[:5]))))
-            else:
-                continue
-            spec.delete(each)
-        limits = [(each.name, *map(float, each.range)) for each in spec.tendons if _is_limited(spec, each)]
-        tied = {name for each in spec.equalities for name in (each.name1, each.name2)}
-        tied |= {site for each in springs for site in each.sites}
-        for kind in DELETED:
-            for each in list(getattr(spec, kind)):
-                spec.delete(each)
-        for site in list(spec.sites):
-            if site.name in tied:
-                site.material = ""
-            else:
-                spec.delete(site)
+        tied = _tied_tendons(spec, notes)
+        limits = [(tendon.name, *map(float, tendon.range)) for tendon in spec.tendons if _is_limited(spec, tendon)]
+        _delete_idle(spec, {site for spring in springs for site in spring.sites})
         stated = mjcf_bodies(spec)
         for body in spec.bodies[1:]:
             body.explicitinertial, body.mass, body.inertia = True, 1.0, (1.0, 1.0, 1.0)
@@ -305,7 +296,7 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
         model = spec.compile()
         inertias = {body.id: found for body, found in stated}
         armatures = {joint.name: float(joint.armature) for joint in spec.joints}
-        return MjcfFile(model, elements, keys, actuators, lengths, limits, springs, notes, inertias, armatures)
+        return MjcfFile(model, elements, keys, actuators, tied, limits, springs, notes, inertias, armatures)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         said = " ".join(str(error).split()).rstrip(".")
         raise GtauError(f"MuJoCo refuses the file ({said}); correct it.") from None
@@ -348,13 +339,7 @@ SHOWN = 4
 
 
 def angle_notes(roots: list[Element]) -> Iterator[str]:
-    """Note orientations and limits that are multiples of pi/4 in a file that counts in degrees.
-
-    Raises
-    ------
-    GtauError
-        An orientation is degrees in a file that counts in radians.
-    """
+    """Note orientations and limits that are multiples of pi/4 in a file that counts in degrees."""
     units = [compiler.get("angle") for root in roots for compiler in root.iter("compiler") if compiler.get("angle")]
     if "radian" in units:
         for element, what, angle in _angles(roots, ("body", "frame")):

@@ -215,18 +215,7 @@ class _RobotEntry(_Entry):
 
 
 def read_native(path: str | Path) -> Robot:
-    """Read a robot file (YAML).
-
-    Parameters
-    ----------
-    path : str or Path
-        See ``docs/lookup/robot-file.md`` for the format; SI units, angles in rad.
-
-    Raises
-    ------
-    GtauError
-        The file cannot be read or is invalid; names file, line and key, and the correct form.
-    """
+    """Read a robot file (YAML); ``docs/lookup/robot-file.md`` explains the format."""
     return with_exact_angles(_robot(read_yaml(path)))
 
 

@@ -24,21 +24,9 @@ from gtau.robots.robot import (
 
 
 def native_text(robot: Robot) -> str:
-    """Write a robot as the text of a robot file.
+    """Write a robot as the text of a robot file (YAML) from which `read_native` makes an equal one.
 
-    Parameters
-    ----------
-    robot : Robot
-
-    Returns
-    -------
-    str
-        YAML from which `read_native` makes an equal robot; all numbers are written out.
-
-    Raises
-    ------
-    GtauError
-        A joint has an MDH placement and an axis other than z, which the format cannot express.
+    A joint with an MDH placement and an axis other than z cannot be expressed, and is refused.
     """
     passive = bool(robot.closures or robot.couplings)
     lines = [_flow({"robot": robot.name})]
@@ -74,19 +62,7 @@ def native_text(robot: Robot) -> str:
 
 
 def write_native(robot: Robot, path: str | Path) -> None:
-    """Write a robot file atomically.
-
-    Parameters
-    ----------
-    robot : Robot
-    path : str or Path
-        An existing file is replaced.
-
-    Raises
-    ------
-    GtauError
-        The folder cannot be written to, or see `native_text`.
-    """
+    """Write a robot file atomically; an existing one is replaced."""
     write_atomically(path, native_text(robot))
 
 

@@ -41,24 +41,12 @@ def _added_robots() -> dict[str, Path]:
 def read_robot(source: str | Path | RobotSource) -> Robot:
     """Read a robot as its file describes it, its home not closed yet (see :func:`gtau.load_robot`).
 
-    Parameters
-    ----------
-    source : str, Path or RobotSource
-        A name of the catalog, one of the package robot_descriptions where that is installed and has the file on disk
-        (``panda_description``), or the path of a file, recognised by its ending: a robot file (``.yaml``, ``.yml``), a
-        URDF (``.urdf``) with its loops in a YAML file of the same name beside it, or that YAML file, or the folder of
-        both where they are called ``robot``; MJCF (``.xml``, ``.mjcf``), a parameter file of OpenSYMORO (``.par``), or
-        a table of MDH parameters (``.csv``). A ``RobotSource`` also says how its base stands and which joints move.
-
-    Returns
-    -------
-    Robot
-        Its ``notes`` list anomalies in the file and decisions of the reader.
-
-    Raises
-    ------
-    GtauError
-        The robot does not exist, or its file is invalid.
+    ``source`` is a name of the catalog, one of the package robot_descriptions where that is installed and has the file
+    on disk (``panda_description``), or the path of a file, recognised by its ending: a robot file (``.yaml``,
+    ``.yml``), a URDF (``.urdf``) with its loops in a YAML file of the same name beside it, or that YAML file, or the
+    folder of both where they are called ``robot``; MJCF (``.xml``, ``.mjcf``), a parameter file of OpenSYMORO
+    (``.par``), or a table of MDH parameters (``.csv``). A ``RobotSource`` also says how its base stands and which
+    joints move.
     """
     if not isinstance(source, RobotSource):
         source = RobotSource(file=str(source))
@@ -180,22 +168,10 @@ def _from_urdf(path: Path, base: BaseChoice) -> Robot:
 
 
 def frame_on(body: str, frame: str | Pose, file: str | Path | None) -> tuple[str, Placement]:
-    """Find a frame fixed to a ``body``: its name, and its pose in the body's own frame.
+    """Find a frame fixed to a ``body``, a joint or platform: its name, and its pose in the body's own frame.
 
-    Parameters
-    ----------
-    body : str
-        The joint or platform that has the body's name.
-    frame : str or Pose
-        Empty for the body's own frame; a link of the URDF ``file``, or the six numbers ``x y z roll pitch yaw``
-        (m, rad) from the body's frame, or these as a pose.
-    file : path, optional
-        The robot's file.
-
-    Raises
-    ------
-    GtauError
-        The frame does not exist, or is on another body.
+    Empty for the body's own frame; a link of the URDF ``file``, or the six numbers ``x y z roll pitch yaw`` (m, rad)
+    from the body's frame, or these as a pose.
     """
     own = f"the frame of '{body}'"
     if isinstance(frame, Pose):

@@ -28,13 +28,7 @@ def _base(value: Any) -> Any:
 
 
 def angle(value: Any) -> Any:
-    """Evaluate an angle, rad, written as a number or an expression; refuse what looks like degrees.
-
-    Raises
-    ------
-    ValueError
-        It is no expression, or a multiple of five degrees above a turn in rad.
-    """
+    """Evaluate an angle, rad, written as a number or an expression; refuse what looks like degrees."""
     found = evaluate(value) if isinstance(value, str) else value
     if isinstance(found, int | float) and isfinite(found) and in_degrees(found):
         raise ValueError(f"{value} rad is more than a turn; {DEGREES_ADVICE}, such as deg({value})")

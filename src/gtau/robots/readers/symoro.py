@@ -27,18 +27,9 @@ def read_par(path: str | Path) -> Robot:
 
     Joints are named by their numbers. A loop is cut at a joint beyond the number of links: its frame stays, as a
     massless link, and is welded to the fixed frame that the file gives on the other side. Lengths and angles must be
-    numbers; symbols (``D3``) may get values on lines of their own, ``D3 = 0.45``.
-
-    Returns
-    -------
-    Robot
-        Joints with ``mu = 1`` are actuated, all of an open chain where no ``mu`` is 1. Gravity that is not given as
-        numbers is 9.80665 m/s2 along -z. Notes say so.
-
-    Raises
-    ------
-    GtauError
-        The file cannot be read, lacks a part or a value, or describes a mobile robot.
+    numbers; symbols (``D3``) may get values on lines of their own, ``D3 = 0.45``. Joints with ``mu = 1`` are actuated,
+    all of an open chain where no ``mu`` is 1. Gravity that is not given as numbers is 9.80665 m/s2 along -z. Notes say
+    so.
     """
     path = Path(path)
     try:

@@ -30,22 +30,12 @@ from gtau.robots.robot import GROUND, Attachment, Closure, Robot
 def read_urdf(path: str | Path, base: BaseChoice = None) -> Robot:
     """Read a robot from a URDF file.
 
-    Links on fixed joints become part of the link that carries them. Joints are listed depth first in the order
-    of the file; each keeps its name, and its link has the same name. A joint that mimics another is passive and
-    coupled to it. Gravity is along -z of the root link. Angles within 1e-10 rad of a multiple of pi/2, and lengths
-    below 1e-10 m, are taken as exact, and angles written short (1.5708) as the multiples they stand for, with a note.
-    With a ``base`` a floating joint is fixed, its child then being the ground, which may float.
-
-    Returns
-    -------
-    Robot
-        Positions in rad or m. A velocity or effort limit of 0 counts as not known.
-
-    Raises
-    ------
-    GtauError
-        The file cannot be read, is no URDF, or its links are no tree of revolute, continuous, prismatic and fixed
-        joints.
+    Links on fixed joints become part of the link that carries them. Joints are listed depth first in the order of the
+    file; each keeps its name, and its link has the same name. A joint that mimics another is passive and coupled to it.
+    Gravity is along -z of the root link. Angles within 1e-10 rad of a multiple of pi/2, and lengths below 1e-10 m, are
+    taken as exact, and angles written short (1.5708) as the multiples they stand for, with a note. A velocity or effort
+    limit of 0 counts as not known. With a ``base`` a floating joint is fixed, its child then being the ground, which
+    may float.
     """
     path = Path(path)
     tree = read_urdf_tree(path, {}, base)
@@ -67,15 +57,8 @@ def _without_motors_of_base(robot: Robot, root: Element, carried: Mapping[str, s
 
     A URDF does not define which joints have motors. These six have none if all joints beyond them have what they lack:
     a transmission (or ros2_control interface), which decides alone, an effort, or the masses of links in between.
-
-    Parameters
-    ----------
-    robot : Robot
-        As its file describes it, every joint with a motor that mimics no other.
-    root : Element
-        Of the file.
-    carried : mapping
-        Links by the moving joint whose link they are part of.
+    ``robot`` has a motor at every joint that mimics no other; ``carried`` are links by the moving joint whose link they
+    are part of.
     """
     if len(robot.joints) <= 6:
         return robot
@@ -121,20 +104,10 @@ class _Loops(BaseModel):
 
 
 def read_urdf_with_loops(urdf: str | Path, loops: str | Path) -> Robot:
-    """Read a robot from a URDF file and the YAML file beside it.
+    """Read a robot from a URDF file and the YAML file beside it; only the joints in ``name_mot`` are actuated.
 
-    The tree is that of :func:`gtau.robots.readers.urdf.read_urdf`. One of two coaxial pins at a loop is locked; notes
-    of the robot say so.
-
-    Returns
-    -------
-    Robot
-        Only the joints in ``name_mot`` are actuated.
-
-    Raises
-    ------
-    GtauError
-        One of the files is not accepted, they do not fit each other, or no joint is actuated.
+    The tree is that of :func:`gtau.robots.readers.urdf.read_urdf`. One of two coaxial pins at a loop is locked, with a
+    note.
     """
     document = read_yaml(loops)
     entry = validate(_Loops, document)

@@ -18,14 +18,7 @@ PREFIX = re.compile(rb"(</?|\s)(?!xmlns:)([A-Za-z_][\w.-]*):(?=[\w.-]+(?:[\s/>]|
 
 
 def read_xml(path: Path) -> Element:
-    """Read the root element of an XML file.
-
-    Raises
-    ------
-    GtauError
-        The file cannot be read, is larger than 16 MiB, is no XML, declares entities or a document type, or is nested
-        more than 200 levels deep. The message does not name the file; the caller does.
-    """
+    """Read the root element of an XML file."""
     from defusedxml import DefusedXmlException
 
     larger = "the file is larger than 16 MiB; a robot is text without meshes, so check the path."
