@@ -36,7 +36,7 @@ from gtau.robots.parameter import Parameter
 from gtau.robots.plausibility import oddities, tool_note
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.choice import choose_preparation
-from gtau.signals.preparation.prepared_run import InMemoryRun, Preparation, PreparedRun, prepare
+from gtau.signals.preparation.prepared_run import Preparation, PreparedRun, SampleWindow, prepare
 from gtau.signals.reading.statements import Payload, Prior
 from gtau.signals.run import Run
 
@@ -179,7 +179,7 @@ class Dataset:
         loads: Sequence[np.ndarray | None] | None = None,
         progress: Progress = silent,
         weigh: Sequence[tuple[np.ndarray, np.ndarray]] | None = None,
-        along: Sequence[InMemoryRun] | None = None,
+        along: Sequence[SampleWindow] | None = None,
     ) -> Dataset:
         """Reduce the same runs with the torques of ``loads`` (one a run) in load-dependent friction.
 
@@ -188,7 +188,7 @@ class Dataset:
         """
         factors: list[Factors] = []
         begun, total, columns = 0, sum(map(len, self.prepared)), self.base.standard
-        runs: Sequence[PreparedRun | InMemoryRun] = self.prepared if along is None else along
+        runs: Sequence[PreparedRun | SampleWindow] = self.prepared if along is None else along
 
         def counted(rows: Iterator[Rows], blocks: np.ndarray, samples: int) -> Iterator[Rows]:
             now = -1

@@ -13,7 +13,7 @@ from gtau.estimation.regression.friction import term_columns
 from gtau.model.inverse_dynamics import PATH, InverseDynamics, Regressor
 from gtau.model.loops import Motion
 from gtau.signals.preparation.filters import Block, Decimator
-from gtau.signals.preparation.prepared_run import InMemoryRun, PreparedRun, SampleWindow
+from gtau.signals.preparation.prepared_run import PreparedRun, SampleWindow
 from gtau.signals.run import Run
 from gtau.signals.storage import spans
 
@@ -57,7 +57,7 @@ Law = Callable[[np.ndarray, Motion, np.ndarray], np.ndarray]
 def stream_rows(
     idm: InverseDynamics,
     regressor: Regressor,
-    prepared: PreparedRun | InMemoryRun,
+    prepared: PreparedRun | SampleWindow,
     decimator: Decimator,
     load: np.ndarray | None = None,
     fast: int = FAST_SAMPLES,
@@ -154,40 +154,44 @@ def external_torques(idm: InverseDynamics, run: Run, motion: Motion, measured: n
     return torques
 
 
-def configurations(idm: InverseDynamics, window: InMemoryRun) -> np.ndarray:
+def configurations(idm: InverseDynamics, window: SampleWindow) -> np.ndarray:
     """Compute the configurations (n_c, N) of a model along a window; raises GtauError."""
-    whole = window if window.whole is None else window.whole
-    return _along_whole(idm, whole)[1][:, window.first : window.first + len(window)]
+    whole, first = window.of or (window, 0)
+    return _along_whole(idm, whole)[1][:, first : first + len(window)]
 
 
 # Factors, friction, and windows of hypotheses are streamed along the same paths: they live as long as their runs.
-_PATHS: WeakKeyDictionary[Any, WeakKeyDictionary[InverseDynamics, tuple[SampleWindow, np.ndarray]]]
+_PATHS: WeakKeyDictionary[Any, WeakKeyDictionary[InverseDynamics, tuple[SampleWindow | None, np.ndarray]]]
 _PATHS = WeakKeyDictionary()
 
 
-def _along_whole(idm: InverseDynamics, prepared: PreparedRun | InMemoryRun) -> tuple[SampleWindow, np.ndarray]:
+def _along_whole(idm: InverseDynamics, prepared: PreparedRun | SampleWindow) -> tuple[SampleWindow | None, np.ndarray]:
+    """Compute the configurations along a whole run, and keep them with the samples of a prepared one."""
     known = _PATHS.setdefault(prepared, WeakKeyDictionary())
     if idm not in known:
         of = prepared.samples()
-        known[idm] = of, idm.path(of.q.T.copy(), Labels(prepared.run.name, of.time))
+        path = idm.path(of.q.T.copy(), Labels(prepared.run.name, of.time))
+        known[idm] = of if isinstance(prepared, PreparedRun) else None, path
     return known[idm]
 
 
 def _along(
-    idm: InverseDynamics, prepared: PreparedRun | InMemoryRun, blocks: Iterable[Block]
+    idm: InverseDynamics, prepared: PreparedRun | SampleWindow, blocks: Iterable[Block]
 ) -> Iterator[tuple[Block, SampleWindow, np.ndarray]]:
     """Stream the blocks with samples and configurations; these are made for longer stretches, which is faster."""
     begin, end = 0, 0  # the stretch that ``of`` and ``c`` are for
     c = np.zeros((idm.layout.n_c, 0))
     if isinstance(prepared, PreparedRun) and len(prepared) <= SHORT:
-        end, (of, c) = len(prepared), _along_whole(idm, prepared)
+        end, (kept, c) = len(prepared), _along_whole(idm, prepared)
+        assert kept is not None
+        of = kept
     for block in blocks:
         at = block.samples
         if at.stop > end:
             known = max(end - at.start, 0) if c.size else 0
             stop = min(max(at.start + PATH, at.stop), len(prepared))
             of = prepared.samples(at.start, stop)
-            if isinstance(prepared, InMemoryRun) and prepared.whole is not None:
+            if isinstance(prepared, SampleWindow) and prepared.of is not None:
                 c = configurations(idm, prepared)[:, at.start : stop]
             else:
                 labels = Labels(prepared.run.name, of.time[known:])
