@@ -113,11 +113,11 @@ def _verdict(checked: ExperimentCheck) -> Section:
     style = {Severity.ERROR: "bad", Severity.WARNING: "weak", Severity.INFORMATION: "good"}[checked.worst]
     time = sum(logs.seconds(log.run) for log in used)
     said = f"{counted(len(used), 'run')} of {time:.4g} s in all for the identification"
-    words = Text(gate_words(checked.notes), (said,) if used else (), style)  # type: ignore[arg-type]
+    words = Text(expectation(checked.notes), (said,) if used else (), style)  # type: ignore[arg-type]
     return section("Verdict", words, id="verdict")
 
 
-def gate_words(notes: Sequence[Finding]) -> str:
+def expectation(notes: Sequence[Finding]) -> str:
     """Say in one sentence what to expect of an identification from these logs."""
     listed = by_severity(same_in_several(notes))
     weighing = any(note.kind == FindingKind.WEIGHING for note in notes)

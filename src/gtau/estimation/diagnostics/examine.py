@@ -25,9 +25,9 @@ from gtau.estimation.diagnostics.other_robots import (
     other_length,
     other_loads,
 )
-from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
 from gtau.estimation.diagnostics.repeating_residuals import RIPPLE, position_ripple
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
+from gtau.estimation.diagnostics.verdict import unexplained_shares
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.regression.unknowns import Estimates

@@ -22,8 +22,7 @@ from gtau.estimation.diagnostics.alternatives import friction_levels, rms_speeds
 from gtau.estimation.diagnostics.effort import stated_meaning
 from gtau.estimation.diagnostics.examine import Examination
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
-from gtau.estimation.diagnostics.parameter_checks import motors, unexplained_shares
-from gtau.estimation.diagnostics.verdict import Verdict
+from gtau.estimation.diagnostics.verdict import Verdict, judge_parameter, motors, unexplained_shares
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.unknowns import Estimates
 from gtau.estimation.thresholds.estimates import (
@@ -37,10 +36,10 @@ from gtau.estimation.thresholds.estimates import (
     NEGATIVE_STD,
 )
 from gtau.estimation.thresholds.logs import ALIKE, BEYOND_GEARS, FRICTIONLESS, GEARED, MODEL_RESIDUAL
-from gtau.findings import Finding
+from gtau.findings import Finding, Outcome
 from gtau.findings import FindingKind as F
-from gtau.model.base_parameters import whole_mass
-from gtau.robots.parameter import Parameter
+from gtau.model.base_parameters import regrouped, whole_mass
+from gtau.robots.parameter import Parameter, unit_of
 
 
 def estimated_gains(
@@ -134,6 +133,28 @@ def given_gains(fit: Fit, examined: Examination, payloads: Mapping[str, Verdict]
         if share > MISFIT_GIVEN:
             values = {"share": float(share), "kind": fit.dataset.runs[0].kind, "given": True}
             yield of_payload.get(joint, Finding(F.UNEXPLAINED, (joint,), values=values))
+
+
+def impossible_parameters(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
+    """Find base parameters that no body or joint has, against the gain of their joint, or all where it has no motor.
+
+    Gains and parameters are estimated together: friction that drives a joint is what a wrong description looks like.
+    """
+    dataset, stds = fit.dataset, np.sqrt(np.diag(estimates.covariance))
+    listed: dict[str, list[list[object]]] = {}
+    for name, terms in regrouped(dataset.base, dataset.model.parameter_names).items():
+        if name not in estimates.unknowns.places:
+            continue
+        value, std = (
+            float(fit.solution.theta[estimates.unknowns.places[name]]),
+            float(stds[estimates.unknowns.places[name]]),
+        )
+        if judge_parameter(value, std, terms).outcome == Outcome.CONTRADICTORY:
+            unit = unit_of(name.kind, dataset.robot, name.body)
+            listed.setdefault(name.body, []).append([name, value, std, unit])
+    for body, parameters in listed.items():
+        joints = (body,) if body in motors(fit) else motors(fit)
+        yield Finding(F.IMPOSSIBLE_PARAMETERS, joints, values={"parameters": parameters}, size=len(parameters))
 
 
 def wrench_contradictions(fit: Fit) -> Iterator[Finding]:

@@ -17,8 +17,7 @@ from scipy.special import ndtr, ndtri
 
 from gtau.estimation.diagnostics.alternatives import refitted, residual_ratio
 from gtau.estimation.diagnostics.linearisation import weighted
-from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
-from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, known_verdict, verdict_of
+from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, known_verdict, unexplained_shares, verdict_of
 from gtau.estimation.estimators.estimator import Fit, Solve, jackknife
 from gtau.estimation.estimators.newton import (
     curvature_of_delays,

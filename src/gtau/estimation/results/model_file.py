@@ -28,6 +28,7 @@ from pydantic import (
     model_validator,
 )
 
+import gtau.estimation.diagnostics.hypotheses  # noqa: F401 whose causes have words
 from gtau.documents.files import MODEL, refuse_other_kind, write_atomically
 from gtau.documents.validation import Positive, unknown, validate
 from gtau.documents.yaml_document import Document
