@@ -119,7 +119,7 @@ class PreparedRun:
         motor's own joint, and for others in coupled chains.
     peaks : ndarray
         (PARTS, n) Largest speeds in equal parts of the run.
-    notes : tuple of Note
+    notes : tuple of Finding
         On omitted parts.
     cutoffs : tuple
         Of the position filter of each joint, Hz; empty for that of the preparation.
