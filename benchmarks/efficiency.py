@@ -26,7 +26,7 @@ from gtau.estimation.estimators.newton import to_gains
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.preparation.filters import Decimator, _kernel
-from gtau.signals.preparation.prepared_run import InMemoryRun, Preparation
+from gtau.signals.preparation.prepared_run import Preparation
 
 DECAY = 0.1  # s
 
@@ -42,7 +42,7 @@ def jacobians(fit: Fit) -> list[tuple[np.ndarray, np.ndarray]]:
     """Of each run the residuals' Jacobian (c, K, k) in A, and which rows are kept (c, K)."""
     found = []
     for run, prepared in enumerate(fit.dataset.prepared):
-        window = InMemoryRun(prepared.run, prepared.samples())
+        window = prepared.samples()
         A, keep = window_rows(fit, run, window, None, fit.dataset.model)
         _, J = errors_and_jacobian(fit, run, window, A)
         weights = 1 / np.maximum(fit.solution.sigma, fit.system.problem.smallest_sigma)

@@ -18,7 +18,7 @@ from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.signals.reading.drafting import draft_logs, guesses, with_sensors, write_draft
 from gtau.signals.reading.experiment import read_experiment
-from gtau.signals.reading.log_file import is_log_folder
+from gtau.signals.reading.logs import is_log_folder
 from gtau.signals.run import read_run
 
 LINK = """<link name="{0}"><inertial><origin xyz="{2} 0.01 0.02"/><mass value="{1}"/>

@@ -31,7 +31,7 @@ from gtau.estimation.thresholds.estimates import ALTERNATIVE_PRIOR
 from gtau.findings import Finding
 from gtau.model.home import load_robot
 from gtau.model.loops import Motion
-from gtau.signals.preparation.prepared_run import InMemoryRun
+from gtau.signals.preparation.prepared_run import SampleWindow
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
@@ -115,7 +115,7 @@ def under_another_name(hypothesis: Hypothesis) -> Hypothesis:
     def torques(fit: Fit) -> Offer:
         offer = hypothesis.torques(fit)
 
-        def larger(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+        def larger(window: SampleWindow, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
             columns = offer(window, motion, values)
             return lambda rows: 3.0 * columns(rows)
 

@@ -194,7 +194,7 @@ def fleet(
     from gtau.fleet.fleet import identify_fleet, read_fleet
     from gtau.fleet.gains import fleet_table
     from gtau.fleet.workers import dask_workers, processes
-    from gtau.report.fleet import fleet_document, fleet_page, fleet_report, write_fleet
+    from gtau.report.fleet import fleet_document, fleet_page, write_fleet
     from gtau.report.write import write_report
 
     if estimator_of(method).gains == Gains.GIVEN:
@@ -212,7 +212,7 @@ def fleet(
             f"finished robots stay in {folder / 'models'}, and the same command continues with the others"
         ) from None
     files = tuple(("experiment", member.experiment) for member in members)
-    report = write_report(fleet_report(table), folder, seconds(), files)
+    report = write_report(fleet_page(table, full=True), folder, seconds(), files)
     written = (report, *write_fleet(table, folder))
     answer(json_, lambda: fleet_document(table), lambda: fleet_page(table), written)
     if not table.robots:

@@ -103,7 +103,7 @@ def init(
     """Draft an experiment file from logs: find the time, positions and currents, their units and the sampling rate."""
     from gtau.signals.reading.discovery import UNSURE
     from gtau.signals.reading.drafting import draft_logs, write_draft
-    from gtau.signals.reading.log_file import is_rosbag
+    from gtau.signals.reading.logs import is_rosbag
 
     if out.exists():
         raise GtauError(f"{out} exists already; give another name (--out FILE), or remove it.")
@@ -268,7 +268,7 @@ def experiment_of(
 
 
 def _is_log(path: Path) -> bool:
-    from gtau.signals.reading.log_file import is_log_folder, reader_of
+    from gtau.signals.reading.logs import is_log_folder, reader_of
 
     return reader_of(path.suffix.lower()) is not None or (
         is_log_folder(path) if path.is_dir() else kind_of(path) == LOG

@@ -131,7 +131,7 @@ def payload(
         from gtau.estimation.results.model_file import payload_documents
         from gtau.estimation.results.result import Result
         from gtau.report.evidence import settings_of
-        from gtau.report.validation import bodies_document, weighing_page, weighing_report
+        from gtau.report.validation import bodies_document, weighing_page
         from gtau.report.write import inputs_of, write_report
         from gtau.signals.reading.experiment import read_experiment
         from gtau.uses.weigh import exact_gains, weigh
@@ -145,7 +145,7 @@ def payload(
     written: list[Path] = []
     exact = exact_gains(result, described, gains.value)
     if out is not None:
-        page = weighing_report(result, weighed, gains.value, described.expected_gains, exact, bodies)
+        page = weighing_page(result, weighed, gains.value, exact, bodies, described.expected_gains)
         inputs = (("model", model), *inputs_of(experiment, described))
         settings = {**settings_of(result), "drive gains": gains.value}
         written = [write_report(page, folder_of(out), seconds(), inputs, settings)]

@@ -14,7 +14,7 @@ from gtau.robots.parameter import command_unit, position_unit
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.bandwidth import spectra
 from gtau.signals.preparation.prepared_run import Preparation
-from gtau.signals.reading.log_set import read_logs
+from gtau.signals.reading.logs import read_logs
 from gtau.signals.run import Run
 from gtau.signals.storage import block, spans
 

@@ -15,22 +15,13 @@ from gtau.robots.floating import WRENCH, WrenchFrame
 class ChannelKind:
     """A kind of channel.
 
-    Attributes
-    ----------
-    name : str
-        In messages, beside the name of its joint or body.
-    group : str
-        All columns that a log updates together with those of this kind, in messages.
-    calibration : str
-        Its key under ``calibration`` of the signals, for the accuracy of its scale, ``""`` where the gain is to be
-        found. Where it is on the ``link_side``, its columns and their units have this key too.
-    modelled : bool
-        True where it has equations: a row of the model explains it. Otherwise the model takes it as given.
-    of_joint : bool
-        True where it measures one joint of the user: such a signal never rests, and is clipped at a limit.
-    link_side : bool
-        True where it measures a joint's torque without the terms of its drive (rotor inertia, friction of motor and
-        gear, offset of the current); it has an offset and bearing friction of its own.
+    ``name`` (beside that of its joint or body) and ``group`` (all columns that a log updates together with those of
+    this kind) are words of messages. ``calibration`` is its key under ``calibration`` of the signals, for the accuracy
+    of its scale, ``""`` where the gain is to be found; on the ``link_side`` its columns and their units have this key
+    too. ``modelled``: it has equations, a row of the model explains it; otherwise the model takes it as given.
+    ``of_joint``: it measures one joint of the user; such a signal never rests, and is clipped at a limit.
+    ``link_side``: it measures a joint's torque without the terms of its drive (rotor inertia, friction of motor and
+    gear, offset of the current), with an offset and bearing friction of its own.
     """
 
     name: str
@@ -67,24 +58,11 @@ def link_side_kind(name: str) -> ChannelKind:
 class Channel:
     """A motor, the torque sensor of a joint, a row of a floating base, or a component of a measured wrench.
 
-    Attributes
-    ----------
-    name : str
-        Suffix of the channel's own parameters (``off_2_sensor``).
-    kind : ChannelKind
-        Kind of the channel.
-    joint : str
-        Joint whose torque it measures; for a wrench the body.
-    row : int
-        Row of the model with that torque (number of the joint); for a wrench the number of its component.
-    unit : str
-        Of its values; ``N m`` stands for the unit of the joint's torque, which is N where the joint is prismatic.
-    delay : float
-        By which it lagged behind the positions in the log, s; it is compensated.
-    std : float
-        Relative standard deviation of its scale, 0 where none is stated.
-    frame : WrenchFrame, optional
-        Frame of a wrench.
+    ``name`` is the suffix of its own parameters (``off_2_sensor``), ``joint`` the one whose torque it measures, or the
+    body of a wrench, ``row`` that of the model with that torque (number of the joint), or the number of its component.
+    Of its values, ``unit`` ``N m`` stands for that of the joint's torque (N where it is prismatic), ``delay`` (s) is by
+    what it lagged behind the positions in the log, and is compensated, ``std`` is the relative standard deviation of
+    its scale, 0 where none is stated. ``frame`` is that of a wrench.
     """
 
     name: str
@@ -106,16 +84,9 @@ def channels_of(
 ) -> tuple[Channel, ...]:
     """List the channels of a run, in the order of its columns.
 
-    Parameters
-    ----------
-    joints, base : sequence of str
-        Actuated joints, the rows of the model, and those of them that are the rows of a floating base.
-    sensors : mapping
-        Joints with a sensor on the link side, by its kind.
-    wrenches : sequence of WrenchFrame
-        Measured wrenches, six components each.
-    unit : str
-        Of the commands, ``A`` or ``N m``.
+    ``joints`` are the rows of the model, ``base`` those of a floating base among them; ``sensors`` are joints by the
+    kind of their sensor on the link side; measured ``wrenches`` have six components each; ``unit`` is that of the
+    commands.
     """
     return (
         *(Channel(joint, BASE if joint in base else MOTOR, joint, row, unit) for row, joint in enumerate(joints)),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Literal, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
 
 import numpy as np
 
@@ -16,14 +16,16 @@ from gtau.robots.floating import WrenchFrame
 from gtau.robots.robot import base_rows
 from gtau.signals.channel import BASE, SENSOR, Channel, channels_of
 from gtau.signals.reading.columns import Signals
-from gtau.signals.reading.log_file import as_log
-from gtau.signals.reading.log_set import read_logs
+from gtau.signals.reading.formats.columnar import as_log
+from gtau.signals.reading.logs import read_logs
 from gtau.signals.reading.samples import WHOLE, Part
-from gtau.signals.reading.side_signals import Temperature, read_temperature
 from gtau.signals.reading.statements import CHOSEN, Payload, PreparationSettings, as_payload
 from gtau.signals.reading.units import Units
 from gtau.signals.repair.checks import check
 from gtau.signals.storage import blocks, store
+
+if TYPE_CHECKING:
+    from gtau.signals.reading.side_signals import Temperature
 
 
 @dataclass(frozen=True)
@@ -49,9 +51,11 @@ class More(TypedDict, total=False):
 
     valid: np.ndarray
     sensors: Sequence[str]
-    settings: PreparationSettings
     channels: Sequence[Channel]
     log: Log
+    settings: PreparationSettings
+    notes: tuple[Finding, ...]
+    temperature: Temperature
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -79,7 +83,7 @@ class Run:
     channels : tuple of Channel
         Those of the joints and of torque ``sensors`` (names of joints) if left out.
     log : Log
-        The origin; the ``settings`` of the preparation made by hand may be given in its place.
+        The origin; its ``settings``, ``notes`` and ``temperature`` may be given in its place.
 
     The arrays of a long log are memory-mapped from a file.
     """
@@ -110,12 +114,9 @@ class Run:
             raise TypeError(f"a run has no '{min(strange)}'; give {', '.join(More.__annotations__)}")
         if problem := name_problem(name):
             raise GtauError(f"run: {problem}.")
-        log, base = (
-            more.get("log", Log()),
-            next((rows for joint in joints if set(rows := base_rows(joint)) <= set(joints)), ()),
-        )
-        if "settings" in more:
-            log = replace(log, settings=more["settings"])
+        base = next((rows for joint in joints if set(rows := base_rows(joint)) <= set(joints)), ())
+        of_log: Any = {key: more[key] for key in ("settings", "notes", "temperature") if key in more}
+        log = replace(more.get("log", Log()), **of_log)
         channels = tuple(more.get("channels") or channels_of(joints, base, {SENSOR: more.get("sensors", ())}))
         unit = "A" if kind == "current" else "N m"
         channels = tuple(replace(channel, unit=unit) if channel.name in joints else channel for channel in channels)
@@ -254,7 +255,11 @@ def read_run(
     source, parts = read_logs(paths, signals, units, notes, part.rows, progress)
     channels = tuple(replace(channel, delay=settings.delay) for channel in source.channels)
     samples = check(replace(source, channels=channels), parts, notes, settings, part)
-    temperature = read_temperature(paths, signals, units, part) if signals.temperature is not None else None
+    temperature = None
+    if signals.temperature is not None:
+        from gtau.signals.reading.side_signals import read_temperature
+
+        temperature = read_temperature(paths, signals, units, part)
     return Run(
         (paths[0].name if paths[0].is_dir() else paths[0].stem) + part.label,
         signals.joints,

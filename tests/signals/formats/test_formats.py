@@ -12,7 +12,7 @@ import polars as pl
 import pytest
 
 from gtau.errors import GtauError
-from gtau.signals.reading.log_file import find_columns, read_log
+from gtau.signals.reading.logs import find_columns, read_log
 from gtau.signals.run import Run, read_run
 from gtau.signals.storage import working_with
 

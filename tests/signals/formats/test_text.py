@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gtau.errors import GtauError
-from gtau.signals.reading.log_file import find_columns
+from gtau.signals.reading.logs import find_columns
 from gtau.signals.run import read_run
 from gtau.signals.storage import working_with
 

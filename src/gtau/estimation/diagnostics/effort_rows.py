@@ -17,7 +17,7 @@ from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.equations import triangle
 from gtau.estimation.regression.rows import Rows, stream_rows
 from gtau.robots.robot import INERTIAL
-from gtau.signals.preparation.prepared_run import InMemoryRun
+from gtau.signals.preparation.prepared_run import SampleWindow
 
 REACH = 0.3  # s: lags beyond are other runs, or clocks that were never set
 COARSE, FINE = 2, 16  # lags tried in the longest delay that the model describes, everywhere and about the best
@@ -93,7 +93,7 @@ def joint_rows(dataset: Dataset, slowest: float) -> list[JointRows]:
     return [] if any(len(joint.own) < 2 * joint.basis.shape[1] for joint in joints) else joints
 
 
-def _streamed(dataset: Dataset, window: InMemoryRun) -> tuple[Rows, np.ndarray]:
+def _streamed(dataset: Dataset, window: SampleWindow) -> tuple[Rows, np.ndarray]:
     """Stream the rows along a window, and gravity's part of their entries (entries, K)."""
     model, names = dataset.model, dataset.base.standard
     regressor, decimator = model.columns(names), dataset.preparation.at(window.run.rate).decimator

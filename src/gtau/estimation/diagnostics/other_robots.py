@@ -68,7 +68,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.lengths import SAME, models_alike
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Attachment, Closure, Mdh, Placement, Robot, Spring
-from gtau.signals.preparation.prepared_run import InMemoryRun
+from gtau.signals.preparation.prepared_run import SampleWindow
 from gtau.signals.reading.statements import Payload
 
 TOOL_BODIES, LENGTHS = "tool bodies", "lengths"
@@ -313,7 +313,7 @@ def fitted(fit: Fit, dataset: Dataset, gravity: np.ndarray) -> Fit | None:
         return None
 
 
-def _freely(fit: Fit, start: Fit, windows: Sequence[tuple[int, InMemoryRun]]) -> Iterator[Fit]:
+def _freely(fit: Fit, start: Fit, windows: Sequence[tuple[int, SampleWindow]]) -> Iterator[Fit]:
     """Rotate gravity to the direction that the residuals favour."""
     at: Fit | None = start
     for _ in range(STEPS):

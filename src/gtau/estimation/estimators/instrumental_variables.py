@@ -34,7 +34,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
 from gtau.signals.preparation.filters import Decimator
-from gtau.signals.preparation.prepared_run import InMemoryRun, PreparedRun
+from gtau.signals.preparation.prepared_run import PreparedRun, SampleWindow
 
 PASSES = 6  # simulations
 SAME = 0.01  # standard deviations: a smaller change ends them
@@ -160,7 +160,7 @@ def _reduced(
     idm: InverseDynamics,
     columns: tuple[Parameter, ...],
     measured: PreparedRun,
-    simulated: InMemoryRun,
+    simulated: SampleWindow,
     decimator: Decimator,
     load: np.ndarray | None,
     edges: np.ndarray,

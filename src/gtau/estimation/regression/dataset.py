@@ -35,7 +35,7 @@ from gtau.robots.parameter import Parameter
 from gtau.robots.plausibility import oddities, tool_note
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.choice import choose_preparation
-from gtau.signals.preparation.prepared_run import InMemoryRun, Preparation, PreparedRun, prepare
+from gtau.signals.preparation.prepared_run import Preparation, PreparedRun, SampleWindow, prepare
 from gtau.signals.reading.statements import Payload, Prior
 from gtau.signals.run import Run
 
@@ -184,7 +184,7 @@ class Dataset:
         loads: Sequence[np.ndarray | None] | None = None,
         progress: Progress = silent,
         weigh: Sequence[tuple[np.ndarray, np.ndarray]] | None = None,
-        along: Sequence[InMemoryRun] | None = None,
+        along: Sequence[SampleWindow] | None = None,
     ) -> Dataset:
         """Reduce the same runs with the torques of ``loads`` (one a run) in load-dependent friction.
 
@@ -193,7 +193,7 @@ class Dataset:
         """
         factors: list[Factors] = []
         begun, total = 0, sum(map(len, self.prepared))
-        runs: Sequence[PreparedRun | InMemoryRun] = self.prepared if along is None else along
+        runs: Sequence[PreparedRun | SampleWindow] = self.prepared if along is None else along
 
         def advance(samples: int) -> None:
             progress("model along the runs", begun + samples, total)

@@ -41,10 +41,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
 def expanded(signals: Mapping[str, Any]) -> dict[str, Any]:
     """Fill in the columns of a preset for the ``joints`` named, those given by hand first.
 
-    Raises
-    ------
-    ValueError
-        There is no such preset, or its joints are missing; the text gives the remedy.
+    Raises ValueError, whose text gives the remedy, where there is no such preset, or its joints are missing.
     """
     given = {key: value for key, value in signals.items() if key != "joints"}
     preset = PRESETS.get(str(signals["preset"]))

@@ -51,21 +51,11 @@ UNSURE = {
 class Draft:
     """Drafted experiment file, with the ``reasons`` of its entries by key, and undetermined entries (``open``).
 
-    Attributes
-    ----------
-    logs : tuple of tuple of Path
-        One file or two of each run.
-    signals, units, robot : mapping
-        As under these keys of the file; ``robot`` has no ``file`` where it is unknown. Where the rate is, it is None.
-    masses : mapping
-        Payloads (kg) by log, from the names of the files where they are not ``stated``.
-    stated : frozenset of Path
-        Logs whose payload, or none, the user states.
-    beside : mapping
-        Columns that are not used, some by joint: ``temperature``, ``torques`` that may be of sensors, a ``pose``, the
-        ``motion`` of a base, ``wrenches``, and ``others`` that might be meant instead.
-    urdf : str, optional
-        Text of the robot's file where a bag holds it.
+    ``logs`` are one file or two of each run; ``signals``, ``units`` and ``robot`` are as under these keys of the file,
+    but ``robot`` has no ``file`` where it is unknown, and a rate is None. ``masses`` (kg) of payloads by log come from
+    the names of the files where they are not ``stated``. ``beside`` are columns that are not used, some by joint:
+    ``temperature``, ``torques`` that may be of sensors, a ``pose``, the ``motion`` of a base, ``wrenches``, and
+    ``others`` that might be meant instead. ``urdf`` is the text of the robot's file where a bag holds it.
     """
 
     logs: tuple[tuple[Path, ...], ...]
@@ -104,23 +94,11 @@ class Draft:
 
 
 def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | None = None, base: Any = None) -> Draft:
-    """Infer the signals of logs recorded with the same layout.
+    """Infer the signals of logs recorded with the same layout, one for each run, or positions and then commands.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        The logs, one for each run; or all logs of positions and then as many of commands, run by run.
-    robot : Robot, optional
-        Its actuated joints are matched with column names; joint types and number help to infer units.
-    source : str, optional
-        Entry of the experiment file under ``robot``.
-    base : optional
-        Placement of the robot's base; where it is given, no columns are taken for the motion of a base.
-
-    Raises
-    ------
-    GtauError
-        A log cannot be read, or no positions or no commands are found in it.
+    The actuated joints of the ``robot`` are matched with column names; joint types and number help to infer units.
+    ``source`` is its entry in the experiment file. Where the placement of its ``base`` is given, no columns are taken
+    for the motion of a base. Raises GtauError where a log cannot be read, or holds no positions or no commands.
     """
     position_log, command_log, runs = _sources(paths, robot)
     positions, commands = position_log.group("position"), command_log.command_group()

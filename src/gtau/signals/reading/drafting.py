@@ -20,7 +20,7 @@ from gtau.robots.robot import Robot
 from gtau.signals.reading.columns import PRESETS
 from gtau.signals.reading.discovery import UNSURE, Draft, discover
 from gtau.signals.reading.formats.rosbag import robot_description
-from gtau.signals.reading.log_file import find_columns, is_rosbag
+from gtau.signals.reading.logs import find_columns, is_rosbag
 
 SEAL = "# as drafted: "  # a checksum of all above follows
 URDF = "robot.urdf"  # beside the experiment file, where a bag holds it
@@ -34,28 +34,12 @@ def draft_logs(
     kind: Literal["current", "torque"] | None = None,
     preset: str | None = None,
 ) -> Draft:
-    """Draft an experiment from logs recorded with the same layout.
+    """Draft an experiment from logs recorded with the same layout, see :func:`gtau.signals.reading.discovery.discover`.
 
-    Parameters
-    ----------
-    logs : sequence of Path
-        As for :func:`gtau.signals.reading.discovery.discover`.
-    robot : str, optional
-        A name of the catalog or the path of a file; if left out, the description that the first bag holds.
-    base : optional
-        How the robot's base is placed.
-    masses : mapping, optional
-        Payloads, kg, by path, name or stem of a log; 0 for none.
-    kind : {"current", "torque"}, optional
-        Kind of the commands, where it is known.
-    preset : str, optional
-        A name of :data:`gtau.signals.reading.columns.PRESETS`, which gives the kind and whether torques include
-        gravity.
-
-    Raises
-    ------
-    GtauError
-        A log or the robot cannot be read, a mass is of no log, or the logs do not have the columns of the preset.
+    ``robot`` is a name of the catalog or the path of a file; if left out, the description that the first bag holds.
+    Payloads (``masses``, kg, 0 for none) are by path, name or stem of a log. A ``preset``, a name of
+    :data:`gtau.signals.reading.columns.PRESETS`, gives the kind of commands and whether torques include gravity. Raises
+    GtauError where a log or the robot cannot be read, a mass is of no log, or the logs lack the columns of the preset.
     """
     if len(set(logs)) < len(logs):
         twice = next(log for log in logs if list(logs).count(log) > 1)
@@ -124,10 +108,7 @@ def with_masses(draft: Draft, masses: Mapping[Path, float]) -> Draft:
 def write_draft(draft: Draft, file: Path) -> list[Path]:
     """Write the experiment file of a draft, and the robot file from a bag, replacing those of earlier drafts.
 
-    Raises
-    ------
-    GtauError
-        Other files with these names exist, or an earlier draft has been edited.
+    Raises GtauError where other files with these names exist, or an earlier draft has been edited.
     """
     folder = folder_of(file.parent)
     texts = {} if draft.urdf is None else {folder / URDF: draft.urdf}

@@ -239,11 +239,8 @@ def _check_base(signals: Signals, robot: Robot) -> None:
 def check_robot(experiment: Experiment, robot: Robot) -> None:
     """Check that an experiment's signals, units and drives suit its robot.
 
-    Raises
-    ------
-    GtauError
-        The signals' joints are not the actuated ones, a position unit does not suit its joint, or a gear of ``drives``
-        is among the robot's couplings too.
+    Raises GtauError where the signals' joints are not the actuated ones, a position unit does not suit its joint, or a
+    gear of ``drives`` is among the robot's couplings too.
     """
     signals = experiment.signals
     _check_base(signals, robot)

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 
 from gtau.errors import GtauError
 from gtau.signals.reading.columns import Signals
-from gtau.signals.reading.log_file import read_log
-from gtau.signals.reading.log_set import instants
+from gtau.signals.reading.logs import instants, read_log
 from gtau.signals.reading.samples import WHOLE, Part
 from gtau.signals.reading.units import Units
 from gtau.signals.storage import store
@@ -34,22 +33,7 @@ class LoggedPoses:
 
 
 def read_poses(paths: Sequence[Path], signals: Signals, units: Units, part: Part = WHOLE) -> LoggedPoses:
-    """Read the poses of a run from the log of its positions.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        Its log, or two.
-    signals, units : Signals
-        Of the experiment, with a pose.
-    part : Part
-        Which part of the log is used.
-
-    Raises
-    ------
-    GtauError
-        A column is missing, or hardly any row holds a pose.
-    """
+    """Read the poses of a run from the log of its positions; raises GtauError where hardly any row holds one."""
     pose, path = signals.pose, Path(paths[0])
     assert pose is not None  # checked by the caller
     n = len(signals.joints)
@@ -82,22 +66,7 @@ class Temperature:
 
 
 def read_temperature(paths: Sequence[Path], signals: Signals, units: Units, part: Part = WHOLE) -> Temperature | None:
-    """Read the temperatures of a run from the log of its positions; None where the signals have none.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        Its log, or two.
-    signals, units : Signals
-        Of the experiment.
-    part : Part
-        Which part of the log is used.
-
-    Raises
-    ------
-    GtauError
-        A column is missing, or holds no numbers.
-    """
+    """Read the temperatures of a run from the log of its positions; None where the signals have none."""
     if signals.temperature is None:
         return None
     of_joint = signals.temperature_columns

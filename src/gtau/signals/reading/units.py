@@ -42,10 +42,7 @@ UNIT = re.compile(r"[^\W\d_][^\W\d_/*^· -]*|[/*^· -]+|\d\b|[()]|°")
 def si_factor(text: str, kind: Kind) -> float:
     """Convert a unit, or a quantity such as ``0.0012 A`` (of one count), to the SI unit of its kind.
 
-    Raises
-    ------
-    ValueError
-        It is no unit of that kind; the text gives the remedy.
+    Raises ValueError, whose text gives the remedy, where it is no unit of that kind.
     """
     return _found(text, kind)[1]
 

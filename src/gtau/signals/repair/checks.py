@@ -47,30 +47,15 @@ def check(
 ) -> Samples:
     """Check a log, repair what is safe, and put it on a uniform grid.
 
-    Samples that are incomplete or repeated are dropped, angles that wrap around are unwrapped. Samples of a joint
-    whose command is clipped at a limit are masked, and outliers of positions are interpolated. Irregular
-    sampling is resampled at the mean rate: cubic splines for positions, lines for commands; see
-    :mod:`gtau.signals.repair.clock` for what the samples' instants are.
+    Samples (M, n + c + 1), in blocks, are positions, commands, torque sensors and time in SI units; the channels of the
+    ``source`` say by how much they lag. Those that are incomplete or repeated are dropped, angles that wrap around are
+    unwrapped. Samples of a joint whose command is clipped at a limit are masked, and outliers of positions are
+    interpolated. Irregular sampling is resampled at the mean rate: cubic splines for positions, lines for commands; see
+    :mod:`gtau.signals.repair.clock` for what the samples' instants are. ``notes`` report every repair.
 
-    Parameters
-    ----------
-    source : Source
-        The log; its channels say by how much they lag.
-    parts : iterable of ndarray
-        Its samples (M, n + c + 1) in order: positions, commands, torque sensors and time in SI units.
-    notes : list of Finding
-        One on every repair is added.
-    settings : PreparationSettings
-        User-specified clock.
-    part : Part
-        Part of the log to use.
-
-    Raises
-    ------
-    GtauError
-        The log has fewer than 100 samples, more than 5 % of them bad or missing, a gap of more than
-        0.1 s (or three steps), reversed time, a command that never changes or is clipped in more than a
-        tenth of the samples, a position that jumps or freezes, no moving joint, or values that cannot be right.
+    Raises GtauError where the log has fewer than 100 samples, more than 5 % of them bad or missing, a gap of more than
+    0.1 s (or three steps), reversed time, a command that never changes or is clipped in more than a tenth of the
+    samples, a position that jumps or freezes, no moving joint, or values that cannot be right.
     """
     samples = complete(source, parts, notes, part)
     _refuse_stuck(samples, notes)
@@ -132,14 +117,10 @@ def _refuse_standing_time(samples: Samples) -> None:
 
 
 def _without_repeated(samples: Samples, notes: list[Finding], clock: Literal["stamps", "regular"] | None) -> Samples:
-    """Drop samples with the time and values of the one before.
+    """Drop samples with the time and values of the one before; raises GtauError where time goes back.
 
-    Samples with the same time but different values are all kept: their stamps are late.
-
-    Raises
-    ------
-    GtauError
-        Time goes back, or the stamps are given as true although some are the same.
+    Samples with the same time but different values are all kept, as their stamps are late, unless stamps are given as
+    true.
     """
     source, time = samples.source, samples.time
     repeated: list[int] = []

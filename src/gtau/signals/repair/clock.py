@@ -36,26 +36,14 @@ WHITE = 1.394
 
 @dataclass(frozen=True)
 class Clock:
-    """Sampling instants of a log.
+    """Sampling instants of a log, s.
 
-    Attributes
-    ----------
-    period : float
-        Of a regular clock, or mean step, s.
-    regular : bool
-        Instants are multiples of the period, by which the time column is corrected; otherwise they are the stamps.
-    start : float
-        Instant of the first sample, s.
-    count : int
-        Samples of that period from the start to the last one.
-    longest_step : float
-        Longest step without a missing sample, s.
-    gaps : tuple
-        For a regular clock, pairs of a sample and the number missing before it; -1 where it repeats the previous one.
-    late : float
-        Maximum lateness of a regular clock's stamps relative to the earliest, s; 0 if only rounded.
-    packets : bool
-        Samples came in packets with the same stamps, or nearly so.
+    The ``period`` is that of a regular clock, or the mean step. ``regular``: instants are its multiples, by which the
+    time column is corrected; otherwise they are the stamps. There are ``count`` samples of that period from the
+    ``start``, the instant of the first sample, to the last one. Steps above ``longest_step`` miss samples. A regular
+    clock has ``gaps``, pairs of a sample and the number missing before it (-1 where it repeats the previous one), and
+    its stamps are up to ``late`` late relative to the earliest; 0 if only rounded. ``packets``: samples came in packets
+    with the same stamps, or nearly so.
     """
 
     period: float
@@ -321,21 +309,9 @@ def _packet(time: np.ndarray, usual: float) -> int:
 
 
 def cubic_residuals(instants: np.ndarray, position: np.ndarray, period: float) -> np.ndarray:
-    """Compute the residuals of positions from the cubics through two neighbours on either side.
+    """Compute the residuals (N - 4, n) of positions (N, n) from the cubics through two neighbours on either side.
 
-    Parameters
-    ----------
-    instants : ndarray
-        (N,) Times of the samples, s.
-    position : ndarray
-        (N, n) Positions, rad or m.
-    period : float
-        Usual step, s.
-
-    Returns
-    -------
-    ndarray
-        (N - 4, n) Of all samples but the first two and the last two.
+    ``instants`` (N,) and the usual step, the ``period``, are in s; the first and the last two samples have none.
     """
     around = [slice(k, len(position) - 2 * REACH + k) for k in (0, 1, 3, 4)]
     apart = np.array([instants[each] for each in around]) - instants[REACH:-REACH]

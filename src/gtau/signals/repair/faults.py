@@ -55,19 +55,8 @@ class Glitch:
 def find_glitches(samples: Samples, instants: np.ndarray, held: Held) -> tuple[Glitch, ...]:
     """Find position outliers between mutually consistent neighbours, in two passes.
 
-    Parameters
-    ----------
-    samples : Samples
-        The log, its angles unwrapped.
-    instants : ndarray
-        (N,) Sampling instants, s.
-    held : Held
-        Sample-and-hold of the positions: stale samples are ignored.
-
-    Returns
-    -------
-    tuple of Glitch
-        In order.
+    Angles are unwrapped, ``instants`` (N,) are in s; samples that are stale by the sample-and-hold of the positions,
+    ``held``, are ignored.
     """
     stride = stride_of(len(samples.time))
     usual: list[np.ndarray] = []
@@ -254,12 +243,8 @@ def refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:
 def refuse_frozen(samples: Samples, instants: np.ndarray, held: Held) -> None:
     """Refuse a position that freezes in full motion while the command goes on, as of an encoder that is not read.
 
-    A joint that comes to rest slows down: its last step is small.
-
-    Raises
-    ------
-    GtauError
-        Where a joint is constant to the last digit after or before a step of its usual size.
+    A joint that comes to rest slows down, so its last step is small: refused is one that is constant to the last digit
+    after or before a step of its usual size.
     """
     source, n, count = samples.source, len(samples.source.joints), len(samples.time)
     stride, fast, usual = stride_of(count), [], []
@@ -320,14 +305,9 @@ UNSIGNED = (
 
 
 def refuse_magnitudes(samples: Samples) -> None:
-    """Refuse commands without sign.
+    """Refuse commands without sign: of joints that move and reverse none is ever negative, half come near zero.
 
     A joint that holds against gravity may need one sign only, but it then stays away from zero; not all joints do.
-
-    Raises
-    ------
-    GtauError
-        Where no command of a joint that moves is ever negative, half of them come near zero, and these joints reverse.
     """
     source, n = samples.source, len(samples.source.joints)
     low, high = (each[:n] for each in extremes(samples.command))
@@ -354,10 +334,7 @@ MAX_CLIPPED = 0.1
 def clipped(samples: Samples, notes: list[Finding]) -> list[tuple[int, float]]:
     """Find joints whose commands saturate while they move, as at a drive limit, with the levels.
 
-    Raises
-    ------
-    GtauError
-        More than a tenth of the samples are clipped, or a command has no sign.
+    Raises GtauError where more than a tenth of the samples are clipped, or a command has no sign.
     """
     source, count = samples.source, len(samples.time)
     found = []

@@ -151,12 +151,8 @@ def uniform(
     """Put samples taken at their ``instants`` onto the uniform grid of a clock that was ``given`` or found.
 
     ``clips`` are channels with the levels at which they are clipped. The ``holds`` are those of the positions and of
-    the groups of channels; the channels say by how much they lag, which is compensated.
-
-    Raises
-    ------
-    GtauError
-        A gap is longer than 0.1 s and three steps, or too many samples are missing.
+    the groups of channels; the channels say by how much they lag, which is compensated. Raises GtauError where a gap is
+    longer than 0.1 s and three steps, or too many samples are missing.
     """
     source, period, count = samples.source, clock.period, clock.count
     shortest, longest, before = clock.extreme_steps(samples.time)

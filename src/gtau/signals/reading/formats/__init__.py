@@ -66,13 +66,7 @@ class Table:
         return self.data_set.episodes if self.data_set else {}
 
     def blocks(self, rows: range = ALL) -> Iterator[tuple[np.ndarray, float]]:
-        """Read numbers (M, columns), nan where a value is missing or not a number, with the fraction read so far.
-
-        Raises
-        ------
-        GtauError
-            Where the file cannot be read on.
-        """
+        """Read numbers (M, columns), nan where a value is missing or not a number, with the fraction read so far."""
         with system_refusals(self.path):
             for frame, done in self.frames(self.columns, rows):
                 values = np.empty((len(frame), len(self.columns)))

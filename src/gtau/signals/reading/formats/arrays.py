@@ -24,13 +24,7 @@ NUMERIC = ["double", "single", "logical", "int8", "int16", "int32", "int64", "ui
 
 
 def open_npz(path: Path) -> Table:
-    """Find the numeric arrays of an archive; pickled objects are refused, as reading them can run code.
-
-    Raises
-    ------
-    GtauError
-        The file is damaged, or holds pickled objects and no arrays.
-    """
+    """Find the numeric arrays of an archive; pickled objects are refused, as reading them can run code."""
     with readable(path, "a NumPy archive"), np.load(path, allow_pickle=False) as archive:
         headers = {name: header for name in archive.files if (header := _header(archive, name)) is not None}
     pickled = [name for name, (_, dtype) in headers.items() if dtype.hasobject]
@@ -67,11 +61,6 @@ def open_mat(path: Path) -> Table:
     """Find the numeric arrays of a MAT file; those of a struct ``log`` are named ``log.q``.
 
     Only requested variables are read, and each struct once, since its fields exist only in it.
-
-    Raises
-    ------
-    GtauError
-        The file is damaged, or of version 7.3 and h5py is not installed.
     """
     with path.open("rb") as file:
         file.seek(512)
@@ -113,11 +102,6 @@ def open_hdf5(path: Path, kind: str = "an HDF5 file", between: str = "/") -> Tab
     """Find the numeric datasets of a file, of its groups too; their names are joined by ``between``.
 
     Nothing is read before it is asked for, and then in blocks.
-
-    Raises
-    ------
-    GtauError
-        h5py is not installed, or the file is damaged.
     """
     try:
         import h5py

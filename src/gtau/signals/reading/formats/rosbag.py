@@ -51,13 +51,7 @@ def robot_description(path: Path) -> str | None:
 
 
 def open_rosbag(path: Path) -> Table:
-    """Find the columns of a bag, a file or a rosbag2 folder, from the first message of every topic.
-
-    Raises
-    ------
-    GtauError
-        The package rosbags is not installed, or the bag is damaged.
-    """
+    """Find the columns of a bag, a file or a rosbag2 folder, from the first message of every topic."""
     columns: dict[str, tuple[str, Getter | None]] = {}  # topic, and what gets its value from a message; None: receipt
     counts: dict[str, int] = {}
     with readable(path, "a ROS bag"), _reader(path) as bag:

@@ -45,11 +45,6 @@ def open_text(path: Path) -> Table:
 
     Decimal commas are allowed except between comma separated columns. What stands before the table is skipped, and a
     note says so. Without a header the columns are named by their number from 1.
-
-    Raises
-    ------
-    GtauError
-        The file is empty or no text, or its header has fewer columns than its rows.
     """
     _refuse_encoding(path)
     lines = _first_lines(path)

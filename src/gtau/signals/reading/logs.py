@@ -1,24 +1,109 @@
-"""Logs of a run, one file or two, as samples in SI units; commands with separate time stamps are interpolated."""
+"""Logs of a run: files of any format, one or two of them, as samples in SI units.
+
+Commands with separate time stamps are interpolated.
+"""
 
 from __future__ import annotations
 
 from collections import ChainMap
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
+from gtau.documents.files import system_refusals
 from gtau.errors import GtauError
+from gtau.extensions import added, built_in
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.signals.reading.body_columns import at_origins
 from gtau.signals.reading.columns import SampleRate, Signals
 from gtau.signals.reading.formats import ALL, Table
-from gtau.signals.reading.log_file import read_log
+from gtau.signals.reading.formats.columnar import INFO
+from gtau.signals.reading.formats.rosbag import LOG_FORMATS as BAGS
+from gtau.signals.reading.formats.text import open_text
 from gtau.signals.reading.samples import Source
 from gtau.signals.reading.units import Units
 from gtau.signals.storage import block, blocks, store
+
+GROUP = "gtau.log_formats"
+"""Of the entry points of other distributions."""
+
+
+def reader_of(ending: str) -> Callable[[Path], Table] | None:
+    """Find the reader of files whose name has an ending (``.npz``); None where it has none of its own."""
+    found = built_in(GROUP, "gtau.signals.reading.formats").get(ending) or added(GROUP, ending, Callable)
+    return cast("Callable[[Path], Table] | None", found)
+
+
+def read_log(path: str | Path, names: Iterable[str]) -> Table:
+    """Locate columns of a log by name, unchecked; the ending of its name gives the format, see :func:`reader_of`.
+
+    Raises
+    ------
+    GtauError
+        The file cannot be read, or a column is not in it.
+    """
+    table = find_columns(Path(path))
+    names = tuple(dict.fromkeys(names))
+    _refuse_missing(names, table)
+    return replace(table, columns=names)
+
+
+def find_columns(path: Path) -> Table:
+    """Find all columns of a log, whatever its format; raises GtauError where it cannot be read."""
+    with system_refusals(path):
+        if not path.is_dir():
+            path.open("rb").close()  # the system's reason, not a library's, where there is no such file
+        reader = reader_of(_ending(path)) or open_text
+        return reader(path)
+
+
+def _ending(path: Path) -> str:
+    """Return the ending of a file's name, or that of the files in a folder."""
+    if path.is_dir():
+        return ".db3" if (path / "metadata.yaml").is_file() else ".parquet"
+    return path.suffix.lower()
+
+
+def is_log_folder(path: Path) -> bool:
+    """Decide whether a folder is one log: a rosbag2, Parquet files, or a LeRobot data set."""
+    return any((path / name).is_file() for name in ("metadata.yaml", INFO)) or any(path.glob("*.parquet"))
+
+
+def is_rosbag(path: Path) -> bool:
+    """Decide by its name whether a path is a bag."""
+    return path.suffix.lower() in BAGS or (path / "metadata.yaml").is_file()
+
+
+def _refuse_missing(names: Iterable[str], table: Table) -> None:
+    path, columns = table.path, table.columns
+    if not columns:
+        raise GtauError(
+            f"{path} holds no columns of numbers; save the signals as plain numeric arrays, not as objects such as "
+            "tables or time series."
+        )
+    for name in names:
+        if columns.count(name) > 1:
+            raise GtauError(f"{path} has {columns.count(name)} columns named '{name}'; rename them.")
+        if name in table.unusable:
+            raise GtauError(f"{path}, column '{name}' {table.unusable[name]}.")
+        if name in columns:
+            continue
+        if table.numbered:
+            raise GtauError(
+                f"there is no column '{name}'; the file has no header, so its {len(columns)} columns are named "
+                f"1 to {len(columns)}.",
+                source=path,
+            )
+        close = get_close_matches(name, columns, n=1)
+        hint = f"did you mean '{close[0]}'? The" if close else "the"
+        listed = ", ".join(columns[:40]) + (", ..." if len(columns) > 40 else "")
+        raise GtauError(f"there is no column '{name}'; {hint} columns are {listed}.", source=path)
+
 
 LONGEST_STEP = 3.0  # usual steps of the commands, beyond which they are not interpolated but missing
 CLOSE = 0.01  # of a step: stamps that differ by less are the same, up to rounding
@@ -32,15 +117,10 @@ def read_logs(
     rows: range = ALL,
     progress: Callable[[float], None] = lambda done: None,
 ) -> tuple[Source, Iterator[np.ndarray]]:
-    """Find the columns of a run in its logs, and read their ``rows``.
+    """Find the columns of a run in its logs, and read their ``rows``; raises GtauError.
 
     The samples (M, n + c + 1), in blocks, are positions, commands, torque sensors, wrenches and time. ``notes`` report
     what was left out or aligned; ``progress`` is called with the part of the log that has been read.
-
-    Raises
-    ------
-    GtauError
-        Where a column is missing or given twice, a file cannot be read on, or two files do not belong together.
     """
     if len(paths) not in (1, 2):
         raise GtauError(f"a run has {len(paths)} logs; give one, or two with the positions and the {signals.kind}s.")
@@ -174,13 +254,7 @@ class Aligned:
 
 
 def _stamped(path: Path, stamps: Sequence[str], commands: Sequence[str], scale: float, what: str) -> np.ndarray:
-    """Read the complete rows of commands and their time in s, (K, 1 + c); of equal stamps the first.
-
-    Raises
-    ------
-    GtauError
-        Their stamps go back, or hardly any row is complete.
-    """
+    """Read the complete rows of commands and their time in s, (K, 1 + c); of equal stamps the first."""
     file = read_log(path, (*stamps, *commands))
     at_stamps, at_commands = ([file.columns.index(name) for name in names] for names in (stamps, commands))
     parts, row, last, count = [], 0, -np.inf, 0
@@ -204,13 +278,7 @@ def _stamped(path: Path, stamps: Sequence[str], commands: Sequence[str], scale: 
 
 
 def _aligned(positions: tuple[Path, np.ndarray], commands: tuple[Path, np.ndarray], what: str) -> Aligned:
-    """Compare the instants (N,) in s of a log of positions with those of commands (K, 1 + c), ``currents`` or others.
-
-    Raises
-    ------
-    GtauError
-        The two clocks do not overlap.
-    """
+    """Compare the instants (N,) in s of a log of positions with those of commands (K, 1 + c), called ``what``."""
     (path, clock), (other_path, log) = positions, commands
     stamps = log[:, 0]
     inside = np.flatnonzero((clock >= stamps[0]) & (clock <= stamps[-1]))
