@@ -254,8 +254,8 @@ def _wrench_lines(wrench: WrenchAlongLog) -> Iterator[str]:
         rms, interval, largest, time = ("-" if number is None else f"{number:.4g}" for number in numbers)
         share = "-" if component.share is None else f"{100 * component.share:.2f} %"
         yield (
-            f"  {component.name:<18}{rms:>10}{interval:>10}{largest:>11}{time:>10}{share:>11}{100 * component.seen:>7.0f} %"
-            f"   {component.unit}"
+            f"  {component.name:<18}{rms:>10}{interval:>10}{largest:>11}{time:>10}{share:>11}"
+            f"{100 * component.seen:>7.0f} %   {component.unit}"
         )
     yield from wrap(f"At {wrench.frame}, in its axes. +-: half the 95 % interval, the median.", 80)
     if not wrench.seen.all():

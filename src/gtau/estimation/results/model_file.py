@@ -112,7 +112,8 @@ def _problems(result: Result) -> Iterator[str]:
         yield "a drive gain is zero"
     if not {Parameter("gain", joint) for joint in robot.motors} <= set(result.covariance_names):
         yield "the covariance lacks the drive gains"
-    verdicts = [judged.verdict for judged in (*_estimates(result), *result.payloads)]
+    verdicts = [estimate.verdict for estimate in _estimates(result)]
+    verdicts += [payload.verdict for payload in result.payloads]
     causes = (cause for alternative in result.alternatives for cause in alternative.causes)
     for finding in (*(verdict.finding for verdict in verdicts if verdict.finding), *causes):
         try:
