@@ -126,7 +126,7 @@ def payload(
         raise GtauError(f"--to {to} writes files; name their folder by --out DIR.")
     with progress_bar() as progress:
         from gtau.estimation.diagnostics.verdict import Outcome
-        from gtau.estimation.results.model_file import payload_documents
+        from gtau.estimation.results.model_document import payload_documents
         from gtau.estimation.results.result import Result
         from gtau.report.evidence import settings_of
         from gtau.report.validation import bodies_document, weighing_page
@@ -278,7 +278,7 @@ def use(
     columns t, qJOINT and vJOINT (tauJOINT for a model of torques; s, rad or m, A), unless an experiment file names
     others. FILE gets motor, model and external torque of every sample.
     """
-    from gtau.estimation.results.model_file import torque_error
+    from gtau.estimation.results.model_document import torque_error
     from gtau.estimation.results.result import Result
     from gtau.report.page import page
     from gtau.report.torques import bands_section
