@@ -20,14 +20,13 @@ from scipy.signal import lfilter
 from threadpoolctl import threadpool_limits
 
 from gtau.estimation.diagnostics.linearisation import errors_and_jacobian, window_rows
-from gtau.estimation.estimators.estimator import Fit, Given
+from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.estimators.newton import to_gains
 from gtau.estimation.regression.dataset import reduce_runs
-from gtau.estimation.regression.friction import Friction
 from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.preparation.filters import Decimator, _kernel
-from gtau.signals.preparation.prepared_run import InMemoryRun, Preparation
+from gtau.signals.preparation.prepared_run import Preparation
 
 DECAY = 0.1  # s
 
@@ -36,14 +35,14 @@ def fitted(case: Case, preparation: Preparation) -> Fit:
     """The truth, as a fit to logs without noise."""
     runs = list(spoilt(case, "none", np.random.default_rng(0)))
     data = reduce_runs(case.model.robot, runs, preparation)
-    return ML.fit(data, data.system(Friction(per_run=True)), Given())
+    return ML.fit(data.system(per_run=True))
 
 
 def jacobians(fit: Fit) -> list[tuple[np.ndarray, np.ndarray]]:
     """Of each run the residuals' Jacobian (c, K, k) in A, and which rows are kept (c, K)."""
     found = []
     for run, prepared in enumerate(fit.dataset.prepared):
-        window = InMemoryRun(prepared.run, prepared.samples())
+        window = prepared.samples()
         A, keep = window_rows(fit, run, window, None, fit.dataset.model)
         _, J = errors_and_jacobian(fit, run, window, A)
         weights = 1 / np.maximum(fit.solution.sigma, fit.system.problem.smallest_sigma)

@@ -26,15 +26,13 @@ from realism.plants import PLANTS, Plant, of_limits
 from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.effort import AS_STATED, rank_meanings
+from gtau.estimation.diagnostics.effort import AS_STATED, rank_meanings, stated_meaning
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
-from gtau.estimation.estimators.estimator import Given
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.experiment_runs import describe, read_runs
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
-from gtau.estimation.regression.friction import Friction
 from gtau.estimation.results.conclusions import findings
 from gtau.estimation.thresholds.logs import BEYOND_GEARS, GEARED
 from gtau.findings import FindingKind as F
@@ -214,9 +212,9 @@ def measured(name: str, data: Path) -> dict[str, str]:
         dataset = reduce_runs(subject.robot, read_runs(subject.experiment, subject.experiment.runs))
     n, runs = len(dataset.model.actuated), dataset.runs
     slowest = dataset.system().problem.slowest
-    system = dataset.system(Friction(), True)
-    given = Given(None if runs[0].kind == "current" else np.ones(n))
-    fit = fit_by(ml_or_wls(given), dataset, system, given)
+    system = dataset.system()
+    gains = None if runs[0].kind == "current" else np.ones(n)
+    fit = fit_by(ml_or_wls(gains), system, gains is None)
     falling = [parameter_of(each).kind in INERTIAL for each in dataset.base.standard]
     regressor, gravity = dataset.model.columns(dataset.base.standard), []
     for k, run in enumerate(runs):
@@ -234,7 +232,6 @@ def measured(name: str, data: Path) -> dict[str, str]:
                 command=np.ascontiguousarray(
                     alter(run.command, own, rated, round(max(LATE, 1.4 * slowest) * run.rate))
                 ),
-                whole=None,
             )
             for run, own in zip(runs, gravity, strict=True)
         ]
@@ -249,12 +246,13 @@ def measured(name: str, data: Path) -> dict[str, str]:
 def meaning(dataset: Dataset, slowest: float) -> str:
     """The answer of the ranking and of the size, without that of a payload."""
     ranking, doubtful = rank_meanings(dataset, slowest), list(doubtful_commands(dataset.runs, dataset.robot))
-    share = 0.0 if ranking.scale is None else sum(map(abs, np.multiply(ranking.scale, (1, 2))))
+    scale = stated_meaning(ranking).values.get("scale")
+    share = 0.0 if scale is None else sum(map(abs, np.multiply(scale, (1, 2))))
     if doubtful:
         return str(doubtful[0].kind)
-    if ranking.best == AS_STATED and 1 / BEYOND_GEARS < share < 1 / GEARED and dataset.runs[0].kind == "torque":
+    if ranking[0].kind == AS_STATED and 1 / BEYOND_GEARS < share < 1 / GEARED and dataset.runs[0].kind == "torque":
         return str(F.MOTOR_SIDE)
-    return ranking.best
+    return ranking[0].kind
 
 
 def main() -> None:

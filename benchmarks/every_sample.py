@@ -35,7 +35,7 @@ from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
 from gtau.signals.reading.experiment import read_experiment
-from gtau.signals.run import Run, arrange
+from gtau.signals.run import Run
 
 LOGS = ("panda", "ur10e", "tx40")
 MASKS = ("every sample", "ends masked", "slow masked")
@@ -161,7 +161,7 @@ def emps_run(joint: str, seed: int, pulse: float = 0.0) -> Run:
 
 def compare(result: Result, runs: Sequence[Run], checks: Sequence[Run], name: str) -> None:
     """Print a row for each joint and log, and one for each log."""
-    runs, checks = ([arrange(run, result.idm.actuated) for run in each] for each in (runs, checks))
+    runs, checks = ([run.ordered(result.idm.actuated) for run in each] for each in (runs, checks))
     variants = [(mask, wide) for wide in CUTOFFS for mask in MASKS]
     scripts = [script(result, runs, *variant)[0] for variant in variants]
     plain = of_equations(result)

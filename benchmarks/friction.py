@@ -31,7 +31,7 @@ from realism.plants import ANY, PLANTS, Plant, random_parameters
 from zoo import ENTRIES
 
 from gtau.estimation import pipeline
-from gtau.estimation.estimators.estimator import Fit, Given
+from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.friction.law import stop
@@ -326,7 +326,7 @@ def timed(work: Callable[[], Result]) -> tuple[Result, float, float]:
 
 def gains_moved(plant: Plant, runs: list[Run], result: Result, truths: dict[str, float]) -> float:
     """The rms error of the gains over that of an identification without the friction step."""
-    without = estimate(reduce_runs(plant.model.robot, runs), ML, Given(), replace(DEFAULT, all_samples=False))
+    without = estimate(reduce_runs(plant.model.robot, runs), ML, replace(DEFAULT, all_samples=False))
     true = np.array([truths[f"gain_{joint}"] for joint in plant.model.actuated])
     after, before = (np.sqrt(np.mean((each.gains / true - 1) ** 2)) for each in (result, without))
     return float(after / before)

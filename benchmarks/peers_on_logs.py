@@ -38,7 +38,7 @@ from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.robots.robot import Robot
 from gtau.signals.reading.experiment import read_experiment
-from gtau.signals.run import Run, arrange
+from gtau.signals.run import Run
 from gtau.uses.weigh import weigh
 
 MARKS = "<!-- peers: begin -->", "<!-- peers: end -->"
@@ -240,7 +240,7 @@ def case_of(entry: Entry, data: Path, folder: Path) -> tuple[Case, float, int]:
     result = identify(experiment)
     seconds = process_time() - begin
     runs, checks = (
-        [arrange(run, result.idm.actuated) for run in read_runs(experiment, listed)]
+        [run.ordered(result.idm.actuated) for run in read_runs(experiment, listed)]
         for listed in (experiment.runs, experiment.validation)
     )
     return Case(entry.name, entry.robot, data, folder, result, runs, checks), seconds, lines

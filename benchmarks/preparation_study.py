@@ -25,7 +25,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.estimator import Given, jackknife
+from gtau.estimation.estimators.estimator import jackknife
 from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.model.home import load_robot
@@ -269,7 +269,7 @@ def errors(robot: Robot, runs: Sequence[Run], settings: PreparationSettings) -> 
     try:
         with threadpool_limits(limits=1, user_api="blas"):
             dataset = reduce_runs(robot, [replace(run, settings=settings) for run in runs])
-            found = estimator_of("ml").fit(dataset, dataset.system(), Given()).solution
+            found = estimator_of("ml").fit(dataset.system()).solution
     except GtauError as error:
         return np.full(2, np.inf), np.ones(2), f"refused: {error}"
     gains = slice(len(found.theta), len(found.theta) + 2)

@@ -23,18 +23,15 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from gtau.estimation.diagnostics.parameter_checks import delay_verdicts
-from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.diagnostics.verdict import Outcome, delay_verdicts
 from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.newton import degrees_of_freedom
-from gtau.estimation.regression.dataset import Dataset, reduce_runs
+from gtau.estimation.regression.dataset import Dataset, System, reduce_runs
 from gtau.estimation.regression.equations import BLOCKS, SIGNALS, triangle
 from gtau.estimation.regression.factors import EXTRA, Factors
-from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.rows import stream_rows
 from gtau.estimation.regression.run_blocks import block_of
-from gtau.estimation.regression.system import System
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.geometry import characteristic_length
@@ -238,7 +235,7 @@ def repeat(case: Case, errors: str, seeds: Sequence[int]) -> list[Repetition]:
                 now = reduce_runs(case.model.robot, runs, data.preparation)
             else:
                 now = data.with_factors(list(map(refactor, [data] * len(runs), fixed, runs)))
-            system = now.system(Friction(per_run=True))
+            system = now.system(per_run=True)
             solution = ml(system.problem)
             found.append(judge(case, system, solution))
     return found

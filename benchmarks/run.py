@@ -43,7 +43,7 @@ from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Joint, Mdh, Robot
 from gtau.signals.preparation.filters import Decimator
-from gtau.signals.preparation.prepared_run import InMemoryRun, SampleWindow
+from gtau.signals.preparation.prepared_run import SampleWindow
 from gtau.signals.run import Run
 
 
@@ -125,15 +125,13 @@ def threads(robot: Robot, samples: int) -> Row:
     )
 
 
-def prepared(robot: Robot, samples: int) -> InMemoryRun:
+def prepared(robot: Robot, samples: int) -> SampleWindow:
     """A run as it comes from the filters, with currents that are noise."""
     path = motion(robot, samples)
     command = np.random.default_rng(2).normal(size=path[0].shape)
     time = np.arange(samples) / 1000.0
-    run = Run.__new__(Run)
-    object.__setattr__(run, "name", "made up")
-    object.__setattr__(run, "joints", tuple(f"joint {k + 1}" for k in range(path[0].shape[1])))
-    return InMemoryRun(run, SampleWindow(time, *path, command, command, command, np.ones(path[0].shape, dtype=bool)))
+    run = Run("made up", [f"joint {k + 1}" for k in range(path[0].shape[1])], time, path[0], command)
+    return SampleWindow(run, time, *path, command, command, command, np.ones(path[0].shape, dtype=bool))
 
 
 def reduction(robot: Robot, samples: int, few: int) -> list[Row]:

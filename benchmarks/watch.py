@@ -35,7 +35,7 @@ from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
 from gtau.signals.preparation.filters import differentiate
 from gtau.signals.reading.experiment import read_experiment
-from gtau.signals.run import Run, arrange, without_sensors
+from gtau.signals.run import Run
 from gtau.uses.runs import read_log
 from gtau.watch import follow as following
 from gtau.watch.detectors import Chart, add, combined, evidence
@@ -83,7 +83,7 @@ def reference(name: str, data: Path) -> Reference:
     described = read_experiment(path)
     runs = read_runs(described, described.runs)
     run = next(each for each in runs if each.payload is None)
-    run = without_sensors(arrange(run, model.robot.actuated))
+    run = run.ordered(model.robot.actuated, link_side=False)
     found = model.predict(run).in_band
     residual = np.where(found.valid, found.measured - found.predicted, 0.0)
     speed, _ = differentiate(run.position, run.rate)

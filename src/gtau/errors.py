@@ -5,8 +5,12 @@ class GtauError(Exception):
     """Error raised for input that gtau cannot use.
 
     The message is one sentence for a person: what is wrong, where (file, key, joint, time), and
-    what to do about it.
+    what to do about it. It begins with the ``source``, a file, where that is given.
     """
+
+    def __init__(self, sentence: str, source: object = "") -> None:
+        self.sentence, self.source = sentence, str(source)
+        super().__init__(f"{source}: {sentence}" if self.source else sentence)
 
 
 def missing_extra(purpose: str, package: str, extra: str) -> GtauError:

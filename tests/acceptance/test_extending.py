@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 import gtau
 from gtau.cli.commands import app
 from gtau.extensions import registered
-from gtau.signals.reading.log_file import read_log
+from gtau.signals.reading.logs import read_log
 
 PAGE = Path(__file__).parents[2] / "docs" / "lookup" / "extending.md"
 

@@ -13,7 +13,6 @@ from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.newton import FLATTEST, curved
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
-from gtau.estimation.regression.friction import Friction
 from gtau.model.home import load_robot
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
@@ -69,7 +68,7 @@ def test_gains_of_slow_logs(rate: float, slowest: float, seconds: float, noise: 
 
 def test_leaving_a_stretch_out_keeps_the_curvature() -> None:
     data = reduce_runs(ROBOT, logs(80.0, 0.3, 75.0, 1e-2))
-    problem = data.system(Friction(per_run=True)).problem
+    problem = data.system(per_run=True).problem
     assert lack_of_fit(problem, ml(problem)) == pytest.approx(1.1, abs=0.4)
 
 

@@ -18,7 +18,7 @@ from programs import has_ended, start, wait_until
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 
 LIMIT = 10.0  # s to end, on a busy machine; on an idle one less than one
-SLOW = "import gtau.fleet.fleet, process_functions; gtau.fleet.fleet._identify_member = process_functions.slow_member"
+SLOW = "import gtau.fleet.fleet, process_functions; gtau.fleet.fleet.identify_member = process_functions.slow_member"
 RARER = [("SIGINT", False), ("SIGTERM", True), ("SIGHUP", False), ("SIGHUP", True), ("SIGKILL", True)]
 FINISHED = "gtau: interrupted; finished robots stay in out/models, and the same command continues with the others.\n"
 

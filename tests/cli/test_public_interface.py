@@ -16,7 +16,7 @@ from five_bar_logs import EXPERIMENT, STEEL, Plant, write_log
 from programs import wait_until
 
 import gtau
-from gtau.cli.console import _lines
+from gtau.cli.console import progress_lines
 from gtau.estimation.compare import EstimatorComparison, Row
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.findings import FindingKind as F
@@ -131,7 +131,7 @@ def test_the_summary_fits_a_terminal(result: gtau.Result) -> None:
 def test_without_a_terminal_a_line_a_minute_says_where_the_work_stands(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stderr", said := io.StringIO())
     begun, every = time.monotonic(), 0.05
-    with _lines("starting", every) as progress:
+    with progress_lines("starting", every) as progress:
         wait_until(lambda: "starting" in said.getvalue())
         progress("simulating", 1, 4)
         wait_until(lambda: "simulating" in said.getvalue())
@@ -139,7 +139,7 @@ def test_without_a_terminal_a_line_a_minute_says_where_the_work_stands(monkeypat
     assert len(lines) <= (time.monotonic() - begun) / every
     assert list(dict.fromkeys(lines)) == ["gtau: starting, T", "gtau: simulating, 25 %, T"]
     monkeypatch.setattr(sys, "stderr", said := io.StringIO())
-    with _lines("starting", every=60.0) as progress:
+    with progress_lines("starting", every=60.0) as progress:
         progress("simulating", 1, 4)
     assert said.getvalue() == ""
 

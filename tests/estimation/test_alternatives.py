@@ -23,16 +23,15 @@ from gtau.estimation.diagnostics.hypotheses import (
 )
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, Offer
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.estimators.estimator import Fit, Given
+from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
-from gtau.estimation.regression.friction import Friction
 from gtau.estimation.thresholds.estimates import ALTERNATIVE_PRIOR
 from gtau.findings import Finding
 from gtau.model.home import load_robot
 from gtau.model.loops import Motion
-from gtau.signals.preparation.prepared_run import InMemoryRun
+from gtau.signals.preparation.prepared_run import SampleWindow
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
@@ -48,7 +47,7 @@ def runs() -> list[Run]:
 
 def fit_of(runs: list[Run]) -> Fit:
     dataset = reduce_runs(ROBOT, runs)
-    return ML.fit(dataset, dataset.system(Friction((), per_run=True)), Given())
+    return ML.fit(dataset.system(per_run=True))
 
 
 def found(runs: list[Run], kind: str, joint: str) -> Alternative:
@@ -116,7 +115,7 @@ def under_another_name(hypothesis: Hypothesis) -> Hypothesis:
     def torques(fit: Fit) -> Offer:
         offer = hypothesis.torques(fit)
 
-        def larger(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+        def larger(window: SampleWindow, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
             columns = offer(window, motion, values)
             return lambda rows: 3.0 * columns(rows)
 

@@ -21,7 +21,7 @@ from gtau.estimation.results.model_file import NoteEntry
 from gtau.findings import Finding, Severity
 from gtau.findings import FindingKind as F
 from gtau.findings.finding import by_severity, note_document, read_note
-from gtau.report.check import gate_words
+from gtau.report.check import expectation
 from gtau.report.findings import findings_table
 
 EXPERIMENT = """
@@ -137,7 +137,7 @@ def test_the_scale_of_the_gains_is_checked_before_they_are_identified(folder: Pa
     (unknown,) = check_logs(damaged(folder, "unknown", ", mass: 1.2", "")).notes
     assert unknown.severity == Severity.INFORMATION
     assert "gtau payload" in unknown.action
-    assert gate_words([unknown]) == "gtau payload can use these logs as they are."
+    assert expectation([unknown]) == "gtau payload can use these logs as they are."
 
 
 @pytest.mark.parametrize("method", [None, "ml", "wls", "tls"])

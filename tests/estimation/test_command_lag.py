@@ -12,7 +12,6 @@ from scipy.signal import lfilter
 from gtau.estimation.diagnostics.log_checks import command_lag, command_lags
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
-from gtau.estimation.regression.friction import Friction
 from gtau.findings import FindingKind as F
 from gtau.findings import Severity
 from gtau.model.home import load_robot
@@ -44,7 +43,7 @@ def logged(lag: float, late: int = 0, kind: str = "current") -> Dataset:
 @pytest.mark.parametrize("lag", [0.0, 0.005, 0.01, 0.02, 0.05])
 def test_the_time_constant_of_a_low_pass_is_found(lag: float) -> None:
     dataset = logged(lag)
-    system = dataset.system(Friction())
+    system = dataset.system()
     found, error = command_lags(system.problem)
     period = 1 / dataset.runs[0].rate
     np.testing.assert_allclose(found, lag, atol=0.05 * lag + 0.5 * period + 4 * error.max())
@@ -54,17 +53,17 @@ def test_the_time_constant_of_a_low_pass_is_found(lag: float) -> None:
 @pytest.mark.parametrize("late", [-5, 5])
 def test_currents_before_the_motion_are_a_delay_and_those_after_it_are_late(late: int) -> None:
     dataset = logged(0.0, late)
-    (lag, _), _ = command_lags(dataset.system(Friction()).problem)
+    (lag, _), _ = command_lags(dataset.system().problem)
     assert lag == pytest.approx(late / 500, rel=0.2)  # a delay is a low-pass to first order only, here of 0.2 rad
-    assert bool(command_lag(dataset, dataset.system(Friction()))) == (late > 0)
+    assert bool(command_lag(dataset, dataset.system())) == (late > 0)
 
 
 def test_torques_are_judged_alike_and_the_grade_follows_what_is_lost() -> None:
     strong, weak = (logged(lag, kind="torque") for lag in (0.02, 0.005))
-    (found,) = command_lag(strong, strong.system(Friction()))
+    (found,) = command_lag(strong, strong.system())
     assert (found.kind, found.values["kind"]) == (F.COMMAND_LAG, "torque")
     assert (found.topic, found.severity) == (F.FILTERED, Severity.WARNING)
-    (found,) = command_lag(weak, weak.system(Friction()))
+    (found,) = command_lag(weak, weak.system())
     assert (found.kind, found.severity) == (F.SLIGHT_COMMAND_LAG, Severity.INFORMATION)
 
 
@@ -72,7 +71,7 @@ def test_noise_alone_has_no_lag() -> None:
     """Currents that are mostly noise say nothing, however they are filtered."""
     run = Plant(noise=20.0).run("free", 8.0, seed=1)
     dataset = reduce_runs(FIVE_BAR, [low_passed(run, 0.05)])
-    assert command_lag(dataset, dataset.system(Friction())) == []
+    assert command_lag(dataset, dataset.system()) == []
 
 
 def test_gains_that_are_given_come_with_the_note() -> None:

@@ -11,7 +11,7 @@ import pytest
 from five_bar_logs import five_bar
 from gravity_logs import logged
 
-from gtau.estimation.diagnostics.effort import AS_STATED, NONE, Ranking, rank_meanings
+from gtau.estimation.diagnostics.effort import AS_STATED, NONE, Meaning, effort_findings, rank_meanings, stated_meaning
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
@@ -30,7 +30,7 @@ def torques() -> Run:
     return run
 
 
-def ranked(robot: Robot, run: Run) -> tuple[Ranking, Dataset]:
+def ranked(robot: Robot, run: Run) -> tuple[tuple[Meaning, ...], Dataset]:
     dataset = reduce_runs(robot, [run])
     return rank_meanings(dataset, dataset.system().problem.slowest), dataset
 
@@ -54,17 +54,17 @@ SPOILT: dict[str, tuple[Callable[[np.ndarray], np.ndarray], str, tuple[int, ...]
 def test_the_most_likely_meaning_is_the_true_one(spoil: str, torques: Run) -> None:
     alter, kind, joints = SPOILT[spoil]
     ranking, dataset = ranked(ROBOT, replace(torques, command=np.ascontiguousarray(alter(torques.command))))
-    assert ranking.best == kind
-    assert set(joints) <= set(ranking.meanings[0].altered)
-    assert {finding.kind for finding in ranking.findings(dataset)} == ({kind} if joints else set())
+    assert ranking[0].kind == kind
+    assert set(joints) <= set(ranking[0].altered)
+    assert {finding.kind for finding in effort_findings(ranking, dataset)} == ({kind} if joints else set())
 
 
 def test_gravity_is_missing_only_where_its_coefficient_is_zero(torques: Run) -> None:
     ranking, _ = ranked(ROBOT, torques)
-    assert ranking.gravity[0] > 0.5
+    assert stated_meaning(ranking).values["gravity"][0] > 0.5
     (compensated,) = logged(ROBOT, FREE, currents=False)
     ranking, _ = ranked(ROBOT, compensated)
-    assert (ranking.best, ranking.gravity[0]) == (F.WITHOUT_GRAVITY, 0.0)
+    assert (ranking[0].kind, stated_meaning(ranking).values["gravity"][0]) == (F.WITHOUT_GRAVITY, 0.0)
 
 
 def test_currents_without_gravity_are_not_taken_for_a_wrong_length() -> None:

@@ -18,11 +18,12 @@ from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.regression.equations import BLOCKS
 from gtau.estimation.regression.factors import Factors, reduce_run
-from gtau.estimation.regression.friction import Friction, all_terms
+from gtau.estimation.regression.friction import all_terms
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Joint, Mdh, Robot
 from gtau.signals.preparation.prepared_run import prepare
 from gtau.signals.reading.statements import Payload
@@ -96,11 +97,13 @@ METHODS: dict[str, Callable[[Problem], Solution]] = {
 }
 
 
-@pytest.mark.parametrize("friction", [Friction(), Friction(all_terms(JOINTS), per_run=True)], ids=["paper's", "more"])
+@pytest.mark.parametrize(("terms", "per_run"), [((), False), (all_terms(JOINTS), True)], ids=["paper's", "more"])
 @pytest.mark.parametrize("method", METHODS)
-def test_factors_of_streamed_blocks_say_what_all_rows_say(data: Dataset, method: str, friction: Friction) -> None:
-    full = replace(data, factors=tuple(unreduced(data, run) for run in data.runs)).system(friction).problem
-    problem = data.system(friction).problem
+def test_factors_of_streamed_blocks_say_what_all_rows_say(
+    data: Dataset, method: str, terms: tuple[Parameter, ...], per_run: bool
+) -> None:
+    full = replace(data, factors=tuple(unreduced(data, run) for run in data.runs)).system(terms, per_run).problem
+    problem = data.system(terms, per_run).problem
     assert full.blocks.shape[2] != problem.blocks.shape[2]
     np.testing.assert_array_equal(full.rows, problem.rows)
     few, many = METHODS[method](problem), METHODS[method](full)

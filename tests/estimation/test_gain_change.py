@@ -9,11 +9,9 @@ import pytest
 
 from gtau.estimation.diagnostics.hypotheses.drives import gain_changes
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.estimators.estimator import Given
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
-from gtau.estimation.regression.friction import Friction
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import DOMINANT
 from gtau.findings import FindingKind as F
@@ -89,7 +87,7 @@ def test_a_run_out_of_scale_is_named(which: int, factor: float, runs: list[Run],
 
 def test_the_difference_is_measured(runs: list[Run]) -> None:
     dataset = reduce_runs(ARM, scaled(runs, 2, 1.03))
-    found = list(gain_changes(ML.fit(dataset, dataset.system(Friction(per_run=True)), Given())))
+    found = list(gain_changes(ML.fit(dataset.system(per_run=True))))
     assert len(found) == 2
     for each in found:
         assert each.causes[0].values["runs"] == ["run 2"]

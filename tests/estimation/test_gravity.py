@@ -14,13 +14,11 @@ from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.hypotheses import description
 from gtau.estimation.diagnostics.other_robots import other_gravity
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.estimators.estimator import Given
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
-from gtau.estimation.regression.friction import Friction
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
@@ -34,9 +32,9 @@ from gtau.signals.run import Run
 
 def found(robot: Robot, runs: list[Run]) -> Alternative | None:
     dataset = reduce_runs(robot, runs)
-    given = Given(np.ones(len(robot.actuated)) if runs[0].kind == "torque" else None)
-    system = dataset.system(Friction((), per_run=len(runs) > 1))
-    return other_gravity(fit_by(ml_or_wls(given), dataset, system, given))
+    gains = np.ones(len(robot.actuated)) if runs[0].kind == "torque" else None
+    system = dataset.system(per_run=len(runs) > 1)
+    return other_gravity(fit_by(ml_or_wls(gains), system, gains is None))
 
 
 def axis(gravity: Gravity) -> np.ndarray:

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from gtau.cli.commands import app
 from gtau.estimation.compare import compare, to_document
 from gtau.estimation.estimators.essential import prune_friction_terms
-from gtau.estimation.estimators.estimator import Gains, Given
+from gtau.estimation.estimators.estimator import Gains
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.newton import one_step
 from gtau.estimation.estimators.registry import ESTIMATORS, estimator_of
@@ -22,10 +22,9 @@ from gtau.estimation.estimators.standard_parameters import standard_unknowns
 from gtau.estimation.estimators.two_stage import two_stage
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
-from gtau.estimation.regression.friction import Friction, all_terms
+from gtau.estimation.regression.friction import all_terms
 from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
-from gtau.progress import silent
 from gtau.report.comparison import comparison_table
 from gtau.robots.parameter import Parameter
 from gtau.signals.reading.statements import Payload, Prior
@@ -68,7 +67,7 @@ def test_every_estimator_finds_the_gains(method: str, runs: list[Run]) -> None:
 
 
 def test_jackknife_of_2sls_is_leaving_units_out(data: Dataset) -> None:
-    problem = data.system(Friction()).problem
+    problem = data.system().problem
     solution = two_stage(problem)
     here = slice(problem.n_theta, problem.n_theta + 2)
     quick = solution.replicates()[:, here]
@@ -137,9 +136,8 @@ def test_without_outliers_huber_is_nearly_maximum_likelihood(runs: list[Run]) ->
 
 def test_weights_that_follow_the_data_are_part_of_huber_s_scatter(data: Dataset) -> None:
     """With the weights held fixed, its standard deviations would be 14 % too small under normal noise."""
-    system = data.system(Friction())
-    given = Given(None, silent)
-    plain, robust = (estimator_of(method).fit(data, system, given).solution for method in ("ml", "huber"))
+    system = data.system()
+    plain, robust = (estimator_of(method).fit(system).solution for method in ("ml", "huber"))
     ratio = np.sqrt(np.diag(robust.jackknife) / np.diag(plain.jackknife))[system.problem.gain_rows]
     assert ((ratio > 0.93) & (ratio < 1.15)).all(), ratio
 
@@ -148,7 +146,7 @@ def test_weights_that_follow_the_data_are_part_of_huber_s_scatter(data: Dataset)
 
 
 def test_prior_equations_are_further_rows(data: Dataset) -> None:
-    problem = data.system(Friction()).problem
+    problem = data.system().problem
     free = ml(problem)
     k = problem.parameters.index("fs_left")
     tight = np.zeros((1, problem.n_theta + 1))
@@ -172,8 +170,8 @@ def test_a_stated_prior_counts_with_its_deviation(runs: list[Run]) -> None:
 
 
 def test_the_unknowns_give_the_problem_s_parameters(data: Dataset) -> None:
-    system = data.system(Friction((Parameter("f3", "left"),), True))
-    unknowns = standard_unknowns(data, system, ml(system.problem), {})
+    system = data.system((Parameter("f3", "left"),), True)
+    unknowns = standard_unknowns(system, ml(system.problem), {})
     assert unknowns.S.shape == (len(system.whole.parameters), len(unknowns.names))
     x = np.array([CHI.get(name, STEEL.get(name.removesuffix("_L2"), 0.0)) for name in unknowns.names])
     theta = dict(zip(system.whole.parameters, unknowns.S @ x, strict=True))
@@ -257,12 +255,12 @@ def test_only_friction_that_all_equations_tell_is_kept(runs: list[Run]) -> None:
         replace(run, command=run.command + np.column_stack([0.2 * qd**3 / GAINS[0], 0 * qd]))
         for run, qd in zip(runs, speed, strict=True)
     ]
-    data, both = reduce_runs(FIVE_BAR, cubed), Friction(all_terms(JOINTS, ("f3",)), True)
-    problem = data.system(both).problem
+    data, both = reduce_runs(FIVE_BAR, cubed), (all_terms(JOINTS, ("f3",)), True)
+    problem = data.system(*both).problem
     assert prune_friction_terms(problem, both, ml) == ("f3_left",)
     solution, k = ml(problem), problem.parameters.index("f3_left")
     assert solution.theta[k] == pytest.approx(0.2, abs=4 * np.sqrt(solution.jackknife[k, k]))
-    plain = reduce_runs(FIVE_BAR, runs).system(both).problem
+    plain = reduce_runs(FIVE_BAR, runs).system(*both).problem
     assert prune_friction_terms(plain, both, ml) == ()
 
 

@@ -20,12 +20,11 @@ from gtau.estimation.diagnostics.other_estimators import (
     two_stage_difference,
 )
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.estimators.estimator import Fit, Given
+from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.estimators.two_stage import first_stage, two_stage
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
-from gtau.estimation.regression.friction import Friction
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
@@ -56,7 +55,7 @@ def logs(encoder_noise: float = 0.0, seconds: float = 8.0, noise: float = 0.01, 
 
 def fit_of(runs: list[Run], preparation: Preparation | None = None) -> Fit:
     dataset = reduce_runs(ROBOT, runs, preparation)
-    return ML.fit(dataset, dataset.system(Friction(per_run=True)), Given())
+    return ML.fit(dataset.system(per_run=True))
 
 
 @pytest.fixture(scope="module")

@@ -22,6 +22,7 @@ from gtau.estimation.estimators.standard_parameters import (
     ball_row,
     constrained_least_squares,
     pseudo_inertia,
+    unbounded,
 )
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
@@ -100,8 +101,7 @@ def test_the_nearest_body_in_the_frobenius_norm_has_its_eigenvalues_cut(rng: np.
     half = rng.normal(size=(4, 4))
     wanted = half + half.T
     R = BASIS.reshape(10, 16).T
-    unbounded = np.full(10, np.inf)
-    x = constrained_least_squares(R, wanted.ravel(), [BODY], -unbounded, unbounded, np.ones(10), 1.0, 1.0)
+    x = constrained_least_squares(R, wanted.ravel(), unbounded([BODY], np.ones(10), 1.0, 1.0))
     values, vectors = np.linalg.eigh(wanted)
     nearest = vectors @ np.diag(np.maximum(values, MARGIN)) @ vectors.T
     np.testing.assert_allclose(pseudo_inertia(x), nearest, atol=1e-6)
@@ -109,20 +109,20 @@ def test_the_nearest_body_in_the_frobenius_norm_has_its_eigenvalues_cut(rng: np.
 
 def test_scales_of_the_solver_do_not_change_the_answer(rng: np.random.Generator) -> None:
     R, y = rng.normal(size=(14, 10)), rng.normal(size=14)
-    lower, upper = np.full(10, -np.inf), np.full(10, np.inf)
-    upper[9] = 0.7
+    upper = np.append(np.full(9, np.inf), 0.7)
     answers = [
-        constrained_least_squares(R, y, [BODY], lower, upper, unit, mass, length)
+        constrained_least_squares(R, y, replace(unbounded([BODY], unit, mass, length), upper=upper))
         for unit, mass, length in ((np.ones(10), 1.0, 1.0), (np.geomspace(0.03, 30.0, 10), 3.0, 0.4))
     ]
     np.testing.assert_allclose(answers[0], answers[1], atol=2e-4)
 
 
 def test_bounds_that_no_body_meets_are_refused() -> None:
-    lower, upper = np.full(10, -np.inf), np.full(10, np.inf)
-    upper[9] = -1.0
+    upper = np.append(np.full(9, np.inf), -1.0)
     with pytest.raises(GtauError, match="no rigid bodies"):
-        constrained_least_squares(np.eye(10), np.ones(10), [BODY], lower, upper, np.ones(10), 1.0, 1.0)
+        constrained_least_squares(
+            np.eye(10), np.ones(10), replace(unbounded([BODY], np.ones(10), 1.0, 1.0), upper=upper)
+        )
 
 
 # A robot

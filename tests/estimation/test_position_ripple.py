@@ -11,11 +11,9 @@ from orthoglide_logs import RATE, experiment
 from gtau.demo.orthoglide import DRIVE_GAINS
 from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.repeating_residuals import position_ripple
-from gtau.estimation.estimators.estimator import Given
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
-from gtau.estimation.regression.friction import Friction
 from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
 from gtau.signals.run import Run
@@ -43,8 +41,8 @@ def rippled(runs: list[Run], seed: int) -> list[Run]:
 def found(runs: list[Run]) -> tuple[Alternative, np.ndarray, np.ndarray, np.ndarray]:
     """What repeats, the errors of the gains, by how much they move, and their deviations by the jackknife alone."""
     data = reduce_runs(ROBOT, runs)
-    system = data.system(Friction(per_run=True))
-    fit = ML.fit(data, system, Given())
+    system = data.system(per_run=True)
+    fit = ML.fit(system)
     solution = fit.solution
     of_gains = slice(system.problem.n_theta, system.problem.n_theta + 3)
     locked = position_ripple(fit)

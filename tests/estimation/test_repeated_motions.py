@@ -9,12 +9,11 @@ import pytest
 from five_bar_logs import CHI, GAINS, STEEL, Plant, five_bar
 
 from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings, residual_correlations
-from gtau.estimation.estimators.estimator import Fit, Given
+from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.maximum_likelihood import ML, ml
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.regression.equations import BLOCKS
-from gtau.estimation.regression.friction import Friction
 from gtau.findings import FindingKind as F
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
@@ -53,7 +52,7 @@ def experiment(seeds: tuple[int, int], noise: int, ripple: float = 0.0, rub: flo
 
 def fitted(runs: list[Run]) -> Fit:
     data = reduce_runs(five_bar().robot, runs)
-    return ML.fit(data, data.system(Friction(per_run=True)), Given())
+    return ML.fit(data.system(per_run=True))
 
 
 def gain_std(fit: Fit, together: bool) -> np.ndarray:
@@ -89,7 +88,7 @@ def test_stretches_of_a_repeated_motion_begin_at_the_same_positions() -> None:
         at = np.round(edges[6:14] * (len(prepared) - 1)).astype(int)
         starts.append([prepared.samples(k, k + 1).q[0] for k in at])
     assert np.abs(np.subtract(*starts)).max() < 0.02  # rad, 1 % of the range and less
-    units = data.system(Friction(per_run=True)).problem.units
+    units = data.system(per_run=True).problem.units
     assert len(units) == BLOCKS
 
 
@@ -97,7 +96,7 @@ def test_stretches_of_a_repeated_motion_begin_at_the_same_positions() -> None:
 def test_runs_of_other_motions_are_left_out_one_at_a_time(seeds: tuple[int, int]) -> None:
     data: Dataset = reduce_runs(five_bar().robot, experiment(seeds, 0))
     assert not any(place.repeated for place in data.places)
-    assert len(data.system(Friction(per_run=True)).problem.units) == 2 * BLOCKS
+    assert len(data.system(per_run=True).problem.units) == 2 * BLOCKS
 
 
 def test_what_repeats_cancels_in_the_gains_and_leaves_their_intervals(rippled: Fit) -> None:

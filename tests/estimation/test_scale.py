@@ -26,13 +26,12 @@ from gtau.estimation.diagnostics.stated_constants import (
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators import maximum_likelihood
 from gtau.estimation.estimators.essential import select_friction
-from gtau.estimation.estimators.estimator import Fit, Given, Solution
+from gtau.estimation.estimators.estimator import Fit, Solution
 from gtau.estimation.estimators.maximum_likelihood import ML, ml, own_share
 from gtau.estimation.estimators.newton import solve
 from gtau.estimation.estimators.registry import ESTIMATORS
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
-from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.thresholds.estimates import HIDDEN_KNOWN
 from gtau.findings import FindingKind as F
@@ -40,7 +39,6 @@ from gtau.model.base_parameters import base_parameters, seen_by_sensor
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent
 from gtau.robots.robot import DRIVE, Joint, Mdh, Robot
-from gtau.signals.reading.columns import Calibration
 from gtau.signals.reading.statements import Payload, Prior
 from gtau.signals.run import Run
 
@@ -76,7 +74,7 @@ PLANTS = {"serial": arm(), "parallel": linkage()}
 
 def fit_of(robot: Robot, runs: Sequence[Run], priors: dict[str, Prior] | None = None) -> Fit:
     dataset = reduce_runs(robot, runs, priors=priors)
-    return ML.fit(dataset, dataset.system(Friction((), len(runs) > 1)), Given())
+    return ML.fit(dataset.system(per_run=len(runs) > 1))
 
 
 def deviations(fit: Fit) -> np.ndarray:
@@ -200,8 +198,8 @@ def test_sensor_and_current_have_lags_of_their_own() -> None:
 def test_friction_of_a_bearing_is_found_where_there_is_some() -> None:
     for bearing in (0.0, 0.4):
         plant = replace(arm(), sensors=("2",), bearing=bearing)
-        dataset, system = select_friction(reduce_runs(ARM, [plant.run(1), plant.run(2)]), ml, silent)
-        fit = ML.fit(dataset, system, Given())
+        system = select_friction(reduce_runs(ARM, [plant.run(1), plant.run(2)]), ml, silent)
+        fit = ML.fit(system)
         values = dict(zip(system.problem.parameters, fit.solution.theta, strict=True))
         assert ("fs_2_sensor" in values) == bool(bearing)
         if bearing:
@@ -233,23 +231,23 @@ def test_derivatives_by_the_constants_are_those_of_the_full_solve(method: str) -
     masses, heavy = (STEEL["m"], 2 * STEEL["m"]), {kind: 2 * value for kind, value in STEEL.items()}
     steel, lead = (Payload(name=name, mass=m, mass_std=0.01) for name, m in zip(("steel", "lead"), masses, strict=True))
     dataset = reduce_runs(ARM, [arm().run(1), arm().run(2, STEEL, steel), arm().run(3, heavy, lead)])
-    given = Given(gains=np.array(ARM_GAINS) if method == "wls" else None)
-    fit = ESTIMATORS[method].fit(dataset, dataset.system(Friction((), True)), given)
+    known = np.array(ARM_GAINS) if method == "wls" else None
+    fit = ESTIMATORS[method].fit(dataset.system(per_run=True), known)
 
     def solved(of_steel: float, of_lead: float) -> np.ndarray:
         pair = steel.model_copy(update={"mass": of_steel}), lead.model_copy(update={"mass": of_lead})
-        return fit.solve(dataset.system(Friction((), True), True, [None, *pair]).problem).values
+        return fit.solve(dataset.system(per_run=True, payloads=[None, *pair]).problem).values
 
     steps = 1e-3 * np.eye(2)
     slopes = np.stack([(solved(*(masses + step)) - solved(*(masses - step))) / 2e-3 for step in steps], axis=1)
     std = np.sqrt(np.diag(fit.solution.jackknife))[: len(fit.solution.theta)]
     gains, thetas = fit.system.problem.gain_rows, slice(len(std))
-    found = np.sqrt(np.diag(scale_uncertainty(dataset, fit.system, fit.solve)))
+    found = np.sqrt(np.diag(scale_uncertainty(fit.system, fit.solve)))
     expected = 0.01 * np.linalg.norm(slopes, axis=1)
     assert found[gains] == pytest.approx(expected[gains], rel=0.02)
     assert np.all(np.abs(found - expected)[thetas] < 0.05 * std)
     if method != "2sls":  # which minimises no squares of these rows
-        linear = estimate_slopes(fit, stated_constants(dataset, fit.system))
+        linear = estimate_slopes(fit, stated_constants(fit.system))
         assert linear[gains] == pytest.approx(slopes[gains], rel=0.02)
         assert np.all(np.abs(0.01 * (linear - slopes))[thetas] < 0.05 * std[:, None])
 
@@ -295,7 +293,7 @@ def test_a_result_keeps_its_sensors(tmp_path: Path) -> None:
     assert "torque sensor" in result.summary(verbose=False)
     assert "off_2_sensor" in result.summary()
     last_first = {"torque sensor of '3'": 0.7, "torque sensor of '2'": 0.3}
-    shared = result.replaced(drive_gains={k: replace(gain, scale=last_first) for k, gain in result.drive_gains.items()})
+    shared = result.replaced(scale=dict.fromkeys(result.drive_gains, last_first))
     assert "scale: from the torque sensors of '2', '3'" in shared.summary(verbose=False)
     result.save(tmp_path / "model.json")
     again = Result.load(tmp_path / "model.json")
@@ -305,9 +303,7 @@ def test_a_result_keeps_its_sensors(tmp_path: Path) -> None:
     (tmp_path / "other.json").write_text(text.replace('"kind": "torque sensor"', '"kind": "spring"', 1))
     with pytest.raises(GtauError, match="'spring' is not a kind of sensor; write torque sensor"):
         Result.load(tmp_path / "other.json")
-    assert {name: gain.scale for name, gain in again.drive_gains.items()} == {
-        name: gain.scale for name, gain in result.drive_gains.items()
-    }
+    assert again.scale == result.scale
     bare = arm().run(3)
     assert [each.rms for each in again.validate(bare)] == [each.rms for each in result.validate(bare)]
     assert max(each.relative for each in again.validate(bare)) < 1.0
@@ -417,13 +413,15 @@ def test_columns_that_are_refused(more: dict, said: str, tmp_path: Path) -> None
 def test_the_calibration_of_a_sensor_counts_by_its_share_in_the_scale() -> None:
     plant = arm().with_sensors("2")
     runs = [plant.run(1), plant.run(2, STEEL, Payload(name="steel", mass=STEEL["m"]))]
-    known = [replace(run, calibration=Calibration(joint_torque=0.05)) for run in runs]
+    known = [
+        replace(run, channels=tuple(replace(c, std=0.05 * c.kind.link_side) for c in run.channels)) for run in runs
+    ]
     fit = fit_of(ARM, known)
-    extra = scale_uncertainty(fit.dataset, fit.system, fit.solve)
+    extra = scale_uncertainty(fit.system, fit.solve)
     shares = scale_shares(fit)["torque sensor of '2'"]
     found = np.sqrt(np.diag(extra)[fit.system.problem.gain_rows]) / fit.gains
     assert found == pytest.approx(0.05 * shares, abs=0.005)
     exact = fit_of(ARM, runs)
-    assert not scale_uncertainty(exact.dataset, exact.system, exact.solve).any()
+    assert not scale_uncertainty(exact.system, exact.solve).any()
     (alone,), (tolerant,) = sensor_scales(exact), sensor_scales(fit)
     assert tolerant.std == pytest.approx(np.hypot(alone.std, 0.05))

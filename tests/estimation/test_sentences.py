@@ -459,7 +459,7 @@ SENTENCES = [  # finding, reason, advice
      "use --method iv or didim, or encoders with less noise"),
     (Finding(F.SKIPPED_LINES, values={"first": 1, "last": 3, "header": 4}),
      "skipped lines 1 to 3 before the table, took the names of its columns from line 4", ""),
-    (Finding(F.SKIPPED_LINES, values={"first": 1, "last": 1, "header": 0}), "skipped line 1 before the table", ""),
+    (Finding(F.SKIPPED_LINES, values={"first": 1, "last": 0, "header": 0}), "skipped line 1 before the table", ""),
     (Finding(F.OTHER_ROWS, values={"count": 2}), "left out 2 rows that hold only other signals", ""),
     (Finding(F.BAD_ROWS, values={"count": 1, "places": "line 7"}),
      "dropped 1 row with missing or non-numeric values (line 7)", ""),
@@ -509,7 +509,7 @@ SENTENCES = [  # finding, reason, advice
     (Finding(F.NOISY, ("a", "b"), values={"shares": [["a", 0.31], ["b", 0.55]]}),
      "position noise contributes much of the rms speed of joints 'a' (31 %), 'b' (55 %): inertias are underestimated",
      "move faster, or use --method iv or didim"),
-    (Finding(F.RATE, values={"bandwidth": 12.0, "nyquist": 25.0}),
+    (Finding(F.RATE, values={"bandwidth": 12.0, "nyquist": 25.0, "wanted": 120.0}),
      "the bandwidth of the motion, 12 Hz, is close to the Nyquist frequency, 25 Hz: speeds and accelerations are "
      "inaccurate",
      "log at 120 Hz or more, or move more slowly"),
@@ -517,7 +517,7 @@ SENTENCES = [  # finding, reason, advice
      "joint 'a' goes from -1.2 to 2 rad, outside its limits -1 to 1 rad",
      "check the zero of its position, or state the real one under 'robot' in the experiment file ({file: ..., limits: "
      "{a: ...}})"),
-    (Finding(F.SPEED_LIMIT, ("a",), values={"speed": 6.0, "limit": 2.0, "unit": "rad"}),
+    (Finding(F.SPEED_LIMIT, ("a",), values={"speed": 6.0, "ratio": 3.0, "limit": 2.0, "unit": "rad"}),
      "joint 'a' moves at 6 rad/s (rms), 3 times its limit of 2 rad/s",
      "check columns and units; if the limit is a placeholder, state the real one under 'robot' in the experiment file "
      "({file: ..., limits: {a: ...}})"),
@@ -529,6 +529,19 @@ SENTENCES = [  # finding, reason, advice
      "the motion passes within 0.021 of a type 2 singularity at 1.25 s, where errors of position and geometry are "
      "amplified",
      "keep the motion away from that pose"),
+    (Finding(F.CONFIRMED_GEOMETRY, (), "tool", {"before": "0.2 mm"}),
+     "the logged pose of 'tool' confirms the robot's geometry to 0.2 mm rms", ""),
+    (Finding(F.UNEXPLAINED_POSE, (), "tool", {"before": "12 mm", "changes": ["the length of leg '1' by 2 mm"],
+     "share": "23.1 %"}),
+     "the logged pose of 'tool' is 12 mm rms from the one computed from the positions, which lengths and encoder zeros "
+     "do not explain; the length of leg '1' by 2 mm would explain 23.1 % of its variance",
+     "check its columns, units and sequence of angles, whether it is of this body (source: tool) and in the robot's "
+     "base (source: tracker), and the angles of the robot's geometry"),
+    (Finding(F.GEOMETRY, (), "tool", {"before": "12 mm", "after": "1 mm", "changes": ["a", "b"], "count": 2,
+     "share": "97 %", "correct": ["correct the robot file"]}),
+     "the geometry is off: a and b explain 97 % of the residual variance of the logged pose of 'tool', which is 12 mm "
+     "rms from the one computed, and 1 mm with these changes",
+     "correct the robot file"),
     (Finding(F.UNKNOWN_PAYLOAD, (), "iron", {"known": ["steel", "lead"], "mass": 1.2, "tool": "wrist"}),
      "payload 'iron' is not a payload of the model ('steel', 'lead'), so it is treated as a point mass of 1.2 kg at "
      "the origin of 'wrist'",

@@ -17,11 +17,9 @@ from gtau.estimation.estimators.instrumental_variables import Pair, instrumental
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.simulated_motion import POLE, reference_cutoff, resimulated
 from gtau.estimation.identify import identify
-from gtau.estimation.regression.dataset import Dataset, reduce_runs
+from gtau.estimation.regression.dataset import System, reduce_runs
 from gtau.estimation.regression.equations import triangle
-from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System
 from gtau.estimation.results.result import Result
 from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
@@ -57,9 +55,8 @@ def clean() -> list[Run]:
 
 
 @pytest.fixture(scope="module")
-def least_squares_step() -> tuple[Dataset, System]:
-    data = reduce_runs(FIVE_BAR, logs(Plant(noise=0.02)))
-    return data, data.system(Friction(per_run=True))
+def least_squares_step() -> System:
+    return reduce_runs(FIVE_BAR, logs(Plant(noise=0.02))).system(per_run=True)
 
 
 # The simulation
@@ -177,12 +174,12 @@ def test_noisy_encoders_spoil_maximum_likelihood_but_not_these(clean: list[Run])
             for run in clean
         ]
         data = reduce_runs(FIVE_BAR, noisy, replace(choose_preparation(noisy), cutoff=100.0))
-        system = data.system(Friction(per_run=True))
+        system = data.system(per_run=True)
         plain = ml(system.problem)
         found = {
             "ml": plain,
-            "iv": instrumental(data, system, plain, True, silent)[1],
-            "didim": ml(along_simulated_motion(data, system, ml, silent)[1].problem),
+            "iv": instrumental(system, plain, True, silent)[1],
+            "didim": ml(along_simulated_motion(system, ml, silent).problem),
         }
         names = system.problem.parameters
         for method, solution in found.items():
@@ -211,9 +208,9 @@ def _vector(chi: Mapping[str, float]) -> np.ndarray:
     return np.array([chi.get(name, 0.0) for name in five_bar().parameter_names])
 
 
-def test_jackknife_of_instruments_is_leaving_units_out(least_squares_step: tuple[Dataset, System]) -> None:
-    data, system = least_squares_step
-    pair = paired(data, system, ml(system.problem))
+def test_jackknife_of_instruments_is_leaving_units_out(least_squares_step: System) -> None:
+    system = least_squares_step
+    pair = paired(system, ml(system.problem))
     solution = with_instruments(pair, ml(system.problem), True)
     quick = solution.replicates()
     here = slice(pair.measured.n_theta, pair.measured.n_theta + 2)
@@ -230,10 +227,10 @@ def test_jackknife_of_instruments_is_leaving_units_out(least_squares_step: tuple
         assert np.corrcoef(ours, truth)[0, 1] > 0.98
 
 
-def test_the_regressor_as_its_own_instrument_is_maximum_likelihood(least_squares_step: tuple[Dataset, System]) -> None:
-    data, system = least_squares_step
+def test_the_regressor_as_its_own_instrument_is_maximum_likelihood(least_squares_step: System) -> None:
+    system = least_squares_step
     free = ml(system.problem)
-    pair = paired(data, system, free)
+    pair = paired(system, free)
     same = with_instruments(Pair(pair.measured, pair.measured, (pair.whole[0], pair.whole[0])), free, True)
     again = ml(pair.measured)
     np.testing.assert_allclose(same.gains, again.gains, rtol=1e-5)

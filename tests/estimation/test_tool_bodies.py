@@ -12,11 +12,9 @@ from stated_arm import plant, robot
 from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.other_robots import other_loads
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.estimators.estimator import Given
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
-from gtau.estimation.regression.friction import Friction
 from gtau.estimation.results.result import Result
 from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
@@ -75,7 +73,7 @@ def of_five_bar(carried: tuple[bool, ...], declared: tuple[bool, ...]) -> Altern
         for k, (carries, says) in enumerate(zip(carried, declared, strict=True))
     ]
     dataset = reduce_runs(FIVE_BAR, runs)
-    return other_loads(ML.fit(dataset, dataset.system(Friction((), per_run=True)), Given()))
+    return other_loads(ML.fit(dataset.system(per_run=True)))
 
 
 @pytest.mark.parametrize(

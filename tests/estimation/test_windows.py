@@ -12,7 +12,6 @@ from five_bar_logs import STEEL, Plant
 
 from gtau.estimation.diagnostics.examine import examine
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.estimators.estimator import Given
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
@@ -61,7 +60,7 @@ def test_windows_hold_as_many_rows_where_the_robot_rests(pieces: int) -> None:
 def test_tests_of_runs_that_hardly_move_are_skipped_and_say_so() -> None:
     data = dataset(0.0)
     few = tuple(replace(each, speeds=each.speeds * 1e6) for each in data.prepared)
-    fit = ML.fit(data, data.system(), Given())
+    fit = ML.fit(data.system())
     examined = examine(replace(fit, dataset=replace(data, prepared=few)))
     ((said,), rows) = examined.findings, usable_rows(data.windows(10), data.prepared)
     assert (said.kind, said.values["rows"], examined.alternatives) == (F.FEW_ROWS, 0, ())
@@ -83,7 +82,7 @@ def test_a_long_rest_widens_no_interval() -> None:
     for factors in at_rest.factors:
         rows = factors.rows.sum(axis=1)
         assert rows.min() > 0.4 * rows.mean()  # the two at the rest lose those next to it
-    before, after = (ML.fit(each, each.system(), Given()).solution for each in (moving, at_rest))
+    before, after = (ML.fit(each.system()).solution for each in (moving, at_rest))
     ratio = np.sqrt(np.diag(after.jackknife) / np.diag(before.jackknife))
     assert 0.7 < np.median(ratio) < 1.4
 

@@ -15,7 +15,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 import gtau
-from gtau.cli.models import CONTROLLERS, _exported
+from gtau.cli.models import CONTROLLERS, export_bodies
 from gtau.errors import GtauError
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.payload import PayloadBody
@@ -121,7 +121,7 @@ def test_every_kind_is_listed_written_and_spelled() -> None:
 
 def test_a_payload_weighed_twice_has_two_files(tmp_path: Path) -> None:
     heavier = RigidBody(3.0, BODY.center, BODY.inertia)
-    done = _exported([payload(), payload(heavier)], "ur", tmp_path)
+    done = export_bodies([payload(), payload(heavier)], "ur", tmp_path)
     first, second = (each.files[0].read_text() for each in done)
     assert "(2.5537, [" in first
     assert "(3.0, [" in second

@@ -17,8 +17,7 @@ from process_functions import fragile, refusing, slow_square
 from programs import wait_until
 
 from gtau.errors import GtauError
-from gtau.fleet.dask_workers import _check_workers, dask_workers
-from gtau.fleet.mapping import LIMITS, shielded_from_terminal
+from gtau.fleet.workers import LIMITS, check_workers, dask_workers, shielded_from_terminal
 
 distributed = pytest.importorskip("distributed")
 
@@ -128,10 +127,10 @@ def test_another_version_of_gtau_on_the_workers(client, monkeypatch: pytest.Monk
     address = client.scheduler.address
     with dask_workers(address) as mapper:
         assert dict(mapper(refusing, [1])) == {0: 1}
-    monkeypatch.setattr("gtau.fleet.dask_workers.installed", lambda: "9.9.9")
+    monkeypatch.setattr("gtau.fleet.workers.installed", lambda: "9.9.9")
     with pytest.raises(GtauError, match=r"has gtau .* and this machine 9.9.9; install the same"), dask_workers(address):
         pass
-    monkeypatch.setattr("gtau.fleet.dask_workers._check_workers", lambda *_: None)  # a worker that came later
+    monkeypatch.setattr("gtau.fleet.workers.check_workers", lambda *_: None)  # a worker that came later
     with dask_workers(address) as mapper:
         assert "this machine 9.9.9; install the same version everywhere" in str(dict(mapper(refusing, [1]))[0])
 
@@ -144,7 +143,7 @@ def test_workers_without_gtau() -> None:
         run=lambda function, name, on_error: {"tcp://far:1": PackageNotFoundError("gtau")},
     )
     with pytest.raises(GtauError, match="the Dask worker tcp://far:1 has no gtau; install gtau"):
-        _check_workers(cluster, "tcp://far:2", patience=1.0)
+        check_workers(cluster, "tcp://far:2", patience=1.0)
 
 
 def test_without_dask(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,7 +21,7 @@ from gtau.estimation.results.result import Result
 from gtau.fleet import fleet
 from gtau.fleet.fleet import Member, Report, identify_fleet, read_fleet
 from gtau.fleet.gains import fleet_table
-from gtau.fleet.mapping import serial_map
+from gtau.fleet.workers import serial_map
 from gtau.report.fleet import fleet_page
 from gtau.report.render.terminal import plain
 

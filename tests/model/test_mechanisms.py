@@ -10,7 +10,7 @@ from engines import closed_torques, random_parameters
 from robots_for_tests import OBLIQUE, four_bar, hexapod, home, planar_3rrr
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.parameter_checks import leg_differences
+from gtau.estimation.diagnostics.unit_checks import leg_differences
 from gtau.model.base_parameters import base_parameters, regrouped, symmetric_order
 from gtau.model.home import close_home, load_robot
 from gtau.model.inverse_dynamics import InverseDynamics

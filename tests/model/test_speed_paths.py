@@ -24,7 +24,7 @@ from gtau.model.interpreter.program import compile_program
 from gtau.model.inverse_dynamics import PATH, InverseDynamics
 from gtau.model.loop_paths import follow
 from gtau.signals.preparation.filters import Decimator
-from gtau.signals.preparation.prepared_run import InMemoryRun, SampleWindow
+from gtau.signals.preparation.prepared_run import SampleWindow
 from gtau.signals.run import Run
 
 
@@ -210,10 +210,8 @@ def test_factors_are_those_of_all_rows(rng):
     q, qd, qdd = trajectory(robot, time)
     command, command_d, command_dd = rng.normal(size=(3, *q.shape))
     usable = rng.uniform(size=q.shape) < 0.999
-    run = Run.__new__(Run)
-    for field, value in (("name", "made up"), ("joints", robot.actuated), ("sensors", ())):
-        object.__setattr__(run, field, value)
-    prepared = InMemoryRun(run, SampleWindow(time, q, qd, qdd, command, command_d, command_dd, usable))
+    run = Run("made up", robot.actuated, time, q, command)
+    prepared = SampleWindow(run, time, q, qd, qdd, command, command_d, command_dd, usable)
     names = tuple(idm.parameter_names[k] for k in range(3, len(idm.parameter_names), 2))
     decimator = Decimator(5)
     factors = reduce_run(idm, names, prepared, decimator)

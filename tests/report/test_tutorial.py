@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from gtau.cli.commands import app
 from gtau.demo.tutorial import write_tutorial
 from gtau.errors import GtauError
-from gtau.signals.reading.log_file import read_log
+from gtau.signals.reading.logs import read_log
 from gtau.simulation.simulation_file import read_simulation
 
 SOURCE = Path(str(files("gtau.demo") / "tutorial_logs"))

@@ -21,7 +21,7 @@ from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.preparation.filters import position_filter
 from gtau.signals.preparation.prepared_run import Preparation, prepare
 from gtau.signals.run import Run, read_run
-from gtau.signals.storage import Sizes, Store, block, store, working_with
+from gtau.signals.storage import Store, block, store, working_with
 
 SIGNALS = {"time": "t", "position": {"a": "qa", "b": "qb"}, "current": {"a": "va", "b": "vb"}}
 N, RATE = 6000, 500.0
@@ -72,7 +72,7 @@ def test_a_log_read_in_blocks_is_the_log(
     table.fill_nan(None).write_csv(path) if kind == "csv" else table.write_parquet(path)
     whole = read_run(path, SIGNALS)
     seen: list[float] = []
-    with working_with(Sizes(block=10 * size, in_memory=1000, rows=13 * size, text=500 * size)):
+    with working_with(10 * size):
         run = read_run(path, SIGNALS, progress=seen.append)
     assert run.notes == whole.notes
     assert seen == sorted(seen)
@@ -145,8 +145,8 @@ def test_samples_of_a_block_are_those_of_the_whole(cutoff: float | None, size: i
 
 def test_a_stored_array_is_what_was_written(rng: np.random.Generator) -> None:
     values = rng.normal(size=(1000, 3))
-    for limit in (100, 10**9):
-        with working_with(Sizes(in_memory=limit)):
+    for samples in (2, 10**7):
+        with working_with(samples):
             stored = store(np.array_split(values, 13), (3,))
         np.testing.assert_array_equal(stored, values)
         np.testing.assert_array_equal(block(stored[:, 1:], 10, 500), values[10:500, 1:])
@@ -161,7 +161,7 @@ def test_a_full_disk_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gtau.signals.storage.tempfile, "TemporaryFile", full)
     with (
         pytest.raises(GtauError, match=r"no space left on device\); make room there, or set TMPDIR"),
-        working_with(Sizes(in_memory=10)),
+        working_with(1),
     ):
         store([np.ones(100)])
 

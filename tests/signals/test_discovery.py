@@ -15,6 +15,7 @@ from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.robots.robot import Joint, Mdh, Robot
+from gtau.signals.channel import SENSOR
 from gtau.signals.reading.column_names import base_like, parse_column_name, wrench_like
 from gtau.signals.reading.discovery import Draft, discover
 from gtau.signals.reading.drafting import draft_text
@@ -88,7 +89,7 @@ def test_an_ambiguous_name_is_settled_by_the_derivative(tmp_path: Path) -> None:
     """``v`` is a velocity where it is the derivative of the position, and otherwise the command."""
     fast = discover([save(tmp_path / "a.csv", "t,q1,q2,v1,v2,u1,u2", TIME, Q, QD, V)])
     assert fast.command == {"j1": "u1", "j2": "u2"}
-    assert fast.others == ("v1 ... v2",)
+    assert fast.beside["others"] == ("v1 ... v2",)
     slow = discover([save(tmp_path / "b.csv", "t,q1,q2,v1,v2", TIME, Q, V)])
     assert slow.command == {"j1": "v1", "j2": "v2"}
     assert set(slow.open) == {"robot", "kind"}
@@ -97,7 +98,7 @@ def test_an_ambiguous_name_is_settled_by_the_derivative(tmp_path: Path) -> None:
 def test_a_log_without_header(tmp_path: Path) -> None:
     (draft,) = [discover([_bare(tmp_path / "a.csv", TIME, Q, QD, V)])]
     assert draft.time == ("1",)
-    assert draft.position == {"j1": "2", "j2": "3"}
+    assert draft.signals["position"] == {"j1": "2", "j2": "3"}
     assert draft.command == {"j1": "6", "j2": "7"}
     with pytest.raises(GtauError, match="has no header, and among its 3 columns no positions are recognised"):
         discover([_bare(tmp_path / "b.csv", TIME, V)])
@@ -149,8 +150,11 @@ def test_joints_are_sorted_by_number_only_where_all_have_one(tmp_path: Path) -> 
         return discover([log], Robot("arm", joints), "arm")
 
     chain, sorted_ = drafted("A1", "LJFT"), drafted("p2", "p1")
-    assert (chain.position, chain.reasons["position"]) == ({"A1": "q1", "LJFT": "q2"}, "matched by column order")
-    assert sorted_.position == {"p1": "q1", "p2": "q2"}
+    assert (chain.signals["position"], chain.reasons["position"]) == (
+        {"A1": "q1", "LJFT": "q2"},
+        "matched by column order",
+    )
+    assert sorted_.signals["position"] == {"p1": "q1", "p2": "q2"}
     assert sorted_.reasons["position"] == "matched by the numbers in the joints' names"
 
 
@@ -176,10 +180,10 @@ def test_positions_and_commands_in_two_files_by_the_files_names(tmp_path: Path) 
 def test_joints_of_the_robot(tmp_path: Path) -> None:
     robot = load_robot("five-bar")
     by_name = discover([save(tmp_path / "a.csv", "t,q_right,q_left,i_right,i_left", TIME, Q, V)], robot, "five-bar")
-    assert by_name.position == {"left": "q_left", "right": "q_right"}
+    assert by_name.signals["position"] == {"left": "q_left", "right": "q_right"}
     assert by_name.open == ()
     by_order = discover([save(tmp_path / "b.csv", "t,q1,q2,i1,i2", TIME, Q, V)], robot, "five-bar")
-    assert by_order.position == {"left": "q1", "right": "q2"}
+    assert by_order.signals["position"] == {"left": "q1", "right": "q2"}
     assert by_order.open == ("joints",)
     with pytest.raises(GtauError, match=r"has positions and commands of 2 joints \(1, 2\), but robot 'ur10e' has 6"):
         discover([tmp_path / "b.csv"], load_robot("ur10e"), "ur10e")
@@ -211,7 +215,7 @@ def test_the_drafted_file_identifies(tmp_path: Path, monkeypatch: pytest.MonkeyP
 def test_on_a_terminal_it_asks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Robot, rate, kind and payload, in that order; what was answered is not marked."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("gtau.cli.logs._on_terminal", lambda: True)
+    monkeypatch.setattr("gtau.cli.logs.on_terminal", lambda: True)
     save(tmp_path / "a.csv", "q_left,q_right,v_left,v_right", Q, V)
     done = CliRunner().invoke(app, ["init", "a.csv"], input="five-bar\n250\ntorque\n")
     assert done.exit_code == 0, done.output
@@ -259,7 +263,7 @@ def test_logs_of_several_makers(shared: Path, name: str) -> None:
     time, positions, kind, commands = SHARED[name]
     draft = discover([shared / name])
     assert (draft.time[0] if draft.time else draft.rate) == time
-    assert list(draft.position.values())[: len(positions)] == positions
+    assert list(draft.signals["position"].values())[: len(positions)] == positions
     assert (draft.kind, list(draft.command.values())[: len(commands)]) == (kind, commands)
 
 
@@ -287,7 +291,7 @@ def test_a_bag_with_commands_in_another_topic(tmp_path: Path) -> None:
     robot = load_robot("five-bar")
     draft = discover([tmp_path / "bag"], robot, "five-bar")
     assert draft.time == ("/arm/joint_states/header/stamp",)
-    assert draft.command_time == ("/arm/motor_currents/received",)
+    assert draft.signals["time"]["command"] == "/arm/motor_currents/received"
     assert draft.kind == "current"
     (tmp_path / "e.yaml").write_text(draft_text(draft, tmp_path))
     experiment = read_experiment(tmp_path / "e.yaml")
@@ -319,7 +323,8 @@ def test_torque_sensors_beside_currents(name: str, tmp_path: Path) -> None:
     log = save(tmp_path / "log.csv", header, TIME, Q, V, 3 * V + 0.1)
     draft = discover([log])
     columns = {"j1": f"{name}1", "j2": f"{name}2"}
-    assert (draft.sensors, draft.torques) == ((columns, {}) if "sensor" in name else ({}, columns))
+    found = draft.signals.get("joint_torque", {}), draft.beside["torques"]
+    assert found == ((columns, {}) if "sensor" in name else ({}, columns))
     text = draft_text(draft, tmp_path)
     (line,) = [each for each in text.splitlines() if "joint_torque:" in each]
     assert line.lstrip().startswith("#") == (name == "tau")
@@ -327,7 +332,7 @@ def test_torque_sensors_beside_currents(name: str, tmp_path: Path) -> None:
     assert "Not used" not in text
     (tmp_path / "experiment.yaml").write_text(text.replace("NAME-OR-FILE", "five-bar"), encoding="utf-8")
     if name == "torque_sensor":
-        assert read_experiment(tmp_path / "experiment.yaml").signals.sensors == ("j1", "j2")
+        assert read_experiment(tmp_path / "experiment.yaml").signals.sensors(SENSOR).keys() == {"j1", "j2"}
         assert "Drive gains need the mass" not in text
 
 
@@ -341,7 +346,7 @@ def test_motors_beside_torques_are_the_command(commands: str, others: str, tmp_p
         draft = discover([save(tmp_path / "log.csv", header, TIME, Q, V, 3 * V + 0.1)])
         assert draft.kind == "current"
         assert list(draft.command.values()) == [f"{commands}1", f"{commands}2"]
-        assert list(draft.torques.values()) == [f"{others}1", f"{others}2"]
+        assert list(draft.beside["torques"].values()) == [f"{others}1", f"{others}2"]
         assert {"torques", "motor"} & set(draft.open) == (
             {"torques"} if commands == "current" else {"torques", "motor"}
         )
@@ -350,7 +355,7 @@ def test_motors_beside_torques_are_the_command(commands: str, others: str, tmp_p
         assert text.count("CHECK: confirm that these are proportional to the currents") == (commands != "current")
         offered = text.replace("  # joint_torque", "  joint_torque").replace("NAME-OR-FILE", "five-bar")
         (tmp_path / "e.yaml").write_text(offered)
-        assert read_experiment(tmp_path / "e.yaml").signals.sensors == ("j1", "j2")
+        assert read_experiment(tmp_path / "e.yaml").signals.sensors(SENSOR).keys() == {"j1", "j2"}
 
 
 def test_efforts_and_second_clocks_are_marked(tmp_path: Path) -> None:
@@ -375,8 +380,9 @@ def test_efforts_and_second_clocks_are_marked(tmp_path: Path) -> None:
 def test_names_in_other_languages(header: str, tmp_path: Path) -> None:
     names = header.split(",")
     draft = discover([save(tmp_path / "log.csv", header, TIME, Q, QD, V)])
-    assert (draft.time, draft.kind, draft.open, draft.temperature) == ((names[0],), "current", ("robot",), None)
-    assert [*draft.position.values(), *draft.command.values()] == [*names[1:3], *names[5:]]
+    assert (draft.time, draft.kind, draft.open) == ((names[0],), "current", ("robot",))
+    assert draft.beside["temperature"] is None
+    assert [*draft.signals["position"].values(), *draft.command.values()] == [*names[1:3], *names[5:]]
 
 
 def test_the_base_of_a_robot_is_fixed_in_the_draft(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -410,15 +416,19 @@ def test_columns_of_a_base_and_of_wrenches_are_named(tmp_path: Path) -> None:
     pose, hook = "px,py,pz,qw,qx,qy,qz", "hook_fx,hook_fy,hook_fz,hook_mx,hook_my,hook_mz"
     log = save(tmp_path / "log.csv", f"t,q1,q2,i1,i2,{pose},{hook},other", TIME, Q, V, np.ones((len(TIME), 14)))
     draft = discover([log])
-    assert ",".join(draft.motion) == pose
-    assert ",".join(draft.wrenches) == hook
-    assert draft.others == ("other",)
+    assert ",".join(draft.beside["motion"]) == pose
+    assert ",".join(draft.beside["wrenches"]) == hook
+    assert draft.beside["others"] == ("other",)
     text = draft_text(draft, tmp_path)
     assert "# CHECK: px, py, pz, qw, qx, qy, qz look like the motion of a base." in text
     assert "# CHECK: hook_fx, hook_fy, hook_fz, hook_mx, hook_my, hook_mz look like forces and moments." in text
     fixed = discover([log], base="fixed")
-    assert (fixed.motion, fixed.base, fixed.wrenches) == ((), "fixed", draft.wrenches)
-    assert "px" in fixed.others
+    assert (fixed.beside["motion"], fixed.robot["base"], fixed.beside["wrenches"]) == (
+        (),
+        "fixed",
+        draft.beside["wrenches"],
+    )
+    assert "px" in fixed.beside["others"]
     assert not {"base", "wrenches"} & set(discover([save(tmp_path / "a.csv", "t,q1,q2,i1,i2", TIME, Q, V)]).open)
 
 

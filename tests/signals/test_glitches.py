@@ -16,7 +16,7 @@ from gtau.estimation.identify import identify
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.signals.run import Run, read_run
-from gtau.signals.storage import Sizes, working_with
+from gtau.signals.storage import working_with
 
 SIGNALS = {"time": "t", "position": {"a": "qa", "b": "qb"}, "current": {"a": "va", "b": "vb"}}
 N, RATE, NOISE = 4000, 500.0, 1e-4
@@ -78,12 +78,12 @@ def test_it_does_not_matter_how_much_is_read_at_once(rng: np.random.Generator) -
     places = np.r_[399, 400, 799, 1201, 2000, 2001]
     columns["qa"][places] += 0.5
     whole, notes = read(columns)
-    with working_with(Sizes(block=400)):
+    with working_with(400):
         blocks, again = read(columns)
     assert notes == again
     assert notes[0].what.startswith("interpolated 6 positions")
     np.testing.assert_allclose(blocks.position, whole.position, rtol=1e-12)
-    with working_with(Sizes(looked_at=500)):
+    with working_with(125):
         thinned, again = read(columns)
     assert notes == again
     np.testing.assert_allclose(thinned.position, whole.position, atol=0.1 * NOISE)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gtau.errors import GtauError
-from gtau.signals.run import Run, arrange, read_run
+from gtau.signals.run import Run, read_run
 
 SIGNALS = {"time": "t", "position": {"a": "qa", "b": "qb"}, "current": {"a": "va", "b": "vb"}}
 N, RATE = 1000, 500.0
@@ -55,9 +55,9 @@ def test_columns_go_by_name_not_by_place(log: Path) -> None:
     run, other = read_run(write(log, rows()), SIGNALS), read_run(log, swapped)
     assert other.joints == ("b", "a")
     np.testing.assert_array_equal(other.position[:, 1], run.position[:, 0])
-    np.testing.assert_array_equal(arrange(other, run.joints).command, run.command)
+    np.testing.assert_array_equal(other.ordered(run.joints).command, run.command)
     with pytest.raises(GtauError, match="the robot's actuated joints are a, c"):
-        arrange(run, ("a", "c"))
+        run.ordered(("a", "c"))
 
 
 def test_units(log: Path) -> None:

@@ -13,7 +13,7 @@ from gtau.documents.files import in_order
 from gtau.errors import GtauError
 from gtau.estimation.experiment_runs import read_runs
 from gtau.signals.reading.experiment import Experiment, read_experiment
-from gtau.signals.reading.log_file import read_log
+from gtau.signals.reading.logs import read_log
 
 HEAD = EXPERIMENT.split("runs:")[0] + "runs:\n"
 

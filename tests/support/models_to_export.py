@@ -11,12 +11,12 @@ from robots_for_tests import slider_crank
 from gtau.estimation.diagnostics.verdict import GOOD
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.results.estimate import Estimate, FrictionCurve
-from gtau.estimation.results.groups import Model
+from gtau.estimation.results.groups import FitRecord, Model, ModelEstimates
 from gtau.estimation.results.payload import PayloadEstimate
-from gtau.estimation.results.result import Result, result_of
+from gtau.estimation.results.result import Result
 from gtau.model.base_parameters import base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.parameter import torque_unit, unit_of
+from gtau.robots.parameter import Parameter, torque_unit, unit_of
 from gtau.robots.robot import SPRING, Attachment, Pose, Robot, Spring
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import Preparation
@@ -50,27 +50,20 @@ def model_of(
     friction = {}
     if terms:
         for joint in joints:
-            friction[f"f3_{joint}"] = Estimate(f"f3_{joint}", float(rng.uniform(0.01, 0.1)), 0.005, "N m s3/rad3")
-        friction[f"fl_{joints[0]}"] = Estimate(f"fl_{joints[0]}", 0.07, 0.002, "1")
+            friction[Parameter("f3", joint)] = Estimate(
+                f"f3_{joint}", float(rng.uniform(0.01, 0.1)), 0.005, "N m s3/rad3"
+            )
+        friction[Parameter("fl", joints[0])] = Estimate(f"fl_{joints[0]}", 0.07, 0.002, "1")
     payload = {kind: Estimate(kind, value, 0.01, unit_of(kind, robot, robot.tool)) for kind, value in PAYLOAD.items()}
     pairs = zip(joints, gains, units, strict=True)
-    return result_of(
-        Model(robot),
-        method="ml",
-        kind="current",
+    estimates = ModelEstimates(
         drive_gains={joint: Estimate(joint, float(gain), 0.01, f"{unit}/A") for joint, gain, unit in pairs},
         delays={joint: Estimate(joint, 0.0, None, "s") for joint in joints},
         parameters=parameters,
         friction=friction,
         payloads=(PayloadEstimate("tool 2", "loaded", payload, frozenset({"m"}), GOOD),),
-        residuals=(),
-        covariance_names=tuple(f"gain_{joint}" for joint in joints),
+        covariance_names=tuple(Parameter("gain", joint) for joint in joints),
         covariance=np.eye(len(joints)) * 1e-4,
-        preparation=Preparation(10.0, 50.0, Decimator(10, "fir"), 0.05),
-        logged_speeds=dict.fromkeys(joints, 100.0),
-        statistics={"lack_of_fit": 1.0, "reduction_loss": 0.0},
-        runs=("free", "loaded"),
-        notes=(),
         consistency=Consistency(
             standard=standard,
             payloads={},
@@ -83,6 +76,16 @@ def model_of(
         if consistent
         else None,
     )
+    fit = FitRecord(
+        method="ml",
+        kind="current",
+        runs=("free", "loaded"),
+        preparation=Preparation(10.0, 50.0, Decimator(10, "fir"), 0.05),
+        residuals=(),
+        logged_speeds=dict.fromkeys(joints, 100.0),
+        statistics={"lack_of_fit": 1.0, "reduction_loss": 0.0},
+    )
+    return Result(Model(robot), estimates, fit)
 
 
 def preslid(result: Result) -> Result:
@@ -90,7 +93,7 @@ def preslid(result: Result) -> Result:
     curves, values = {}, {}
     for k, joint in enumerate(result.robot.actuated):
         shown = {"fv": 0.4, "fs": 2.0, "fl": 0.03, "width": 0.004} | ({} if k else {"fb": 1.5, "vs": 0.1})
-        values |= {f"{kind}_{joint}": value for kind, value in shown.items()}
+        values |= {Parameter(kind, joint): value for kind, value in shown.items()}
         curves[joint] = FrictionCurve(joint, {"presliding": 9.0}, 1.0, 2.0)
     names = dict(zip(result.base.names, result.base.standard, strict=True))
     parameters = {
@@ -107,7 +110,7 @@ def of_equations(result: Result) -> Result:
     parameters = {name: found.get(name, each) for name, each in result.parameters.items()}
     parameters = {
         name: replace(each, regrouping=result.parameters[name].regrouping, essential=result.parameters[name].essential,
-                      spread=result.parameters[name].spread)
+                      between_run_std=result.parameters[name].between_run_std)
         for name, each in parameters.items()
     }  # fmt: skip
     friction = {name: each for name, each in found.items() if name not in parameters}

@@ -9,6 +9,7 @@ from models_to_export import model_of
 
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
 
 LOGGED = 1.3  # rad/s, m/s: the fastest speed of the made-up logs
@@ -32,9 +33,9 @@ def propelling(robot: Robot, load: float = 0.0, worse: bool = False) -> Result:
         name: replace(each, value=float(value))
         for (name, each), value in zip(result.parameters.items(), base, strict=True)
     }
-    friction = {f"f3_{joint}": Estimate(f"f3_{joint}", CUBIC, 0.1, "N m s3/rad3") for joint in actuated}
+    friction = {Parameter("f3", joint): Estimate(f"f3_{joint}", CUBIC, 0.1, "N m s3/rad3") for joint in actuated}
     if load:
-        friction |= {f"fl_{joint}": Estimate(f"fl_{joint}", load, 0.01, "1") for joint in actuated}
+        friction |= {Parameter("fl", joint): Estimate(f"fl_{joint}", load, 0.01, "1") for joint in actuated}
     return result.replaced(
         parameters=parameters,
         friction=friction,

@@ -7,11 +7,10 @@ from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
 from gtau.estimation.estimators.maximum_likelihood import ml
+from gtau.estimation.regression.assembly import plain_problem
 from gtau.estimation.regression.equations import SIGNALS, triangle
 from gtau.estimation.regression.factors import EXTRA, Factors
-from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.rows import stream_rows
-from gtau.estimation.regression.system import assemble_system
 from gtau.excitation.forecast import expected_runs
 from gtau.excitation.task import DesignProblem
 from gtau.signals.preparation.choice import choose_preparation
@@ -59,8 +58,7 @@ def repeated_gains(task: DesignProblem, x: np.ndarray, count: int, rng: np.rando
                 T = triangle(noisy[j, keep[j]])
                 R[0, j, : len(T)] = T
             factors.append(Factors(R, keep.sum(axis=1)[None]))
-        friction = Friction((), len(runs) > 1)
-        problem = assemble_system(task.model, task.base, factors, task.payloads, slowest, friction).problem
+        problem = plain_problem(task.model, task.base, factors, task.payloads, slowest)
         try:
             gains.append(ml(problem).gains)
         except GtauError:

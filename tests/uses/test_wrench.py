@@ -19,6 +19,7 @@ from gtau.cli.commands import app
 from gtau.estimation.results.estimate import Estimate, TorqueError
 from gtau.model.home import load_robot
 from gtau.robots.floating import WRENCH
+from gtau.robots.parameter import Parameter
 from gtau.robots.readers.read import frame_on
 from gtau.robots.robot import Robot
 from gtau.simulation.closed_loop import write_log
@@ -94,7 +95,7 @@ def test_a_body_that_the_model_does_not_know_is_the_force_within_its_intervals()
     """Friction depends on the load: on that of the body too. Its weight and inertia are those of Pinocchio's frame."""
     robot, mass, place = load_robot("ur10e"), 2.8, np.array([0.02, 0.05, 0.1])
     free = known(robot, 0.3)
-    friction = {f"fl_{joint}": Estimate(f"fl_{joint}", 0.07, 0.002, "1") for joint in robot.actuated}
+    friction = {Parameter("fl", joint): Estimate(f"fl_{joint}", 0.07, 0.002, "1") for joint in robot.actuated}
     x, y, z = place
     body = {"m": mass, "mx": mass * x, "my": mass * y, "mz": mass * z, "xx": mass * (y * y + z * z),
             "yy": mass * (x * x + z * z), "zz": mass * (x * x + y * y), "xy": -mass * x * y, "xz": -mass * x * z,

@@ -31,9 +31,9 @@ class _Command(TyperCommand):
             if parameter.param_type_name == "argument":
                 parameter.display_type_rich = _no_type  # type: ignore[attr-defined, method-assign, unused-ignore]
             elif "{exports}" in (parameter.help or ""):  # type: ignore[attr-defined]
-                from gtau.export.registry import KINDS
+                from gtau.export.registry import kinds
 
-                parameter.help = parameter.help.format(exports=", ".join(sorted(KINDS.names)))  # type: ignore[attr-defined]
+                parameter.help = parameter.help.format(exports=", ".join(kinds()))  # type: ignore[attr-defined]
         super().format_help(ctx, formatter)
 
 

@@ -36,7 +36,7 @@ COMPILING = "starting; compiling once, about 6 s"  # 5.6 s of one core at 3 GHz,
 def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
     """Show the stages that the yielded function is called with, on stderr."""
     first = STARTING if is_compiled() else COMPILING
-    with _bar(first) if sys.stderr.isatty() else _lines(first, EVERY) as report:
+    with _bar(first) if sys.stderr.isatty() else progress_lines(first, EVERY) as report:
         yield report
 
 
@@ -60,7 +60,7 @@ def _bar(first: str) -> Iterator[Callable[[str, int, int], None]]:
 
 
 @contextmanager
-def _lines(first: str, every: float) -> Iterator[Callable[[str, int, int], None]]:
+def progress_lines(first: str, every: float) -> Iterator[Callable[[str, int, int], None]]:
     """Print the progress at regular intervals, also while nothing is reported."""
     begun, finished, now = time.monotonic(), threading.Event(), [first]
 

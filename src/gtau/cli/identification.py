@@ -149,13 +149,13 @@ def compare(experiment: ExperimentFile, out: ReportFolder = None, json_: Json = 
         from gtau.report.write import inputs_of, write_report
         from gtau.signals.reading.experiment import read_experiment
 
-        found = run(experiment, progress=progress)
+        comparison = run(experiment, progress=progress)
     described = read_experiment(experiment)
-    page = comparison_page(found, described.expected_gains)
+    page = comparison_page(comparison, described.expected_gains)
     written = []
     if out is not None:
         written = [write_report(page, folder_of(out), seconds(), inputs_of(experiment, described))]
-    answer(json_, lambda: to_document(found), lambda: page, written)
+    answer(json_, lambda: to_document(comparison), lambda: page, written)
 
 
 Experiments = Annotated[
@@ -191,11 +191,10 @@ def fleet(
     refuse_as_folder(out)
     from gtau.estimation.estimators.estimator import Gains
     from gtau.estimation.estimators.registry import estimator_of
-    from gtau.fleet.dask_workers import dask_workers
     from gtau.fleet.fleet import identify_fleet, read_fleet
     from gtau.fleet.gains import fleet_table
-    from gtau.fleet.mapping import processes
-    from gtau.report.fleet import fleet_document, fleet_page, fleet_report, write_fleet
+    from gtau.fleet.workers import dask_workers, processes
+    from gtau.report.fleet import fleet_document, fleet_page, write_fleet
     from gtau.report.write import write_report
 
     if estimator_of(method).gains == Gains.GIVEN:
@@ -213,7 +212,7 @@ def fleet(
             f"finished robots stay in {folder / 'models'}, and the same command continues with the others"
         ) from None
     files = tuple(("experiment", member.experiment) for member in members)
-    report = write_report(fleet_report(table), folder, seconds(), files)
+    report = write_report(fleet_page(table, full=True), folder, seconds(), files)
     written = (report, *write_fleet(table, folder))
     answer(json_, lambda: fleet_document(table), lambda: fleet_page(table), written)
     if not table.robots:

@@ -101,12 +101,13 @@ def init(
     json_: Json = False,
 ) -> None:
     """Draft an experiment file from logs: find the time, positions and currents, their units and the sampling rate."""
-    from gtau.signals.reading.drafting import UNSURE, draft_logs, write_draft
-    from gtau.signals.reading.log_file import is_rosbag
+    from gtau.signals.reading.discovery import UNSURE
+    from gtau.signals.reading.drafting import draft_logs, write_draft
+    from gtau.signals.reading.logs import is_rosbag
 
     if out.exists():
         raise GtauError(f"{out} exists already; give another name (--out FILE), or remove it.")
-    ask = not (yes or json_) and _on_terminal()
+    ask = not (yes or json_) and on_terminal()
     if robot is None and ask and not is_rosbag(logs[0]):
         robot = typer.prompt("Robot (catalog name or path of a file; empty if unknown)", default="") or None
     if base is not None and robot is None:
@@ -119,12 +120,13 @@ def init(
     if not json_:
         typer.echo(_page(draft, out, open_))
         return
-    columns = {"position": dict(draft.position), draft.kind: dict(draft.command), "units": dict(draft.units)}
+    columns = {"position": dict(draft.signals["position"]), draft.kind: dict(draft.command), "units": dict(draft.units)}
     clock = list(draft.time) or {"rate": draft.rate}
     print_json({"file": str(out), "time": clock, **columns, "to_confirm": open_})
 
 
-def _on_terminal() -> bool:
+def on_terminal() -> bool:
+    """Return whether somebody can be asked."""
     return sys.stdin.isatty() and sys.stdout.isatty()
 
 
@@ -134,7 +136,8 @@ def _answered(draft: Draft) -> Draft:
 
     if "rate" in draft.open:
         rate = typer.prompt("Sampling rate of the logs, Hz", type=float)
-        draft = replace(draft, rate=rate, open=tuple(key for key in draft.open if key != "rate"))
+        signals = {**draft.signals, "time": {"rate": rate}}
+        draft = replace(draft, signals=signals, open=tuple(key for key in draft.open if key != "rate"))
     if "kind" in draft.open:
         named = ", ".join(list(draft.command.values())[:3])
         kind = typer.prompt(f"Are {named} ... currents or torques?", default=draft.kind)
@@ -154,11 +157,11 @@ def _page(draft: Draft, out: Path, open_: list[str]) -> str:
     why = draft.reasons.get("time")
     rows = {
         "time": clock + (f" ({why})" if why else ""),
-        "position": ", ".join(f"{joint}: {column}" for joint, column in draft.position.items()),
+        "position": ", ".join(f"{joint}: {column}" for joint, column in draft.signals["position"].items()),
         draft.kind: ", ".join(f"{joint}: {column}" for joint, column in draft.command.items()),
         "units": ", ".join(f"{key} in {unit}" for key, unit in draft.units.items()),
-        "to check": ", ".join((*draft.motion, *draft.wrenches)),
-        "not used": "; ".join(draft.others),
+        "to check": ", ".join((*draft.beside.get("motion", ()), *draft.beside.get("wrenches", ()))),
+        "not used": "; ".join(draft.beside.get("others", ())),
     }
     lines = [f"written: {out}, with these columns of the logs"]
     for name, words in rows.items():
@@ -166,8 +169,8 @@ def _page(draft: Draft, out: Path, open_: list[str]) -> str:
             lines += textwrap.wrap(words, WIDTH, initial_indent=f"  {name:<10}", subsequent_indent=" " * 12)
     if open_:
         lines += ["", "Before you go on, edit its lines marked CHECK:"]
-        for each in open_:
-            lines += textwrap.wrap(f"- {each}", WIDTH, subsequent_indent="  ")
+        for doubt in open_:
+            lines += textwrap.wrap(f"- {doubt}", WIDTH, subsequent_indent="  ")
     return "\n".join([*lines, "", f"Then: gtau check {out}"])
 
 
@@ -234,24 +237,21 @@ def experiment_of(
 ) -> tuple[Path, tuple[Finding, ...]]:
     """Take an experiment file as it is; draft one from logs to ``folder``, with a note on every guess in it.
 
-    Raises
-    ------
-    GtauError
-        Experiment files are mixed with logs, or the logs cannot be drafted without a question.
+    Raises GtauError where experiment files are mixed with logs, or the logs cannot be drafted without a question.
     """
     stated = {"robot": robot, "payload": payloads, "kind": kind, "preset": preset}
     if len(sources) == 1 and not _is_log(sources[0]):
         if given := [f"--{name}" for name, value in stated.items() if value]:
             raise GtauError(f"{given[0]} is for logs; an experiment file states this itself, so omit it.")
         return sources[0], ()
-    if others := [each for each in sources if each.suffix in (".yaml", ".yml") or kind_of(each) == EXPERIMENT]:
+    if others := [source for source in sources if source.suffix in (".yaml", ".yml") or kind_of(source) == EXPERIMENT]:
         raise GtauError(f"{others[0]} is an experiment file; give either it or logs.")
     from gtau.signals.reading.drafting import draft_logs, guesses, with_sensors, write_draft
 
     masses = _masses(payloads or [])
     drafted = draft_logs(sources, robot, masses=masses, kind=None if kind is None else kind.value, preset=preset)
     draft = with_sensors(drafted)
-    if draft.robot is None:
+    if "file" not in draft.robot:
         raise GtauError(
             f"{sources[0]} does not name its robot; give it by --robot ROBOT, a catalog name (gtau robot) or the path "
             "of a URDF, MJCF or robot file."
@@ -268,19 +268,21 @@ def experiment_of(
 
 
 def _is_log(path: Path) -> bool:
-    from gtau.signals.reading.log_file import FORMATS, is_log_folder
+    from gtau.signals.reading.logs import is_log_folder, reader_of
 
-    return path.suffix.lower() in FORMATS.names or (is_log_folder(path) if path.is_dir() else kind_of(path) == LOG)
+    return reader_of(path.suffix.lower()) is not None or (
+        is_log_folder(path) if path.is_dir() else kind_of(path) == LOG
+    )
 
 
 def _masses(payloads: list[str]) -> dict[str, float]:
-    found = {}
-    for each in payloads:
-        log, _, mass = each.rpartition("=")
+    masses = {}
+    for stated in payloads:
+        log, _, mass = stated.rpartition("=")
         try:
-            found[log] = float(mass)
+            masses[log] = float(mass)
         except ValueError:
             log = ""
         if not log:
-            raise GtauError(f"--payload is '{each}'; write the name of a log and kg, such as loaded.mcap=0.48.")
-    return found
+            raise GtauError(f"--payload is '{stated}'; write the name of a log and kg, such as loaded.mcap=0.48.")
+    return masses

@@ -131,7 +131,7 @@ def payload(
         from gtau.estimation.results.model_file import payload_documents
         from gtau.estimation.results.result import Result
         from gtau.report.evidence import settings_of
-        from gtau.report.validation import bodies_document, weighing_page, weighing_report
+        from gtau.report.validation import bodies_document, weighing_page
         from gtau.report.write import inputs_of, write_report
         from gtau.signals.reading.experiment import read_experiment
         from gtau.uses.weigh import exact_gains, weigh
@@ -140,39 +140,39 @@ def payload(
         file = described.robot if isinstance(described.robot, str) else described.robot.file
         if to is not None:
             _refuse_controller(to, frame, result, file)
-        found = weigh(result, experiment, gains=gains.value, progress=progress)
-    bodies, notes = _bodies(found, frame, file, needed=bool(frame or to))
+        weighed = weigh(result, experiment, gains=gains.value, progress=progress)
+    bodies, notes = _bodies(weighed, frame, file, needed=bool(frame or to))
     written: list[Path] = []
     exact = exact_gains(result, described, gains.value)
     if out is not None:
-        page = weighing_report(result, found, gains.value, described.expected_gains, exact, bodies)
+        page = weighing_page(result, weighed, gains.value, exact, bodies, described.expected_gains)
         inputs = (("model", model), *inputs_of(experiment, described))
         settings = {**settings_of(result), "drive gains": gains.value}
         written = [write_report(page, folder_of(out), seconds(), inputs, settings)]
-        for exported in () if to is None else _exported(bodies, to, out):
+        for exported in () if to is None else export_bodies(bodies, to, out):
             written += exported.files
             notes += exported.notes
     document = {
-        "payloads": payload_documents(found),
+        "payloads": payload_documents(weighed),
         "bodies": bodies_document(bodies),
         "files": [str(path) for path in written],
         "notes": notes,
         "gains": gains.value,
         "gain_uncertainty_included": not exact,
     }
-    answer(json_, lambda: document, lambda: weighing_page(result, found, gains.value, exact, bodies), written)
+    answer(json_, lambda: document, lambda: weighing_page(result, weighed, gains.value, exact, bodies), written)
     _show_notes([] if json_ else notes)
     doubted = gains == Gains.identified and not exact and not result.believable
-    if doubted or Outcome.CONTRADICTORY in {weighed.verdict.outcome for weighed in found}:
+    if doubted or Outcome.CONTRADICTORY in {payload.verdict.outcome for payload in weighed}:
         raise typer.Exit(3)  # so that a script does not go on with such a mass
 
 
 def _bodies(
-    found: Sequence[PayloadEstimate], frame: str, file: str, needed: bool
+    weighed: Sequence[PayloadEstimate], frame: str, file: str, needed: bool
 ) -> tuple[list[PayloadBody], list[str]]:
     """Find the bodies of payloads; without the extra for it masses are weighed all the same, and a note says so."""
     if needed or find_spec("clarabel"):
-        return [payload.in_frame(frame, file) for payload in found], []
+        return [payload.in_frame(frame, file) for payload in weighed], []
     return [], [str(missing_extra("what is said of the centre of mass", "clarabel", "consistency"))]
 
 
@@ -188,7 +188,7 @@ def _refuse_controller(to: str, frame: str, result: Result, file: str) -> None:
         refuse_unnamed(to, f"the frame of '{tool}'", links_on(tool, file))
 
 
-def _exported(bodies: Sequence[PayloadBody], to: str, out: Path) -> list[Exported]:
+def export_bodies(bodies: Sequence[PayloadBody], to: str, out: Path) -> list[Exported]:
     """Write payloads for a controller, each weighing to its own files."""
     from gtau.documents.files import identifier
     from gtau.export.payload import export_payload
@@ -305,18 +305,21 @@ def use(
         progress("torques along the log", 0, 1)
         run = read_log(result, log, experiment)
         run = run if payload is None else carrying(result, run, payload)
-        found = torques_along_log(result, run, at, force_only, observer)
+        torques = torques_along_log(result, run, at, force_only, observer)
         progress("torques along the log", 1, 1)
     if out is not None:
-        write_table(found, out)
+        write_table(torques, out)
     document: dict[str, Any] = {"log": str(log), "out": None if out is None else str(out)}
-    document |= {"joints": [asdict(joint) for joint in found.joints], "errors": list(map(torque_error, found.errors))}
-    if (wrench := found.wrench) is not None:
+    document |= {
+        "joints": [asdict(joint) for joint in torques.joints],
+        "errors": list(map(torque_error, torques.errors)),
+    }
+    if (wrench := torques.wrench) is not None:
         document["wrench"] = {"frame": wrench.frame, "components": list(map(asdict, wrench.components))}
     if not json_:
-        typer.echo(summary_text(found))
+        typer.echo(summary_text(torques))
     written = [] if out is None else [out]
-    answer(json_, lambda: document, lambda: page("", bands_section(found.errors)), written)
+    answer(json_, lambda: document, lambda: page("", bands_section(torques.errors)), written)
 
 
 def _frame(result: Result, frame: str, experiment: Path | None) -> tuple[str, Placement]:

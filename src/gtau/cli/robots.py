@@ -148,6 +148,7 @@ def excite(
         from gtau.excitation.design import Design, Stopped
         from gtau.excitation.design import design as run
         from gtau.excitation.design_file import read_design
+        from gtau.excitation.forecast import Outlook
         from gtau.report import design as pages
         from gtau.report.write import write_report
 
@@ -158,11 +159,11 @@ def excite(
 
         try:
             with stop_request(STOPPING) as stop:
-                found = run(task, criterion, starts, seed, progress, keep, stop)
+                best = run(task, criterion, starts, seed, progress, keep, stop)
         except Stopped as stopped:
             raise KeyboardInterrupt(str(stopped).rstrip(".")) from None
         progress("predicting standard deviations", 0, 1)
-        outlook = pages.Outlook(found, assumed, tuple(masses))
+        outlook = Outlook(best, assumed, tuple(masses))
         report = write_report(pages.design_report(outlook), folder_of(out), seconds(), (("design", design),))
         written = (report, *pages.write_design(outlook, out))
     answer(json_, lambda: pages.design_document(outlook), lambda: pages.design_page(outlook), written)

@@ -7,9 +7,13 @@ from the dimensions of such a machine.
 from __future__ import annotations
 
 from copy import deepcopy
+from pathlib import Path
 from typing import Any
 
 from gtau.documents.yaml_document import yaml_text
+
+FILES = Path(__file__).with_name("orthoglide_files")
+"""Experiment files and a design file, beside this module."""
 
 DRIVE_GAINS = {"11": 2170.0, "12": 2100.0, "13": 2070.0}  # N/A, Table 3
 PRIOR_GAINS = {"11": 2001.0, "12": 2001.0, "13": 2001.0}  # N/A, the manufacturer's 637 pi
@@ -128,43 +132,6 @@ SIMULATION = """\
 # this file, the logs are the same: gtau simulate simulation.yaml --out simulated
 """
 
-SIGNALS = """\
-robot: orthoglide            # a name of the catalog, or a robot file
-signals:                     # columns of the logs
-  time: t                                        # s
-  position: {11: q11, 12: q12, 13: q13}          # m
-  current: {11: v11, 12: v12, 13: v13}           # A, the references of the current loops
-prior_gains: {11: 2001, 12: 2001, 13: 2001}      # N/A, the manufacturer's
-"""
-EXPERIMENT = f"""\
-# What was logged, and what is known of it. Paths are relative to this file.
-{SIGNALS}runs:
-  - {{log: logs/exciting_1_unloaded.csv}}
-  - {{log: logs/exciting_2_unloaded.csv}}
-  - {{log: logs/exciting_3_loaded.csv, payload: {{name: steel, mass: {PAYLOAD_MASS}, mass_std: 0.001}}}}
-  - {{log: logs/exciting_4_loaded.csv, payload: {{name: steel, mass: {PAYLOAD_MASS}, mass_std: 0.001}}}}
-validation:                  # not used for the identification
-  - {{log: logs/validation_loaded.csv, payload: {{name: steel, mass: {PAYLOAD_MASS}, mass_std: 0.001}}}}
-"""
-SECOND_PAYLOAD = f"""\
-# A payload to be weighed: it has a name, but no mass.
-{SIGNALS}runs:
-  - {{log: logs/second_payload_unloaded.csv}}
-  - {{log: logs/second_payload.csv, payload: {{name: second}}}}
-"""
-DESIGN = f"""\
-# The motion to log next: gtau excite design.yaml --out design
-robot: orthoglide
-rate: {RATE:g}                   # of the controller, Hz
-period: 5                    # s
-harmonics: 8                 # sines and cosines of each joint
-runs:
-  - {{payload: none}}
-  - {{payload: {{name: steel, mass: {PAYLOAD_MASS}}}}}
-prior:
-  model: model.json          # of the identification: parameters, gains and noise
-"""
-
 
 def simulation_text(duration: float) -> str:
     """Write the simulation file of the demo, its logs ``duration`` s long."""
@@ -173,7 +140,11 @@ def simulation_text(duration: float) -> str:
         for seed, (name, kind, carried) in enumerate(LOGS)
     ]
     control = [
-        {"name": name, "trajectory": {"points": {"through": _points(points)}}, **deepcopy(STEEL)}
+        {
+            "name": name,
+            "trajectory": {"points": {"through": [dict(zip(DRIVE_GAINS, point, strict=True)) for point in points]}},
+            **deepcopy(STEEL),
+        }
         for name, points in CONTROL.items()
     ]
     document = {
@@ -188,7 +159,3 @@ def simulation_text(duration: float) -> str:
         "control": control,
     }
     return SIMULATION + yaml_text(document)
-
-
-def _points(points: tuple[tuple[float, ...], ...]) -> list[dict[str, float]]:
-    return [dict(zip(DRIVE_GAINS, point, strict=True)) for point in points]

@@ -8,14 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from gtau.demo.orthoglide import (
-    DESIGN,
     DRIVE_GAINS,
-    EXPERIMENT,
+    FILES,
     LOGS,
     PAYLOAD_MASS,
     PRIOR_GAINS,
     RATE,
-    SECOND_PAYLOAD,
     SECOND_PAYLOAD_MASS,
     simulation_text,
 )
@@ -55,23 +53,9 @@ CONTENT = {
 
 
 def demo(out: Path, progress: Progress, duration: float = 10.0) -> tuple[dict[str, Any], Page]:
-    """Make logs, identify the robot from them, estimate a second payload, and write everything to ``out``.
+    """Make logs of ``duration`` s, identify the robot from them, weigh a second payload, and write all to ``out``.
 
-    Parameters
-    ----------
-    out : Path
-        An existing folder.
-    progress : callable
-        Called as the work goes on.
-    duration : float
-        Of every log, s.
-
-    Returns
-    -------
-    dict
-        A JSON document: true values, estimates, and files.
-    Page
-        The same as a page.
+    Returns true values, estimates and files as a JSON document, and the same as a page.
 
     Raises
     ------
@@ -88,16 +72,16 @@ def demo(out: Path, progress: Progress, duration: float = 10.0) -> tuple[dict[st
     files = [name for name in CONTENT if not name.endswith(("/", ".png"))]
     save(gains_chart(result.drive_gains), folder_of(out / "figures") / "gains.png")
     files += ["figures/gains.png", *(f"logs/{name}.csv" for name, _, _ in LOGS)]
-    found = _document(result, weighings) | {
+    document = _document(result, weighings) | {
         "folder": str(out),
         "logs": {"count": len(LOGS), "duration": duration, "rate": RATE},
         "files": files,
         "commands": list(COMMANDS),
     }
-    shown = report(found)
-    whole = f"{plain(shown)}\n\n\nThe whole result, as gtau identify prints it\n\n{result.summary()}\n"
-    write_atomically(out / "README.txt", whole)
-    return found, shown
+    shown = report(document)
+    readme = f"{plain(shown)}\n\n\nThe whole result, as gtau identify prints it\n\n{result.summary()}\n"
+    write_atomically(out / "README.txt", readme)
+    return document, shown
 
 
 def make_experiment(out: Path, duration: float, progress: Progress) -> None:
@@ -111,8 +95,8 @@ def make_experiment(out: Path, duration: float, progress: Progress) -> None:
         progress("simulating", k, len(runs))
         write_log(make_run(simulation, model, run).run, out / "logs" / f"{run.name}.csv")
     progress("simulating", len(runs), len(runs))
-    for name, text in (("experiment", EXPERIMENT), ("second_payload", SECOND_PAYLOAD), ("design", DESIGN)):
-        write_atomically(out / f"{name}.yaml", text)
+    for file in FILES.iterdir():
+        write_atomically(out / file.name, file.read_bytes())
 
 
 def gains_chart(gains: Mapping[str, Estimate]) -> Chart:
@@ -126,31 +110,29 @@ def gains_chart(gains: Mapping[str, Estimate]) -> Chart:
 
 def _document(result: Result, weighings: Mapping[str, Estimate]) -> dict[str, Any]:
     """Collect true and estimated values; errors in per cent of the true values."""
+    gains = [
+        {
+            "joint": joint,
+            "true": DRIVE_GAINS[joint],
+            "prior": PRIOR_GAINS[joint],
+            "prior_error": _percent(PRIOR_GAINS[joint], DRIVE_GAINS[joint]),
+            "value": gain.value,
+            "std": gain.std,
+            "rel_std": gain.rel_std,
+            "error": _percent(gain.value, DRIVE_GAINS[joint]),
+            "unit": gain.unit,
+        }
+        for joint, gain in result.drive_gains.items()
+    ]
+    masses = {
+        case: {"value": mass.value, "std": mass.std, "error": _percent(mass.value, SECOND_PAYLOAD_MASS)}
+        for case, mass in weighings.items()
+    }
     return {
         "robot": result.robot.name,
         "known_payload": {"mass": PAYLOAD_MASS, "unit": "kg"},
-        "drive_gains": [
-            {
-                "joint": joint,
-                "true": DRIVE_GAINS[joint],
-                "prior": PRIOR_GAINS[joint],
-                "prior_error": _percent(PRIOR_GAINS[joint], DRIVE_GAINS[joint]),
-                "value": each.value,
-                "std": each.std,
-                "rel_std": each.rel_std,
-                "error": _percent(each.value, DRIVE_GAINS[joint]),
-                "unit": each.unit,
-            }
-            for joint, each in result.drive_gains.items()
-        ],
-        "second_payload": {
-            "true": SECOND_PAYLOAD_MASS,
-            "unit": "kg",
-            **{
-                case: {"value": mass.value, "std": mass.std, "error": _percent(mass.value, SECOND_PAYLOAD_MASS)}
-                for case, mass in weighings.items()
-            },
-        },
+        "drive_gains": gains,
+        "second_payload": {"true": SECOND_PAYLOAD_MASS, "unit": "kg", **masses},
     }
 
 
@@ -158,39 +140,29 @@ def _percent(value: float | None, true: float) -> float | None:
     return None if value is None else 100 * (value - true) / true
 
 
-def report(found: Mapping[str, Any]) -> Page:
+def report(document: Mapping[str, Any]) -> Page:
     """Show the demo's document."""
-    logs, second = found["logs"], found["second_payload"]
+    logs, second = document["logs"], document["second_payload"]
     size = f"{logs['count']} logs of {logs['duration']:g} s at {logs['rate']:g} Hz"
     lead = (
         f"An Orthoglide whose true values are known: {size}, simulated with friction, force ripple, encoder rounding, "
         "noise and held currents, then used like any others."
     )
     number = partial(Column, kind=Kind.NUMBER)
-    gains = table(
-        (
-            Column("joint"),
-            number("true, N/A", decimals=0),
-            number("manufacturer", decimals=0),
-            number("error, %", decimals=2),
-            number("identified", decimals=1),
-            number("std", decimals=1),
-            number("error, %", decimals=2),
-        ),
-        [
-            (g["joint"], g["true"], g["prior"], g["prior_error"], g["value"], g["std"], g["error"])
-            for g in found["drive_gains"]
-        ],
-    )
+    error = number("error, %", decimals=2)
+    true, prior = number("true, N/A", decimals=0), number("manufacturer", decimals=0)
+    columns = (Column("joint"), true, prior, error, number("identified", decimals=1), number("std", decimals=1), error)
+    keys = ("joint", "true", "prior", "prior_error", "value", "std", "error")
+    gains = table(columns, [tuple(gain[key] for key in keys) for gain in document["drive_gains"]])
     weighing = table(
-        (Column("gains"), number("mass, kg", decimals=4), number("std", decimals=4), number("error, %", decimals=2)),
-        [(label, second[case]["value"], second[case]["std"], second[case]["error"]) for case, label in CASES.items()],
+        (Column("gains"), number("mass, kg", decimals=4), number("std", decimals=4), error),
+        [(label, *(second[case][key] for key in ("value", "std", "error"))) for case, label in CASES.items()],
     )
     return page(
         "",
         section("", Text(lead)),
-        section(f"Drive gains, from a known payload of {found['known_payload']['mass']} kg", gains),
+        section(f"Drive gains, from a known payload of {document['known_payload']['mass']} kg", gains),
         section(f"Weighing a second payload of {second['true']} kg", weighing),
-        section(f"In {found['folder']}", Facts(CONTENT)),
-        section("Step by step, in that folder, with predictions and control laws", *map(Text, found["commands"])),
+        section(f"In {document['folder']}", Facts(CONTENT)),
+        section("Step by step, in that folder, with predictions and control laws", *map(Text, document["commands"])),
     )

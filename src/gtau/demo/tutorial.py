@@ -2,36 +2,26 @@
 
 from __future__ import annotations
 
-from importlib.resources import files
 from pathlib import Path
 
 from gtau.documents.files import folder_of, write_atomically
 from gtau.errors import GtauError
 
-FOLDER = "tutorial_logs"  # beside this module
+LOGS = Path(__file__).with_name("tutorial_logs")
 
 
 def write_tutorial(out: Path) -> list[Path]:
-    """Copy the tutorial logs to a folder, created if missing.
-
-    Returns
-    -------
-    list of Path
-        The logs.
+    """Copy the tutorial logs to a folder, created if missing; returns their paths.
 
     Raises
     ------
     GtauError
         Where the folder cannot be made or written to, or has a log of that name with other content.
     """
-    folder = folder_of(out)
-    logs = sorted(
-        (each for each in files("gtau.demo").joinpath(FOLDER).iterdir() if each.name.endswith(".csv")),
-        key=lambda each: each.name,
-    )
-    for each in logs:
-        if (there := folder / each.name).exists() and there.read_bytes() != each.read_bytes():
-            raise GtauError(f"{there} exists already, with other content; give another folder, or remove it.")
-    for each in logs:
-        write_atomically(folder / each.name, each.read_bytes())
-    return [folder / each.name for each in logs]
+    logs = {folder_of(out) / log.name: log.read_bytes() for log in sorted(LOGS.glob("*.csv"))}
+    for copy, content in logs.items():
+        if copy.exists() and copy.read_bytes() != content:
+            raise GtauError(f"{copy} exists already, with other content; give another folder, or remove it.")
+    for copy, content in logs.items():
+        write_atomically(copy, content)
+    return list(logs)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import re
 import tempfile
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from glob import glob
 from io import BytesIO
 from pathlib import Path
@@ -22,13 +22,7 @@ FORMULA = r"^(\s*[=+\-@])"  # begins a cell that spreadsheets compute
 
 
 def write_atomically(path: str | Path, content: str | bytes) -> None:
-    """Write ``content`` (text as UTF-8) to ``path``; an interruption leaves the old file, or none.
-
-    Raises
-    ------
-    GtauError
-        The folder does not exist or cannot be written to.
-    """
+    """Write ``content`` (text as UTF-8) to ``path``; an interruption leaves the old file, or none; raises GtauError."""
     path = Path(path)
     data = content.encode() if isinstance(content, str) else content
     try:
@@ -72,7 +66,7 @@ def refuse_as_folder(path: str | Path | None) -> None:
     if path is None:
         return
     try:
-        existing = next(each for each in (Path(path), *Path(path).absolute().parents) if each.exists())
+        existing = next(place for place in (Path(path), *Path(path).absolute().parents) if place.exists())
     except OSError as error:  # such as a name that is too long
         raise GtauError(f"{path} cannot be the output folder ({error.strerror}); choose another one.") from None
     if not existing.is_dir():
@@ -93,13 +87,19 @@ def folder_of(path: str | Path) -> Path:
     return path
 
 
+@contextmanager
+def system_refusals(path: Path, advice: str = "check the path") -> Iterator[None]:
+    """Turn an error of the system while a file is read into a GtauError."""
+    try:
+        yield
+    except OSError as error:
+        raise GtauError(f"{path} cannot be read: {(error.strerror or str(error)).lower()}; {advice}.") from None
+
+
 def read_at_most(size: int, path: Path, larger: str) -> bytes:
     """Read a file of at most ``size`` bytes, so that a wrong path costs neither time nor memory.
 
-    Raises
-    ------
-    GtauError
-        The file cannot be read, or is longer (message ``larger``). The caller names the file.
+    Raises GtauError where it cannot be read, or is longer (message ``larger``). The caller names the file.
     """
     try:
         with path.open("rb") as file:
@@ -130,13 +130,13 @@ def identifier(name: str) -> str:
 
 def suffixes(names: Iterable[str]) -> dict[str, str]:
     """Make names unique suffixes of identifiers: ``a-b`` and ``a_b`` become ``a_b`` and ``a_b_2``."""
-    found: dict[str, str] = {}
+    unique: dict[str, str] = {}
     for name in names:
         plain, number = _word(name)[:LONGEST], 1
-        while (made := plain if number == 1 else f"{plain}_{number}") in found.values():
+        while (made := plain if number == 1 else f"{plain}_{number}") in unique.values():
             number += 1
-        found[name] = made
-    return found
+        unique[name] = made
+    return unique
 
 
 def _word(name: str) -> str:
@@ -147,35 +147,28 @@ def matching(pattern: Path) -> list[Path]:
     """List the path itself if it exists, else what it matches as a pattern with ``*``, ``?``, ``[]`` or ``**``."""
     if pattern.exists():
         return [pattern]
-    return in_order(Path(each) for each in glob(str(pattern), recursive=True))
+    return in_order(Path(name) for name in glob(str(pattern), recursive=True))
 
 
 HEAD = 1 << 16  # bytes that are looked at
 LOG_LINES = 40  # of nothing but numbers make a table a log; tables of MDH parameters have one line a joint
 
 
-@dataclass(frozen=True)
-class Kind:
-    """A kind of file: its name in messages, and the command that accepts it."""
-
-    name: str
-    advice: str
-
-
-MODEL = Kind(
-    "a model that 'gtau identify' wrote",
-    "use it with 'gtau validate MODEL.json EXPERIMENT.yaml' or 'gtau payload MODEL.json EXPERIMENT.yaml'",
-)
-EXPERIMENT = Kind("an experiment file", "use it with 'gtau check', 'gtau identify' or 'gtau compare'")
-SIMULATION = Kind("a simulation file", "use it with 'gtau simulate'")
-DESIGN = Kind("a design file", "use it with 'gtau excite'")
-FLEET = Kind("a fleet file", "use it with 'gtau fleet'")
-ROBOT = Kind("a robot file", "use it with 'gtau robot', or name it under 'robot' in an experiment file")
-LOG = Kind("a log", "name it under 'runs' in an experiment file")
-DESIGNED = Kind("a design that 'gtau excite' wrote", "the robot follows the trajectory beside it")
-FOLDER = Kind("a folder", "give the file itself")
-PICTURE = Kind("a picture", "give the file itself")
-BINARY = Kind("a binary file of another program", "give the file itself")
+MODEL, DESIGNED = "a model that 'gtau identify' wrote", "a design that 'gtau excite' wrote"
+EXPERIMENT, SIMULATION, DESIGN, FLEET = "an experiment file", "a simulation file", "a design file", "a fleet file"
+ROBOT, LOG, FOLDER, PICTURE = "a robot file", "a log", "a folder", "a picture"
+BINARY = "a binary file of another program"
+USES = {
+    MODEL: "use it with 'gtau validate MODEL.json EXPERIMENT.yaml' or 'gtau payload MODEL.json EXPERIMENT.yaml'",
+    EXPERIMENT: "use it with 'gtau check', 'gtau identify' or 'gtau compare'",
+    SIMULATION: "use it with 'gtau simulate'",
+    DESIGN: "use it with 'gtau excite'",
+    FLEET: "use it with 'gtau fleet'",
+    ROBOT: "use it with 'gtau robot', or name it under 'robot' in an experiment file",
+    LOG: "name it under 'runs' in an experiment file",
+    DESIGNED: "the robot follows the trajectory beside it",
+}
+"""What a file of a kind is for; those of other kinds are not used."""
 
 _KEYS = (
     (EXPERIMENT, {"signals"}),
@@ -187,7 +180,7 @@ _KEYS = (
 """Keys that only one kind of YAML file has, the first that matches."""
 
 
-def kind_of(path: str | Path) -> Kind | None:
+def kind_of(path: str | Path) -> str | None:
     """Recognise a file by its content; None if it is of no known kind or cannot be read."""
     path = Path(path)
     if path.is_dir():
@@ -212,37 +205,29 @@ def kind_of(path: str | Path) -> Kind | None:
     if _is_table(text):
         return LOG
     keys = {match[2] for match in re.finditer(r"^([\"']?)([A-Za-z_]\w*)\1[ \t]*:(?:\s|$)", text, re.MULTILINE)}
-    return next((kind for kind, own in _KEYS if keys & own), None)
+    return next((kind for kind, unique in _KEYS if keys & unique), None)
 
 
-def refuse_other_kind(path: str | Path, wanted: Kind) -> None:
-    """Refuse a file recognised as another kind, and name the command that accepts it.
+def refuse_other_kind(path: str | Path, wanted: str) -> None:
+    """Refuse a file recognised as another kind, and name the command that accepts it; raises GtauError.
 
-    Raises
-    ------
-    GtauError
-        The file is of another kind; a file that is not recognised is left to its reader.
+    A file that is not recognised is left to its reader.
     """
-    found = kind_of(path)
-    if found is None or found == wanted:
+    kind = kind_of(path)
+    if kind is None or kind == wanted:
         return
-    advice = found.advice
-    if found == FOLDER:
-        inside = sorted(each for each in Path(path).glob("*") if each.is_file() and kind_of(each) == wanted)
-        advice = f"give the file itself{f', such as {inside[0]}' if inside else ''}"
-    raise GtauError(f"{path} is {found.name}, not {wanted.name}; {advice}.")
+    advice = USES.get(kind, "give the file itself")
+    if kind == FOLDER:
+        inside = sorted(file for file in Path(path).glob("*") if file.is_file() and kind_of(file) == wanted)
+        advice += f", such as {inside[0]}" if inside else ""
+    raise GtauError(f"{path} is {kind}, not {wanted}; {advice}.")
 
 
 def _is_table(text: str) -> bool:
     """Decide whether nearly all lines hold two or more numbers and nothing else, as logs do below their header."""
     lines = text.splitlines()[1:-1]  # without a header and a line that may be cut
-    numbers = sum(_is_numeric(line) for line in lines[:LOG_LINES])
+    numbers = 0
+    for line in lines[:LOG_LINES]:
+        with suppress(ValueError):
+            numbers += len([float(field) for field in re.split(r"[,;\t ]+", line.strip()) if field]) > 1
     return len(lines) >= LOG_LINES and numbers >= 0.9 * LOG_LINES
-
-
-def _is_numeric(line: str) -> bool:
-    fields = [each for each in re.split(r"[,;\t ]+", line.strip()) if each]
-    try:
-        return len(fields) > 1 and len([float(each) for each in fields]) > 1
-    except ValueError:
-        return False

@@ -39,26 +39,12 @@ class Keys(BaseModel):
 
 
 def validate(model_class: type[Model], document: Document, context: Any = None) -> Model:
-    """Check a document against a pydantic model (configured with ``extra="forbid"``).
+    """Check a document against a pydantic model (configured with ``extra="forbid"``), and return an instance of it.
 
-    Parameters
-    ----------
-    model_class : type of pydantic.BaseModel
-        Its validators may raise ValueError with the correct form as text, without a full stop.
-    document : Document
-        From `read_yaml`.
-    context : object, optional
-        Handed to the model's validators as ``info.context``.
+    Its validators may raise ValueError with the correct form as text, without a full stop, and get the ``context`` as
+    ``info.context``.
 
-    Returns
-    -------
-    model
-        An instance of `model_class`.
-
-    Raises
-    ------
-    GtauError
-        One sentence on the first error, unknown keys first, with file, line and dotted key.
+    Raises GtauError with one sentence on the first error, unknown keys first, with file, line and dotted key.
     """
     try:
         return model_class.model_validate(document.data, context=context)

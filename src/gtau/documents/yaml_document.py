@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from gtau.documents.files import system_refusals
 from gtau.errors import GtauError
 
 MAX_BYTES = 1 << 20
@@ -60,31 +61,16 @@ def _as_written(data: Any) -> Any:
 
 
 def read_yaml(path: str | Path) -> Document:
-    """Read a YAML file whose root is a mapping.
+    """Read a YAML file whose root is a mapping, UTF-8 and at most 1 MiB.
 
-    Parameters
-    ----------
-    path : str or Path
-        A UTF-8 file of at most 1 MiB.
+    Every scalar is text as written; values without text are refused, so there is no ``None``.
 
-    Returns
-    -------
-    Document
-        Every scalar is text as written; values without text are refused, so there is no ``None``.
-
-    Raises
-    ------
-    GtauError
-        The file cannot be read, is no valid YAML, or holds what gtau does not read: several documents, aliases,
-        tags, repeated keys, keys that are not text, empty values, or more than 64 levels.
+    Raises GtauError where the file cannot be read, is no valid YAML, or holds what gtau does not read: several
+    documents, aliases, tags, repeated keys, keys that are not text, empty values, or more than 64 levels.
     """
     path = Path(path)
-    try:
-        with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise GtauError(f"{path} cannot be read: {reason}; check the path and its permissions.") from None
+    with system_refusals(path, "check the path and its permissions"), path.open("rb") as file:
+        content = file.read(MAX_BYTES + 1)
     if len(content) > MAX_BYTES:
         raise GtauError(f"{path} is larger than 1 MiB; a file of this kind is a few kilobytes, so check the path.")
     try:
@@ -207,16 +193,9 @@ _Dumper.add_multi_representer(str, _text)  # parameters
 
 
 def yaml_text(data: Any, flow: bool | None = None, width: float = 120) -> str:
-    """Write mappings, lists, texts and numbers as YAML, keys in their order.
+    """Write nested dicts and lists as YAML, keys in their order, in lines of at most ``width`` characters.
 
-    Parameters
-    ----------
-    data : object
-        Nested dicts and lists.
-    flow : bool, optional
-        Whether all of it is in braces and brackets; if left out, only the innermost groups do.
-    width : float
-        Maximum line length in characters.
+    ``flow`` is whether all of it is in braces and brackets; if left out, only the innermost groups are.
     """
     text: str = yaml.dump(
         data, Dumper=_Dumper, default_flow_style=flow, sort_keys=False, width=width, allow_unicode=True

@@ -18,10 +18,9 @@ from gtau.estimation.diagnostics.log_checks import command_lag, doubtful_command
 from gtau.estimation.diagnostics.unit_checks import doubtful_currents, doubtful_payloads
 from gtau.estimation.experiment_runs import Subject, describe, geometry_of, options_of, read_runs
 from gtau.estimation.preconditions import estimator_for, plan, reduced, require_inputs
+from gtau.estimation.regression.assembly import FEWEST_ROWS
 from gtau.estimation.regression.dataset import Dataset, model_of, prepare_runs, robot_notes
-from gtau.estimation.regression.friction import Friction
 from gtau.estimation.regression.rows import Labels
-from gtau.estimation.regression.system import FEWEST_ROWS
 from gtau.estimation.results.conclusions import near_singularities, not_separated
 from gtau.estimation.results.estimate import Distances, NearestPose, distances_of, nearest_poses
 from gtau.findings import Finding, Severity
@@ -39,8 +38,8 @@ from gtau.signals.preparation.prepared_run import Preparation, PreparedRun
 from gtau.signals.reading.experiment import Experiment
 from gtau.signals.reading.logged_run import LoggedRun
 from gtau.signals.reading.statements import Prior
-from gtau.signals.run import Run, arrange
-from gtau.signals.storage import Store, sizes
+from gtau.signals.run import Run
+from gtau.signals.storage import Store, block_size
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,36 +209,32 @@ def _read(
         def advance(what: str, done: int, total: int, k: int = k) -> None:
             progress(what, k * total + done, len(listed) * total)
 
-        with _noted(notes, kinds[k], logs=() if isinstance(entry, Run) else entry.log):
+        with _noted(notes, kinds[k]):
             if isinstance(entry, Run):
                 run = entry
             else:
                 assert experiment is not None  # whose entry it is
                 (run,) = read_runs(experiment, [entry], advance)
-            run = arrange(run, model.actuated)
+            run = run.ordered(model.actuated)
             moving_spectra(run)
             runs[k] = run
     return runs
 
 
 @contextmanager
-def _noted(notes: list[Finding], kind: F = F.REFUSED, source: str = "", logs: Sequence[Path] = ()) -> Generator[None]:
+def _noted(notes: list[Finding], kind: F = F.REFUSED, source: str = "") -> Generator[None]:
     """Note a refusal instead of raising it."""
     try:
         yield
     except GtauError as error:
-        notes.append(refusal(error, kind, source, logs))
+        notes.append(refusal(error, kind, source))
 
 
-def refusal(error: GtauError, kind: F = F.REFUSED, source: str = "", logs: Sequence[Path] = ()) -> Finding:
-    """Note why an identification refuses a log; where no ``source`` is given, the sentence may name one of its logs."""
-    sentence = str(error).rstrip(".")
-    for log in logs:  # what is wrong with several logs is listed once, with all their names
-        if not source and sentence.startswith(f"{log}: "):
-            sentence, source = sentence.removeprefix(f"{log}: "), str(log)
-    what, _, action = sentence.rpartition("; ")
+def refusal(error: GtauError, kind: F = F.REFUSED, source: str = "") -> Finding:
+    """Note why an identification refuses a log; what several have in common is listed once, with all their names."""
+    what, _, action = error.sentence.rstrip(".").rpartition("; ")
     values = {"what": what or action, "action": action if what else ""}
-    return Finding(kind, values=values, source="" if source in what else source)
+    return Finding(kind, values=values, source=error.source or ("" if source in values["what"] else source))
 
 
 def few_rows(logs: Sequence[LogCheck]) -> Iterator[Finding]:
@@ -252,7 +247,7 @@ def few_rows(logs: Sequence[LogCheck]) -> Iterator[Finding]:
 
 def _together(subject: Subject, dataset: Dataset) -> list[Finding]:
     """List findings that need all runs: the scale of the gains, the payload's effect, inseparable parameters."""
-    system = dataset.system(Friction())
+    system = dataset.system()
     notes = [*command_lag(dataset, system), *not_separated(system.unexcited)]
     try:
         planned = plan(subject, dataset, system)
@@ -275,7 +270,7 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
     lowest, highest, fastest, strongest = ([] for _ in range(4))
     positions, distances, masks = Store((n,)), Store((2,), np.float32), Store((n,), bool)
     power, path = np.zeros(run.command.shape[1]), None
-    for block in decimator.blocks(len(prepared), max(sizes().block // decimator.factor, 1)):
+    for block in decimator.blocks(len(prepared), max(block_size() // decimator.factor, 1)):
         samples = prepared.samples(block.samples.start, block.samples.stop)
         last = block.first + (block.outputs.stop - block.outputs.start - 1) * decimator.factor
         at = slice(block.first, last + 1, decimator.factor)

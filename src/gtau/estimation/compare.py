@@ -19,7 +19,6 @@ from gtau.estimation.estimators.registry import ESTIMATORS, estimator_of
 from gtau.estimation.experiment_runs import options_of, read
 from gtau.estimation.pipeline import estimate
 from gtau.estimation.preconditions import plan, reduced, require_inputs
-from gtau.estimation.regression.friction import Friction
 from gtau.model.interpreter.program import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import gain_unit
@@ -129,7 +128,7 @@ def compare(
 
     with single_threaded_blas():
         dataset = reduced(subject, estimator_of("ml"), progress)
-        system = dataset.system(Friction())
+        system = dataset.system()
         plan(subject, dataset, system)  # refuses runs that do not fix the scale
         rows = []
         for k, name in enumerate(ESTIMATORS):

@@ -14,9 +14,7 @@ from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.experiment_runs import Subject, geometry_of, options_of, read, read_runs
 from gtau.estimation.pipeline import estimate
 from gtau.estimation.preconditions import Plan, plan, reduced, require_inputs, without_scale
-from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.friction import Friction
-from gtau.estimation.regression.system import System
+from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.results.estimate import Requirement, TorqueError
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import ACCURACY
@@ -115,7 +113,7 @@ def identify(
     estimator, experiment = require_inputs(subject), subject.experiment
     with single_threaded_blas():
         dataset = reduced(subject, estimator, progress)
-        system = dataset.system(Friction())
+        system = dataset.system()
         result = _identified(subject, dataset, system, progress)
         geometry = geometry_of(experiment, experiment.runs, dataset.model, progress) if experiment else None
         beside = [*([geometry.note] if geometry else []), *command_lag(dataset, system)]

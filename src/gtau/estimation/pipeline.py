@@ -12,12 +12,11 @@ from gtau.estimation.diagnostics.inertia_audit import audit_inertias, without_fi
 from gtau.estimation.diagnostics.other_robots import TOOL_BODIES
 from gtau.estimation.diagnostics.stated_constants import weigh_known
 from gtau.estimation.estimators.essential import essential_fit, select_friction
-from gtau.estimation.estimators.estimator import Given
 from gtau.estimation.estimators.physical_consistency import consistent as find_consistent
 from gtau.estimation.experiment_runs import Options
 from gtau.estimation.preconditions import Plan
-from gtau.estimation.regression.dataset import Dataset, sensors_of
-from gtau.estimation.regression.friction import PAPER
+from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.plausibility import sensors_of
 from gtau.estimation.regression.unknowns import Estimates
 from gtau.estimation.results.build import evidence, fit_record, model_estimates
 from gtau.estimation.results.friction_curves import friction_step
@@ -53,14 +52,13 @@ def estimate(dataset: Dataset, plan: Plan, options: Options, progress: Progress 
         Where the data do not suit the estimator.
     """
     estimator, as_paper, ratio, accuracy = plan.estimator, options.as_paper, options.ratio, options.accuracy
-    given = Given(plan.gains, progress)
     if as_paper:
-        system = dataset.system(PAPER, delays=False)  # eqs. (29) to (33)
+        system = dataset.system(delays=False)  # eqs. (29) to (33)
         ratio = PAPER_RATIO if ratio is None else ratio
     else:
-        dataset, system = select_friction(dataset, estimator.solver(given), progress)
+        system = select_friction(dataset, estimator.solver(plan.gains), progress)
     progress("estimation", 0, 1)
-    fit = estimator.fit(dataset, system, given)  # eqs. (24) to (28), or (34) to (39)
+    fit = estimator.fit(system, plan.gains, progress)  # eqs. (24) to (28), or (34) to (39)
     examined = examine(fit, progress)
     estimates = estimates_of(fit, examined, correlated=not as_paper)
     essential, reduced, loss = essential_fit(fit, ratio, correlated=not as_paper, joint=as_paper)
@@ -70,7 +68,7 @@ def estimate(dataset: Dataset, plan: Plan, options: Options, progress: Progress 
     audit = audit_inertias(*bare, fit.dataset.prior_inertias) if bare and not loaded else None
     payloads = weigh_known(bare[0], estimator.name, accuracy) if bare else {}
     priors = options.priors or {}
-    bodies = find_consistent(dataset, fit.system, fit.solution, priors, fit.free_gains) if options.consistent else None
+    bodies = find_consistent(fit.system, fit.solution, priors, fit.free_gains) if options.consistent else None
     progress("estimation", 1, 1)
     if as_paper:  # the gains that go with the essential parameters
         fit = replace(fit, system=replace(fit.system, problem=essential), solution=reduced)

@@ -11,9 +11,8 @@ from gtau.errors import GtauError
 from gtau.estimation.estimators.estimator import Estimator, Gains
 from gtau.estimation.estimators.registry import ESTIMATORS, estimator_of
 from gtau.estimation.experiment_runs import Options, Subject
-from gtau.estimation.regression.dataset import Dataset, reduce_runs
+from gtau.estimation.regression.dataset import Dataset, System, reduce_runs
 from gtau.estimation.regression.scale_source import require_scale
-from gtau.estimation.regression.system import System
 from gtau.progress import Progress
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.prepared_run import Preparation

@@ -18,10 +18,9 @@ from difflib import get_close_matches
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.regression.assembly import plain_problem
 from gtau.estimation.regression.equations import MODEL, modelled, triangle
 from gtau.estimation.regression.factors import EXTRA, Factors
-from gtau.estimation.regression.friction import Friction
-from gtau.estimation.regression.system import assemble_system
 from gtau.excitation.prior import Prior
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -171,7 +170,7 @@ def information_of(
     p = n_b + EXTRA
     # factors that are the identity bring out the matrices with which identification joins its runs
     identity = Factors(np.broadcast_to(np.eye(p), (1, n, p, p)).copy(), np.full((1, n), 1000))
-    problem = assemble_system(model, base, [identity] * runs, payloads, 0.0, Friction((), runs > 1)).problem
+    problem = plain_problem(model, base, [identity] * runs, payloads)
     names = problem.unknowns
     M = problem.blocks[:, 0, :n_b]  # (runs, n_b, parameters + 4), the same for all joints
     theta = np.zeros(len(problem.parameters))

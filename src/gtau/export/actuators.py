@@ -141,10 +141,8 @@ def _armature(model: ConsistentModel, joint: str) -> tuple[Estimate | None, str]
 def export_mujoco(result: Result, out: Path) -> Exported:
     """Write ``NAME_actuators.xml``, and ``NAME.xml``, the bodies that include it, into ``out``.
 
-    Raises
-    ------
-    GtauError
-        Where the result has no physically consistent parameters, or MuJoCo is not installed or refuses them.
+    Raises GtauError where the result has no physically consistent parameters, or MuJoCo is not installed or refuses
+    them.
     """
     model, name = consistent_model(result, "mujoco-actuators"), identifier(result.robot.name)
     motors = actuators(model)
@@ -161,10 +159,8 @@ def export_mujoco(result: Result, out: Path) -> Exported:
 def export_mjlab(result: Result, out: Path) -> Exported:
     """Write ``NAME_mjlab.yaml`` and the bodies, ``NAME_body.xml``, into ``out``.
 
-    Raises
-    ------
-    GtauError
-        Where the result has no physically consistent parameters, or MuJoCo is not installed or refuses them.
+    Raises GtauError where the result has no physically consistent parameters, or MuJoCo is not installed or refuses
+    them.
     """
     model, name = consistent_model(result, "mjlab"), identifier(result.robot.name)
     motors, body = actuators(model), f"{name}_body.xml"
@@ -193,10 +189,7 @@ def _mjlab_fields(motor: Actuator) -> dict[str, Any]:
 def export_isaaclab(result: Result, out: Path) -> Exported:
     """Write ``NAME_isaaclab.yaml``, and the bodies as the export to URDF does, into ``out``.
 
-    Raises
-    ------
-    GtauError
-        Where the result has no physically consistent parameters, or the robot has no URDF.
+    Raises GtauError where the result has no physically consistent parameters, or the robot has no URDF.
     """
     model, name = consistent_model(result, "isaaclab"), identifier(result.robot.name)
     bodies, motors = urdf.export(result, out), actuators(model)

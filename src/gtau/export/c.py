@@ -90,10 +90,10 @@ def _kernel(function: ca.Function, inputs: tuple[str, ...], outputs: tuple[str, 
     generator = ca.CodeGenerator("kernel.c", {"with_header": False, "include_math": False})
     generator.add(function)
     text = generator.dump()
-    helpers |= {f"static {found.group()}".replace("casadi_real", "double"): None for found in HELPER.finditer(text)}
-    found = BODY.search(text)
-    assert found is not None, "CasADi writes its functions in another form than this version reads"
-    body = found.group(1).replace("casadi_real", "double")
+    helpers |= {f"static {helper.group()}".replace("casadi_real", "double"): None for helper in HELPER.finditer(text)}
+    match = BODY.search(text)
+    assert match is not None, "CasADi writes its functions in another form than this version reads"
+    body = match.group(1).replace("casadi_real", "double")
     body = re.sub(r"arg\[(\d+)\]\? *arg\[\1\]\[(\d+)\] *: *0", lambda m: f"{inputs[int(m[1])]}[{m[2]}]", body)
     body = re.sub(r"if \(res\[(\d+)\]!=0\) *res\[\1\]\[(\d+)\]", lambda m: f"{outputs[int(m[1])]}[{m[2]}]", body)
     assert not re.search(r"\b(arg|res)\[", body), "CasADi writes arguments in another form than this version reads"

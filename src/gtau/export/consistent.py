@@ -54,15 +54,15 @@ class ConsistentModel:
 
 def consistent_model(result: Result, target: str) -> ConsistentModel:
     """Return the consistent parameters of a result; raises GtauError where it has none, naming the ``target``."""
-    found = result.consistency
-    if found is None:
+    consistency = result.consistency
+    if consistency is None:
         raise GtauError(
             f"an export to {target} needs the parameters of every body, but the model has base parameters alone; "
             "identify it with --consistent."
         )
-    standard, cubics, straight = dict(found.standard), {}, []
+    standard, cubics, straight = dict(consistency.standard), {}, []
     for joint in result.robot.joints:
-        name, terms = joint.name, {key: each.value or 0.0 for key, each in result.friction_parameters.items()}
+        name, terms = joint.name, {key: estimate.value or 0.0 for key, estimate in result.friction_parameters.items()}
         if name in result.curves:  # whose viscous and Coulomb friction are those of the model, not of rigid bodies
             standard |= {key: terms[key] for kind in PLAIN if (key := Parameter(kind, name)) in terms}
         viscous, coulomb, more, cubic = (
@@ -74,17 +74,17 @@ def consistent_model(result: Result, target: str) -> ConsistentModel:
             straight.append(name)
         elif cubic:
             cubics[name] = cubic
-    gains = {joint: gain for joint, (gain, _) in found.gains.items()}
+    gains = {joint: gain for joint, (gain, _) in consistency.gains.items()}
     return ConsistentModel(result, standard, gains, cubics, tuple(straight))
 
 
-def differences(model: ConsistentModel, expressed: Mapping[str, float], cubic: bool) -> dict[str, float]:
-    """Compute the rms difference of torques from the identified ones over random states, per cent, by joint.
+def differences(
+    model: ConsistentModel, expressed: Mapping[str, float], cubic: bool = True
+) -> tuple[dict[str, float], str]:
+    """Compute the rms difference from the identified torques over random states, per cent by joint, and a note on it.
 
-    None is faster than the logs.
-
-    ``expressed`` are the standard parameters that the target holds, ``cubic`` says whether it holds f3 too; the
-    identified torques include all friction terms.
+    None is faster than the logs. ``expressed`` are the standard parameters that the target holds, ``cubic`` says
+    whether it holds f3 too; the identified torques include all friction terms.
     """
     result, idm = model.result, model.result.idm
     motion = random_motion(idm, STATES, np.random.default_rng(0))
@@ -98,16 +98,12 @@ def differences(model: ConsistentModel, expressed: Mapping[str, float], cubic: b
     made = idm.full.torques_along(idm.layout, motion, values)
     if cubic:
         made += np.array([[model.cubic(joint)] for joint in idm.actuated]) * motion.yd[idm.layout.actuated] ** 3
-    rms, size = (np.sqrt(np.mean(each**2, axis=1)) for each in (made - tau, tau))
-    return {joint: float(100 * a / b) for joint, a, b in zip(idm.actuated, rms, size, strict=True)}
-
-
-def difference_note(found: Mapping[str, float]) -> str:
-    """Describe the differences in a sentence."""
-    worst = max(found, key=lambda joint: found[joint])
-    return (
+    rms, size = (np.sqrt(np.mean(torques**2, axis=1)) for torques in (made - tau, tau))
+    per_cent = {joint: float(100 * a / b) for joint, a, b in zip(idm.actuated, rms, size, strict=True)}
+    worst = max(per_cent, key=lambda joint: per_cent[joint])
+    return per_cent, (
         f"over {STATES} random states within the logged speeds the exported torques differ from the identified "
-        f"ones by at most {found[worst]:.2g} % rms (joint '{worst}')"
+        f"ones by at most {per_cent[worst]:.2g} % rms (joint '{worst}')"
     )
 
 
@@ -142,7 +138,7 @@ def term_notes(model: ConsistentModel, target: str, left_out: Sequence[str], del
     """List what no rigid-body format holds: friction terms ``left_out``, and delays unless written elsewhere."""
     result, notes = model.result, []
     notes += friction_notes(model)
-    widths = {name.body: each for name, each in result.friction.items() if name.kind == "width"}
+    widths = {name.body: estimate for name, estimate in result.friction.items() if name.kind == "width"}
     held = [f"{joint} ({width.value:.2g} {width.unit})" for joint, width in widths.items()]
     if held:
         notes.append(f"{target} has no friction before sliding, of these widths: {', '.join(held)}")
@@ -151,7 +147,7 @@ def term_notes(model: ConsistentModel, target: str, left_out: Sequence[str], del
         kinds |= dict.fromkeys(TEMPERATURE_TERMS, "by temperature")
         named = ", ".join(f"{name} ({kinds[name.split('_', 1)[0]]})" for name in left_out)
         notes.append(f"{target} cannot express this friction, left out: {named}")
-    late = [f"{1e3 * (each.value or 0.0):.2g} ms ('{joint}')" for joint, each in result.delays.items() if each.value]
+    late = [f"{1e3 * delay.value:.2g} ms ('{joint}')" for joint, delay in result.delays.items() if delay.value]
     if late and not delays:
         notes.append(f"delays between current and torque are not part of the file: {', '.join(late)}")
     return notes

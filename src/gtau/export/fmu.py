@@ -23,10 +23,7 @@ NEEDS = "the simulator's Python needs the packages casadi and numpy ('pythonfmu3
 def export(result: Result, out: Path) -> Exported:
     """Write ``NAME.fmu`` into ``out``.
 
-    Raises
-    ------
-    GtauError
-        Where PythonFMU3 is not installed.
+    Raises GtauError where PythonFMU3 is not installed.
     """
     try:
         from pythonfmu3.builder import FmuBuilder

@@ -48,8 +48,8 @@ class InputFile:
         span = self.spans[element]
         tag = self.content[span.start : span.inner].decode("ascii", "surrogateescape")
         for name, value in attributes.items():
-            tag, found = re.subn(rf"(\s{name}\s*=\s*)(\"[^\"]*\"|'[^']*')", rf'\g<1>"{value}"', tag, count=1)
-            if not found:
+            tag, count = re.subn(rf"(\s{name}\s*=\s*)(\"[^\"]*\"|'[^']*')", rf'\g<1>"{value}"', tag, count=1)
+            if not count:
                 tag = re.sub(r"\s*(/?>)$", rf' {name}="{value}"\g<1>', tag)
         self.edits.append((span.start, span.inner, tag.encode("ascii", "surrogateescape")))
 
@@ -91,10 +91,7 @@ class InputFile:
     def save(self, out: Path) -> tuple[Path, ...]:
         """Write the file under its own name into another folder ``out``.
 
-        Raises
-        ------
-        GtauError
-            Where that is the folder of the file itself.
+        Raises GtauError where that is the folder of the file itself.
         """
         if (out / self.path.name).resolve() == self.path.resolve():
             raise GtauError(f"{self.path} would be overwritten; choose another folder for --out.")
@@ -104,13 +101,9 @@ class InputFile:
 def input_file(path: Path, robot: Robot) -> InputFile:
     """Read the file of ``robot``, so that it can be written with edits.
 
-    Raises
-    ------
-    GtauError
-        Where the file cannot be read, or describes another robot than the model.
+    Raises GtauError where the file cannot be read, or describes another robot than the model.
     """
-    found = load_robot(path)
-    if problem := _difference(found, robot):
+    if problem := _difference(load_robot(path), robot):
         raise GtauError(f"{path} is not the file of the model's robot '{robot.name}': {problem}; give its own file.")
     try:
         root = read_xml(path)  # safe: no entities, no document types
@@ -144,24 +137,20 @@ def _spans(content: bytes) -> list[Span]:
 
 def _tag_end(content: bytes, start: int) -> int:
     """Find where a tag that begins at ``start`` ends; a > within quotes does not end it."""
-    found = re.compile(rb"<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>").match(content, start)
-    assert found is not None
-    return found.end()
+    tag = re.compile(rb"<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>").match(content, start)
+    assert tag is not None
+    return tag.end()
 
 
-def _difference(found: Robot, robot: Robot) -> str:
+def _difference(of_file: Robot, robot: Robot) -> str:
     """Describe the difference between two robots' bodies, if any."""
-    if found.bodies != robot.bodies:
-        missing = [name for name in robot.bodies if name not in found.bodies]
-        return f"'{missing[0]}' is missing there" if missing else f"it has {len(found.bodies)} bodies"
-    for one, other in zip(found.joints, robot.joints, strict=True):
+    if of_file.bodies != robot.bodies:
+        missing = [name for name in robot.bodies if name not in of_file.bodies]
+        return f"'{missing[0]}' is missing there" if missing else f"it has {len(of_file.bodies)} bodies"
+    for one, other in zip(of_file.joints, robot.joints, strict=True):
         if (one.antecedent, one.kind) != (other.antecedent, other.kind):
             return f"joint '{one.name}' has another parent or is of another kind"
-        pairs = (
-            (one.placement.rotation, other.placement.rotation),
-            (one.placement.position, other.placement.position),
-            (np.array(one.axis), np.array(other.axis)),
-        )
-        if any(np.abs(a - b).max() > SAME for a, b in pairs):
+        a, b = (np.vstack([joint.placement.rotation, joint.placement.position, joint.axis]) for joint in (one, other))
+        if np.abs(a - b).max() > SAME:
             return f"joint '{one.name}' is placed otherwise"
     return ""

@@ -16,7 +16,6 @@ from gtau.estimation.results.result import Result
 from gtau.export.consistent import (
     ConsistentModel,
     consistent_model,
-    difference_note,
     differences,
     friction_comments,
     term_notes,
@@ -34,13 +33,11 @@ THICKNESS = 0.012  # m: of the links as drawn
 def export(result: Result, out: Path) -> Exported:
     """Write ``NAME.xml`` into ``out``.
 
-    Raises
-    ------
-    GtauError
-        Where the result has no physically consistent parameters, or MuJoCo is not installed or refuses them.
+    Raises GtauError where the result has no physically consistent parameters, or MuJoCo is not installed or refuses
+    them.
     """
-    text, said, found = model_text(imported(), consistent_model(result, "MJCF"))
-    return Exported(written(out, {f"{identifier(result.robot.name)}.xml": text}), said, found)
+    text, said, figures = model_text(imported(), consistent_model(result, "MJCF"))
+    return Exported(written(out, {f"{identifier(result.robot.name)}.xml": text}), said, figures)
 
 
 def model_text(
@@ -52,14 +49,17 @@ def model_text(
     """
     result = model.result
     spec, expressed = _spec(mujoco, model)
-    _add_home(spec, compile_spec(spec), result)
-    found = differences(model, expressed, cubic=_polynomial(spec))
-    said = [difference_note(found), *notes(model, expressed, _polynomial(spec), delays)]
-    if forces := [each.name for each in result.robot.springs if spring_attributes(each, model.standard) is None]:
+    layout, loops = result.idm.layout, result.idm.loops
+    home = mujoco_positions(compiled(spec.compile), layout, layout.home if loops is None else loops.home)
+    spec.add_key(name="home", qpos=home)  # in which the loops are closed
+    compiled(spec.compile)
+    figures, difference = differences(model, expressed, _polynomial(spec))
+    said = [difference, *notes(model, expressed, _polynomial(spec), delays)]
+    if forces := [spring.name for spring in result.robot.springs if spring_attributes(spring, model.standard) is None]:
         said.append(
             f"no tendon has the force of {', '.join(forces)}: an actuator without gain does, whose ctrl has no effect"
         )
-    return _text(spec, friction_comments(model)), tuple(said), found
+    return _text(mujoco, spec, friction_comments(model)), tuple(said), figures
 
 
 def imported() -> ModuleType:
@@ -69,11 +69,6 @@ def imported() -> ModuleType:
     except ImportError:
         raise missing_extra("an export to MJCF", "mujoco", "mujoco") from None
     return mujoco  # type: ignore[no-any-return, unused-ignore]
-
-
-def compile_spec(spec: Any) -> Any:
-    """Compile a spec to a MuJoCo model; raises GtauError where MuJoCo refuses it."""
-    return compiled(spec.compile)
 
 
 def compiled(compile_model: Callable[[], Any]) -> Any:
@@ -158,15 +153,7 @@ def _add_actuators(mujoco: ModuleType, spec: Any, model: ConsistentModel) -> Non
             actuator.biasprm[0] = bias
 
 
-def _add_home(spec: Any, compiled: Any, result: Result) -> None:
-    """Add the keyframe 'home', in which the loops are closed."""
-    layout, loops = result.idm.layout, result.idm.loops
-    home = layout.home if loops is None else loops.home
-    spec.add_key(name="home", qpos=mujoco_positions(compiled, layout, home))
-    compile_spec(spec)
-
-
-def _text(spec: Any, comments: Sequence[Any]) -> str:
+def _text(mujoco: ModuleType, spec: Any, comments: Sequence[Any]) -> str:
     """Write the spec as XML with full-precision numbers, as MuJoCo writes six digits."""
     root = ElementTree.fromstring(spec.to_xml())
     exact = {
@@ -190,28 +177,20 @@ def _text(spec: Any, comments: Sequence[Any]) -> str:
             inertial.attrib |= {name: digits(getattr(source, attribute)) for name, attribute in values}
         if element.tag == "option" and "gravity" in element.attrib:
             element.set("gravity", digits(spec.option.gravity))
-    for element, coupling in zip(root.findall("equality/joint"), _couplings(spec), strict=True):
+    couplings = [tie for tie in spec.equalities if tie.type == mujoco.mjtEq.mjEQ_JOINT]
+    for element, coupling in zip(root.findall("equality/joint"), couplings, strict=True):
         element.set("polycoef", digits(coupling.data[:5]))
     root[:0] = comments
     return xml_text(root)
 
 
-def _couplings(spec: Any) -> list[Any]:
-    import mujoco
-
-    return [tie for tie in spec.equalities if tie.type == mujoco.mjtEq.mjEQ_JOINT]
-
-
 def notes(model: ConsistentModel, expressed: Mapping[str, float], cubic: bool, delays: bool = False) -> list[str]:
     """List the quantities that the file lacks: friction terms, offsets, massless bodies."""
-    result = model.result
     unlike = [] if cubic else [Parameter("f3", joint) for joint in model.cubics]
     said = term_notes(model, "MJCF", [*unlike, *terms_left_out(model)], delays)
-    unable = [name for name, value in model.standard.items() if name not in expressed and value]
-    if unable:
+    if unable := [name for name, value in model.standard.items() if name not in expressed and value]:
         said.append(f"these offsets are not part of the file: {', '.join(unable)}")
-    light = [joint.name for joint in result.robot.joints if not joint.has_mass]
-    if light:
+    if light := [joint.name for joint in model.result.robot.joints if not joint.has_mass]:
         said.append(f"MuJoCo moves no massless body, so these weigh {LIGHTEST:g} kg: {', '.join(light)}")
     said.append("Coulomb friction is MuJoCo's frictionloss, which also holds the robot at rest")
     return said

@@ -13,7 +13,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
 from gtau.export import mjcf
-from gtau.export.consistent import ConsistentModel, consistent_model, difference_note, differences
+from gtau.export.consistent import ConsistentModel, consistent_model, differences
 from gtau.export.exported import Export, Exported, digits
 from gtau.export.input_file import InputFile, input_file
 from gtau.export.mjcf import imported, notes
@@ -31,11 +31,8 @@ NO_BODY = RigidBody(0.0, np.zeros(3), np.zeros((3, 3)))
 def export(result: Result, source: Path, out: Path) -> Exported:
     """Write a copy of the MJCF file ``source`` with identified inertias, friction and gears into ``out``.
 
-    Raises
-    ------
-    GtauError
-        Where the result has no physically consistent parameters, the file is not that of its robot, or its bodies do
-        not appear in it one by one.
+    Raises GtauError where the result has no physically consistent parameters, the file is not that of its robot, or its
+    bodies do not appear in it one by one.
     """
     mujoco = imported()
     model = consistent_model(result, "MJCF")
@@ -54,20 +51,20 @@ def export(result: Result, source: Path, out: Path) -> Exported:
             lumped.append(element.get("name", f"body {number}"))
         for place, joint in enumerate(_joints(element)):
             _put_friction(file, joint, model, _joint_name(compiled, int(compiled.body_jntadr[number]) + place))
-    left = list(_put_springs(file, model))
+    unchanged = list(_put_springs(file, model))
     said = [*_put_gears(file, model), *_allow_inertias(file)]
-    if left:
-        said.append(f"these springs are not tendons with a stiffness and were left unchanged: {', '.join(left)}")
+    if unchanged:
+        said.append(f"these springs are not tendons with a stiffness and were left unchanged: {', '.join(unchanged)}")
     _check(mujoco, file)
-    unable = {Parameter(kind, name) for kind in SPRING for name in left}
+    unable = {Parameter(kind, name) for kind in SPRING for name in unchanged}
     expressed = {
         name: value for name, value in model.standard.items() if not name.startswith("off_") and name not in unable
     }
-    found = differences(model, expressed, cubic=True)
+    figures, difference = differences(model, expressed)
     if lumped:
         said.append(f"bodies without joints are part of those that carry them, and weigh nothing: {', '.join(lumped)}")
     said.append("meshes and textures are named as in the original: put the file where they are found")
-    return Exported(file.save(out), (difference_note(found), *notes(model, expressed, True), *said), found)
+    return Exported(file.save(out), (difference, *notes(model, expressed, True), *said), figures)
 
 
 def _bodies(element: Element) -> Iterator[Element]:
@@ -108,14 +105,14 @@ def _inertias(mujoco: Any, model: ConsistentModel, compiled: Any) -> dict[int, R
         body = data.body(slots.platform.name)
         c[slots.position], c[slots.quaternion] = body.xpos, body.xquat
     frame = frames(layout, ca.SX(c))
-    found = {}
+    inertias = {}
     for name in robot.bodies:
         if Parameter("m", name) in model.standard:
             at = data.body(number[name])
             R, p = np.array(ca.evalf(frame[name].R_0)), np.array(ca.evalf(frame[name].p_0)).ravel()
             rotation, position = R.T @ at.xmat.reshape(3, 3), R.T @ (at.xpos - p)
-            found[number[name]] = rigid_body(model.standard, name).seen_from(rotation, position)
-    return found
+            inertias[number[name]] = rigid_body(model.standard, name).seen_from(rotation, position)
+    return inertias
 
 
 def _single(mujoco: Any, compiled: Any, joint: str) -> bool:
@@ -155,19 +152,19 @@ def _put_springs(file: InputFile, model: ConsistentModel) -> Iterator[str]:
 
 def _put_gears(file: InputFile, model: ConsistentModel) -> list[str]:
     """Write drive gains as gears of motors, and list the notes on them."""
-    put, left = [], []
-    for actuator in (each for section in file.root.findall("actuator") for each in section if each.get("joint")):
+    put, unchanged = [], []
+    for actuator in file.root.iterfind("actuator/*[@joint]"):
         joint = actuator.get("joint", "")
         if actuator.tag == "motor" and joint in model.gains:
             file.set(actuator, gear=digits(model.gains[joint]))
             put.append(joint)
         elif joint in model.gains:
-            left.append(joint)
+            unchanged.append(joint)
     notes = []
     if put:
         notes.append(f"ctrl of the motors of {', '.join(put)} is now the current in A; check their ctrlrange")
-    if left:
-        notes.append(f"actuators other than motors were left unchanged: {', '.join(left)}")
+    if unchanged:
+        notes.append(f"actuators other than motors were left unchanged: {', '.join(unchanged)}")
     return notes
 
 
@@ -189,8 +186,8 @@ def _check(mujoco: Any, file: InputFile) -> None:
     try:
         spec = mujoco.MjSpec.from_string(file.text().decode())
         for kind in SHAPES:
-            for each in list(getattr(spec, kind)):
-                spec.delete(each)
+            for shape in list(getattr(spec, kind)):
+                spec.delete(shape)
         spec.compile()
     except ValueError as error:
         said = " ".join(str(error).split()).rstrip(".")

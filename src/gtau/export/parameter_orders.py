@@ -143,11 +143,11 @@ def from_order(values: Mapping[str, float] | Sequence[float], body: str, program
         for kind, value in zip(order.inertia, entries, strict=True):
             row, column = _ENTRIES[kind]
             tensor[row, column] = tensor[column, row] = value
-        found = inertial_parameters(RigidBody(m, first, tensor))
+        parameters = inertial_parameters(RigidBody(m, first, tensor))
     else:
         moments = first if order.moments else m * first
-        found = dict(zip(("m", "mx", "my", "mz", *order.inertia), (m, *moments, *entries), strict=True))
-    return {Parameter(kind, body): float(found[kind]) for kind in INERTIAL}
+        parameters = dict(zip(("m", "mx", "my", "mz", *order.inertia), (m, *moments, *entries), strict=True))
+    return {Parameter(kind, body): float(parameters[kind]) for kind in INERTIAL}
 
 
 def _order(program: str) -> Order:

@@ -156,7 +156,7 @@ class Target:
         value, gradient = self.energy(y)
         if not np.isfinite(value):
             raise GtauError(TOO_FAR)
-        found = np.zeros((count, len(y)))
+        drawn = np.zeros((count, len(y)))
         for k in range(count * PATHS):
             new, p = y, rng.standard_normal(len(y))
             energy, step = value + p @ p / 2, rng.uniform(*STEP)
@@ -170,26 +170,16 @@ class Target:
                 p = p - step / 2 * (T.T @ slope)
             if np.log(rng.uniform()) < energy - ahead - p @ p / 2:
                 y, value, gradient = new, ahead, slope
-            found[k // PATHS] = y
-        return found
+            drawn[k // PATHS] = y
+        return drawn
 
 
 def target_of(result: Result, estimates: Mapping[Parameter, Estimate]) -> tuple[Target, np.ndarray, np.ndarray]:
-    """Build the density of what was identified.
+    """Build the density of what was identified with ``consistent=True``.
 
-    Parameters
-    ----------
-    result : Result
-        Identified with ``consistent=True``.
-    estimates : mapping
-        Those to draw, by their names in the covariance; those of base parameters come first.
-
-    Returns
-    -------
-    Target
-        Of the standard parameters, and the changes of the other estimates.
-    unit, start : ndarray
-        Natural sizes (n,) of the standard parameters, and unknowns (n + r,) to search from.
+    Returns it for the standard parameters and the changes of the other ``estimates``, those to draw by their names in
+    the covariance, base parameters first; natural sizes (n,) of the standard parameters; and unknowns (n + r,) to
+    search from.
     """
     robot, base, names = result.robot, result.base, result.idm.parameter_names
     assert result.consistency is not None
@@ -214,9 +204,9 @@ def target_of(result: Result, estimates: Mapping[Parameter, Estimate]) -> tuple[
     C[given, given] = std[given] ** 2
     sizes, axes = np.linalg.eigh(C / np.outer(std, std))
     information = axes / (np.maximum(sizes, 0.0) + LEAST) @ axes.T
-    means = np.array([each.value for each in estimates.values()], dtype=float)
+    means = np.array([estimate.value for estimate in estimates.values()], dtype=float)
     means[len(rows) :] = 0.0
-    freedom = np.array([each.freedom or np.inf for each in estimates.values()])
+    freedom = np.array([estimate.freedom or np.inf for estimate in estimates.values()])
     about, stiffness = np.append(standard / unit, np.zeros(r)), np.append(np.ones(n), np.zeros(r))
     stiffness[[place[name] for name in base.without_effect]] = GIVEN**-2
     stiffness[places] = 0.0

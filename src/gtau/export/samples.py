@@ -26,24 +26,12 @@ ALLOWED = 1.0  # standard deviations by which a draw may lie outside what was id
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Draws of an identified model.
+    """Draws of an identified model, N of each quantity, SI units.
 
-    Attributes
-    ----------
-    result : Result
-        Identification result.
-    standard, base : ndarray
-        Standard parameters (N, n_st) and base parameters (N, n_b), SI units, in the order of the robot's model.
-    gains, delays : ndarray
-        Drive gains (N, n) and delays (N, n) of the actuated joints, N m/A or N/A, and s.
-    friction : dict
-        Draws (N,) of the friction with which the model predicts, by name.
-    moved : ndarray
-        Distance by which rigid bodies keep each draw outside the 95 % region of the estimates, in standard deviations,
-        (N,).
-    shifts : mapping
-        Distance of the mean of the draws from each estimate, in its standard deviations, by name.
-    seed : int
+    ``standard`` (N, n_st) and ``base`` (N, n_b) parameters are in the order of the robot's model, ``gains`` and
+    ``delays`` (N, n) in that of its actuated joints; ``friction`` (N,) is that with which the model predicts. ``moved``
+    (N,) is the distance by which rigid bodies keep each draw outside the 95 % region of the estimates, in standard
+    deviations; ``shifts`` the distance of the mean of the draws from each estimate, in its standard deviations.
     """
 
     result: Result
@@ -116,39 +104,29 @@ class Samples:
 
         friction = {str(name): float(values[k]) for name, values in self.friction.items()}
 
-        def drawn(each: Estimate) -> Estimate:
-            return replace(each, value=friction.get(each.name, each.value))
+        def drawn(estimate: Estimate) -> Estimate:
+            return replace(estimate, value=friction.get(estimate.name, estimate.value))
 
         return result.replaced(
             consistency=replace(
                 result.consistency, standard=standard, gains={joint: (gain, 0.0) for joint, gain in gains.items()}
             ),
-            drive_gains={joint: replace(each, value=gains[joint]) for joint, each in result.drive_gains.items()},
-            parameters={name: replace(each, value=base[name]) for name, each in result.parameters.items()},
-            friction={name: drawn(each) for name, each in result.friction.items()},
+            drive_gains={
+                joint: replace(estimate, value=gains[joint]) for joint, estimate in result.drive_gains.items()
+            },
+            parameters={name: replace(estimate, value=base[name]) for name, estimate in result.parameters.items()},
+            friction={name: drawn(estimate) for name, estimate in result.friction.items()},
             delays={
-                joint: replace(each, value=float(self.delays[k, j]))
-                for j, (joint, each) in enumerate(result.delays.items())
+                joint: replace(estimate, value=float(self.delays[k, j]))
+                for j, (joint, estimate) in enumerate(result.delays.items())
             },
         )
 
 
 def draw(result: Result, count: int, seed: int = 0) -> Samples:
-    """Draw models from the identified distribution.
+    """Draw ``count`` models from the distribution identified with ``consistent=True``; a ``seed`` gives the same draws.
 
-    Parameters
-    ----------
-    result : Result
-        Identified with ``consistent=True``.
-    count : int
-        Number of draws.
-    seed : int
-        The same seed gives the same draws.
-
-    Raises
-    ------
-    GtauError
-        Where the result has no physically consistent parameters, or no standard deviations.
+    Raises GtauError where the result has no physically consistent parameters, or no standard deviations.
     """
     consistent_model(result, "samples")
     if not 0 < count <= 100_000:
@@ -160,7 +138,7 @@ def draw(result: Result, count: int, seed: int = 0) -> Samples:
     target, unit, start = target_of(result, estimates)
     y = target.draws(start, count, seed)
     x = y[:, :n] * unit
-    found = x @ base.matrix.T
+    base_values = x @ base.matrix.T
     deviations = target.deviations(y)
     changes = dict(zip(list(estimates)[len(estimates) - y.shape[1] + n :], (y[:, n:]).T, strict=True))
     unchanged = np.zeros(count)
@@ -170,25 +148,27 @@ def draw(result: Result, count: int, seed: int = 0) -> Samples:
         return np.column_stack([(v or 0.0) + changes.get(Parameter(kind, joint), unchanged) for joint, v in joints])
 
     changes |= {
-        standard: found[:, k] - (result.parameters[name].value or 0.0)
+        standard: base_values[:, k] - (result.parameters[name].value or 0.0)
         for k, (name, standard) in enumerate(zip(base.names, base.standard, strict=True))
     }
     friction = {
-        name: (each.value or 0.0) + changes.get(name, unchanged) for name, each in result.friction_parameters.items()
+        name: (estimate.value or 0.0) + changes.get(name, unchanged)
+        for name, estimate in result.friction_parameters.items()
     }
-    for name, each in friction.items():
+    for name, values in friction.items():
         if name.kind in PLAIN[:2] and (result.friction_parameters[name].value or 0.0) >= 0:
-            friction[name] = np.maximum(each, 0.0)
+            friction[name] = np.maximum(values, 0.0)
     shifts = dict(zip(estimates, map(float, np.abs(deviations.mean(axis=0))), strict=True))
-    gains, delays = of_joints("gain", result.gains), of_joints("delay", (each.value for each in result.delays.values()))
-    return Samples(result, x, found, gains, delays, friction, target.outside(deviations), shifts, seed)
+    gains = of_joints("gain", result.gains)
+    delays = of_joints("delay", (delay.value for delay in result.delays.values()))
+    return Samples(result, x, base_values, gains, delays, friction, target.outside(deviations), shifts, seed)
 
 
 def _estimates(result: Result) -> dict[Parameter, Estimate]:
     """Collect the estimates that are drawn, by their names in the covariance; those of base parameters come first."""
     deviations = dict(zip(result.covariance_names, np.diag(result.covariance), strict=True))
-    more = {Parameter("gain", joint): each for joint, each in result.drive_gains.items()}
-    more |= {Parameter("delay", joint): each for joint, each in result.delays.items()}
-    more |= {name: each for name, each in result.friction.items() if name.kind not in SHAPES}
-    found = {name: each for name, each in result.parameters.items() if each.value is not None}
-    return found | {name: each for name, each in more.items() if deviations.get(name) and name not in found}
+    more = {Parameter("gain", joint): estimate for joint, estimate in result.drive_gains.items()}
+    more |= {Parameter("delay", joint): estimate for joint, estimate in result.delays.items()}
+    more |= {name: estimate for name, estimate in result.friction.items() if name.kind not in SHAPES}
+    base = {name: estimate for name, estimate in result.parameters.items() if estimate.value is not None}
+    return base | {name: estimate for name, estimate in more.items() if deviations.get(name) and name not in base}

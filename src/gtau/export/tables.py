@@ -44,7 +44,7 @@ SPECIAL = {
     "Ø": r"\O{}",
     "ł": r"\l{}",
     "Ł": r"\L{}",
-} | {each: rf"\{each}" for each in "_#%&${}"}
+} | {sign: rf"\{sign}" for sign in "_#%&${}"}
 ACCENTS = {"\u0300": "`", "\u0301": "'", "\u0302": "^", "\u0303": "~", "\u0308": '"', "\u030a": "r", "\u0327": "c"}
 ACCENTS |= {"\u030c": "v", "\u0306": "u", "\u0304": "=", "\u0307": ".", "\u030b": "H", "\u0328": "k"}
 SPACE = 6.0  # pt, between columns
@@ -80,14 +80,14 @@ def _key(group: str) -> str:
     return group if group in ("friction",) or group.startswith("payload") else f"{group.replace(' ', '_')}s"
 
 
-def _entry(each: Estimate) -> dict[str, object]:
-    entry: dict[str, object] = {"value": each.value, "std": each.std, "unit": each.unit}
-    if (interval := each.interval()) is not None:
+def _entry(estimate: Estimate) -> dict[str, object]:
+    entry: dict[str, object] = {"value": estimate.value, "std": estimate.std, "unit": estimate.unit}
+    if (interval := estimate.interval()) is not None:
         entry["interval"] = list(interval)
-    if each.verdict.outcome.value not in ("good", "given"):
-        entry["verdict"] = each.verdict.outcome.value
-    if each.regrouping not in ("", each.name):
-        entry["regrouping"] = each.regrouping
+    if estimate.verdict.outcome.value not in ("good", "given"):
+        entry["verdict"] = estimate.verdict.outcome.value
+    if estimate.regrouping not in ("", estimate.name):
+        entry["regrouping"] = estimate.regrouping
     return entry
 
 
@@ -99,7 +99,7 @@ def export_latex(result: Result, out: Path) -> Exported:
         parts.append(_geometry(result.robot))
     else:
         notes.append("the robot is not described by MDH parameters, so there is no table of its geometry")
-    names = list(dict.fromkeys((*result.robot.bodies, *(each.name for each in result.payloads))))
+    names = list(dict.fromkeys((*result.robot.bodies, *(payload.name for payload in result.payloads))))
     label = _labels(names, NAME)
     if label != {name: name for name in names}:
         parts.append(f"In formulas numbers stand for names: {_legend(label)}.\n")
@@ -115,8 +115,8 @@ def _labels(names: Sequence[str], longest: int) -> dict[str, str]:
 
 def _legend(label: Mapping[str, str]) -> str:
     """List the names behind numbers; a line may break within long ones."""
-    parts = ((each, re.findall(".{1,8}", name) if len(name) > NAME else [name]) for name, each in label.items())
-    return ", ".join(f"{each} " + r"\allowbreak{}".join(map(in_latex, part)) for each, part in parts)
+    parts = ((number, re.findall(".{1,8}", name) if len(name) > NAME else [name]) for name, number in label.items())
+    return ", ".join(f"{number} " + r"\allowbreak{}".join(map(in_latex, part)) for number, part in parts)
 
 
 def symbol(name: Parameter, label: Mapping[str, str] = MappingProxyType({})) -> str:
@@ -203,30 +203,33 @@ def _geometry(robot: Robot) -> str:
 
 def _parameters(result: Result, label: Mapping[str, str]) -> str:
     """Tabulate drive gains and essential parameters with relative standard deviations, as in the paper's Table 3."""
-    gains = ((in_latex_index(label[joint]), each) for joint, each in result.drive_gains.items())
-    lines = [_line(rf"g_{{\tau\,{index}}}", each) for index, each in gains]
-    lines += [_line(symbol(name, label), each) for name, each in {**result.essential, **result.friction}.items()]
+    gains = ((in_latex_index(label[joint]), estimate) for joint, estimate in result.drive_gains.items())
+    lines = [_line(rf"g_{{\tau\,{index}}}", estimate) for index, estimate in gains]
+    parameters = {**result.essential, **result.friction}
+    lines += [_line(symbol(name, label), estimate) for name, estimate in parameters.items()]
     for payload in result.payloads:
         named = rf"m_{{{in_latex_index(label[payload.name])}}}"
-        lines += [_line(named, each) for kind, each in payload.parameters.items() if kind == "m"]
+        lines += [_line(named, estimate) for kind, estimate in payload.parameters.items() if kind == "m"]
     head = ("Par.", "Val.", r"$\hat\sigma$", r"$\%\hat\sigma$", "Unit")
     return _table("lrrrl", head, lines, f"Drive gains and essential parameters of {in_latex(result.robot.name)}.")
 
 
-def _line(name: str, each: Estimate) -> tuple[str, ...]:
-    relative = "--" if each.rel_std is None else f"{each.rel_std:.2f}" if each.rel_std < 1000 else "$> 1000$"
-    unit = UNITS.get(each.unit, each.unit.replace("N m", r"N\,m").replace("3", "$^3$"))
-    return f"${name}$", _number(each.value), _number(each.std, 2), relative, unit
+def _line(name: str, estimate: Estimate) -> tuple[str, ...]:
+    per_cent = estimate.rel_std
+    relative = "--" if per_cent is None else f"{per_cent:.2f}" if per_cent < 1000 else "$> 1000$"
+    unit = UNITS.get(estimate.unit, estimate.unit.replace("N m", r"N\,m").replace("3", "$^3$"))
+    return f"${name}$", _number(estimate.value), _number(estimate.std, 2), relative, unit
 
 
 def _regroupings(result: Result, label: Mapping[str, str]) -> str:
     """Write each regrouped base parameter as an equation, whose sum is broken to fit the width of a page."""
-    sums = {name: each.regrouping for name, each in result.parameters.items() if each.regrouping not in ("", name)}
-    left = max((width(symbol(name, label)) for name in sums), default=0.0)
+    sums = {name: estimate.regrouping for name, estimate in result.parameters.items()}
+    sums = {name: text for name, text in sums.items() if text not in ("", name)}
+    margin = max((width(symbol(name, label)) for name in sums), default=0.0)
     equations = [
         " \\nonumber \\\\\n&\\quad {} ".join([f"{symbol(name, label)} &= {first}", *more])
         for name, text in sums.items()
-        for first, *more in [list(_lines(text, TEXT_WIDTH - NUMBER_WIDTH - left, label))]
+        for first, *more in [list(_lines(text, TEXT_WIDTH - NUMBER_WIDTH - margin, label))]
     ]
     joined = " \\\\\n".join(equations)
     return f"{{\\allowdisplaybreaks\n\\begin{{align}}\n{joined}\n\\end{{align}}}}\n" if sums else ""

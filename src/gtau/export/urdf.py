@@ -15,7 +15,6 @@ from gtau.estimation.results.result import Result
 from gtau.export.consistent import (
     ConsistentModel,
     consistent_model,
-    difference_note,
     differences,
     friction_comments,
     serial_equivalent,
@@ -53,10 +52,8 @@ def export(result: Result, out: Path) -> Exported:
 
     A platform is the end of a chain with one passive joint per degree of freedom, with massless links in between.
 
-    Raises
-    ------
-    GtauError
-        Where the result has no physically consistent parameters, or a joint is coupled to more than one other.
+    Raises GtauError where the result has no physically consistent parameters, or a joint is coupled to more than one
+    other.
     """
     model = consistent_model(result, "URDF")
     robot, name = result.robot, identifier(result.robot.name)
@@ -70,10 +67,7 @@ def export(result: Result, out: Path) -> Exported:
 def export_into(result: Result, source: Path, out: Path) -> Exported:
     """Write a copy of the URDF ``source`` with identified inertias and friction into ``out``, and the drives beside it.
 
-    Raises
-    ------
-    GtauError
-        Where the result has no physically consistent parameters, or the file is not that of its robot.
+    Raises GtauError where the result has no physically consistent parameters, or the file is not that of its robot.
     """
     model = consistent_model(result, "URDF")
     if source.suffix.lower() != ".urdf":
@@ -107,13 +101,13 @@ def export_into(result: Result, source: Path, out: Path) -> Exported:
 def _exported(model: ConsistentModel, files: tuple[Path, ...], more: Sequence[str], loops: str) -> Exported:
     """Return the files with notes: what is lost without the file of ``loops``, and what the URDF has no place for."""
     robot, name = model.result.robot, identifier(model.result.robot.name)
-    figures, lost = differences(model, model.standard, cubic=True), what_is_lost(robot, "a URDF", loops)
+    (figures, difference), lost = differences(model, model.standard), what_is_lost(robot, "a URDF", loops)
     sprung = bool(robot.springs) or any(joint.spring is not None for joint in robot.joints)
     springs = " and springs" if sprung else ""
     notes = [f"a URDF has no place for drive gains, rotor inertias, offsets{springs}: they are in {name}_drives.yaml"]
     notes += [f"friction cubic in speed is in {name}_drives.yaml too"] if model.cubics else []
     notes += [*term_notes(model, "URDF", terms_left_out(model)), *more]
-    return Exported(files, (*([lost] * bool(lost)), difference_note(figures), *notes), figures, lost)
+    return Exported(files, (*([lost] * bool(lost)), difference, *notes), figures, lost)
 
 
 def robot_element(model: ConsistentModel) -> Element:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -11,7 +12,7 @@ from gtau.findings.kind import Severity
 from gtau.findings.log_words import LOG_WORDS
 from gtau.findings.note_words import CAUSE_WORDS, NOTE_WORDS
 from gtau.findings.verdict_words import MAY_BE_WRENCHES, VERDICT_WORDS, WRENCHES
-from gtau.findings.words import Number, Sentence, Words, clock_advice, literal
+from gtau.findings.words import Sentence, Words, clock_advice, literal, percent_text, write_limits
 
 COSTLY_REPAIR = 0.02
 """Share of the samples that a repair drops or interpolates, from which it is a warning: up to 0.001 in the shared logs,
@@ -95,35 +96,76 @@ class Finding:
         """What was found and what to do about it, wrenches first where they may be the cause and none of them is."""
         if "what" in self.values:
             return self.values["what"], self.values.get("action", "")
-        named = {
-            "also": "",
-            "joint": "".join(self.joints[:1]),
-            "listed": " and ".join(f"'{joint}'" for joint in self.joints),
-            "count": len(self.joints),
-            "joints": self.joints,
-            "time": self.time,
-        } | dict(self.values)
+        first, last = (self.joints[0], self.joints[-1]) if self.joints else ("", "")
+        given: dict[str, Any] = {"also": "", "joint": "", "count": len(self.joints), "payload": True, **self.values}
+        given |= {"joints": self.joints, "time": self.time, "subject": self.subject, "joint": first or given["joint"]}
         words = WORDS[self.kind]
-        what, to_do = words if isinstance(words, tuple) else words(literal({**named, "subject": self.subject}))
-        values = {key: Number(value) if isinstance(value, float) else value for key, value in named.items()}
-        values["subject"], values["estimate"] = self.subject, self.subject or "estimates"
-        if self.joints:
-            values["joint"], values["other"] = self.joints[0], self.joints[-1]
-            values["estimate"] = f"the gain of '{self.joints[0]}'"
-        if self.causes:
-            cause = self.causes[0]
-            cause = replace(cause, values={**cause.values, "payload": self.values.get("payload", True)})
-            values["cause"], values["to_do"] = named_causes(self.causes), cause.action
-        values["clock"] = clock_advice(self.values.get("rate"))
+        what, to_do = words if isinstance(words, tuple) else words(literal(given))
         if "log" in self.values:
             what = "{log}: " + what
         if self.values.get("wrenches") and self.kind in MAY_BE_WRENCHES and not any(map(_of_wrench, self.causes)):
             to_do = f"{WRENCHES}; otherwise {to_do}"
-        return what.format(**values), to_do.format(**values)
+        made = {
+            "other": last,
+            "estimate": f"the gain of '{first}'" if first else self.subject or "estimates",
+            "clock": clock_advice(self.values.get("rate")),
+            "limits": write_limits(self.subject or first),
+        }
+        if "accuracy" in given:
+            made["width"] = percent_text(100 * given["half"], 100 * given["accuracy"])
+        if self.causes:
+            cause = self.causes[0]
+            cause = replace(cause, values={**cause.values, "payload": given["payload"]})
+            made |= {"cause": named_causes(self.causes), "to_do": cause.action}
+        return _filled(what, given, made), _filled(to_do, given, made)
 
     def of_source(self, source: str) -> Finding:
         """Return the finding with this run or robot as its source; what was its source is a log of that."""
         return replace(self, source=source, values={**self.values, "log": self.source} if self.source else self.values)
+
+
+class _Number(float):
+    """A value in a template."""
+
+    def __format__(self, spec: str) -> str:
+        value = abs(self) if spec.startswith("|") else float(self)
+        spec, unit = spec.removeprefix("|"), spec[-1:]
+        scale = {"%": 100.0, "m": 1e3, "k": 1e-3}.get(unit)
+        return format(value, spec) if scale is None else f"{scale * value:{spec[:-1]}}{' %' * (unit == '%')}"
+
+
+class _Names(tuple[str, ...]):
+    """Names in a template."""
+
+    def __format__(self, spec: str) -> str:
+        if spec == "s":
+            return "s" * (len(self) > 1)
+        listed = [f"'{name}'" for name in self] if spec in (",", "and") else self
+        return (" and " if spec in ("&", "and") else ", ").join(listed)
+
+
+CHOICE = re.compile(r"<(\w+)(\+|=\w+)?\?([^<>|]*)\|?([^<>]*)>")
+
+
+def _filled(template: str, given: Mapping[str, Any], made: dict[str, str]) -> str:
+    """Fill a template in, choices first and the inner ones before the outer."""
+
+    def chosen(choice: re.Match[str]) -> str:
+        value: Any = given.get(choice[1], 0)
+        if choice[2] == "+":
+            return choice[3] if value > 0 else choice[4]
+        return choice[3] if (f"={value}" == choice[2] if choice[2] else value) else choice[4]
+
+    choices = 1
+    while choices:
+        template, choices = CHOICE.subn(chosen, template)
+    return template.format(**({key: _printable(value) for key, value in given.items()} | made))
+
+
+def _printable(value: Any) -> Any:
+    if isinstance(value, float):
+        return _Number(value)
+    return _Names(value) if isinstance(value, list | tuple) else value
 
 
 def _of_wrench(cause: Finding) -> bool:
@@ -175,17 +217,19 @@ def note_document(finding: Finding) -> dict[str, Any]:
 
 
 def read_note(document: Any) -> Any:
-    """Read a finding from the JSON document of :func:`note_document`; raises ValueError."""
+    """Give the JSON document of :func:`note_document` the keys of a :class:`Finding`; raises ValueError."""
     if not isinstance(document, dict):
         return document
     if missing := {"kind", "what"} - set(document):
         raise ValueError(f"the key '{min(missing)}' is missing; add it")
-    precise, topic = document.get("finding"), document["kind"]
-    return Finding(
-        F(precise if precise in set(F) else topic),
-        (document["joint"],) if document.get("joint") else (),
-        values={"what": document["what"], "action": document.get("action") or ""},
-        source=document.get("source") or "",
-        time=document.get("time"),
-        share=document.get("share"),
-    )
+    what, action, precise = document["what"], document.get("action") or "", document.get("finding")
+    if not (isinstance(what, str) and isinstance(action, str)):
+        raise ValueError("'what' and 'action' are texts; write them as such")
+    return {
+        "kind": precise if isinstance(precise, str) and precise in set(F) else document["kind"],
+        "joints": (document["joint"],) if document.get("joint") else (),
+        "values": {"what": what, "action": action},
+        "source": document.get("source") or "",
+        "time": document.get("time"),
+        "share": document.get("share"),
+    }

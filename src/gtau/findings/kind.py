@@ -95,6 +95,8 @@ class FindingKind(StrEnum):
     STILL = "position that never changes", REST
     NOISY = "noisy speeds", POSITION_NOISE
     SPEED_LIMIT = "speed limit", LIMITS
+    CONFIRMED_GEOMETRY = "confirmed geometry", ROBOT
+    UNEXPLAINED_POSE = "unexplained pose", GEOMETRY
     UNKNOWN_PAYLOAD = "payload unknown to the model", READING
     ASSUMED_TEMPERATURE = "assumed temperature", READING
 

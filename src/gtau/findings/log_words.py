@@ -5,11 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from gtau.findings.kind import FindingKind as F
-from gtau.findings.words import Sentence, Values, Words, counted, literal, write_limits
-
-
-def _quoted(names: tuple[str, ...]) -> str:
-    return ", ".join(f"'{name}'" for name in names)
+from gtau.findings.words import Sentence, Values, Words
 
 
 def _outliers(values: Values) -> Sentence:
@@ -31,44 +27,6 @@ def _outliers(values: Values) -> Sentence:
     )
 
 
-def _aligned(values: Values) -> Sentence:
-    left_out = "; left out {left_out} positions before the first or after the last of them" * bool(values["left_out"])
-    return (
-        "aligned the {signal} with the positions by linear interpolation between their stamps ({rate:.4g} Hz; "
-        "positions {position_rate:.4g} Hz; typically {apart:.2g} ms from a position to the nearest)" + left_out,
-        "",
-    )
-
-
-def _missing(values: Values) -> Sentence:
-    masked = ", and masked {masked} of them in gaps of more than {bridged} samples" * bool(values["masked"])
-    return f"interpolated {counted(values['count'], 'missing sample')}{masked}", "log every cycle of the controller"
-
-
-def _irregular(values: Values) -> Sentence:
-    why = (
-        "as preparation.clock says"
-        if values["given"]
-        else "the time stamps are used, because a regular clock makes the positions no smoother"
-    )
-    return (
-        "resampled from irregular steps of {shortest:.3g} to {longest:.3g} ms to a uniform {hertz:.2f} Hz: " + why,
-        "",
-    )
-
-
-def _late_stamps(values: Values) -> Sentence:
-    how = "come in packets" if values["packets"] else "scatter"
-    why = "as packets are" if values["packets"] else "which makes the positions smoother"
-    if values["given"]:
-        why = "as preparation.clock says"
-    return (
-        f"time stamps {how}, up to {{late:.3g}} ms late: the samples were taken at a regular {{hertz:.2f}} Hz instead, "
-        f"{why}",
-        "if this rate is wrong, give the right one (time: {{rate: HZ}})" * values["packets"],
-    )
-
-
 def _noisy(values: Values) -> Sentence:
     listed = ", ".join(f"'{joint}' ({100 * share:.0f} %)" for joint, share in values["shares"])
     return (
@@ -79,30 +37,32 @@ def _noisy(values: Values) -> Sentence:
 
 
 LOG_WORDS: Mapping[str, Words] = {
-    F.SKIPPED_LINES: lambda values: (
-        ("skipped lines {first} to {last}" if values["last"] > values["first"] else "skipped line {first}")
-        + " before the table"
-        + (", took the names of its columns from line {header}" if values["header"] else ""),
+    F.SKIPPED_LINES: (
+        "skipped line<last?s {first} to {last}| {first}> before the table<header?, took the names of its columns from "
+        "line {header}>",
         "",
     ),
-    F.OTHER_ROWS: lambda values: (f"left out {counted(values['count'], 'row')} that hold only other signals", ""),
-    F.BAD_ROWS: lambda values: (
-        f"dropped {counted(values['count'], 'row')} with missing or non-numeric values ({{places}})",
+    F.OTHER_ROWS: ("left out {count} row<count=1?|s> that hold only other signals", ""),
+    F.BAD_ROWS: ("dropped {count} row<count=1?|s> with missing or non-numeric values ({places})", ""),
+    F.REPEATED_ROWS: ("dropped {count} repeated row<count=1?|s> ({places})", ""),
+    F.ALIGNED: (
+        "aligned the {signal} with the positions by linear interpolation between their stamps ({rate:.4g} Hz; "
+        "positions {position_rate:.4g} Hz; typically {apart:.2g} ms from a position to the nearest)<left_out?; left "
+        "out {left_out} positions before the first or after the last of them>",
         "",
     ),
-    F.REPEATED_ROWS: lambda values: (f"dropped {counted(values['count'], 'repeated row')} ({{places}})", ""),
-    F.ALIGNED: _aligned,
-    F.STILL: lambda values: (f"the position of joint {_quoted(values['joints'])} never changes: it yields no rows", ""),
-    F.UNWRAPPED: lambda values: (
-        f"unwrapped the angle of joint {_quoted(values['joints'])}, which jumped by a turn",
-        "",
-    ),
+    F.STILL: ("the position of joint {joints:,} never changes: it yields no rows", ""),
+    F.UNWRAPPED: ("unwrapped the angle of joint {joints:,}, which jumped by a turn", ""),
     F.OUTLIERS: _outliers,
-    F.CLIPPED: lambda values: (
-        "the {signal} of joint '{joint}' is clipped at {level:.4g}: masked " + counted(values["samples"], "sample"),
+    F.CLIPPED: (
+        "the {signal} of joint '{joint}' is clipped at {level:.4g}: masked {samples} sample<samples=1?|s>",
         "log again with smaller accelerations, or a higher limit of the drive",
     ),
-    F.MISSING: _missing,
+    F.MISSING: (
+        "interpolated {count} missing sample<count=1?|s><masked?, and masked {masked} of them in gaps of more than "
+        "{bridged} samples>",
+        "log every cycle of the controller",
+    ),
     F.HELD: (
         "the {signal} are held: updated at about {rate:.4g} Hz, every {period} samples; interpolated between updates",
         "log the {signal} at the rate at which they change",
@@ -111,26 +71,33 @@ LOG_WORDS: Mapping[str, Words] = {
         "{stale} samples of the {signal} are stale (repeat the previous one): interpolated",
         "log in the controller's own cycle",
     ),
-    F.IRREGULAR: _irregular,
-    F.LATE_STAMPS: _late_stamps,
+    F.IRREGULAR: (
+        "resampled from irregular steps of {shortest:.3g} to {longest:.3g} ms to a uniform {hertz:.2f} Hz: <given?as "
+        "preparation.clock says|the time stamps are used, because a regular clock makes the positions no smoother>",
+        "",
+    ),
+    F.LATE_STAMPS: (
+        "time stamps <packets?come in packets|scatter>, up to {late:.3g} ms late: the samples were taken at a regular "
+        "{hertz:.2f} Hz instead, <given?as preparation.clock says|<packets?as packets are|which makes the positions "
+        "smoother>>",
+        "<packets?if this rate is wrong, give the right one (time: {{rate: HZ}})>",
+    ),
     F.MOVED_COMMANDS: ("moved the commands {delay:.4g} ms forward, as preparation.delay says", ""),
     F.REST: ("joint '{joint}' hardly moves: its rows are left out", ""),
     F.NOISY: _noisy,
-    F.RATE: lambda values: (
+    F.RATE: (
         "the bandwidth of the motion, {bandwidth:.3g} Hz, is close to the Nyquist frequency, {nyquist:.4g} Hz: speeds "
         "and accelerations are inaccurate",
-        f"log at {10 * values['bandwidth']:.0f} Hz or more, or move more slowly",
+        "log at {wanted:.0f} Hz or more, or move more slowly",
     ),
-    F.LIMITS: lambda values: (
+    F.LIMITS: (
         "joint '{joint}' goes from {low:.4g} to {high:.4g} {unit}, outside its limits {lower:.4g} to {upper:.4g} "
         "{unit}",
-        f"check the zero of its position, or {literal(write_limits(values['joint']))}",
+        "check the zero of its position, or {limits}",
     ),
-    F.SPEED_LIMIT: lambda values: (
-        "joint '{joint}' moves at {speed:.4g} {unit}/s (rms), "
-        + f"{values['speed'] / values['limit']:.3g}"
-        + " times its limit of {limit:.4g} {unit}/s",
-        f"check columns and units; if the limit is a placeholder, {literal(write_limits(values['joint']))}",
+    F.SPEED_LIMIT: (
+        "joint '{joint}' moves at {speed:.4g} {unit}/s (rms), {ratio:.3g} times its limit of {limit:.4g} {unit}/s",
+        "check columns and units; if the limit is a placeholder, {limits}",
     ),
     F.DATA_SHEET: (
         "{quantity} of '{joint}': {value:.4g} {unit} was identified, and {stated:.4g} {unit} is by the data sheet "
@@ -142,9 +109,22 @@ LOG_WORDS: Mapping[str, Words] = {
         "geometry are amplified",
         "keep the motion away from that pose",
     ),
-    F.UNKNOWN_PAYLOAD: lambda values: (
-        f"payload '{{subject}}' is not a payload of the model ({_quoted(values['known']) or 'it has none'}), so it is "
-        "treated as a point mass of {mass:.4g} kg at the origin of '{tool}'",
+    F.CONFIRMED_GEOMETRY: ("the logged pose of '{subject}' confirms the robot's geometry to {before} rms", ""),
+    F.UNEXPLAINED_POSE: (
+        "the logged pose of '{subject}' is {before} rms from the one computed from the positions, which lengths and "
+        "encoder zeros do not explain<changes?; {changes:&} would explain {share} of its variance>",
+        "check its columns, units and sequence of angles, whether it is of this body (source: tool) and in the robot's "
+        "base (source: tracker), and the angles of the robot's geometry",
+    ),
+    F.GEOMETRY: (
+        "the geometry is off: {changes:&} <count=1?explains|explain> {share} of the residual variance of the logged "
+        "pose of '{subject}', which is {before} rms from the one computed, and {after} with <count=1?that change|these "
+        "changes>",
+        "{correct:&}",
+    ),
+    F.UNKNOWN_PAYLOAD: (
+        "payload '{subject}' is not a payload of the model (<known?{known:,}|it has none>), so it is treated as a "
+        "point mass of {mass:.4g} kg at the origin of '{tool}'",
         "correct the name, or give its 'parameters'",
     ),
     F.ASSUMED_TEMPERATURE: lambda values: (

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import floor, log10, sqrt, tau
 
 from gtau.findings.kind import FindingKind as F
-from gtau.findings.words import LISTED, Sentence, Values, Words
+from gtau.findings.words import Sentence, Values, Words
 
+LISTED = 3  # parameters that are named
+WHICH_PAYLOAD = "<payload?, which runs carry the payload, and on which body>"
+# A payload only where no wrench gives the scale, of which the payload might be a part.
+UNLOADED = (
+    "use longer runs, motions in which the joint lifts or accelerates more<wrenches?|, or also a payload of known mass>"
+    "; check the direction of gravity"
+)
 SCALE = "check its value, and the units and signs of the other scale references: payloads, sensors, wrenches"
 PRIOR = "is {found:.4g} from the data (standard deviation {std:.2g}), but {prior:.4g} from its prior ({prior_std:.2g})"
 IMPOSSIBLE = "check the signs of positions and currents, the sampling rate, the units and 'preparation'"
-
 FILTER = "log at a higher rate, from encoders with less noise, or set 'preparation' by hand"
 INSTRUMENTS = "use --method iv or didim, or encoders with less noise"
 NO_GRAVITY = (
@@ -20,34 +26,15 @@ NO_GRAVITY = (
 )
 
 
-def _motor_side(values: Values) -> Sentence:
-    if "least" in values:
-        what = "the true torques are {least:.3g} to {most:.3g} times those logged"
-    else:
-        what = "the torques reach {share:.2g%} of the limit of '{joint}' ({limit:.4g}), and less for all others"
-    to_do = (
-        "write 'motor_torque' with the 'gear_ratio' of each joint instead of 'torque', or 'current' if they are in A, "
-        "or correct the limits"
-    )
-    return what + ": by their size they are motor-side torques (before the gear) or currents", to_do
+def some(rows: Sequence[Sequence[object]], template: str, between: str) -> str:
+    """List the first rows, and say how many more there are."""
+    more = f" and {len(rows) - LISTED} more" if len(rows) > LISTED else ""
+    return between.join(template.format(*row) for row in rows[:LISTED]) + more
 
 
 def _between_runs(values: Values) -> str:
     listed = ", ".join(f"'{joint}' ({value:+.2f})" for joint, value in values["correlations"])
     return "residuals of runs that repeat a motion with different loads are correlated at " + listed
-
-
-def _ripple(values: Values) -> Sentence:
-    base = bool(values["base"])
-    where = "of the base '{subject}'" if base else "at joint '{joint}'"
-    cause = "a wrench is wrong or missing" if base else "motor ripple, cables or springs, which are not modelled"
-    of_gain = " (the gain of joint '{moved}' by {move:.3g%})" if values["move"] else ""
-    return (
-        f"residuals repeat at the same positions ({{share:.0f%}} of the variance {where}): {cause}. They repeat in "
-        "every run, so the scatter between blocks does not show them; the standard deviations include the shift of "
-        f"the estimates when they are modelled{of_gain}",
-        "",
-    )
 
 
 def _command_lag(values: Values) -> Sentence:
@@ -57,54 +44,17 @@ def _command_lag(values: Values) -> Sentence:
     return (
         f"the {{kind}}s lag behind the motion {size}, so they look low-passed, held or logged late; a low-pass filter "
         f"with that time constant attenuates them by {100 * (1 - 1 / sqrt(1 + phase**2)):.2g} % at the bandwidth of "
-        f"the motion, "
-        "{bandwidth:.3g} Hz",
+        "the motion, {bandwidth:.3g} Hz",
         "log the {kind}s before any filter and with the time stamps of the positions",
     )
 
 
-def _mass_unseen(values: Values) -> Sentence:
-    sums = values["sums"]
-    what = (
-        f"only sums with its other parameters affect the joint torques: {', '.join(sums)}"
-        if sums
-        else "it affects no joint torque: the body that carries it turns about a fixed point"
-    )
-    to_do = "if its centre of mass is known, write it as 'center: [x, y, z]' of the payload, m"
-    return f"the mass of payload '{{subject}}' is not identifiable, because {what}", to_do
-
-
 def _without_gravity(values: Values) -> Sentence:
-    joint, (before, after) = max(values["left"].items(), key=lambda each: each[1][0])
+    joint, (before, after) = max(values["left"].items(), key=lambda left: left[1][0])
     return (
         "torques without gravity, as from a driver that compensates it, which leaves "
         f"{100 * after:.2g} % of '{joint}' unexplained instead of {100 * before:.2g} %,",
         NO_GRAVITY,
-    )
-
-
-def _length(values: Values) -> Sentence:
-    bodies = ", ".join(f"'{body}'" for body in values["bodies"])
-    return f"a wrong length, such as the {1e3 * values['length']:.4g} mm at {bodies}", "check the robot's geometry"
-
-
-def _gain_change(values: Values) -> Sentence:
-    names, several = " and ".join(f"'{run}'" for run in values["runs"]), len(values["runs"]) > 1
-    way = "larger" if values["change"] > 0 else "smaller"
-    return (
-        f"a current of '{{joint}}' that is {way} in run{'s' * several} {names} than in the others",
-        "check which runs carry the payload, its mass and the clock; otherwise let the robot warm up, and alternate "
-        "loaded and unloaded runs: a motor's torque constant falls as it warms up"
-        if values.get("payload", True)
-        else "check the clock; otherwise let the robot warm up: a motor's torque constant falls as it warms up",
-    )
-
-
-def _tool_body(values: Values) -> Sentence:
-    return (
-        " and ".join(map(_body, values["bodies"])),
-        "check which runs carry the payload and its mass, and declare the load of every run ('payload: {{name: ..., "
-        "mass: ...}}' beside its 'log')",
     )
 
 
@@ -119,14 +69,6 @@ def _body(body: Values) -> str:
     return f"an undeclared body of {size} at the tool in run '{run}'"
 
 
-def _two_stage(values: Values) -> Sentence:
-    signs = (
-        "the signs and the payload of every run, and gravity" if values.get("payload", True) else "signs and gravity"
-    )
-    more = "if these are correct, add runs with other motions: friction that grows with the load has the same effect"
-    return "{estimate} by two-stage least squares", f"check {signs}; {more}"
-
-
 NOTE_WORDS: Mapping[str, Words] = {
     F.UNLIKE_LEGS: lambda values: (
         "legs of the same geometry differ, most in {parameter} of leg '{subject}' ("
@@ -135,9 +77,9 @@ NOTE_WORDS: Mapping[str, Words] = {
         "check that they are built identically",
     ),
     F.PRIOR: ("the known parameter {subject} " + PRIOR, SCALE),
-    F.SCALE_UNTESTED: lambda values: (
-        "the torques are assumed to be correct, because their scale could not be tested: "
-        + ("{why}" if "why" in values else "that of no joint is identifiable ('{joint}': {cause})"),
+    F.SCALE_UNTESTED: (
+        "the torques are assumed to be correct, because their scale could not be tested: <why?{why}|that of no joint "
+        "is identifiable ('{joint}': {cause})>",
         "add runs with a heavier payload of known mass, or longer ones",
     ),
     F.COMMON_SCALE: (
@@ -155,7 +97,13 @@ NOTE_WORDS: Mapping[str, Words] = {
         "mA or counts rather than SI units",
         "state their unit and the rated values (units: {{{kind}: ‰, rated: {{...}}}}), or {{{kind}: mA}}",
     ),
-    F.MOTOR_SIDE: _motor_side,
+    F.MOTOR_SIDE: (
+        "<least?the true torques are {least:.3g} to {most:.3g} times those logged|the torques reach {share:.2g%} of "
+        "the limit of '{joint}' ({limit:.4g}), and less for all others>: by their size they are motor-side torques "
+        "(before the gear) or currents",
+        "write 'motor_torque' with the 'gear_ratio' of each joint instead of 'torque', or 'current' if they are in A, "
+        "or correct the limits",
+    ),
     F.MODEL_TORQUES: (
         "the {kind}s have next to no friction ({friction:.1g%} of a joint's torque at most) and {residual:.2g%} is "
         "unexplained: they come from a model in the controller, not from the motors",
@@ -164,11 +112,11 @@ NOTE_WORDS: Mapping[str, Words] = {
     F.PRIOR_INERTIA: lambda values: (
         "the inertias of '{subject}' in the robot file, used as priors with a standard deviation of {std:.0f%}, "
         "contradict the data: "
-        + "; ".join(
-            f"{name} is {found:.3g} {unit} from the data (standard deviation {std:.2g}), {stated:.3g} in the file"
-            for name, found, std, stated, unit in values["parameters"][:LISTED]
-        )
-        + f" and {len(values['parameters']) - LISTED} more" * (len(values["parameters"]) > LISTED),
+        + some(
+            values["parameters"],
+            "{0} is {1:.3g} {4} from the data (standard deviation {2:.2g}), {3:.3g} in the file",
+            "; ",
+        ),
         "give 'prior_inertias' a larger value, or correct the file",
     ),
     F.CURRENTS_APART: lambda values: (
@@ -182,7 +130,13 @@ NOTE_WORDS: Mapping[str, Words] = {
         "{t:.0f} standard deviations of the difference); the intervals include this bias",
         INSTRUMENTS,
     ),
-    F.RIPPLE: _ripple,
+    F.RIPPLE: (
+        "residuals repeat at the same positions ({share:.0f%} of the variance <base?of the base '{subject}'|at joint "
+        "'{joint}'>): <base?a wrench is wrong or missing|motor ripple, cables or springs, which are not modelled>. "
+        "They repeat in every run, so the scatter between blocks does not show them; the standard deviations include "
+        "the shift of the estimates when they are modelled<move? (the gain of joint '{moved}' by {move:.3g%})>",
+        "",
+    ),
     F.COMMON_RESIDUALS: lambda values: (
         f"{_between_runs(values)}: the unmodelled torque there depends on the motion alone and cancels in the gains",
         "",
@@ -207,12 +161,15 @@ NOTE_WORDS: Mapping[str, Words] = {
         "lacks an effect, such as another kind of friction, motor ripple, cables or elasticity",
         "",
     ),
-    F.NOT_SEPARATED: lambda values: (
-        f"these motions cannot separate {', '.join(values['parameters'])} from the other base parameters: no value is "
-        "given",
+    F.NOT_SEPARATED: (
+        "these motions cannot separate {parameters} from the other base parameters: no value is given",
         "add runs with different motions of all joints",
     ),
-    F.MASS_UNSEEN: _mass_unseen,
+    F.MASS_UNSEEN: (
+        "the mass of payload '{subject}' is not identifiable, because <sums?only sums with its other parameters affect "
+        "the joint torques: {sums}|it affects no joint torque: the body that carries it turns about a fixed point>",
+        "if its centre of mass is known, write it as 'center: [x, y, z]' of the payload, m",
+    ),
     F.FEW_ROWS: (
         "the tests of the model were skipped, because the robot moves too little ({rows} rows in the middle of the "
         "runs for {unknowns} unknowns): the intervals cover random errors alone",
@@ -224,15 +181,28 @@ NOTE_WORDS: Mapping[str, Words] = {
 
 CAUSE_WORDS: Mapping[str, Words] = {
     F.WITHOUT_GRAVITY: _without_gravity,
-    F.LENGTH: _length,
-    F.GAIN_CHANGE: _gain_change,
-    F.TOOL_BODY: _tool_body,
+    F.LENGTH: ("a wrong length, such as the {length:.4gm} mm at {bodies:,}", "check the robot's geometry"),
+    F.GAIN_CHANGE: (
+        "a current of '{joint}' that is <change+?larger|smaller> in run{runs:s} {runs:and} than in the others",
+        "<payload?check which runs carry the payload, its mass and the clock; otherwise let the robot warm up, and "
+        "alternate loaded and unloaded runs|check the clock; otherwise let the robot warm up>: a motor's torque "
+        "constant falls as it warms up",
+    ),
+    F.TOOL_BODY: lambda values: (
+        " and ".join(map(_body, values["bodies"])),
+        "check which runs carry the payload and its mass, and declare the load of every run ('payload: {{name: ..., "
+        "mass: ...}}' beside its 'log')",
+    ),
     F.BANDWIDTH: ("{estimate} with a bandwidth {factor:g} times as large", FILTER),
     F.SLOW_ROWS: (
         "{estimate} without rows below {fraction:.2g%} of a joint's rms speed",
         "use motions with fewer reversals, or set 'preparation' by hand",
     ),
-    F.TWO_STAGE: _two_stage,
+    F.TWO_STAGE: (
+        "{estimate} by two-stage least squares",
+        "check <payload?the signs and the payload of every run, and gravity|signs and gravity>; if these are correct, "
+        "add runs with other motions: friction that grows with the load has the same effect",
+    ),
     F.INSTRUMENTS: ("{estimate} by instrumental variables", INSTRUMENTS),
 }
 """Causes that are no hypotheses, as tests of their own find them."""

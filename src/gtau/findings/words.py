@@ -7,14 +7,18 @@ from math import ceil, floor, log10
 from typing import Any
 
 RELATIVE = "of itself"  # unit of a size that is a share of what it changes
-LISTED = 3  # parameters that are named
 
 Values = Mapping[str, Any]
 Sentence = tuple[str, str]
 """Reason and advice, of a cause its name and advice, which is empty where there is nothing to do.
 
-Fields in braces are the values of the finding, its ``subject``, its first ``joint`` and the ``other`` one, the
-``estimate`` that it is about, the ``cause`` and what ``to_do`` about it.
+Fields in braces are the values of the finding, its ``joints`` and their ``count``, its ``subject``, its first
+``joint`` and the ``other`` one, the ``estimate`` that it is about, the ``cause`` and what ``to_do`` then, and how to
+correct the ``clock`` and the ``limits``. Beyond the formats of Python, ``%`` at the end prints a ratio in per cent,
+``m`` and ``k`` a thousand times a value and a thousandth of it, and ``|`` at the beginning its size. Names are listed,
+``&`` with an "and", ``,`` and ``and`` with quotes, and ``s`` is their plural. Of ``<name?this|that>`` the first is
+taken where the value is true, not empty and not zero, of ``<name+?this|that>`` where it is positive, of
+``<name=text?this|that>`` where it is that.
 """
 Words = Sentence | Callable[[Values], Sentence]
 """The sentence of a kind of finding, or a function that makes it from the values."""
@@ -54,13 +58,6 @@ def percent_text(share: float, accuracy: float | None = None) -> str:
     if accuracy is not None and share > accuracy >= float(shown):
         shown = f"{ceil(share * 10**decimals) / 10**decimals:.{decimals}f}"
     return shown
-
-
-class Number(float):
-    """A value in a template; a format that ends with ``%`` prints a ratio in per cent."""
-
-    def __format__(self, spec: str) -> str:
-        return f"{100 * self:{spec[:-1]}} %" if spec.endswith("%") else float.__format__(self, spec)
 
 
 def literal(value: Any) -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
@@ -13,12 +13,12 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from gtau.documents.files import in_order, matching, write_atomically
+from gtau.documents.files import in_order, matching, system_refusals, write_atomically
 from gtau.documents.validation import Keys, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.estimation.results.model_file import model_text
-from gtau.fleet.mapping import Mapper
+from gtau.fleet.workers import Mapper
 from gtau.model.home import load_robot
 from gtau.progress import Progress, silent
 from gtau.robots.readers.native_text import native_text
@@ -80,43 +80,34 @@ class FleetFile(Keys):
 
 
 def read_fleet(paths: Sequence[str | Path]) -> tuple[Member, ...]:
-    """List the robots of a fleet file, or of experiment files.
+    """List the robots of one fleet file, or of experiment files and patterns that match some.
 
-    Parameters
-    ----------
-    paths : sequence of path
-        Experiment files, or patterns that match some; or one fleet file.
+    They are named after the parts in which their paths differ. Only a fleet file has been read.
 
-    Returns
-    -------
-    tuple of Member
-        Named after the parts in which their paths differ. Only a fleet file has been read.
-
-    Raises
-    ------
-    GtauError
-        Where no file matches, or a fleet file is wrong.
+    Raises GtauError where no file matches, or a fleet file is wrong.
     """
-    found = [each for path in paths for each in _matches(Path(path))]
-    if len(found) == 1:
-        document = read_yaml(found[0])
+    files = _matches(map(Path, paths))
+    if len(files) == 1:
+        document, folder = read_yaml(files[0]), files[0].parent
         keys = document.data.keys()
         if not keys.isdisjoint(FleetFile.model_fields) or keys.isdisjoint(Experiment.model_fields):
-            fleet, folder = validate(FleetFile, document), found[0].parent
+            fleet = validate(FleetFile, document)
             if fleet.experiment is not None:
-                folders = [each for path in fleet.folders or () for each in _matches(folder / path) if each.is_dir()]
+                folders = [path for path in _matches(folder / path for path in fleet.folders or ()) if path.is_dir()]
                 if not folders:
-                    raise GtauError(f"{found[0]}: 'folders' matches no folder; give those of the robots' logs.")
+                    raise GtauError(f"{files[0]}: 'folders' matches no folder; give those of the robots' logs.")
                 return tuple(Member(name, folder / fleet.experiment, logs) for name, logs in _named(folders))
-            found = [each for path in fleet.experiments or () for each in _matches(folder / path)]
-    return tuple(Member(name, path) for name, path in _named(found))
+            files = _matches(folder / path for path in fleet.experiments or ())
+    return tuple(Member(name, path) for name, path in _named(files))
 
 
-def _matches(pattern: Path) -> list[Path]:
-    found = matching(pattern)
-    if not found:
-        raise GtauError(f"no file matches '{pattern}'; give experiment files, one for each robot.")
-    return found
+def _matches(patterns: Iterable[Path]) -> list[Path]:
+    matches: list[Path] = []
+    for pattern in patterns:
+        if not (files := matching(pattern)):
+            raise GtauError(f"no file matches '{pattern}'; give experiment files, one for each robot.")
+        matches += files
+    return matches
 
 
 def _named(paths: list[Path]) -> list[tuple[str, Path]]:
@@ -125,13 +116,13 @@ def _named(paths: list[Path]) -> list[tuple[str, Path]]:
     parts = [(path if path.is_dir() else path.with_suffix("")).absolute().parts for path in paths]
     if len(set(parts)) < len(parts):  # a.yaml and a.yml
         parts = [path.absolute().parts for path in paths]
-    shortest = min(len(each) for each in parts)
-    first = next((k for k in range(shortest - 1) if len({each[k] for each in parts}) > 1), shortest - 1)
+    shortest = min(len(names) for names in parts)
+    first = next((k for k in range(shortest - 1) if len({names[k] for names in parts}) > 1), shortest - 1)
     room = shortest - first - 1
-    last = next((k for k in range(room) if len({each[-1 - k] for each in parts}) > 1), room)
+    last = next((k for k in range(room) if len({names[-1 - k] for names in parts}) > 1), room)
     if len(paths) == 1:
         last = 0
-    return [("/".join(each[first : len(each) - last]), path) for each, path in zip(parts, paths, strict=True)]
+    return [("/".join(names[first : len(names) - last]), path) for names, path in zip(parts, paths, strict=True)]
 
 
 def identify_fleet(
@@ -143,35 +134,22 @@ def identify_fleet(
     robot, experiment and logs are unchanged the next time, the model is taken as it is. Any edit of the program counts
     as a change: a model depends on all of it.
 
-    Parameters
-    ----------
-    members : sequence of Member
-        The robots.
-    out : Path
-        An existing folder.
-    mapper : callable
-        From :func:`gtau.fleet.mapping.processes` or :func:`gtau.fleet.dask_workers.dask_workers`.
-    method : str
-        See :func:`gtau.identify`.
-    progress : callable
-        Called after each robot.
+    ``out`` is an existing folder, ``mapper`` comes from :mod:`gtau.fleet.workers`, ``method`` is that of
+    :func:`gtau.identify`, and ``progress`` is called after each robot.
 
-    Raises
-    ------
-    GtauError
-        Where the folder is not writable. Errors of a robot are in its report.
+    Raises GtauError where the folder is not writable. Errors of a robot are in its report.
     """
-    known = [_read_text(_key_file(out, member)) if _model_file(out, member).is_file() else "" for member in members]
+    known = [_read_text(_file(out, member, "key")) if _file(out, member).is_file() else "" for member in members]
     reports: dict[int, Report] = {}
     progress("robots", 0, len(members))
     items = [(member.anywhere, key) for member, key in zip(members, known, strict=True)]
-    for k, found in mapper(partial(_identify_member, method), items):
-        reports[k] = _keep(out, members[k], found)
+    for k, outcome in mapper(partial(identify_member, method), items):
+        reports[k] = _keep(out, members[k], outcome)
         progress("robots", len(reports), len(members))
     return tuple(reports[k] for k in range(len(members)))
 
 
-def _identify_member(method: str, item: tuple[Member, str]) -> tuple[str, str] | GtauError:
+def identify_member(method: str, item: tuple[Member, str]) -> tuple[str, str] | GtauError:
     """Identify a member: the key of its inputs and the text of its model, empty if the key is the known one."""
     from gtau.estimation.identify import identify
 
@@ -196,19 +174,16 @@ def inputs_key(experiment: Experiment, method: str) -> str:
 
     Logs enter by name and content, independent of their folder.
 
-    Raises
-    ------
-    GtauError
-        The robot or a log cannot be read.
+    Raises GtauError where the robot or a log cannot be read.
     """
     settings = experiment.model_dump_json(exclude={"robot": True, "validation": True, "runs": {"__all__": {"log"}}})
-    found = hashlib.sha256(_program())
+    key = hashlib.sha256(_program())
     for text in (method, settings, native_text(load_robot(experiment.robot).with_file(source=""))):
-        found.update(text.encode() + b"\0")
+        key.update(text.encode() + b"\0")
     for path in (log for run in experiment.runs for log in run.log):
         for file in in_order(path.iterdir()) if path.is_dir() else [path]:
-            found.update(f"{path.name}/{file.name}".encode(errors="surrogateescape") + b"\0" + _digest(file))
-    return found.hexdigest()
+            key.update(f"{path.name}/{file.name}".encode(errors="surrogateescape") + b"\0" + _digest(file))
+    return key.hexdigest()
 
 
 @cache
@@ -219,21 +194,18 @@ def _program() -> bytes:
 
 
 def _digest(path: Path) -> bytes:
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").digest()
-    except OSError as error:
-        raise GtauError(f"{path} cannot be read: {(error.strerror or str(error)).lower()}; check the path.") from None
+    with system_refusals(path), path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").digest()
 
 
-def _keep(out: Path, member: Member, found: tuple[str, str] | GtauError) -> Report:
+def _keep(out: Path, member: Member, outcome: tuple[str, str] | GtauError) -> Report:
     """Write a new model with its key, or remove an old one that is no longer valid."""
-    model, key = _model_file(out, member), _key_file(out, member)
-    if isinstance(found, GtauError):
+    model, key = _file(out, member), _file(out, member, "key")
+    if isinstance(outcome, GtauError):
         key.unlink(missing_ok=True)
         model.unlink(missing_ok=True)
-        return Report(member, None, str(found))
-    inputs, text = found
+        return Report(member, None, str(outcome))
+    inputs, text = outcome
     if text:
         key.unlink(missing_ok=True)  # until its model is written
         model.parent.mkdir(parents=True, exist_ok=True)
@@ -242,12 +214,8 @@ def _keep(out: Path, member: Member, found: tuple[str, str] | GtauError) -> Repo
     return Report(member, json.loads(_read_text(model)))
 
 
-def _model_file(out: Path, member: Member) -> Path:
-    return out / "models" / f"{member.name}.json"
-
-
-def _key_file(out: Path, member: Member) -> Path:
-    return out / "models" / f"{member.name}.key"
+def _file(out: Path, member: Member, ending: str = "json") -> Path:
+    return out / "models" / f"{member.name}.{ending}"
 
 
 def _read_text(path: Path) -> str:

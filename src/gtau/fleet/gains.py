@@ -21,15 +21,9 @@ QUARTILE = 0.4549364  # median of the chi-square distribution with one degree of
 class Distances:
     """Distances of values from their median.
 
-    Attributes
-    ----------
-    median, median_std, spread : float
-        Weighted median of the values with its standard deviation, and the standard deviation between the values
-        beyond those of the values themselves.
-    z : ndarray
-        (N,) distances from the median, in standard deviations of spread and value together.
-    limit : ndarray
-        (N,) the ``|z|`` beyond which a value is an outlier; infinite where there are fewer than 8 values.
+    ``median`` is weighted, ``spread`` the standard deviation between the values beyond those of the values themselves;
+    ``z`` (N,) are the distances in standard deviations of spread and value together, and ``limit`` (N,) the ``|z|``
+    beyond which a value is an outlier; infinite where there are fewer than 8 values.
     """
 
     median: float
@@ -51,12 +45,8 @@ def distances(values: np.ndarray, std: np.ndarray, freedom: np.ndarray, tests: i
     breaks down only where half of the values are outliers. The limit is the point of a t distribution that is exceeded
     in ``tests`` draws with a probability of 5 %.
 
-    Parameters
-    ----------
-    values, std, freedom : ndarray
-        (N,) values, their standard deviations, and the degrees of freedom of those (inf: very many).
-    tests : int
-        Values tested in the whole fleet.
+    ``values`` (N,) have standard deviations ``std`` with degrees of ``freedom`` (inf: very many); ``tests`` values are
+    tested in the whole fleet.
     """
     from scipy.special import stdtrit
 

@@ -7,8 +7,6 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from gtau.estimation.check_logs import ExperimentCheck, LogCheck
 from gtau.estimation.diagnostics.geometry_findings import to_document as geometry_document
 from gtau.estimation.results.estimate import write_distances
@@ -70,22 +68,22 @@ def _log_document(log: LogCheck, robot: Robot) -> dict[str, Any]:
         "rows": log.rows,
         "joints": [
             {
-                "joint": each.joint,
-                "moves": bool(np.isfinite(each.bandwidth)),
-                "unit": position_unit(robot, each.joint),
-                "position": list(each.position),
-                "speed": {"rms": each.speed_rms, "max": each.speed_max},
-                "bandwidth": each.bandwidth if np.isfinite(each.bandwidth) else None,
-                "command_unit": command_unit(robot, each.joint, run.kind),
-                "command": {"rms": each.command_rms, "max": each.command_max},
-                "usable": each.usable,
+                "joint": joint.joint,
+                "moves": joint.spectrum.moves,
+                "unit": position_unit(robot, joint.joint),
+                "position": list(joint.position),
+                "speed": {"rms": joint.speed_rms, "max": joint.speed_max},
+                "bandwidth": joint.bandwidth if joint.spectrum.moves else None,
+                "command_unit": command_unit(robot, joint.joint, run.kind),
+                "command": {"rms": joint.command_rms, "max": joint.command_max},
+                "usable": joint.usable,
             }
-            for each in log.joints
+            for joint in log.joints
         ],
-        "wrenches": [asdict(each) for each in log.wrenches],
+        "wrenches": [asdict(wrench) for wrench in log.wrenches],
         "singularities": [
-            {"type": each.type, "distance": each.distance, "time": each.time, "pose": dict(each.pose)}
-            for each in log.nearest
+            {"type": pose.type, "distance": pose.distance, "time": pose.time, "pose": dict(pose.pose)}
+            for pose in log.nearest
         ],
     }
 
@@ -93,7 +91,7 @@ def _log_document(log: LogCheck, robot: Robot) -> dict[str, Any]:
 def check_page(checked: ExperimentCheck) -> Page:
     """Show what the logs hold, and whether an identification can use them."""
     robot, preparation = checked.robot, checked.preparation
-    nearest = [each for log in checked.logs for each in log.nearest]
+    nearest = [pose for log in checked.logs for pose in log.nearest]
     motions = [section(log.run.name, motion_chart(log, robot), folded=k > 0) for k, log in enumerate(checked.logs)]
     prepared = [section(log.run.name, logs.preparation_chart(log), folded=True) for log in checked.logs]
     spectra = logs.spectra_items(checked.logs[0].run, robot, preparation) if preparation and checked.logs else []
@@ -115,18 +113,18 @@ def _verdict(checked: ExperimentCheck) -> Section:
     style = {Severity.ERROR: "bad", Severity.WARNING: "weak", Severity.INFORMATION: "good"}[checked.worst]
     time = sum(logs.seconds(log.run) for log in used)
     said = f"{counted(len(used), 'run')} of {time:.4g} s in all for the identification"
-    words = Text(gate_words(checked.notes), (said,) if used else (), style)  # type: ignore[arg-type]
+    words = Text(expectation(checked.notes), (said,) if used else (), style)  # type: ignore[arg-type]
     return section("Verdict", words, id="verdict")
 
 
-def gate_words(notes: Sequence[Finding]) -> str:
+def expectation(notes: Sequence[Finding]) -> str:
     """Say in one sentence what to expect of an identification from these logs."""
-    found = by_severity(same_in_several(notes))
-    weighing = any(each.kind == FindingKind.WEIGHING for each in notes)
+    listed = by_severity(same_in_several(notes))
+    weighing = any(note.kind == FindingKind.WEIGHING for note in notes)
     command = "gtau payload" if weighing else "gtau identify"
-    if errors := found.get(Severity.ERROR):
+    if errors := listed.get(Severity.ERROR):
         return f"{command} will refuse these logs: {counted(len(errors), 'error')} to resolve first."
-    if warnings := found.get(Severity.WARNING):
+    if warnings := listed.get(Severity.WARNING):
         return f"{command} can read these logs; {counted(len(warnings), 'warning')} to look into first."
     return f"{command} can use these logs as they are."
 
@@ -158,12 +156,12 @@ def _purpose(log: LogCheck) -> str:
 
 def _joints(log: LogCheck, robot: Robot) -> Section:
     kind = {"A": "current", "N": "force"}.get(command_unit(robot, log.joints[-1].joint, log.run.kind), "torque")
-    speeds = [f"{position_unit(robot, each.joint)}/s" for each in log.joints]
-    mixed = len(set(speeds)) > 1
-    commands = [command_unit(robot, each.joint, log.run.kind) for each in log.joints]
+    speeds = [f"{position_unit(robot, joint.joint)}/s" for joint in log.joints]
+    commands = [command_unit(robot, joint.joint, log.run.kind) for joint in log.joints]
+    positions = "position" if len(set(speeds)) > 1 else f"position, {speeds[0].removesuffix('/s')}"
     columns = (
         Column("joint"),
-        Column(f"position{'' if mixed else ', ' + speeds[0].removesuffix('/s')}", Kind.INTERVAL),
+        Column(positions, Kind.INTERVAL),
         *_of_unit("speed", speeds, wide=True),
         Column("bandwidth, Hz", Kind.NUMBER, 3, missing="at rest"),
         *_of_unit(kind, commands),
@@ -171,14 +169,14 @@ def _joints(log: LogCheck, robot: Robot) -> Section:
     )
     rows = [
         (
-            joint_label(each.joint),
-            each.position,
-            *(each.speed_rms, each.speed_max, *_several(speeds, k)),
-            each.bandwidth,
-            *(each.command_rms, each.command_max, *_several(commands, k)),
-            each.usable,
+            joint_label(joint.joint),
+            joint.position,
+            *(joint.speed_rms, joint.speed_max, *_several(speeds, k)),
+            joint.bandwidth,
+            *(joint.command_rms, joint.command_max, *_several(commands, k)),
+            joint.usable,
         )
-        for k, each in enumerate(log.joints)
+        for k, joint in enumerate(log.joints)
     ]
     title = f"{log.run.name} ({_purpose(log)}, {logs.payload_words(log.run)})"
     return section(title, table(columns, rows), _wrenches(log), folded=False)
@@ -201,16 +199,16 @@ def _wrenches(log: LogCheck) -> Table | None:
         return None
     return table_of(
         log.wrenches,
-        (Column("wrench on"), lambda each: each.body),
-        (Column("force rms, N", Kind.NUMBER, 3), lambda each: each.force_rms),
-        (Column("moment rms, N m", Kind.NUMBER, 3), lambda each: each.moment_rms),
-        (Column("about the origin of the"), lambda each: each.axes),
+        (Column("wrench on"), lambda wrench: wrench.body),
+        (Column("force rms, N", Kind.NUMBER, 3), lambda wrench: wrench.force_rms),
+        (Column("moment rms, N m", Kind.NUMBER, 3), lambda wrench: wrench.moment_rms),
+        (Column("about the origin of the"), lambda wrench: wrench.axes),
     )
 
 
 def motion_chart(log: LogCheck, robot: Robot) -> Chart:
     """Draw the motion of the joints in a log, and its distances to singularities of both types."""
-    start, joints = float(log.run.time[0]), [each.joint for each in log.joints]
+    start, joints = float(log.run.time[0]), [joint.joint for joint in log.joints]
     panels = joint_panels(robot, joints, log.distances.time - start, log.position, "position", 2.1)
     distances = distances_panels([log.distances], {log.distances.run: start})
     return Chart((*panels, *(replace(panel, title="") for panel in distances)), log.run.name, live=True)
@@ -224,26 +222,23 @@ def write_check(checked: ExperimentCheck, folder: Path) -> list[Path]:
     GtauError
         Where a file cannot be written.
     """
-    from gtau.report.render.charts import save
-
-    names = unique_names([log.run.name for log in checked.logs])
-    written = [
-        save(motion_chart(log, checked.robot), folder / f"{name}.png")
-        for name, log in zip(names, checked.logs, strict=True)
-    ]
-    write_distances([log.distances for log in checked.logs], folder / "singularities.parquet")
-    return [*written, folder / "singularities.parquet"]
+    charts = [motion_chart(log, checked.robot) for log in checked.logs]
+    distances = folder / "singularities.parquet"
+    written = _saved(checked, charts, folder)
+    write_distances([log.distances for log in checked.logs], distances)
+    return [*written, distances]
 
 
 def write_preparation(checked: ExperimentCheck, folder: Path) -> list[Path]:
     """Write a figure of each log's preparation; raises GtauError where one cannot be written."""
+    return _saved(checked, [logs.preparation_chart(log) for log in checked.logs], folder, "-preparation")
+
+
+def _saved(checked: ExperimentCheck, charts: Sequence[Chart], folder: Path, suffix: str = "") -> list[Path]:
     from gtau.report.render.charts import save
 
     names = unique_names([log.run.name for log in checked.logs])
-    return [
-        save(logs.preparation_chart(log), folder / f"{name}-preparation.png")
-        for name, log in zip(names, checked.logs, strict=True)
-    ]
+    return [save(chart, folder / f"{name}{suffix}.png") for name, chart in zip(names, charts, strict=True)]
 
 
 def unique_names(names: Sequence[str]) -> list[str]:

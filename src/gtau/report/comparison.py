@@ -14,21 +14,21 @@ from gtau.report.page import Column, Kind, Page, Table, Text, joint_label, page,
 BELIEVED = ("good", "weak")
 
 
-def comparison_page(found: EstimatorComparison, prior: Mapping[str, float] | None = None) -> Page:
+def comparison_page(comparison: EstimatorComparison, prior: Mapping[str, float] | None = None) -> Page:
     """Show the results of each estimator."""
-    verdict = Text(headline(found), tuple(remarks(found)), "neutral")
+    verdict = Text(headline(comparison), tuple(remarks(comparison)), "neutral")
     words = "residual: of the worst joint, in % of its current; time: of the estimation alone; ±: 95 % intervals"
     return page(
-        f"Estimators on {found.robot}",
+        f"Estimators on {comparison.robot}",
         section("Verdict", verdict, id="verdict"),
-        section("Estimators", comparison_table(found), Text(words, style="soft"), id="estimators"),
-        section("Drive gains by estimator", *_charts(found, prior or {}), id="gains"),
+        section("Estimators", comparison_table(comparison), Text(words, style="soft"), id="estimators"),
+        section("Drive gains by estimator", *_charts(comparison, prior or {}), id="gains"),
     )
 
 
-def headline(found: EstimatorComparison) -> str:
+def headline(comparison: EstimatorComparison) -> str:
     """Summarise in one sentence how far the estimators agree."""
-    rows = [row for row in found.rows if row.gains is not None and row.std is not None]
+    rows = [row for row in comparison.rows if row.gains is not None and row.std is not None]
     believed = [row for row in rows if row.outcome is not None and row.outcome.value in BELIEVED]
     if len(believed) < 2:
         return f"{len(believed) or 'None'} of {len(rows)} estimators that find drive gains give trustworthy ones."
@@ -37,55 +37,55 @@ def headline(found: EstimatorComparison) -> str:
     j = int(np.argmax(spread))
     return (
         f"{len(believed)} of {len(rows)} estimators find trustworthy gains, which agree to "
-        f"{percent_text(spread[j])} % or better, and differ most at {found.joints[j]}."
+        f"{percent_text(spread[j])} % or better, and differ most at {comparison.joints[j]}."
     )
 
 
-def remarks(found: EstimatorComparison) -> list[str]:
+def remarks(comparison: EstimatorComparison) -> list[str]:
     """List estimators that refuse the data, or whose gains are not to be believed."""
-    words = [f"{row.method}: {row.refusal}" for row in found.rows if row.refusal]
+    words = [f"{row.method}: {row.refusal}" for row in comparison.rows if row.refusal]
     words += [
         f"{row.method}: the gains are {row.outcome.value}"
-        for row in found.rows
+        for row in comparison.rows
         if row.outcome is not None and row.outcome.value not in BELIEVED
     ]
     return words
 
 
-def comparison_table(found: EstimatorComparison) -> Table:
+def comparison_table(comparison: EstimatorComparison) -> Table:
     """Tabulate each estimator: worst verdict, residual, time, and gains with their 95 % intervals."""
-    units = found.units or ("N m/A or N/A",) * len(found.joints)
+    units = zip(comparison.joints, _units(comparison), strict=True)
+    labels = [f"{joint_label(joint)}, {unit}" for joint, unit in units]
     columns = (
         Column("estimator", Kind.NAME),
         Column("worst verdict", Kind.BADGE),
         Column("residual, %", Kind.NUMBER, decimals=2),
         Column("time, s", Kind.NUMBER, decimals=2),
-        *(
-            Column(f"{joint_label(joint)}, {unit}", Kind.SPREAD, 5)
-            for joint, unit in zip(found.joints, units, strict=True)
-        ),
+        *(Column(label, Kind.SPREAD, 5) for label in labels),
     )
     rows: list[tuple[object, ...]] = []
-    for row in found.rows:
+    for row in comparison.rows:
         if row.gains is None or row.residuals is None:
-            rows.append((row.method, "refused", None, None, *([None] * len(found.joints))))
+            rows.append((row.method, "refused", None, None, *([None] * len(comparison.joints))))
             continue
-        halves = np.zeros(len(found.joints)) if row.half_widths is None else row.half_widths
+        halves = np.zeros(len(comparison.joints)) if row.half_widths is None else row.half_widths
         outcome = "given" if row.outcome is None else row.outcome.value
         gains = zip(row.gains.tolist(), halves.tolist(), strict=True)
         rows.append((row.method, outcome, float(row.residuals.max()), row.seconds, *gains))
     return table(columns, rows)
 
 
-def _charts(found: EstimatorComparison, prior: Mapping[str, float]) -> list[Chart]:
+def _charts(comparison: EstimatorComparison, prior: Mapping[str, float]) -> list[Chart]:
     """Draw the gain of each joint by every estimator, with 95 % intervals, and the prior gain."""
-    rows = [row for row in found.rows if row.gains is not None and row.half_widths is not None]
+    rows = {row.method: (row.gains, row.half_widths) for row in comparison.rows}
+    shown = {method: (g.tolist(), h.tolist()) for method, (g, h) in rows.items() if g is not None and h is not None}
     charts = []
-    for j, joint in enumerate(found.joints):
-        unit = found.units[j] if found.units else "N m/A or N/A"
-        values = [float(row.gains[j]) for row in rows if row.gains is not None]
-        halves = [float(row.half_widths[j]) for row in rows if row.half_widths is not None]
-        given = [prior.get(joint)] * len(rows)
-        axis = f"{joint_label(joint)}, {unit}"
-        charts.append(Chart((intervals([row.method for row in rows], values, halves, axis, other=("prior", given)),)))
-    return charts if rows else []
+    for j, (joint, unit) in enumerate(zip(comparison.joints, _units(comparison), strict=True) if shown else ()):
+        values, halves = [gains[j] for gains, _ in shown.values()], [half[j] for _, half in shown.values()]
+        given, axis = ("prior", [prior.get(joint)] * len(shown)), f"{joint_label(joint)}, {unit}"
+        charts.append(Chart((intervals(list(shown), values, halves, axis, other=given),)))
+    return charts
+
+
+def _units(comparison: EstimatorComparison) -> tuple[str, ...]:
+    return comparison.units or ("N m/A or N/A",) * len(comparison.joints)

@@ -44,34 +44,24 @@ def _where(note: Finding) -> str:
 
 
 def same_in_several(notes: Sequence[Finding]) -> list[Finding]:
-    """Merge notes that say the same of several logs, with whatever numbers where many logs have one.
+    """Merge notes that say the same of several logs, with whatever numbers where many logs have one: the worst counts.
 
     They keep no time, as each log has its own.
     """
-    groups: dict[tuple[str, str], list[Finding]] = {}
+    alike: dict[tuple[str, str], list[Finding]] = {}
     for note in notes:
-        groups.setdefault((note.what, note.action), []).append(note)
-    return _of_one_kind([_merged(group) for group in groups.values()])
-
-
-def _merged(group: Sequence[Finding]) -> Finding:
-    if len(group) == 1:
-        return group[0]
-    return replace(group[0], source=", ".join(dict.fromkeys(each.source for each in group if each.source)), time=None)
-
-
-def _of_one_kind(notes: Sequence[Finding]) -> list[Finding]:
-    """Merge notes of one kind that ask for the same, where there are more than ``APART`` of them: the worst counts."""
+        alike.setdefault((note.what, note.action), []).append(note)
     groups: dict[tuple[str, ...], list[Finding]] = {}
-    for note in notes:
+    for same in alike.values():
+        sources = ", ".join(dict.fromkeys(note.source for note in same if note.source))
+        note = replace(same[0], source=sources, time=None) if len(same) > 1 else same[0]
         groups.setdefault((note.kind, note.joint, note.action), []).append(note)
-    found = []
+    merged = []
     for group in groups.values():
         of_logs = [note for note in group if note.source]
-        if len(of_logs) <= APART:
-            found += group
-            continue
-        worst = max(of_logs, key=lambda note: note.share or 0.0)
-        found.append(replace(worst, source=f"{worst.source} and {len(of_logs) - 1} more", time=None))
-        found += [note for note in group if not note.source]
-    return found
+        if len(of_logs) > APART:
+            worst = max(of_logs, key=lambda note: note.share or 0.0)
+            merged.append(replace(worst, source=f"{worst.source} and {len(of_logs) - 1} more", time=None))
+            group = [note for note in group if not note.source]
+        merged += group
+    return merged

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -13,136 +12,116 @@ import polars as pl
 
 from gtau.documents.files import write_table
 from gtau.findings.words import counted
-from gtau.fleet.gains import FleetGain, FleetTable, JointOfFleet
+from gtau.fleet.gains import FleetTable, JointOfFleet
 from gtau.report.chart import Axis, Chart, Panel, Rule, Series
-from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text, joint_label, page, section, table_of
+from gtau.report.page import Column, ColumnOf, Facts, Kind, Page, Section, Text, joint_label, page, section, table_of
 
 LISTED = 20  # outliers, or robots that were refused; the others are in the table
 NAMED = 40  # robots whose names find room below the axis
 
 
-def fleet_document(found: FleetTable) -> dict[str, Any]:
+def fleet_document(fleet: FleetTable) -> dict[str, Any]:
     """Describe the fleet as a JSON document: joints over the fleet, gains by robot, robots that were refused."""
     return {
         "schema": "gtau-fleet/1",
-        "joints": [asdict(joint) for joint in found.joints],
-        "gains": [gain.row for gain in found.gains],
-        "refused": [{"robot": robot, "why": why} for robot, why in found.refused],
+        "joints": [asdict(joint) for joint in fleet.joints],
+        "gains": [gain.row for gain in fleet.gains],
+        "refused": [{"robot": robot, "why": why} for robot, why in fleet.refused],
     }
 
 
-def fleet_page(found: FleetTable) -> Page:
-    """Show each joint over the robots, outliers, and robots that were refused."""
-    return page("Drive gains of a fleet", _verdict(found), _joints(found), _outliers(found), _refused(found, LISTED))
-
-
-def fleet_report(found: FleetTable) -> Page:
-    """Show the fleet with every gain of every robot."""
-    charts = [fleet_chart(found, joint) for joint in found.joints]
+def fleet_page(fleet: FleetTable, full: bool = False) -> Page:
+    """Show each joint over the robots, outliers, and refused robots; in ``full`` every gain of every robot, too."""
+    why = (Column("why"), "why")
+    charts = [fleet_chart(fleet, joint) for joint in fleet.joints if full]
     return page(
         "Drive gains of a fleet",
-        _verdict(found),
-        _joints(found),
-        _outliers(found),
+        _verdict(fleet),
+        _joints(fleet),
+        _outliers(fleet),
         section("Gains by robot", *charts, id="chart"),
-        section("All gains", _gains(found), id="gains"),
-        _refused(found),
-        lead=[f"{len(found.robots)} robots."],
+        section("All gains", table_of(fleet.gains, *GAIN, why, name="gains-table"), id="gains") if full else None,
+        _refused(fleet, None if full else LISTED),
+        lead=[f"{len(fleet.robots)} robots."] if full else [],
     )
 
 
-def _verdict(found: FleetTable) -> Section:
-    outliers = found.outliers
-    robots = dict.fromkeys(gain.robot for gain in outliers)
-    if not found.robots:
+def _verdict(fleet: FleetTable) -> Section:
+    outliers, robots = fleet.outliers, {gain.robot for gain in fleet.outliers}
+    if not fleet.robots:
         words, style = "No robot could be identified.", "bad"
     elif outliers:
         apart = f"{counted(len(outliers), 'drive gain')} of {counted(len(robots), 'robot')}"
         words, style = f"{apart} differ from the rest of the fleet.", "weak"
-    elif any(joint.comparable for joint in found.joints):
+    elif any(joint.comparable for joint in fleet.joints):
         words, style = "No drive gain is an outlier in the fleet.", "good"
     else:
         words, style = "The robots are identified, but they are too few to detect outliers.", "neutral"
-    facts = {"identified": len(found.robots), "refused": len(found.refused), "outliers": len(outliers)}
-    return section("Verdict", Text(words, tuple(remarks(found)), style), Facts(facts), id="verdict")  # type: ignore[arg-type]
+    facts = {"identified": len(fleet.robots), "refused": len(fleet.refused), "outliers": len(outliers)}
+    return section("Verdict", Text(words, tuple(remarks(fleet)), style), Facts(facts), id="verdict")  # type: ignore[arg-type]
 
 
-def _joints(found: FleetTable) -> Section:
+def _joints(fleet: FleetTable) -> Section:
     joints = table_of(
-        found.joints,
-        (Column("model"), lambda each: each.model),
-        (Column("joint"), lambda each: joint_label(each.joint)),
-        (Column("robots", Kind.NUMBER), lambda each: each.robots),
-        (Column("median gain", Kind.NUMBER, 5), lambda each: each.median),
-        (Column("std", Kind.NUMBER, 2), lambda each: each.median_std),
-        (Column("spread, %", Kind.NUMBER, decimals=2), lambda each: 100 * each.spread / abs(each.median)),
-        (Column("unit"), lambda each: each.unit),
+        fleet.joints,
+        (Column("model"), "model"),
+        (Column("joint"), lambda joint: joint_label(joint.joint)),
+        (Column("robots", Kind.NUMBER), "robots"),
+        (Column("median gain", Kind.NUMBER, 5), "median"),
+        (Column("std", Kind.NUMBER, 2), "median_std"),
+        (Column("spread, %", Kind.NUMBER, decimals=2), lambda joint: 100 * joint.spread / abs(joint.median)),
+        (Column("unit"), "unit"),
     )
     return section("Joints over the fleet", joints, id="joints")
 
 
-GAIN: tuple[tuple[Column, Callable[[FleetGain], Any]], ...] = (
-    (Column("robot"), lambda gain: gain.robot),
+GAIN: tuple[ColumnOf, ...] = (
+    (Column("robot"), "robot"),
     (Column("joint"), lambda gain: joint_label(gain.joint)),
     (Column("verdict", Kind.BADGE), lambda gain: "outlier" if gain.outlier else gain.outcome),
-    (Column("gain", Kind.NUMBER, 5), lambda gain: gain.estimate.value),
-    (Column("std", Kind.NUMBER, 2), lambda gain: gain.estimate.std),
-    (Column("unit"), lambda gain: gain.estimate.unit),
-    (Column("from median, %", Kind.NUMBER, 3), lambda gain: gain.difference_percent),
-    (Column("z", Kind.NUMBER, 3), lambda gain: gain.z),
-    (Column("limit", Kind.NUMBER, 3), lambda gain: gain.limit),
+    (Column("gain", Kind.NUMBER, 5), "estimate.value"),
+    (Column("std", Kind.NUMBER, 2), "estimate.std"),
+    (Column("unit"), "estimate.unit"),
+    (Column("from median, %", Kind.NUMBER, 3), "difference_percent"),
+    (Column("z", Kind.NUMBER, 3), "z"),
+    (Column("limit", Kind.NUMBER, 3), "limit"),
 )
 """Columns of a gain with their cells."""
 
 
-def _outliers(found: FleetTable) -> Section:
-    shown = found.outliers[:LISTED]
-    more = len(found.outliers) - len(shown)
-    return section(
-        "Outliers",
-        table_of(shown, *GAIN) if shown else Text("none"),
-        Text(f"and {more} more") if more else None,
-        id="outliers",
-    )
+def _outliers(fleet: FleetTable) -> Section:
+    shown = table_of(fleet.outliers[:LISTED], *GAIN) if fleet.outliers else Text("none")
+    more = len(fleet.outliers) - LISTED
+    return section("Outliers", shown, Text(f"and {more} more") if more > 0 else None, id="outliers")
 
 
-def _gains(found: FleetTable) -> Table:
-    return table_of(found.gains, *GAIN, (Column("why"), lambda gain: gain.why), name="gains-table")
-
-
-def _refused(found: FleetTable, most: int | None = None) -> Section | None:
-    shown = found.refused[:most]
-    if not shown:
+def _refused(fleet: FleetTable, most: int | None = None) -> Section | None:
+    if not fleet.refused:
         return None
-    more = len(found.refused) - len(shown)
-    said = [f"{robot}: {why}" for robot, why in shown] + ([f"and {more} more"] if more else [])
-    return section("Refused robots", Text("", tuple(said)), id="refused")
+    said = [f"{robot}: {why}" for robot, why in fleet.refused[:most]]
+    more = len(fleet.refused) - len(said)
+    return section("Refused robots", Text("", (*said, *([f"and {more} more"] if more else []))), id="refused")
 
 
-def remarks(found: FleetTable) -> list[str]:
+def remarks(fleet: FleetTable) -> list[str]:
     """List what else is to be said of the outliers."""
+    joints = Counter(gain.robot for gain in fleet.gains)
+    signs = Counter((gain.robot, "large" if (gain.difference_percent or 0) > 0 else "small") for gain in fleet.outliers)
     said = [
-        f"robot '{robot}': all its gains are {sign} alike; check the payload's mass in its experiment first"
-        for robot, sign in _off_alike(found.outliers, found.gains)
+        f"robot '{robot}': all its gains are too {sign} alike; check the payload's mass in its experiment first"
+        for (robot, sign), count in signs.items()
+        if 1 < count == joints[robot]
     ]
-    few = [each for each in found.joints if not each.comparable]
-    if few:
-        models = ", ".join(dict.fromkeys(f"'{each.model}'" for each in few))
-        said.append(f"of {models} there are too few robots to find outliers (8 are needed)")
+    few = dict.fromkeys(f"'{joint.model}'" for joint in fleet.joints if not joint.comparable)
+    said += [f"of {', '.join(few)} there are too few robots to find outliers (8 are needed)"] if few else []
     return said
 
 
-def _off_alike(outliers: Sequence[FleetGain], gains: Sequence[FleetGain]) -> list[tuple[str, str]]:
-    joints = Counter(gain.robot for gain in gains)
-    signs = Counter((g.robot, "too large" if (g.difference_percent or 0) > 0 else "too small") for g in outliers)
-    return [key for key, count in signs.items() if 1 < count == joints[key[0]]]
-
-
-def fleet_chart(found: FleetTable, joint: JointOfFleet) -> Chart:
+def fleet_chart(fleet: FleetTable, joint: JointOfFleet) -> Chart:
     """Draw gains of a joint on all robots in per cent of the median, with 95 % intervals and the spread."""
     gains = [
         gain
-        for gain in found.gains
+        for gain in fleet.gains
         if (gain.model, gain.joint, gain.estimate.unit) == (joint.model, joint.joint, joint.unit)
         and gain.difference_percent is not None
     ]
@@ -164,35 +143,28 @@ def fleet_chart(found: FleetTable, joint: JointOfFleet) -> Chart:
     return Chart((panel,), caption="The band is the spread of the fleet.")
 
 
-def write_fleet(found: FleetTable, out: Path) -> list[Path]:
+def write_fleet(fleet: FleetTable, out: Path) -> list[Path]:
     """Write ``gains.csv``, ``gains.parquet`` and a figure of each robot model."""
     from gtau.report.render.charts import save
 
-    refused = [{"robot": robot, "outcome": "refused", "why": why, "outlier": False} for robot, why in found.refused]
-    frame = pl.DataFrame([gain.row for gain in found.gains] + refused, schema=_SCHEMA)
+    refused = [{"robot": robot, "outcome": "refused", "why": why, "outlier": False} for robot, why in fleet.refused]
+    frame = pl.DataFrame([gain.row for gain in fleet.gains] + refused, schema=_SCHEMA)
     written = [out / "gains.csv", out / "gains.parquet"]
     for path in written:
         write_table(frame, path)
-    models = list(dict.fromkeys(joint.model for joint in found.joints))
+    models = list(dict.fromkeys(joint.model for joint in fleet.joints))
     for k, model in enumerate(models):
-        panels = [fleet_chart(found, joint).panels[0] for joint in found.joints if joint.model == model]
+        panels = [fleet_chart(fleet, joint).panels[0] for joint in fleet.joints if joint.model == model]
         name = "gains.png" if len(models) == 1 else f"gains_{k + 1}.png"
         written.append(save(Chart(tuple(panels)), out / name))
     return written
 
 
 _SCHEMA = {
-    "robot": pl.String,
-    "model": pl.String,
-    "joint": pl.String,
-    "gain": pl.Float64,
-    "std": pl.Float64,
-    "unit": pl.String,
-    "outcome": pl.String,
-    "why": pl.String,
-    "difference_percent": pl.Float64,
-    "z": pl.Float64,
-    "limit": pl.Float64,
+    **dict.fromkeys(("robot", "model", "joint"), pl.String),
+    **dict.fromkeys(("gain", "std"), pl.Float64),
+    **dict.fromkeys(("unit", "outcome", "why"), pl.String),
+    **dict.fromkeys(("difference_percent", "z", "limit"), pl.Float64),
     "outlier": pl.Boolean,
     "half_width": pl.Float64,
 }

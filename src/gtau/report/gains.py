@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 
 from gtau.estimation.diagnostics.verdict import Outcome
@@ -15,7 +15,7 @@ from gtau.estimation.thresholds.estimates import ACCURACY
 from gtau.findings.words import percent_text
 from gtau.model.base_parameters import whole_mass
 from gtau.report.chart import Chart, intervals
-from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, section, table, table_of
+from gtau.report.page import Column, ColumnOf, Kind, Section, Table, Text, joint_label, section, table, table_of
 
 GOOD_OUTCOMES = (Outcome.GOOD, Outcome.GIVEN)
 LEAST = 0.01  # share of a source of the scale that is mentioned
@@ -50,7 +50,7 @@ def gains_table(result: Result, prior: Mapping[str, float]) -> Table:
         width = gains[joint].half_width
         return None if width is None else percent_text(width, accuracy)
 
-    columns: list[tuple[Column, Callable[[str], object]]] = [
+    columns: list[ColumnOf] = [
         (Column("joint"), joint_label),
         (Column("verdict", Kind.BADGE), lambda joint: gains[joint].verdict.outcome.value),
         (Column("scale" if result.kind == "torque" else "gain", Kind.NUMBER, 5), lambda joint: gains[joint].value),
@@ -83,9 +83,9 @@ def reasons_table(result: Result) -> Table | None:
     listed = table_of(
         reasons(result),
         (Column("joint"), lambda reason: ", ".join(map(joint_label, reason.joints))),
-        (Column("verdict", Kind.BADGE), lambda reason: reason.outcome.value),
-        (Column("reason", Kind.SENTENCE), lambda reason: reason.why),
-        (Column("action", Kind.SENTENCE), lambda reason: reason.action),
+        (Column("verdict", Kind.BADGE), "outcome.value"),
+        (Column("reason", Kind.SENTENCE), "why"),
+        (Column("action", Kind.SENTENCE), "action"),
         listed=True,
     )
     return listed if listed.rows else None
@@ -154,7 +154,7 @@ def scale_lines(result: Result) -> list[str]:
     names |= {
         f"payload '{name}'": f"payload '{name}' ({mass:g} kg)" for name, mass in known.items() if mass is not None
     }
-    words = {joint: _sources(gain.scale, names) for joint, gain in result.drive_gains.items() if gain.scale}
+    words = {joint: _sources(shares, names) for joint, shares in result.scale.items() if shares}
     if len(set(words.values())) == 1:
         return [f"The scale of all gains comes from {next(iter(words.values()))}."]
     return [f"The scale of '{joint}' comes from {sources}." for joint, sources in words.items()]
@@ -171,8 +171,8 @@ def _sources(scale: Mapping[str, float], names: Mapping[str, str]) -> str:
 def all_sources(result: Result) -> str:
     """List all sources of the scale, those on which most gains rest first; sensors of a kind together, by joint."""
     totals: Counter[str] = Counter()
-    for gain in result.drive_gains.values():
-        totals.update({source: abs(share) for source, share in gain.scale.items()})
+    for shares in result.scale.values():
+        totals.update({source: abs(share) for source, share in shares.items()})
     names = {source: source for source, total in totals.most_common() if total >= LEAST * len(result.drive_gains)}
     together = []
     for kind in dict.fromkeys(sensor.kind for sensor in result.sensors):
@@ -218,7 +218,7 @@ def masses_table(payloads: Sequence[PayloadEstimate]) -> Table | None:
 
 def masses_section(payloads: Sequence[PayloadEstimate]) -> Section | None:
     """Draw the masses of payloads with their intervals; None where none is identifiable."""
-    masses = {f"{each.name}, {each.run}": each.parameters["m"] for each in payloads if "m" in each.parameters}
+    masses = {f"{load.name}, {load.run}": load.parameters["m"] for load in payloads if "m" in load.parameters}
     values, halves = [m.value for m in masses.values()], [m.half_interval() for m in masses.values()]
     if set(values) <= {None}:
         return None

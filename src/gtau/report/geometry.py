@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from gtau.estimation.diagnostics.geometry_findings import GeometryTest, percent
+from gtau.estimation.diagnostics.geometry_findings import GeometryTest, PoseResidual, percent
 from gtau.estimation.thresholds.logs import POSE_DELAY_STD
 from gtau.report.chart import Axis, Chart, Panel, Series, colour
-from gtau.report.page import Column, Kind, Section, Table, Text, section, table
+from gtau.report.motion import TIME
+from gtau.report.page import Column, Kind, Section, Table, Text, section, table_of
 
 STYLES = {"confirmed": "good", "other constants": "bad", "unexplained": "weak"}
 LISTED = 12  # constants
@@ -22,12 +23,13 @@ def geometry_section(test: GeometryTest | None) -> Section | None:
     if test is None:
         return None
     said = [ESTIMATED[test.source]]
-    if test.delay_std < POSE_DELAY_STD:
-        said.append(f"the poses lag {1e3 * test.delay:.1f} ± {1e3 * test.delay_std:.1g} ms behind the positions")
+    delay, std = test.delay
+    if std < POSE_DELAY_STD:
+        said.append(f"the poses lag {1e3 * delay:.1f} ± {1e3 * std:.1g} ms behind the positions")
     return section(
         "Logged pose and geometry",
         Text(str(test.note), tuple(said), STYLES[test.outcome]),  # type: ignore[arg-type]
-        *(section(trace.run, _traces(test, k), folded=k > 0) for k, trace in enumerate(test.traces)),
+        *(section(run, _traces(test, run), folded=k > 0) for k, run in enumerate(_traced_runs(test))),
         section(f"Residuals of the pose of '{test.body}': logged less computed", _residuals(test), folded=False),
         section(
             "Constants, each by itself, sorted by the share of the residual variance explained",
@@ -42,61 +44,49 @@ def geometry_section(test: GeometryTest | None) -> Section | None:
     )
 
 
-def _traces(test: GeometryTest, k: int) -> Chart:
-    trace = test.traces[k]
-    names = [(each.name, each.unit) for each in test.residuals if each.run == trace.run]
-    shown = [("logged less computed", trace.before)]
-    shown += [("with the change", trace.after)] if test.explained_by else []
+def _traced_runs(test: GeometryTest) -> dict[str, None]:
+    return dict.fromkeys(residual.run for residual in test.residuals if residual.time.size)
+
+
+def _traces(test: GeometryTest, run: str) -> Chart:
+    components = [residual for residual in test.residuals if residual.run == run]
+    shown = {"logged less computed": "before"} | ({"with the change": "after"} if test.explained_by else {})
     panels = []
-    for words, values in shown:
+    for words, which in shown.items():
         for unit in ("m", "rad"):
-            lines = [
-                Series(f"{name}, {words}", trace.time, 1e3 * values[:, j], colour(j))
-                for j, (name, of_name) in enumerate(names)
-                if of_name == unit
-            ]
-            if lines:
-                panels.append(
-                    Panel(Axis("time from the start of the run, s"), Axis(f"{words}, m{unit}"), tuple(lines), height=2)
-                )
-    return Chart(tuple(panels), trace.run, live=True)
+            lines = tuple(
+                Series(f"{component.name}, {words}", component.time, 1e3 * getattr(component, which), colour(j))
+                for j, component in enumerate(components)
+                if component.unit == unit
+            )
+            panels += [Panel(TIME, Axis(f"{words}, m{unit}"), lines, height=2)] if lines else []
+    return Chart(tuple(panels), run, live=True)
 
 
 def _residuals(test: GeometryTest) -> Table:
-    columns = [Column("run"), Column("component"), Column("rms", Kind.NUMBER, 3), Column("bias", Kind.NUMBER, 2)]
-    columns += [Column("rms with the changes", Kind.NUMBER, 3)] if test.explained_by else []
-    rows = [
-        (
-            each.run,
-            each.name,
-            1e3 * each.rms,
-            1e3 * each.bias if abs(each.bias) > ROUNDING * each.rms else 0.0,
-            *([1e3 * each.rms_after] if test.explained_by else []),
-            f"m{each.unit}",
-        )
-        for each in test.residuals
-    ]
-    return table([*columns, Column("unit")], rows)
+    after = (Column("rms with the changes", Kind.NUMBER, 3), lambda residual: 1e3 * residual.rms_after)
+    return table_of(
+        test.residuals,
+        (Column("run"), "run"),
+        (Column("component"), "name"),
+        (Column("rms", Kind.NUMBER, 3), lambda residual: 1e3 * residual.rms),
+        (Column("bias", Kind.NUMBER, 2), _bias),
+        *([after] if test.explained_by else []),
+        (Column("unit"), lambda residual: f"m{residual.unit}"),
+    )
+
+
+def _bias(residual: PoseResidual) -> float:
+    return 1e3 * residual.bias if abs(residual.bias) > ROUNDING * residual.rms else 0.0
 
 
 def _constants(test: GeometryTest) -> Table:
-    columns = (
-        Column("length or encoder zero"),
-        Column("in the robot file", Kind.NUMBER, 5),
-        Column("change", Kind.NUMBER, 3),
-        Column("std", Kind.NUMBER, 2),
-        Column("unit"),
-        Column("explains", Kind.NUMBER),
+    return table_of(
+        test.tried[:LISTED],
+        (Column("length or encoder zero"), "name"),
+        (Column("in the robot file", Kind.NUMBER, 5), lambda constant: 1e3 * constant.value or None),
+        (Column("change", Kind.NUMBER, 3), lambda constant: 1e3 * constant.change),
+        (Column("std", Kind.NUMBER, 2), lambda constant: 1e3 * constant.std),
+        (Column("unit"), lambda constant: f"m{constant.unit}"),
+        (Column("explains", Kind.NUMBER), lambda constant: percent(constant.share)),
     )
-    rows = [
-        (
-            each.name,
-            1e3 * each.value if each.value else None,
-            1e3 * each.change,
-            1e3 * each.std,
-            f"m{each.unit}",
-            percent(each.share),
-        )
-        for each in test.tried[:LISTED]
-    ]
-    return table(columns, rows)

@@ -96,7 +96,7 @@ def report_page(result: Result, runs: Sequence[RunEvidence], prior: Mapping[str,
         motion_section(result, runs),
         geometry_section(result.geometry),
         _consistency_section(result.consistency),
-        logs_section([each.run for each in runs], result.robot, result.preparation),
+        logs_section([run.run for run in runs], result.robot, result.preparation),
         alternatives_section(result),
         findings_section(findings(result)),
         lead=[f"Estimator: {estimator_of(result.method).description}. Runs: {', '.join(result.runs)}."],
@@ -174,7 +174,7 @@ def _fit_words(result: Result) -> list[Text]:
     if result.consistency is not None:
         cost = _growth(_overall(result.consistency))
         said.append(f"Physically consistent parameters: torque residuals {cost}.")
-    return [Text(each) for each in said]
+    return list(map(Text, said))
 
 
 def _sensors_section(result: Result) -> Section | None:
@@ -207,8 +207,8 @@ def requirements_section(result: Result) -> Section | None:
         (Column("required"), lambda requirement: required(requirement)[0]),
         (Column("of"), lambda requirement: required(requirement)[1]),
         (Column("outcome", Kind.BADGE), lambda requirement: "passed" if requirement.met else "failed"),
-        (Column("limit, %", Kind.NUMBER), lambda requirement: requirement.limit),
-        (Column("found, %", Kind.NUMBER, decimals=2), lambda requirement: requirement.found),
+        (Column("limit, %", Kind.NUMBER), "limit"),
+        (Column("found, %", Kind.NUMBER, decimals=2), "found"),
         (Column("worst joint"), lambda requirement: requirement.joint or None),
     )
     return section("Requirements", listed, id="requirements")
@@ -224,10 +224,10 @@ def _consistency_section(consistency: Consistency | None) -> Section | None:
     shown += [move for name in gains for move in consistency.moves if move.name == name]
     listed = table_of(
         shown,
-        (Column("estimate", Kind.NAME), lambda move: move.name),
-        (Column("free", Kind.NUMBER, 5), lambda move: move.free),
-        (Column("consistent", Kind.NUMBER, 5), lambda move: move.consistent),
-        (Column("moved, std", Kind.NUMBER, decimals=2), lambda move: move.deviations),
+        (Column("estimate", Kind.NAME), "name"),
+        (Column("free", Kind.NUMBER, 5), "free"),
+        (Column("consistent", Kind.NUMBER, 5), "consistent"),
+        (Column("moved, std", Kind.NUMBER, decimals=2), "deviations"),
     )
     joint = max(consistency.loss, key=lambda name: consistency.loss[name])
     words = (

@@ -14,8 +14,8 @@ from gtau.robots.parameter import command_unit, position_unit
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.bandwidth import spectra
 from gtau.signals.preparation.prepared_run import Preparation
-from gtau.signals.reading.log_set import find_logs
-from gtau.signals.run import Log, Run
+from gtau.signals.reading.logs import read_logs
+from gtau.signals.run import Run
 from gtau.signals.storage import block, spans
 
 if TYPE_CHECKING:
@@ -47,9 +47,9 @@ def logs_section(runs: Sequence[Run], robot: Robot, preparation: Preparation) ->
         return None
     listed = table_of(
         runs,
-        (Column("log"), lambda run: run.name),
+        (Column("log"), "name"),
         (Column("samples", Kind.NUMBER, 8), lambda run: len(run.time)),
-        (Column("rate, Hz", Kind.NUMBER, 5), lambda run: run.rate),
+        (Column("rate, Hz", Kind.NUMBER, 5), "rate"),
         (Column("duration, s", Kind.NUMBER), seconds),
         (Column("repaired, %", Kind.SHARE, 2), lambda run: 1 - valid_share(run)),
         (Column("clock and repairs"), lambda run: "; ".join(map(str, run.notes)) or "uniform clock, no repairs"),
@@ -61,17 +61,17 @@ def spectra_items(run: Run, robot: Robot, preparation: Preparation) -> list[Char
     """Draw amplitude spectral densities of a run's speeds and commands, a panel for each unit."""
     rules = [Rule(x=preparation.bandwidth, label=f"bandwidth {preparation.bandwidth:.3g} Hz")]
     rules += [Rule(x=preparation.cutoff, label=f"filter {preparation.cutoff:.3g} Hz")] if preparation.cutoff else []
-    of_speed: dict[str, list[Series]] = {}
-    of_command: dict[str, list[Series]] = {}
+    lines: dict[str, list[Series]] = {}
     for j, (joint, spectrum) in enumerate(zip(run.joints, spectra(run), strict=True)):
-        line = _amplitude(joint_label(joint), spectrum.frequency, spectrum.speed, colour(j))
-        of_speed.setdefault(f"speed, {position_unit(robot, joint)}/s/√Hz", []).extend(line)
-        line = _amplitude(joint_label(joint), *_density(run, j), colour(j))
-        of_command.setdefault(f"command, {command_unit(robot, joint, run.kind)}/√Hz", []).extend(line)
+        unit, densities = f"speed, {position_unit(robot, joint)}/s/√Hz", (spectrum.frequency, spectrum.speed)
+        lines.setdefault(unit, []).extend(_amplitude(joint_label(joint), *densities, colour(j)))
+    for j, joint in enumerate(run.joints):
+        unit, densities = f"command, {command_unit(robot, joint, run.kind)}/√Hz", _density(run, j)
+        lines.setdefault(unit, []).extend(_amplitude(joint_label(joint), *densities, colour(j)))
     panels = [
-        Panel(FREQUENCY, Axis(label, log=True), tuple(lines), label.split(",")[0].capitalize(), tuple(rules), height=2)
-        for label, lines in (of_speed | of_command).items()
-        if lines
+        Panel(FREQUENCY, Axis(label, log=True), tuple(drawn), label.split(",")[0].capitalize(), tuple(rules), height=2)
+        for label, drawn in lines.items()
+        if drawn
     ]
     words = (
         f"Amplitude spectral densities of {run.name}: speeds, differentiated from the logged positions, in thirds of "
@@ -106,49 +106,43 @@ def _amplitude(label: str, frequency: np.ndarray, density: np.ndarray, hue: str)
 def preparation_chart(log: LogCheck) -> Chart:
     """Draw the spectra of a log's joints, the steps of its clock, and which rows of each joint are used."""
     preparation = log.preparation
-    marks = [(preparation.bandwidth, "bandwidth"), (preparation.cutoff, "position filter")]
-    marks.append((log.run.rate / preparation.decimator.factor / 2, "Nyquist of the rows"))
-    rules = tuple(Rule(x=each, label=f"{name} {each:.3g} Hz") for each, name in marks if each is not None)
+    marks = {
+        "bandwidth": preparation.bandwidth,
+        "position filter": preparation.cutoff,
+        "Nyquist of the rows": log.run.rate / preparation.decimator.factor / 2,
+    }
+    rules = tuple(Rule(x=mark, label=f"{name} {mark:.3g} Hz") for name, mark in marks.items() if mark is not None)
+    titles = {"speed": "Power of the velocities", "acceleration": "Power of the accelerations; dots: noise dominates"}
     share = Axis("share of the peak", log=True)
-    speeds, accelerations = (_shares(log, what) for what in ("speed", "acceleration"))
-    ends = "Power of the accelerations; dots: noise dominates"
-    panels = [
-        Panel(FREQUENCY, share, speeds, "Power of the velocities", rules, height=2.3),
-        Panel(FREQUENCY, share, accelerations, ends, rules, height=2.3),
-    ]
-    stamps = None if log.run.log is None else _stamps(log.run.log)
-    panels += [] if stamps is None else [_steps(stamps, log.run)]
-    panels.append(_used(log))
-    return Chart(tuple(panels), log.run.name)
+    panels = [Panel(FREQUENCY, share, _shares(log, kind), title, rules, height=2.3) for kind, title in titles.items()]
+    return Chart((*panels, *([_steps(log.run)] if log.run.log.paths else []), _used(log)), log.run.name)
 
 
-def _shares(log: LogCheck, what: str) -> tuple[Series, ...]:
+def _shares(log: LogCheck, kind: str) -> tuple[Series, ...]:
     """Draw a power spectrum of each joint, with a dot where noise begins to dominate its acceleration."""
-    found: list[Series] = []
+    series: list[Series] = []
     for j, joint in enumerate(log.joints):
         spectrum = joint.spectrum
-        density = getattr(spectrum, what)
+        density, frequency = getattr(spectrum, kind), spectrum.frequency
         shown = density > LOWEST * density.max()
         if not shown.any():
             continue
         share = density / density.max()
-        found.append(Series(joint_label(joint.joint), spectrum.frequency[shown], share[shown], colour(j)))
-        if spectrum.moves and what == "acceleration":
-            k = int(np.argmin(np.abs(spectrum.frequency - spectrum.end)))
-            found.append(Series("", spectrum.frequency[k : k + 1], share[k : k + 1], colour(j), "points", width=3.0))
-    return tuple(found)
+        series.append(Series(joint_label(joint.joint), frequency[shown], share[shown], colour(j)))
+        if spectrum.moves and kind == "acceleration":
+            k = int(np.argmin(np.abs(frequency - spectrum.end)))
+            series.append(Series("", frequency[k : k + 1], share[k : k + 1], colour(j), "points", width=3.0))
+    return tuple(series)
 
 
-def _stamps(log: Log) -> np.ndarray:
-    """Read the time column (N,) of a whole log, s."""
-    time = np.concatenate([values[:, -1] for values in find_logs(log.paths, log.signals, log.units).blocks()])
-    return np.asarray(time[np.isfinite(time)])
-
-
-def _steps(stamps: np.ndarray, run: Run) -> Panel:
+def _steps(run: Run) -> Panel:
     """Draw steps of the time column over time, in samples of the grid."""
+    log = run.log
+    assert log.signals is not None and log.units is not None  # noqa: PT018 (it has files)
+    _, parts = read_logs(log.paths, log.signals, log.units, [])
+    stamps = np.concatenate([values[:, -1] for values in parts])
     begin, end, period = float(run.time[0]), float(run.time[-1]), 1 / run.rate
-    stamps = stamps[(stamps >= begin - period) & (stamps <= end + period)]
+    stamps = stamps[(stamps >= begin - period) & (stamps <= end + period)]  # without those that are not finite
     time, steps = stamps[1:], np.diff(stamps) / period
     top = max(2.0, 1.1 * float(steps.max(initial=0.0)))
     series = Series("", time - begin, steps, "soft", width=0.6)

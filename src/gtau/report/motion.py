@@ -15,7 +15,7 @@ from gtau.report.evidence import RunEvidence
 from gtau.report.page import Column, Kind, Section, Text, joint_label, section, table_of
 from gtau.robots.parameter import position_unit
 from gtau.robots.robot import Robot
-from gtau.signals.run import Run, arrange
+from gtau.signals.run import Run
 from gtau.signals.storage import rows_at
 
 TYPES = {1: "type 1 (serial)", 2: "type 2 (parallel)"}
@@ -65,10 +65,10 @@ def singularities_section(nearest: Sequence[NearestPose]) -> Section | None:
         return None
     listed = table_of(
         nearest,
-        (Column("run"), lambda pose: pose.run),
+        (Column("run"), "run"),
         (Column("singularity"), lambda pose: TYPES[pose.type]),
-        (Column("nearest", Kind.NUMBER, 3), lambda pose: pose.distance),
-        (Column("at, s", Kind.NUMBER), lambda pose: pose.time),
+        (Column("nearest", Kind.NUMBER, 3), "distance"),
+        (Column("at, s", Kind.NUMBER), "time"),
         (Column("pose, rad or m", wide=True), lambda pose: ", ".join(f"{j} {q:.3g}" for j, q in pose.pose.items())),
     )
     words = "Reciprocal condition numbers: 1 at best, 0 at a singular pose."
@@ -116,7 +116,7 @@ def body_path(result: Result, run: Run) -> np.ndarray:
     from gtau.model.kinematics import frames
 
     model = result.idm
-    run = arrange(run, model.actuated)
+    run = run.ordered(model.actuated)
     shown = np.arange(0, len(run.time), -(-len(run.time) // POSES))
     c = model.path(np.ascontiguousarray(rows_at(run.position, shown).T))
     symbol = ca.SX.sym("c", model.layout.n_c)

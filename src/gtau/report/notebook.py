@@ -12,7 +12,6 @@ from gtau.estimation.results.estimate import Named
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.results.predicted import Prediction
 from gtau.estimation.results.result import Result
-from gtau.report.chart import Chart
 from gtau.report.check import check_page
 from gtau.report.comparison import comparison_page
 from gtau.report.evidence import gather, settings_of
@@ -46,8 +45,8 @@ def plots(result: Result) -> Plots:
 
 def write(result: Result, path: Path) -> None:
     """Write the report of a result, with the runs that it holds, to an HTML file."""
-    found = report_page(result, gather(result, result.data), {})
-    write_atomically(path, rendered(stamped(found, settings_of(result))))
+    report = report_page(result, gather(result, result.data), {})
+    write_atomically(path, rendered(stamped(report, settings_of(result))))
 
 
 @singledispatch
@@ -65,8 +64,7 @@ def _(shown: Result) -> Page:
 
 @view.register
 def _(shown: EstimatorComparison) -> Page:
-    found = comparison_page(shown)
-    return Page("", found.sections[:2])
+    return Page("", comparison_page(shown).sections[:2])
 
 
 @view.register
@@ -77,16 +75,15 @@ def _(shown: PayloadEstimate) -> Page:
 @view.register
 def _(shown: Named) -> Page:
     columns = (Column("name", Kind.NAME), *VALUE, Column("95 % interval", Kind.INTERVAL), Column("verdict", Kind.BADGE))
-    rows = [(name, *value_cells(each), each.interval(), each.verdict.outcome.value) for name, each in shown.items()]
+    rows = [(name, *value_cells(value), value.interval(), value.verdict.outcome.value) for name, value in shown.items()]
     return page("", section("", table(columns, rows)))
 
 
 @view.register
 def _(shown: Prediction) -> Page:
-    chart: Chart = torques_chart(shown, ["N m or N"] * len(shown.joints), "", shown.time - shown.time[0])
-    return page("", section("", chart))
+    return page("", section("", torques_chart(shown, ["N m or N"] * len(shown.joints), "", shown.time - shown.time[0])))
 
 
 @view.register
 def _(shown: ExperimentCheck) -> Page:
-    return Page("", tuple(each for each in check_page(shown).sections if each.id in TERMINAL))
+    return Page("", tuple(part for part in check_page(shown).sections if part.id in TERMINAL))

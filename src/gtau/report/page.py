@@ -10,14 +10,14 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from math import floor, isfinite, log10
-from typing import Any, Literal, TypeVar
+from operator import attrgetter
+from typing import Any, Literal
 
 import numpy as np
 
 from gtau.report.chart import Chart
 from gtau.robots.robot import Robot
 
-Each = TypeVar("Each")
 BADGES = {
     "given": "good",
     "good": "good",
@@ -125,10 +125,14 @@ def table(columns: Iterable[Column], rows: Iterable[Sequence[Any]], **more: Any)
     return Table(tuple(columns), tuple(map(tuple, rows)), **more)
 
 
-def table_of(items: Iterable[Each], *columns: tuple[Column, Callable[[Each], Any]], **more: Any) -> Table:
-    """Make a table with a row for each item; each column comes with the function that gives its cells."""
-    rows = [[cell(item) for _, cell in columns] for item in items]
-    return table([column for column, _ in columns], rows, **more)
+ColumnOf = tuple[Column, str | Callable[[Any], Any]]
+"""A column with what its cells are: the name of an attribute of the row's item, or a function of it."""
+
+
+def table_of(items: Iterable[Any], *columns: ColumnOf, **more: Any) -> Table:
+    """Make a table with a row for each item."""
+    cells = [attrgetter(cell) if isinstance(cell, str) else cell for _, cell in columns]
+    return table([column for column, _ in columns], [[cell(item) for cell in cells] for item in items], **more)
 
 
 @dataclass(frozen=True)
@@ -181,7 +185,7 @@ def section(title: str, *items: Item | None, id: str = "", folded: bool | None =
 
 def page(title: str, *sections: Section | None, lead: Iterable[str] = ()) -> Page:
     """Make a page of the sections that are there and hold something."""
-    return Page(title, tuple(each for each in sections if each is not None and each.items), tuple(lead))
+    return Page(title, tuple(part for part in sections if part is not None and part.items), tuple(lead))
 
 
 def joint_label(joint: str) -> str:

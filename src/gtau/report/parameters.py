@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.regression.friction import TEMPERATURE_TERMS
-from gtau.estimation.results.estimate import Estimate
+from gtau.estimation.results.estimate import Estimate, FrictionCurve
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.table import estimates_table
 from gtau.report.chart import Axis, Chart, Panel, Series
 from gtau.report.evidence import RunEvidence
 from gtau.report.gains import VALUE, regroups, value_cells
-from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, section, table
+from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, section, table, table_of
 from gtau.robots.parameter import Parameter, position_unit, torque_unit
-from gtau.signals.channel import BEHIND_DRIVE
+from gtau.signals.channel import LINK_SIDE
 from gtau.signals.preparation.filters import position_filter
-from gtau.signals.run import arrange
 
-GROUPS = ("base parameter", "friction", *(kind.name for kind in BEHIND_DRIVE))
+GROUPS = ("base parameter", "friction", *(kind.name for kind in LINK_SIDE))
 KINDS = ("width", "vs", "fv", "fs", "fb", "fl", "off")
 POINTS = 3000  # of a panel
 CONTRADICTED = 6  # parameters on a short page
@@ -40,8 +40,8 @@ def parameters_section(result: Result) -> Section:
     """Show base, friction and sensor parameters in one table that sorts and searches."""
     listed = [(row.group, row.estimate) for row in estimates_table(result) if row.group.startswith(GROUPS)]
     columns = (Column("parameter", Kind.NAME), *VALUE, Column("role"), Column("regroups", Kind.NAME, wide=True))
-    rows = [(each.name, *value_cells(each), _role(each, group), regroups(each)) for group, each in listed]
-    faint = frozenset(k for k, (_, each) in enumerate(listed) if each.essential is False)
+    rows = [(value.name, *value_cells(value), _role(value, group), regroups(value)) for group, value in listed]
+    faint = frozenset(k for k, (_, value) in enumerate(listed) if value.essential is False)
     essential, loss = len(result.essential), result.statistics.get("reduction_loss", 0.0)
     words = (
         f"{essential} of {len(result.parameters)} base parameters are essential; a fit without the other "
@@ -62,12 +62,12 @@ def parameters_section(result: Result) -> Section:
     )
 
 
-def _role(each: Estimate, group: str) -> str:
-    if each.value is None:
+def _role(estimate: Estimate, group: str) -> str:
+    if estimate.value is None:
         return "not identifiable"
-    if each.essential is None:
+    if estimate.essential is None:
         return "by BIC" if group == "friction" else group
-    return "essential" if each.essential else "not essential"
+    return "essential" if estimate.essential else "not essential"
 
 
 def reference_text(result: Result) -> Text | None:
@@ -75,9 +75,9 @@ def reference_text(result: Result) -> Text | None:
     warm = result.temperatures
     if warm is None or not any(name.kind in TEMPERATURE_TERMS for name in result.friction):
         return None
-    listed = ", ".join(f"'{joint}' {value:.4g}" for joint, value in warm.of_joint.items())
-    same = len(set(warm.of_joint.values())) == 1
-    at = f"{next(iter(warm.of_joint.values())):.4g}" if same else listed
+    values = {joint: f"{value:.4g}" for joint, value in warm.of_joint.items()}
+    listed = ", ".join(f"'{joint}' {value}" for joint, value in values.items())
+    at = next(iter(values.values())) if len(set(warm.of_joint.values())) == 1 else listed
     return Text(f"fvt, fst: viscous and Coulomb friction per {warm.per} above the mean, {at} {warm.unit}")
 
 
@@ -88,64 +88,62 @@ def friction_section(result: Result, runs: Sequence[RunEvidence] = ()) -> Sectio
     """Show the friction of each joint; with ``runs`` also its curve. None for a result with the plain law alone."""
     if not result.curves:
         return None
-    panels = tuple(_panels(result, [each for each in runs if each.used and each.prediction is not None]))
-    chart = Chart(panels, columns=2) if panels else None
-    of_chart = Text(CURVES, style="soft") if panels else None
-    return section("Friction on all samples", Text(FRICTION), curves_table(result), of_chart, chart, id="friction")
+    panels = _curves(result, [run for run in runs if run.used])
+    drawn = (Text(CURVES, style="soft"), Chart(tuple(panels), columns=2)) if panels else ()
+    return section("Friction on all samples", Text(FRICTION), curves_table(result), *drawn, id="friction")
 
 
 def curves_table(result: Result) -> Table:
     """Tabulate the friction of each joint, SI units, values with half their 95 % intervals."""
-    columns = (
-        Column("joint"),
-        *(Column({"width": "presliding", "vs": "v_s"}.get(kind, kind)) for kind in KINDS),
-        Column("shown by", wide=True),
-        Column("error, %", Kind.NUMBER, decimals=1),
-        Column("plain law, %", Kind.NUMBER, decimals=1),
-    )
     friction = {**result.friction, **result.friction_parameters}
-    rows = [
-        (
-            joint_label(curve.joint),
-            *(_cell(friction.get(Parameter(kind, curve.joint))) for kind in KINDS),
-            ", ".join(f"{term} ({t:.1f} standard errors)" for term, t in curve.evidence.items()),
-            curve.error,
-            curve.plain_error,
-        )
-        for curve in result.curves.values()
-    ]
-    return table(columns, rows)
+
+    def value(kind: str, curve: FrictionCurve) -> str:
+        estimate = friction.get(Parameter(kind, curve.joint))
+        if estimate is None or estimate.value is None:
+            return "-"
+        half = estimate.half_interval()
+        return f"{estimate.value:.4g}" + ("" if half is None else f" ± {half:.2g}")
+
+    return table_of(
+        result.curves.values(),
+        (Column("joint"), lambda curve: joint_label(curve.joint)),
+        *((Column({"width": "presliding", "vs": "v_s"}.get(kind, kind)), partial(value, kind)) for kind in KINDS),
+        (Column("shown by", wide=True), _evidence_words),
+        (Column("error, %", Kind.NUMBER, decimals=1), "error"),
+        (Column("plain law, %", Kind.NUMBER, decimals=1), "plain_error"),
+    )
 
 
-def _cell(each: Estimate | None) -> str:
-    if each is None or each.value is None:
-        return "-"
-    half = each.half_interval()
-    return f"{each.value:.4g}" + ("" if half is None else f" ± {half:.2g}")
+def _evidence_words(curve: FrictionCurve) -> str:
+    return ", ".join(f"{term} ({t:.1f} standard errors)" for term, t in curve.evidence.items())
 
 
-def _panels(result: Result, runs: Sequence[RunEvidence]) -> list[Panel]:
+def _curves(result: Result, runs: Sequence[RunEvidence]) -> list[Panel]:
+    """Draw what gains and inertia leave to friction, and the friction predicted, over the speed of each joint."""
     gathered: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
-    for each in runs:
-        assert each.prediction is not None
-        found, run = each.prediction, arrange(each.run, result.idm.actuated)
-        count = int(np.searchsorted(run.time, found.time[-1])) + 1
+    for evidence in runs:
+        if (prediction := evidence.prediction) is None:
+            continue
+        run = evidence.run.ordered(result.idm.actuated)
+        count = int(np.searchsorted(run.time, prediction.time[-1])) + 1
         qd = position_filter(run.position, run.rate, result.preparation.at(run.rate).cutoff, 0, count)[1]
-        speeds = qd[np.minimum(np.searchsorted(run.time, found.time), count - 1)]
-        gathered.append((speeds, found.measured - found.predicted + found.friction, found.friction, found.valid))
+        speed = qd[np.minimum(np.searchsorted(run.time, prediction.time), count - 1)]
+        rest = prediction.measured - prediction.predicted + prediction.friction
+        gathered.append((speed, rest, prediction.friction, prediction.valid))
     panels = []
     for j, joint in enumerate(result.idm.actuated if gathered else ()):
         if joint in result.robot.base:
             continue
-        speed, left, made, valid = (np.concatenate([each[k][:, j] for each in gathered]) for k in range(4))
+        speed, rest, friction, valid = (np.concatenate([run[k][:, j] for run in gathered]) for k in range(4))
         shown = np.flatnonzero(valid)
         shown = shown[:: max(1, len(shown) // POINTS)]
         series = (
-            Series("left to friction", speed[shown], left[shown], "measured", "points"),
-            Series("predicted", speed[shown], made[shown], "predicted", "points"),
+            Series("left to friction", speed[shown], rest[shown], "measured", "points"),
+            Series("predicted", speed[shown], friction[shown], "predicted", "points"),
         )
-        unit, axis = position_unit(result.robot, joint), torque_unit(result.robot, joint)
-        panels.append(Panel(Axis(f"speed, {unit}/s"), Axis(f"friction, {axis}"), series, joint_label(joint), height=2))
+        x = Axis(f"speed, {position_unit(result.robot, joint)}/s")
+        y = Axis(f"friction, {torque_unit(result.robot, joint)}")
+        panels.append(Panel(x, y, series, joint_label(joint), height=2))
     return panels
 
 
@@ -156,26 +154,21 @@ def inertias_section(audit: InertiaAudit | None, short: bool = False) -> Section
     """Show how well the file's inertias predict, what contradicts them, and what is not identifiable."""
     if audit is None:
         return None
-    wrong = audit.of("contradicted")
-    return section(
-        "Inertias of the robot file",
-        Text(_audit_headline(audit), tuple(_audit_points(audit, short))),
-        _audit_table(audit, short) if wrong or not short else None,
-        id="inertias",
-    )
-
-
-def _audit_headline(audit: InertiaAudit) -> str:
-    said = (
+    words = (
         f"The file's inertias predict the torques to within {audit.stated_error:.2g} %, the identified ones "
         f"to within {audit.identified_error:.2g} % (rms over the joints; friction and gains as identified)."
     )
     if audit.prior:
-        said += (
+        words += (
             f" They are priors with a standard deviation of {100 * audit.prior:.3g} %, and the intervals include them; "
             "the comparison below uses the data without them."
         )
-    return said
+    return section(
+        "Inertias of the robot file",
+        Text(words, tuple(_audit_points(audit, short))),
+        _audit_table(audit, short) if audit.of("contradicted") or not short else None,
+        id="inertias",
+    )
 
 
 def _audit_points(audit: InertiaAudit, short: bool) -> list[str]:
@@ -185,14 +178,14 @@ def _audit_points(audit: InertiaAudit, short: bool) -> list[str]:
         said.append(f"the data contradict none of the {tested} base parameters that they determine")
     elif audit.links:
         said.append(f"the data contradict {len(wrong)} of the {tested} base parameters that they determine")
-        steps = [f"{each.name} ({each.error:.2g} %)" for each in audit.links]
+        steps = [f"{link.name} ({link.error:.2g} %)" for link in audit.links]
         said.append(f"correct in the file, in this order (torque error after each step): {', '.join(steps)}")
     if open_ := audit.of("not stated"):
         said.append(f"{len(open_)} include a rotor inertia (armature) that the file does not state")
     if unknown := audit.of("not identifiable"):
         several = len(unknown) > 1
         listed = f"; --verbose lists {'them' if several else 'it'}"
-        listed = listed if short else f": {', '.join(each.name for each in unknown)}"
+        listed = listed if short else f": {', '.join(parameter.name for parameter in unknown)}"
         said.append(
             f"{len(unknown)} base parameter{'s are' if several else ' is'} not identifiable from these motions to "
             f"better than +-100 % of the link{listed}"
@@ -201,16 +194,14 @@ def _audit_points(audit: InertiaAudit, short: bool) -> list[str]:
 
 
 def _audit_table(audit: InertiaAudit, short: bool) -> Table:
-    ranked = sorted(audit.parameters, key=lambda each: (ORDER.index(each.standing), -abs(each.z or 0.0)))
-    shown = [each for each in ranked if each.standing == "contradicted"][:CONTRADICTED] if short else ranked
-    columns = (
-        Column("base parameter", Kind.NAME),
-        Column("link"),
-        Column("in the file", Kind.NUMBER, 4),
-        Column("95 % interval", Kind.INTERVAL),
-        Column("unit"),
-        Column("z", Kind.NUMBER, decimals=1),
-        Column("data", Kind.BADGE),
+    ranked = sorted(audit.parameters, key=lambda parameter: (ORDER.index(parameter.standing), -abs(parameter.z or 0.0)))
+    return table_of(
+        [parameter for parameter in ranked if parameter.standing == "contradicted"][:CONTRADICTED] if short else ranked,
+        (Column("base parameter", Kind.NAME), "name"),
+        (Column("link"), "link"),
+        (Column("in the file", Kind.NUMBER, 4), "stated"),
+        (Column("95 % interval", Kind.INTERVAL), "interval"),
+        (Column("unit"), "unit"),
+        (Column("z", Kind.NUMBER, decimals=1), "z"),
+        (Column("data", Kind.BADGE), "standing"),
     )
-    rows = [(each.name, each.link, each.stated, each.interval, each.unit, each.z, each.standing) for each in shown]
-    return table(columns, rows)

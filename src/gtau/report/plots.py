@@ -52,28 +52,27 @@ class Plots:
         self, joint: str | None = None, run: str | Run | None = None, start: float = 0.0, stop: float | None = None
     ) -> Figure:
         """Plot measured and predicted torques and residuals of a joint or all of a run, ``start`` to ``stop`` in s."""
-        found, joints = self._evidence(joint, run)
-        assert found.prediction is not None
-        length = seconds(found.run)
+        evidence, joints = self._evidence(joint, run)
+        assert evidence.prediction is not None
+        name, length = evidence.run.name, seconds(evidence.run)
         end = length if stop is None else stop
         if not start < end:
             raise GtauError(f"the stretch from {start:g} to {end:g} s is empty; give start below stop.")
-        part, time = part_of(found.prediction.of(joints), found.time, start, end)
-        title = found.run.name if start <= 0 and stop is None else stretch_title(found.run.name, start, end, length)
-        return figure_of(torques_chart(part, units_of(self.result, part), found.run.kind, time, title=title))
+        part, time = part_of(evidence.prediction.of(joints), evidence.time, start, end)
+        title = name if start <= 0 and stop is None else stretch_title(name, start, end, length)
+        return figure_of(torques_chart(part, units_of(self.result, part), evidence.run.kind, time, title=title))
 
     def residuals(self, joint: str, run: str | Run | None = None) -> Figure:
         """Draw a joint's residuals along a run, their histogram, spectrum and autocorrelation."""
-        found, _ = self._evidence(joint, run)
-        assert found.prediction is not None
-        found = replace(found, prediction=found.prediction.in_band)
-        assert found.prediction is not None
-        j, unit = found.prediction.joints.index(joint), torque_unit(self.result.robot, joint)
-        values = found.residuals[:, j]
-        line = Series("", found.time, values, "residual", width=1.0)
-        panels = residual_panels({joint: [(found.time, values)]}, {joint: unit})
+        evidence, _ = self._evidence(joint, run)
+        assert evidence.prediction is not None
+        evidence = replace(evidence, prediction=evidence.prediction.in_band)
+        robot = self.result.robot
+        unit, values = torque_unit(robot, joint), evidence.residuals[:, robot.actuated.index(joint)]
+        line = Series("", evidence.time, values, "residual", width=1.0)
+        panels = residual_panels({joint: [(evidence.time, values)]}, {joint: unit})
         along = Panel(TIME, Axis(f"residual, {unit}"), (line,), height=2.0)
-        return figure_of(Chart((along, *panels), f"{found.run.name}: {joint}", columns=2))
+        return figure_of(Chart((along, *panels), f"{evidence.run.name}: {joint}", columns=2))
 
     def correlation(self) -> Figure:
         """Draw the correlation matrix of all estimates."""

@@ -9,7 +9,7 @@ import numpy as np
 from gtau.estimation.results.result import Result
 from gtau.report.chart import Axis, Chart, Panel, Series, colour
 from gtau.report.evidence import RunEvidence
-from gtau.report.page import Column, Kind, Section, Text, joint_label, section, table
+from gtau.report.page import Column, Kind, Section, Text, joint_label, section, table_of
 from gtau.robots.parameter import torque_unit
 
 SEGMENT = 256  # samples of a segment of the spectrum, at most
@@ -22,37 +22,42 @@ Residuals = Sequence[tuple[np.ndarray, np.ndarray]]
 
 def residuals_section(result: Result, runs: Sequence[RunEvidence]) -> Section | None:
     """Show histogram, spectrum and autocorrelation of the residuals of each joint, over all runs used."""
-    used = [each for each in runs if each.used and each.prediction is not None]
+    used = [run for run in runs if run.used and run.prediction is not None]
     if not used:
         return None
     joints = used[0].prediction.joints if used[0].prediction else ()
-    found = {joint: [(each.time, each.residuals[:, j]) for each in used] for j, joint in enumerate(joints)}
+    residuals = {joint: [(run.time, run.residuals[:, j]) for run in used] for j, joint in enumerate(joints)}
     units = {joint: torque_unit(result.robot, joint) for joint in joints}
     words = (
         "Over all runs used, masked samples left out. White residuals have a flat spectrum and an autocorrelation "
         "within the band; where they do not, the block jackknife accounts for it in the standard deviations."
     )
-    panels = residual_panels(found, units)
+    panels = residual_panels(residuals, units)
+    listed = table_of(
+        joints,
+        (Column("joint"), joint_label),
+        (Column("mean", Kind.NUMBER, 2), lambda joint: (moments(residuals[joint]) or (None, None))[0]),
+        (Column("std", Kind.NUMBER, 3), lambda joint: (moments(residuals[joint]) or (None, None))[1]),
+        (Column("unit"), units.get),
+    )
     chart = Chart(panels, columns=3) if panels else None
-    rows = [(joint_label(joint), *(moments(each) or (None, None)), units[joint]) for joint, each in found.items()]
-    columns = (Column("joint"), Column("mean", Kind.NUMBER, 2), Column("std", Kind.NUMBER, 3), Column("unit"))
-    return section("Residuals", Text(words), chart, table(columns, rows), id="residuals")
+    return section("Residuals", Text(words), chart, listed, id="residuals")
 
 
-def residual_panels(found: Mapping[str, Residuals], units: Mapping[str, str]) -> tuple[Panel, ...]:
+def residual_panels(residuals: Mapping[str, Residuals], units: Mapping[str, str]) -> tuple[Panel, ...]:
     """Draw histograms, spectra (one panel for each unit) and autocorrelations of residuals by joint."""
     bars: list[Series] = []
     lags: list[Series] = []
     spectra: dict[str, list[Series]] = {}
     band = 0.0
-    for j, (joint, residuals) in enumerate(found.items()):
+    for j, (joint, of_joint) in enumerate(residuals.items()):
         label = joint_label(joint)
-        if (bins := histogram(residuals)) is not None:
+        if (bins := histogram(of_joint)) is not None:
             bars.append(Series(label, *bins, colour(j), "steps"))
-        if (spectrum_ := spectrum(residuals)) is not None and (spectrum_[1] > 0).any():
-            frequency, density = (each[spectrum_[1] > 0] for each in spectrum_)
+        if (densities := spectrum(of_joint)) is not None and (densities[1] > 0).any():
+            frequency, density = (part[densities[1] > 0] for part in densities)
             spectra.setdefault(units[joint], []).append(Series(label, frequency, np.sqrt(density), colour(j)))
-        if (correlation := autocorrelation(residuals)) is not None:
+        if (correlation := autocorrelation(of_joint)) is not None:
             lag, value, of_white = correlation
             lags.append(Series(label, lag, value, colour(j)))
             band = max(band, of_white)
@@ -63,8 +68,8 @@ def residual_panels(found: Mapping[str, Residuals], units: Mapping[str, str]) ->
         axis = Axis("residual / standard deviation", limits=(-4.5, 4.5))
         panels.append(Panel(axis, Axis("density"), (*bars, normal), "Histogram", height=2))
     for unit, lines in spectra.items():
-        axis = Axis("frequency, Hz")
-        panels.append(Panel(axis, Axis(f"{unit}/√Hz", log=True), tuple(lines), "Amplitude spectral density", height=2))
+        axis, density_axis = Axis("frequency, Hz"), Axis(f"{unit}/√Hz", log=True)
+        panels.append(Panel(axis, density_axis, tuple(lines), "Amplitude spectral density", height=2))
     if lags:
         title = "Autocorrelation; band: white noise, 95 %"
         panels.append(Panel(Axis("lag, s"), Axis("autocorrelation"), tuple(lags), title, band=(-band, band), height=2))
@@ -86,18 +91,25 @@ def histogram(residuals: Residuals) -> tuple[np.ndarray, np.ndarray] | None:
 
     None where there are too few.
     """
-    found, values = moments(residuals), _kept(residuals)
-    if found is None:
+    values = _kept(residuals)
+    if (centre := moments(residuals)) is None:
         return None
     bins = int(np.clip(np.sqrt(len(values)), 8, 40))
     low, high = np.quantile(values, [0.001, 0.999])
     density, edges = np.histogram(np.clip(values, low, high), bins=bins, range=(low, high), density=True)
-    mean, std = found
+    mean, std = centre
     return (edges - mean) / std, density * std
 
 
-def _long_enough(residuals: Residuals) -> list[tuple[np.ndarray, np.ndarray]]:
-    return [(time, values) for time, values in residuals if np.isfinite(values).sum() >= FEWEST]
+def _centred(residuals: Residuals) -> list[tuple[float, np.ndarray, np.ndarray]]:
+    """List the step, s, of runs that are long enough, their residuals (K,) about the mean, and which are kept (K,)."""
+    centred = []
+    for time, values in residuals:
+        kept = np.isfinite(values)
+        if kept.sum() >= FEWEST:
+            step = (time[-1] - time[0]) / (len(time) - 1)
+            centred.append((step, np.where(kept, values - values[kept].mean(), 0.0), kept))
+    return centred
 
 
 def spectrum(residuals: Residuals) -> tuple[np.ndarray, np.ndarray] | None:
@@ -107,16 +119,13 @@ def spectrum(residuals: Residuals) -> tuple[np.ndarray, np.ndarray] | None:
     """
     from scipy.signal import welch
 
-    whole = _long_enough(residuals)
-    if not whole:
+    runs = _centred(residuals)
+    if not runs:
         return None
-    length = min(SEGMENT, *(len(values) for _, values in whole))
+    length = min(SEGMENT, *(len(values) for _, values, _ in runs))
     total, weight, frequency = np.zeros(length // 2 + 1), 0.0, np.zeros(0)
-    for time, values in whole:
-        kept = np.isfinite(values)
-        rate = (len(time) - 1) / (time[-1] - time[0])
-        filled = np.where(kept, values - values[kept].mean(), 0.0)
-        frequency, density = welch(filled, rate, nperseg=length, detrend=False)
+    for step, values, kept in runs:
+        frequency, density = welch(values, 1 / step, nperseg=length, detrend=False)
         total += kept.sum() * density / kept.mean()
         weight += kept.sum()
     return frequency[1:], total[1:] / weight
@@ -130,21 +139,19 @@ def autocorrelation(residuals: Residuals) -> tuple[np.ndarray, np.ndarray, float
     """
     from scipy.special import ndtri
 
-    whole = _long_enough(residuals)
-    if not whole:
+    runs = _centred(residuals)
+    if not runs:
         return None
-    lags = min(LAGS, min(len(values) for _, values in whole) // 2)
+    lags = min(LAGS, min(len(values) for _, values, _ in runs) // 2)
     products, pairs = np.zeros(lags + 1), np.zeros(lags + 1)
-    for _, values in whole:
-        kept = np.isfinite(values)
-        filled = np.where(kept, values - values[kept].mean(), 0.0)
+    for _, values, kept in runs:
         for lag in range(lags + 1):
             stop = len(values) - lag
-            products[lag] += filled[:stop] @ filled[lag:]
+            products[lag] += values[:stop] @ values[lag:]
             pairs[lag] += np.count_nonzero(kept[:stop] & kept[lag:])
-    step = np.median([(time[-1] - time[0]) / (len(time) - 1) for time, _ in whole])
     variance = products[0] / pairs[0]
     if not variance > 0:
         return None
-    value = products / np.maximum(pairs, 1) / variance
-    return step * np.arange(lags + 1), value, float(ndtri(0.975) / np.sqrt(pairs[0]))
+    step = np.median([step for step, _, _ in runs])
+    value, band = products / np.maximum(pairs, 1) / variance, float(ndtri(0.975) / np.sqrt(pairs[0]))
+    return step * np.arange(lags + 1), value, band

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from gtau.report.chart import Axis, Chart, Panel, Series
 from gtau.report.evidence import RunEvidence
 from gtau.report.logs import payload_words
 from gtau.report.motion import TIME
-from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, section, table
+from gtau.report.page import Column, ColumnOf, Kind, Section, Table, Text, joint_label, section, table, table_of
 from gtau.robots.parameter import torque_unit
 
 REVERSALS = (
@@ -27,33 +28,25 @@ BANDS = (
     "nothing of the torque in a band: it is noise, or faster than the positions show."
 )
 SHORTEST = 1e-3  # of the time: shaded stretches closer together are drawn as one
-TORQUE = (Column("torque", Kind.NUMBER, 4), Column("%", Kind.NUMBER, decimals=2))
-
-ALL = (Column("error, all", Kind.NUMBER, 4), Column("%, all", Kind.NUMBER, decimals=2))
-"""Of errors over all samples."""
+RAW, BAND, AWAY = "raw", "in band", "in band away from reversals"
+"""Where a torque error is counted."""
 
 
 def errors_table(runs: Sequence[RunEvidence]) -> Table:
     """Tabulate torque errors of each joint on each run: raw, and in the band of the identification."""
-    of_run = (Column("run"), Column("", wide=True), Column("joint"))
-    shares = ("raw, %", "in band, %", "in band away from reversals, %")
-    rows = [
-        (
-            *(
-                run.run.name,
-                "used" if run.used else "validation",
-                error.joint,
-                error.rms_raw,
-                error.signal_raw,
-                error.unit,
-            ),
-            *(error.relative_raw, error.relative_all, error.relative),
-        )
-        for run in runs
-        for error in run.errors
-    ]
-    raw = (Column("raw error", Kind.NUMBER, 4), Column("raw torque", Kind.NUMBER, 4), Column("unit, rms"))
-    return table((*of_run, *raw, *(Column(share, Kind.NUMBER, decimals=2) for share in shares)), rows)
+    share = partial(Column, kind=Kind.NUMBER, decimals=2)
+    return table_of(
+        [(run, error) for run in runs for error in run.errors],
+        (Column("run"), lambda pair: pair[0].run.name),
+        (Column("", wide=True), lambda pair: "used" if pair[0].used else "validation"),
+        (Column("joint"), lambda pair: pair[1].joint),
+        (Column("raw error", Kind.NUMBER, 4), lambda pair: pair[1].rms_raw),
+        (Column("raw torque", Kind.NUMBER, 4), lambda pair: pair[1].signal_raw),
+        (Column("unit, rms"), lambda pair: pair[1].unit),
+        (share(f"{RAW}, %"), lambda pair: pair[1].relative_raw),
+        (share(f"{BAND}, %"), lambda pair: pair[1].relative_all),
+        (share(f"{AWAY}, %"), lambda pair: pair[1].relative),
+    )
 
 
 def bands_section(errors: Sequence[TorqueError]) -> Section | None:
@@ -72,12 +65,11 @@ def bands_section(errors: Sequence[TorqueError]) -> Section | None:
         shares.append((joint_label(joint), *(100 * rms / np.maximum(signal, np.finfo(float).tiny)).tolist()))
         torques.append((joint_label(joint), *signal.tolist(), mine[0].unit))
     percent = [Column(edge, Kind.NUMBER, decimals=1, most=999) for edge in edges]
+    columns = [Column("measured torque, rms"), *(Column(edge, Kind.NUMBER, 2) for edge in edges), Column("unit")]
     return section(
         "Torque errors by frequency",
         table([Column("error, % of the torque in the band"), *percent], shares),
-        table(
-            [Column("measured torque, rms"), *(Column(edge, Kind.NUMBER, 2) for edge in edges), Column("unit")], torques
-        ),
+        table(columns, torques),
         Text(BANDS, style="soft"),
         id="bands",
     )
@@ -85,58 +77,46 @@ def bands_section(errors: Sequence[TorqueError]) -> Section | None:
 
 def fit_table(residuals: Sequence[TorqueError], title: str) -> Table:
     """Tabulate the torque residuals of a fit."""
-    every = any(each.rms_all is not None for each in residuals)
-    columns = (Column(title), Column("residual", Kind.NUMBER, 4), *TORQUE, *(ALL if every else ()))
-    rows = [
-        (
-            each.joint,
-            each.rms,
-            each.signal,
-            each.relative,
-            *((each.rms_all, each.relative_all) if every else ()),
-            each.unit,
-        )
-        for each in residuals
+    columns: list[ColumnOf] = [
+        (Column(title), "joint"),
+        (Column("residual", Kind.NUMBER, 4), "rms"),
+        (Column("torque", Kind.NUMBER, 4), "signal"),
+        (Column("%", Kind.NUMBER, decimals=2), "relative"),
     ]
-    return table((*columns, Column("unit, rms")), rows)
+    if any(residual.rms_all is not None for residual in residuals):
+        columns.append((Column("error, all", Kind.NUMBER, 4), "rms_all"))
+        columns.append((Column("%, all", Kind.NUMBER, decimals=2), "relative_all"))
+    return table_of(residuals, *columns, (Column("unit, rms"), "unit"))
 
 
 def worst_errors_table(runs: Sequence[RunEvidence]) -> Table:
     """Tabulate the largest rms torque error and R² of each joint on the runs used, and on those kept for validation."""
-    groups = [
-        (words, [each for each in runs if each.used == used and each.errors])
-        for words, used in (("runs used", True), ("validation", False))
-    ]
-    groups = [(words, members) for words, members in groups if members]
-    columns = [Column("largest torque error of one run, %")]
-    shares = [determination(members) for _, members in groups]
-    for words, _ in groups:
-        for where in ("raw", "in band", "in band away from reversals"):
-            columns.append(Column(f"{words}: {where}", Kind.NUMBER, decimals=2))
-        columns.append(Column(f"{words}: R²", Kind.NUMBER, decimals=4))
-    rows = []
-    for joint in dict.fromkeys(error.joint for run in runs for error in run.errors):
-        row: list[object] = [joint_label(joint)]
-        for (_, members), share in zip(groups, shares, strict=True):
-            errors = [error for run in members for error in run.errors if error.joint == joint]
-            for name in ("relative_raw", "relative_all", "relative"):
-                row.append(max((getattr(error, name) or 0.0 for error in errors), default=None))
-            row.append(share.get(joint))
-        rows.append(row)
-    return table(columns, rows)
+    columns: list[ColumnOf] = [(Column("largest torque error of one run, %"), joint_label)]
+    for words, used in (("runs used", True), ("validation", False)):
+        members = [run for run in runs if run.used == used and run.errors]
+        for where, kind in ((RAW, "relative_raw"), (BAND, "relative_all"), (AWAY, "relative")) if members else ():
+            columns.append((Column(f"{words}: {where}", Kind.NUMBER, decimals=2), partial(_largest, members, kind)))
+        if members:
+            columns.append((Column(f"{words}: R²", Kind.NUMBER, decimals=4), determination(members).get))
+    return table_of(dict.fromkeys(error.joint for run in runs for error in run.errors), *columns)
+
+
+def _largest(runs: Sequence[RunEvidence], kind: str, joint: str) -> float | None:
+    errors = [error for run in runs for error in run.errors if error.joint == joint]
+    return max((getattr(error, kind) or 0.0 for error in errors), default=None)
 
 
 def determination(runs: Sequence[RunEvidence]) -> dict[str, float]:
     """Compute R² of each joint over runs, away from reversals: 1 - error^2 / (measured - its mean)^2."""
-    found = {}
-    predictions = [each.prediction for each in runs if each.prediction is not None]
+    shares = {}
+    predictions = [run.prediction for run in runs if run.prediction is not None]
     for j, joint in enumerate(predictions[0].joints if predictions else ()):
-        measured = np.concatenate([each.measured[each.keep[:, j], j] for each in predictions])
-        predicted = np.concatenate([each.predicted[each.keep[:, j], j] for each in predictions])
+        measured = np.concatenate([run.measured[run.keep[:, j], j] for run in predictions])
+        predicted = np.concatenate([run.predicted[run.keep[:, j], j] for run in predictions])
         about = np.sum((measured - measured.mean()) ** 2) if measured.size else 0.0
         if about > 0:
-            found[joint] = float(1 - np.sum((measured - predicted) ** 2) / about)
-    return found
+            shares[joint] = float(1 - np.sum((measured - predicted) ** 2) / about)
+    return shares
 
 
 def torques_section(result: Result, runs: Sequence[RunEvidence]) -> Section | None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from functools import partial
 
 import numpy as np
 
+from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.results.result import Result
 from gtau.report.chart import Axis, Chart, Panel, Series
-from gtau.report.page import Column, Kind, Section, Text, joint_label, section, table
+from gtau.report.page import Column, Kind, Section, Text, joint_label, section, table, table_of
 
 STRONG = 0.9  # correlation from which on a pair is listed
 LISTED = 20
@@ -49,16 +51,14 @@ def correlation_section(result: Result) -> Section | None:
         + (f", the {LISTED} strongest listed. " if len(pairs) > LISTED else ". ")
         + "Blue: positive, orange: negative; the fuller the colour, the stronger."
     )
-    pairs_table = table(columns, rows) if rows else None
-    numbered = [(k, name) for k, name in enumerate(names)] if len(names) > SHOWN else []
-    listed = table((Column("number", Kind.NUMBER), Column("estimate", Kind.NAME)), numbered)
+    numbered = table((Column("number", Kind.NUMBER), Column("estimate", Kind.NAME)), enumerate(names))
     return section(
         "Correlation",
         Text(words),
         _drift_text(names, result),
         correlation_chart(names, matrix),
-        section("Names of the numbers", listed, folded=True) if numbered else None,
-        pairs_table,
+        section("Names of the numbers", numbered, folded=True) if len(names) > SHOWN else None,
+        table(columns, rows) if rows else None,
         id="correlation",
     )
 
@@ -91,44 +91,40 @@ def alternatives_section(result: Result) -> Section | None:
     """Show other models of the same data, and by how much each moves the gains; None where the result lists none."""
     if not result.alternatives:
         return None
-    motors = result.robot.motors
-    ranked = sorted(result.alternatives, key=lambda each: -each.probability * each.largest_move)
-    rows = [
-        (
-            each.subject,
-            each.probability,
-            *(each.moves.get(joint) for joint in motors),
-            "not identifiable" if each.std is None else each.size,
-            each.std,
-            each.unit,
-            each.share,
-        )
-        for each in ranked
-    ]
-    columns = (
-        Column("alternative"),
-        Column("probability, %", Kind.SHARE, decimals=1),
-        *(Column(f"moves {joint_label(joint)} by, %", Kind.NUMBER, decimals=2) for joint in motors),
-        Column("size", Kind.NUMBER, 2),
-        Column("std", Kind.NUMBER, 2),
-        Column("unit"),
-        Column("share of the residual, %", Kind.SHARE, decimals=1),
+    ranked = sorted(result.alternatives, key=lambda other: -other.probability * other.largest_move)
+    move = partial(Column, kind=Kind.NUMBER, decimals=2)
+    moves = [(move(f"moves {joint_label(joint)} by, %"), partial(_moved, joint)) for joint in result.robot.motors]
+    listed = table_of(
+        ranked,
+        (Column("alternative"), "subject"),
+        (Column("probability, %", Kind.SHARE, decimals=1), "probability"),
+        *moves,
+        (Column("size", Kind.NUMBER, 2), lambda other: "not identifiable" if other.std is None else other.size),
+        (Column("std", Kind.NUMBER, 2), "std"),
+        (Column("unit"), "unit"),
+        (Column("share of the residual, %", Kind.SHARE, decimals=1), "share"),
+        name="alternatives-table",
     )
     words = (
         "Each alternative adds one unknown to the model. Its size is estimated from the data, its probability states "
         "how well they support it; its remaining uncertainty widens the intervals of the gains. Alternatives are "
         "listed by their probability times the largest move of a gain."
     )
-    listed = section(f"All {len(rows)} alternatives", table(columns, rows, name="alternatives-table"), folded=True)
-    drifting = _drift_text([each.subject for each in ranked], result)
-    return section("Alternatives", Text(words), drifting, listed, id="alternatives")
+    every = section(f"All {len(ranked)} alternatives", listed, folded=True)
+    drifting = _drift_text([other.subject for other in ranked], result)
+    return section("Alternatives", Text(words), drifting, every, id="alternatives")
+
+
+def _moved(joint: str, other: Alternative) -> float | None:
+    return other.moves.get(joint)
 
 
 def _drift_text(texts: Iterable[str], result: Result) -> Text | None:
     """Explain names such as ``fv_left@2``, where there are any."""
-    found = next(filter(None, (re.search(r"(\w+)@(\d+)", each) for each in texts)), None)
-    if found is None:
+    drift = next(filter(None, (re.search(r"(\w+)@(\d+)", text) for text in texts)), None)
+    if drift is None:
         return None
-    run = result.runs[int(found[2]) - 1]
-    words = f"{found[0]}: by how much {found[1]} in run {found[2]}, '{run}', differs from its mean over the runs"
+    name, number = drift.groups()
+    run = result.runs[int(number) - 1]
+    words = f"{drift[0]}: by how much {name} in run {number}, '{run}', differs from its mean over the runs"
     return Text(words, style="soft")

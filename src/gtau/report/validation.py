@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from gtau.report.evidence import RunEvidence, worst_stretch
 from gtau.report.gains import gains_section, masses_section, payloads_section
 from gtau.report.logs import logs_section, seconds
 from gtau.report.motion import motion_section
-from gtau.report.page import Column, Kind, Page, Section, Text, page, section, table
+from gtau.report.page import Column, Kind, Page, Section, Text, page, section, table_of
 from gtau.report.torques import (
     REVERSALS,
     bands_section,
@@ -31,7 +30,6 @@ from gtau.report.torques import (
     torques_section,
     units_of,
 )
-from gtau.signals.run import Run
 
 CAUTION = (
     "A small error does not validate the gains: they scale both sides. Weigh a known payload ('gtau payload') for that."
@@ -43,15 +41,15 @@ def validation_document(runs: Sequence[RunEvidence]) -> dict[str, Any]:
     """Describe torque errors as JSON: ``rms`` and ``signal`` in ``unit``, ``relative`` in per cent, ``bands`` in Hz."""
     return {
         "runs": [
-            {"log": each.run.name, "joints": list(map(torque_error, each.errors)), "notes": list(map(str, each.notes))}
-            for each in runs
+            {"log": run.run.name, "joints": list(map(torque_error, run.errors)), "notes": list(map(str, run.notes))}
+            for run in runs
         ]
     }
 
 
 def validation_page(result: Result, runs: Sequence[RunEvidence], notes: Sequence[Finding] = ()) -> Page:
     """Show the torque errors of each run; ``notes`` say what all predictions take for granted."""
-    said = [f"run '{each.run.name}': {note}" for each in runs for note in each.notes]
+    said = [f"run '{run.run.name}': {note}" for run in runs for note in run.notes]
     verdict = Text(headline(result, runs), (*said, *map(str, notes), CAUTION), "neutral")
     return page(
         f"Validation of {result.robot.name}",
@@ -65,16 +63,17 @@ def validation_page(result: Result, runs: Sequence[RunEvidence], notes: Sequence
 def validation_report(
     result: Result, runs: Sequence[RunEvidence], prior: Mapping[str, float], notes: Sequence[Finding] = ()
 ) -> Page:
-    """Add torques, gains, motion and logs to the page."""
+    """Show the verdict with torques, gains, motion and logs."""
     short = validation_page(result, runs, notes)
-    more = page(
-        "",
+    return page(
+        short.title,
+        short.sections[0],
         torques_section(result, runs),
         gains_section(result, prior),
         motion_section(result, runs),
-        logs_section([each.run for each in runs], result.robot, result.preparation),
+        logs_section([run.run for run in runs], result.robot, result.preparation),
+        lead=short.lead,
     )
-    return replace(short, sections=(short.sections[0], *more.sections))
 
 
 def headline(result: Result, runs: Sequence[RunEvidence]) -> str:
@@ -83,22 +82,16 @@ def headline(result: Result, runs: Sequence[RunEvidence]) -> str:
     if not errors:
         return "No joint moves in these runs, so there is no torque error."
     worst = max(errors, key=lambda error: error.relative_raw or 0.0)
-
-    def span(name: str) -> str:
-        values = [getattr(error, name) for error in errors]
-        return f"{min(values):.2f} to {max(values):.2f} %"
-
-    band = max(in_band(result, run.run) for run in runs)
-    return (
-        f"The predicted torques differ from the raw measured ones by {span('relative_raw')}, most at {worst.joint}; "
-        f"in the band of the identification (below {band:.3g} Hz) by {span('relative_all')}, there away from reversals "
-        f"by {span('relative')}."
+    raw, in_band, away = (
+        f"{min(values):.2f} to {max(values):.2f} %"
+        for values in zip(*((error.relative_raw, error.relative_all, error.relative) for error in errors), strict=True)
     )
-
-
-def in_band(result: Result, run: Run) -> float:
-    """Return the cut-off (Hz) of the low-pass of identification for a run."""
-    return result.preparation.at(run.rate).decimator.cutoff(run.rate)
+    rates = {run.run.rate for run in runs}
+    band = max(result.preparation.at(rate).decimator.cutoff(rate) for rate in rates)  # Hz, of the low-pass
+    return (
+        f"The predicted torques differ from the raw measured ones by {raw}, most at {worst.joint}; in the band of the "
+        f"identification (below {band:.3g} Hz) by {in_band}, there away from reversals by {away}."
+    )
 
 
 def validation_chart(result: Result, evidence: RunEvidence) -> Chart:
@@ -121,13 +114,13 @@ def write_torques(result: Result, runs: Sequence[RunEvidence], folder: Path) -> 
     """
     from gtau.report.render.charts import save
 
-    names = unique_names([each.run.name for each in runs])
+    names = unique_names([run.run.name for run in runs])
     written = []
-    for name, each in zip(names, runs, strict=True):
-        written.append(save(validation_chart(result, each), folder / f"torques_{name}.png"))
-        if each.samples is not None:
+    for name, run in zip(names, runs, strict=True):
+        written.append(save(validation_chart(result, run), folder / f"torques_{name}.png"))
+        if run.samples is not None:
             written.append(folder / f"torques_{name}.parquet")
-            write_table(each.samples.table(), written[-1])
+            write_table(run.samples.table(), written[-1])
     return written
 
 
@@ -140,8 +133,12 @@ def weighing_page(
     gains: str,
     exact: Sequence[str] = (),
     bodies: Sequence[PayloadBody] = (),
+    prior: Mapping[str, float] | None = None,
 ) -> Page:
-    """Show the payloads weighed with the ``gains`` (identified or prior), those of joints ``exact`` assumed exact."""
+    """Show the payloads weighed with the ``gains`` (identified or prior), those of joints ``exact`` assumed exact.
+
+    A report has the drive gains beside ``prior`` ones, and the robot, too.
+    """
     torques = result.kind == "torque" and gains != "prior"
     said = [f"Weighed with the {gains} drive gains."]
     if gains != "prior" and not exact and not result.believable:
@@ -162,36 +159,23 @@ def weighing_page(
         masses_section(payloads),
         bodies_section(bodies),
         payloads_section(payloads, "Inertial parameters"),
+        *(() if prior is None else (gains_section(result, prior), section("Robot", result.robot, id="robot"))),
     )
-
-
-def weighing_report(
-    result: Result,
-    payloads: Sequence[PayloadEstimate],
-    gains: str,
-    prior: Mapping[str, float],
-    exact: Sequence[str] = (),
-    bodies: Sequence[PayloadBody] = (),
-) -> Page:
-    """Add the drive gains and the robot to the page."""
-    short = weighing_page(result, payloads, gains, exact, bodies)
-    more = (gains_section(result, prior), section("Robot", result.robot, id="robot"))
-    return replace(short, sections=(*short.sections, *more))
 
 
 def bodies_section(bodies: Sequence[PayloadBody]) -> Section | None:
     """Tabulate mass, centre of mass and inertia about it, in the frame asked for; None without payloads."""
-    columns = (Column("quantity", Kind.NAME), Column("value", Kind.SPREAD, 4), Column("unit"))
     parts = []
-    for each in bodies:
-        rows = [
-            (key, (found.value, found.half_interval()), found.unit)
-            for key, found in each.parameters.items()
-            if found.value is not None
-        ]
-        lost = f"The motion does not show {', '.join(each.unseen)}." if each.unseen else ""
-        what = Text(f"In {each.frame}; inertia about the centre of mass, +- half a 95 % interval. {lost}".strip())
-        parts.append(section(f"Payload '{each.name}' of run {each.run}", what, table(columns, rows) if rows else None))
+    for body in bodies:
+        shown = table_of(
+            [(key, quantity) for key, quantity in body.parameters.items() if quantity.value is not None],
+            (Column("quantity", Kind.NAME), lambda item: item[0]),
+            (Column("value", Kind.SPREAD, 4), lambda item: (item[1].value, item[1].half_interval())),
+            (Column("unit"), lambda item: item[1].unit),
+        )
+        lost = f"The motion does not show {', '.join(body.unseen)}." if body.unseen else ""
+        what = Text(f"In {body.frame}; inertia about the centre of mass, +- half a 95 % interval. {lost}".strip())
+        parts.append(section(f"Payload '{body.name}' of run {body.run}", what, shown if shown.rows else None))
     return section("For a controller", *parts, id="controller") if parts else None
 
 
@@ -199,33 +183,33 @@ def bodies_document(bodies: Sequence[PayloadBody]) -> list[dict[str, Any]]:
     """Describe bodies as JSON: null where the motion does not show a quantity."""
     return [
         {
-            "name": each.name,
-            "run": each.run,
-            "frame": each.frame,
+            "name": body.name,
+            "run": body.run,
+            "frame": body.frame,
             "parameters": {
-                key: {"value": found.value, "interval": found.interval(), "unit": found.unit}
-                for key, found in each.parameters.items()
+                key: {"value": quantity.value, "interval": quantity.interval(), "unit": quantity.unit}
+                for key, quantity in body.parameters.items()
             },
         }
-        for each in bodies
+        for body in bodies
     ]
 
 
 def masses_words(payloads: Sequence[PayloadEstimate], given: str) -> str:
     """Summarise the masses in one sentence, with their intervals and the condition ``given`` under which they hold."""
     parts = []
-    for each in payloads:
-        mass = each.parameters.get("m")
+    for payload in payloads:
+        name, mass = payload.name, payload.parameters.get("m")
         if mass is None or mass.value is None:
-            parts.append(f"the mass of '{each.name}' is not identifiable")
+            parts.append(f"the mass of '{name}' is not identifiable")
             continue
         ends = mass.interval()
         between = "" if ends is None else f" ({given}95 % interval {ends[0]:.4g} to {ends[1]:.4g} kg)"
-        if each.verdict.outcome == Outcome.CONTRADICTORY:
-            parts.append(f"the mass of '{each.name}' contradicts the data{between}: {each.verdict.sentence}")
+        if payload.verdict.outcome == Outcome.CONTRADICTORY:
+            parts.append(f"the mass of '{name}' contradicts the data{between}: {payload.verdict.sentence}")
         elif ends is not None and ends[0] < 0:
-            parts.append(f"the mass of '{each.name}' cannot be distinguished from zero{between}")
+            parts.append(f"the mass of '{name}' cannot be distinguished from zero{between}")
         else:
-            parts.append(f"'{each.name}' weighs {mass.value:.4g} kg{between}")
+            parts.append(f"'{name}' weighs {mass.value:.4g} kg{between}")
     words = "; ".join(parts)
     return f"{words[:1].upper()}{words[1:]}."

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,24 +17,16 @@ SAFETY = (
     "This is not a safety function: it detects wear and mistakes between logs and protects nobody. Keep the robot's "
     "own safety functions."
 )
-WORDS = {
-    "gain": "drive gain",
-    "load": "load",
-    "friction": "friction",
-    "zero": "encoder zero",
-    "delay": "delay of the current",
-    "clock": "clock of the log",
-    "contact": "contact",
+CHANGES = {
+    "gain": ("drive gain", "check motor, belt and gear, then identify the robot again"),
+    "load": ("load", "compare the mounted load with the payload set in the controller, and weigh it by 'gtau payload'"),
+    "friction": ("friction", "check temperature, lubrication, brake and gear"),
+    "zero": ("encoder zero", "check the encoder's zero against its mark, and the coupling"),
+    "delay": ("delay of the current", "check the current logging and its filters"),
+    "clock": ("clock of the log", "check the time stamps of the log"),
+    "contact": ("contact", "check for cables and obstacles that touch the robot, and run the motion again"),
 }
-REMEDIES = {
-    "gain": "check motor, belt and gear, then identify the robot again",
-    "load": "compare the mounted load with the payload set in the controller, and weigh it by 'gtau payload'",
-    "friction": "check temperature, lubrication, brake and gear",
-    "zero": "check the encoder's zero against its mark, and the coupling",
-    "delay": "check the current logging and its filters",
-    "clock": "check the time stamps of the log",
-    "contact": "check for cables and obstacles that touch the robot, and run the motion again",
-}
+"""Kinds of changes, their words and remedies."""
 KINDS = {
     "m": "payload, mass",
     "mx": "payload, first moment x",
@@ -52,21 +44,22 @@ HEALTHY = 0.95  # probability of the bands of :meth:`Baseline.bands`
 BY_CHANCE = 1e-3  # of as many charts outside their bands, independent ones; the words are a hint, not an alarm
 
 
-def explained_words(each: Explained) -> str:
+def explained_words(explained: Explained) -> str:
     """Describe an explanation, with its interval."""
-    of = f" of {each.joint}" if each.joint else ""
-    if each.kind == "contact":
-        return f"contact{of} (residual {each.size:.3g} times less even than in any healthy log)"
-    if each.kind == "gain":
-        size = f"{100 * each.size:+.2g} ± {100 * each.half:.2g} %"
-    elif each.kind == "delay" or each.kind == "clock":
-        size = f"{1000 * each.size:+.3g} ± {1000 * each.half:.2g} ms"
+    kind, quantity, size, half = explained.kind, explained.quantity, explained.size, explained.half
+    of = f" of {explained.joint}" if explained.joint else ""
+    if kind == "contact":
+        return f"contact{of} (residual {size:.3g} times less even than in any healthy log)"
+    if kind == "gain":
+        words = f"{100 * size:+.2g} ± {100 * half:.2g} %"
+    elif kind in ("delay", "clock"):
+        words = f"{1000 * size:+.3g} ± {1000 * half:.2g} ms"
     else:
-        size = f"{each.size:+.3g} ± {each.half:.2g} {each.unit}"
-    more = "" if each.relative is None else f", {100 * each.relative:+.0f} % of the model's"
-    which = {"fv": "viscous ", "fs": "Coulomb "}.get(each.quantity, "")
-    part = f" (first moment {each.quantity[1]})" if each.quantity in ("mx", "my", "mz") else ""
-    return f"{which}{WORDS[each.kind]}{of}{part} {size}{more}"
+        words = f"{size:+.3g} ± {half:.2g} {explained.unit}"
+    more = "" if explained.relative is None else f", {100 * explained.relative:+.0f} % of the model's"
+    which = {"fv": "viscous ", "fs": "Coulomb "}.get(quantity, "")
+    part = f" (first moment {quantity[1]})" if quantity in ("mx", "my", "mz") else ""
+    return f"{which}{CHANGES[kind][0]}{of}{part} {words}{more}"
 
 
 def alarm_words(alarm: Alarm) -> tuple[str, tuple[str, ...]]:
@@ -79,13 +72,11 @@ def alarm_words(alarm: Alarm) -> tuple[str, tuple[str, ...]]:
             f"The robot has changed since {span}; no single explanation fits.",
             (f"Largest changes: {', '.join(alarm.charts)}.", "Identify the robot again and compare both models."),
         )
-    said = [explained_words(each) for each in alarm.explanations]
-    if len(said) == 1:
-        head = f"The robot has changed since {span}: {said[0]}."
-    else:
-        head = f"The robot has changed since {span}; these explanations cannot be distinguished: {'; or '.join(said)}."
-    remedies = dict.fromkeys(REMEDIES[each.kind] for each in alarm.explanations)
-    points = [f"{each[0].upper()}{each[1:]}." for each in remedies]
+    said = [explained_words(explained) for explained in alarm.explanations]
+    several = "; these explanations cannot be distinguished" if len(said) > 1 else ""
+    head = f"The robot has changed since {span}{several}: {'; or '.join(said)}."
+    remedies = dict.fromkeys(CHANGES[explained.kind][1] for explained in alarm.explanations)
+    points = [f"{remedy[0].upper()}{remedy[1:]}." for remedy in remedies]
     if len(said) > 1:
         points.append("A reference motion from 'gtau excite' distinguishes more causes than this motion.")
     points.append("After maintenance start a new baseline by --reset DATE.")
@@ -102,25 +93,19 @@ def verdict_text(watch: Watch, entry: Entry | None) -> Text:
     if watch.alarm is not None:
         head, points = alarm_words(watch.alarm)
         return Text(head, (*points, promise, SAFETY), "bad")
-    if entry is None or watch.phase == "baseline" or entry.phase == "baseline":
-        left = max(watch.settings.baseline - watch.count, 0)
-        return Text(
-            f"Baseline of {watch.count} of {watch.settings.baseline} healthy logs; "
-            + (f"{left} more are needed." if left else "the next log is compared with it."),
-            (promise, SAFETY),
-            "neutral",
-        )
-    return Text(_without_alarm(watch, entry), (promise, SAFETY), "neutral" if _outside(watch, entry) else "good")
-
-
-def _without_alarm(watch: Watch, entry: Entry) -> str:
+    if entry is None or "baseline" in (watch.phase, entry.phase):
+        missing = max(rate.baseline - watch.count, 0)
+        more = f"{missing} more are needed." if missing else "the next log is compared with it."
+        words = f"Baseline of {watch.count} of {rate.baseline} healthy logs; {more}"
+        return Text(words, (promise, SAFETY), "neutral")
     outside = _outside(watch, entry)
     if not outside:
-        return f"No change since the baseline, {watch.count} logs."
-    return (
+        return Text(f"No change since the baseline, {watch.count} logs.", (promise, SAFETY), "good")
+    words = (
         f"No alarm yet: {len(outside)} of {len(entry.values)} charts of the last log are outside their healthy range, "
         f"{outside[0]} the furthest. At this rate of false alarms that is not enough evidence; record another log."
     )
+    return Text(words, (promise, SAFETY), "neutral")
 
 
 def _outside(watch: Watch, entry: Entry) -> list[str]:
@@ -133,7 +118,7 @@ def _outside(watch: Watch, entry: Entry) -> list[str]:
         for name, mean, width in zip(watch.names, watch.baseline.mean, high - low, strict=True)
         if name in entry.values and np.isfinite(width)
     }
-    outside = sorted((name for name, each in distances.items() if each > 0.5), key=lambda name: -distances[name])
+    outside = sorted((name for name in distances if distances[name] > 0.5), key=lambda name: -distances[name])
     return outside if binom.sf(len(outside) - 1, len(distances), 1 - HEALTHY) < BY_CHANCE else []
 
 
@@ -143,28 +128,24 @@ def watch_page(watch: Watch, last: Status | None, count: int | None = STRONGEST)
     return page(
         f"Watching {watch.model.robot.name}",
         section("Verdict", verdict_text(watch, entry), id="verdict"),
-        None
-        if last is None
-        else section(
-            "Charts", _table(last, count), Text(_legend(watch, last, count)), _not_shown(last.entry), id="charts"
-        ),
+        None if last is None else section("Charts", *_charts(watch, last, count), id="charts"),
         lead=[] if entry is None else [f"Last log {entry.log} of {entry.date}."],
     )
 
 
-def _table(last: Status, count: int | None) -> Table:
+def _charts(watch: Watch, last: Status, count: int | None) -> Iterator[Table | Text]:
+    """Tabulate charts, explain the columns, and say what the motion does not show."""
     low, high = last.baseline.bands(HEALTHY)
     columns = (
         Column("chart", Kind.NAME),
         Column("this log", Kind.SPREAD, 3),
         Column("healthy, 95 %", Kind.INTERVAL),
-        Column("e", decimals=1, kind=Kind.NUMBER, most=1e6),
-        Column("CUSUM", decimals=2, kind=Kind.NUMBER),
+        Column("e", Kind.NUMBER, decimals=1, most=1e6),
+        Column("CUSUM", Kind.NUMBER, decimals=2),
     )
     rows: list[tuple[Any, ...]] = []
     faint = set()
-    strongest = sorted(range(len(last.charts)), key=lambda k: -last.evidences[k].log_e)
-    for k in strongest[:count]:
+    for k in sorted(range(len(last.charts)), key=lambda k: -last.evidences[k].log_e)[:count]:
         chart = last.charts[k]
         value = last.entry.values.get(chart.name)
         if value is None:
@@ -173,32 +154,19 @@ def _table(last: Status, count: int | None) -> Table:
         strength = float(np.exp(min(last.evidences[k].log_e, 30.0)))
         if band is not None and band[0] <= value <= band[1] and strength < 10:
             faint.add(len(rows))
-        unit = "1" if chart.kind == "rms" else chart.unit
-        spread = (value, _half(last.entry, chart.name))
-        rows.append(
-            (chart.name if unit == "1" else f"{chart.name}, {unit}", spread, band, strength, float(last.cusums[k]))
-        )
-    return table(columns, rows, name="charts", faint=frozenset(faint))
-
-
-def _legend(watch: Watch, last: Status, count: int | None) -> str:
-    """Explain the columns."""
+        name = chart.name if chart.kind == "rms" or chart.unit == "1" else f"{chart.name}, {chart.unit}"
+        rows.append((name, (value, _half(last.entry, chart.name)), band, strength, float(last.cusums[k])))
+    yield table(columns, rows, name="charts", faint=frozenset(faint))
     listed = ""
     if count is not None and len(last.charts) > count:
         listed = f"The {count} of {len(last.charts)} charts that changed most; all are in report.html. "
-    return (
+    yield Text(
         f"{listed}This log: value ± half a 95 % interval. e: e-detector; an alarm is raised if its mean over all "
         f"charts reaches {watch.limit:g}. CUSUM: over its limit for the same rate of false alarms."
     )
-
-
-def _not_shown(entry: Entry) -> Text | None:
-    if not entry.not_shown:
-        return None
-    return Text(
-        f"Not shown by this motion: {', '.join(entry.not_shown)}. A reference motion from 'gtau excite' shows them.",
-        style="soft",
-    )
+    if hidden := ", ".join(last.entry.not_shown):
+        remedy = "A reference motion from 'gtau excite' shows them."
+        yield Text(f"Not shown by this motion: {hidden}. {remedy}", style="soft")
 
 
 def watch_report(watch: Watch, last: Status | None, entries: Sequence[Entry]) -> Page:
@@ -220,7 +188,7 @@ def watch_report(watch: Watch, last: Status | None, entries: Sequence[Entry]) ->
     for name in watch.names:
         groups.setdefault(name.partition("_")[2], []).append(name)
     for joint, names in groups.items():
-        names.sort(key=lambda each: list(KINDS).index(each.partition("_")[0]))
+        names.sort(key=lambda name: list(KINDS).index(name.partition("_")[0]))
         shown = [name for name in names if any(name in entry.values for entry in entries)]
         panels = tuple(_history(name, entries, bands[name], rules) for name in shown)
         title = "payload" if joint == "load" else f"Joint {joint}"
@@ -235,9 +203,8 @@ def _half(entry: Entry, name: str) -> float:
 
 def _history(name: str, entries: Sequence[Entry], band: tuple[float, float], rules: tuple[Rule, ...]) -> Panel:
     """Draw a chart from log to log, with 95 % intervals, in its healthy band."""
-    x = np.array([k for k, entry in enumerate(entries) if name in entry.values], dtype=float)
-    y = np.array([entry.values[name] for entry in entries if name in entry.values])
-    half = np.array([_half(entry, name) for entry in entries if name in entry.values])
+    logs = [(k, entry.values[name], _half(entry, name)) for k, entry in enumerate(entries) if name in entry.values]
+    x, y, half = np.array(logs, dtype=float).reshape(-1, 3).T
     return Panel(
         Axis("log"),
         Axis(KINDS[name.partition("_")[0]]),

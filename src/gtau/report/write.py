@@ -67,8 +67,8 @@ def stamped(
 
     ``settings`` are values by name, and ``seconds`` the time that the work took.
     """
-    made, found = datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"), versions()
-    taken = {} if seconds is None else {"time taken": f"{seconds:.1f} s"}
+    made, packages = datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"), versions()
+    facts = {"made on": made, "time taken": None if seconds is None else f"{seconds:.1f} s", **packages}
     files = table(
         (Column("input"), Column("file"), Column("size"), Column("SHA-256", Kind.NAME)),
         [(what, str(path), *fingerprint(path)) for what, path in inputs],
@@ -77,12 +77,12 @@ def stamped(
     provenance = section(
         "Provenance",
         section("The command that reproduces this report", Text(command, style="command")) if command else None,
-        Facts({"made on": made, **taken, **found}),
+        Facts(facts),
         section("Settings", Facts(settings)) if settings else None,
         section(listed, files, folded=len(inputs) > LISTED) if inputs else None,
         id="provenance",
     )
-    lead = (*page.lead, f"Made on {made} by gtau {found['gtau']}.")
+    lead = (*page.lead, f"Made on {made} by gtau {packages['gtau']}.")
     return replace(page, sections=(*page.sections, provenance), lead=lead)
 
 
@@ -90,19 +90,19 @@ def versions() -> dict[str, str]:
     """List versions of gtau, Python and the packages that compute."""
     from gtau import __version__
 
-    found = {"gtau": __version__, "Python": f"{platform.python_version()}, {platform.system()} {platform.machine()}"}
+    packages = {"gtau": __version__, "Python": f"{platform.python_version()}, {platform.system()} {platform.machine()}"}
     for package in PACKAGES:
         try:
-            found[package] = version(package)
+            packages[package] = version(package)
         except PackageNotFoundError:
             continue
-    return found
+    return packages
 
 
 def fingerprint(path: Path) -> tuple[str, str]:
     """Return size in words and SHA-256 of a file; of a folder those of its files, of a missing file that it is."""
     if path.is_dir():
-        parts = sorted(each for each in path.iterdir() if each.is_file())
+        parts = sorted(part for part in path.iterdir() if part.is_file())
         return f"{len(parts)} files", _digest(parts)
     if not path.is_file():
         return "–", "no longer exists"

@@ -5,7 +5,7 @@ What sets a kind of channel apart are the attributes of its :class:`ChannelKind`
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from gtau.robots.floating import WRENCH, WrenchFrame
@@ -15,22 +15,13 @@ from gtau.robots.floating import WRENCH, WrenchFrame
 class ChannelKind:
     """A kind of channel.
 
-    Attributes
-    ----------
-    name : str
-        In messages, beside the name of its joint or body.
-    group : str
-        All columns that a log updates together with those of this kind, in messages.
-    calibration : str
-        Its key under ``calibration`` of the signals, for the accuracy of its scale, ``""`` where the gain is to be
-        found. Where it is ``behind_drive``, its columns and their units have this key too.
-    modelled : bool
-        True where it has equations: a row of the model explains it. Otherwise the model takes it as given.
-    of_joint : bool
-        True where it measures one joint of the user: such a signal never rests, and is clipped at a limit.
-    behind_drive : bool
-        True where it measures a joint's torque without the terms of its drive (rotor inertia, friction of motor and
-        gear, offset of the current); it has an offset and bearing friction of its own.
+    ``name`` (beside that of its joint or body) and ``group`` (all columns that a log updates together with those of
+    this kind) are words of messages. ``calibration`` is its key under ``calibration`` of the signals, for the accuracy
+    of its scale, ``""`` where the gain is to be found; on the ``link_side`` its columns and their units have this key
+    too. ``modelled``: it has equations, a row of the model explains it; otherwise the model takes it as given.
+    ``of_joint``: it measures one joint of the user; such a signal never rests, and is clipped at a limit.
+    ``link_side``: it measures a joint's torque without the terms of its drive (rotor inertia, friction of motor and
+    gear, offset of the current), with an offset and bearing friction of its own.
     """
 
     name: str
@@ -38,7 +29,7 @@ class ChannelKind:
     calibration: str = ""
     modelled: bool = True
     of_joint: bool = True
-    behind_drive: bool = False
+    link_side: bool = False
 
     @property
     def unknown_gain(self) -> bool:
@@ -48,62 +39,64 @@ class ChannelKind:
 
 MOTOR = ChannelKind("command", "commands")
 BASE = ChannelKind("wrench", "commands", "wrenches", of_joint=False)
-SENSOR = ChannelKind("torque sensor", "torque sensors", "joint_torque", behind_drive=True)
+SENSOR = ChannelKind("torque sensor", "torque sensors", "joint_torque", link_side=True)
 WRENCH_COMPONENT = ChannelKind("wrench", "wrenches", "wrenches", modelled=False, of_joint=False)
 
-BEHIND_DRIVE = (SENSOR,)
-"""All kinds that are ``behind_drive``."""
+LINK_SIDE = (SENSOR,)
+"""All kinds on the link side; their columns, units and calibration in files, and their channels follow from these."""
 
 
-def sensor_kind(name: str) -> ChannelKind:
-    """Return the kind behind the drive that has this name."""
-    for kind in BEHIND_DRIVE:
+def link_side_kind(name: str) -> ChannelKind:
+    """Return the kind on the link side that has this name."""
+    for kind in LINK_SIDE:
         if kind.name == name:
             return kind
-    raise ValueError(f"'{name}' is not a kind of sensor; write {' or '.join(each.name for each in BEHIND_DRIVE)}")
+    raise ValueError(f"'{name}' is not a kind of sensor; write {' or '.join(kind.name for kind in LINK_SIDE)}")
 
 
 @dataclass(frozen=True)
 class Channel:
     """A motor, the torque sensor of a joint, a row of a floating base, or a component of a measured wrench.
 
-    Attributes
-    ----------
-    name : str
-        Suffix of the channel's own parameters (``off_2_sensor``).
-    kind : ChannelKind
-        Kind of the channel.
-    joint : str
-        Joint whose torque it measures; for a wrench the body.
-    row : int
-        Row of the model with that torque (number of the joint); for a wrench the number of its component.
+    ``name`` is the suffix of its own parameters (``off_2_sensor``), ``joint`` the one whose torque it measures, or the
+    body of a wrench, ``row`` that of the model with that torque (number of the joint), or the number of its component.
+    Of its values, ``unit`` ``N m`` stands for that of the joint's torque (N where it is prismatic), ``delay`` (s) is by
+    what it lagged behind the positions in the log, and is compensated, ``std`` is the relative standard deviation of
+    its scale, 0 where none is stated. ``frame`` is that of a wrench.
     """
 
     name: str
     kind: ChannelKind
     joint: str
     row: int
+    unit: str = "A"
+    delay: float = 0.0
+    std: float = 0.0
+    frame: WrenchFrame | None = None
 
 
 def channels_of(
-    joints: Sequence[str], base: Sequence[str], sensors: Sequence[str] = (), wrenches: Sequence[WrenchFrame] = ()
+    joints: Sequence[str],
+    base: Sequence[str],
+    sensors: Mapping[ChannelKind, Sequence[str]] | None = None,
+    wrenches: Sequence[WrenchFrame] = (),
+    unit: str = "A",
 ) -> tuple[Channel, ...]:
     """List the channels of a run, in the order of its columns.
 
-    Parameters
-    ----------
-    joints, base : sequence of str
-        Actuated joints, the rows of the model, and those of them that are the rows of a floating base.
-    sensors : sequence of str
-        Joints with a torque sensor.
-    wrenches : sequence of WrenchFrame
-        Measured wrenches, six components each.
+    ``joints`` are the rows of the model, ``base`` those of a floating base among them; ``sensors`` are joints by the
+    kind of their sensor on the link side; measured ``wrenches`` have six components each; ``unit`` is that of the
+    commands.
     """
     return (
-        *(Channel(joint, BASE if joint in base else MOTOR, joint, row) for row, joint in enumerate(joints)),
-        *(Channel(f"{joint}_sensor", SENSOR, joint, joints.index(joint)) for joint in sensors),
+        *(Channel(joint, BASE if joint in base else MOTOR, joint, row, unit) for row, joint in enumerate(joints)),
         *(
-            Channel(f"{frame.body}_{component}", WRENCH_COMPONENT, frame.body, 6 * k + number)
+            Channel(f"{joint}_{kind.name.split()[-1]}", kind, joint, joints.index(joint), "N m")
+            for kind, sensed in (sensors or {}).items()
+            for joint in sensed
+        ),
+        *(
+            Channel(f"{frame.body}_{component}", WRENCH_COMPONENT, frame.body, 6 * k + number, "N m", frame=frame)
             for k, frame in enumerate(wrenches)
             for number, component in enumerate(WRENCH)
         ),

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
 
 import numpy as np
 
@@ -14,39 +14,76 @@ from gtau.errors import GtauError
 from gtau.findings import Finding
 from gtau.robots.floating import WrenchFrame
 from gtau.robots.robot import base_rows
-from gtau.signals.channel import Channel, channels_of
-from gtau.signals.reading.columns import EXACT, Calibration, Signals
-from gtau.signals.reading.log_file import as_log
-from gtau.signals.reading.log_set import find_logs
+from gtau.signals.channel import BASE, SENSOR, Channel, channels_of
+from gtau.signals.reading.columns import Signals
+from gtau.signals.reading.formats.columnar import as_log
+from gtau.signals.reading.logs import read_logs
 from gtau.signals.reading.samples import WHOLE, Part
-from gtau.signals.reading.side_signals import Temperature, read_temperature
 from gtau.signals.reading.statements import CHOSEN, Payload, PreparationSettings, as_payload
 from gtau.signals.reading.units import Units
 from gtau.signals.repair.checks import check
-from gtau.signals.storage import block, spans, store
+from gtau.signals.storage import blocks, store
+
+if TYPE_CHECKING:
+    from gtau.signals.reading.side_signals import Temperature
 
 
 @dataclass(frozen=True)
 class Log:
-    """Origin of a run: the files, one or two, the columns and their units."""
+    """Origin of a run: files, one or two, and their columns and units; none where it was built of arrays or a table.
 
-    paths: tuple[Path, ...]
-    signals: Signals
-    units: Units
+    ``settings`` are those of the preparation made by hand, ``notes`` report repairs, ``whole_share`` is the share of
+    whole numbers among the joints' commands before they were resampled (None: they were not), ``temperature`` is that
+    of the joints.
+    """
+
+    paths: tuple[Path, ...] = ()
+    signals: Signals | None = None
+    units: Units | None = None
+    settings: PreparationSettings = CHOSEN
+    notes: tuple[Finding, ...] = ()
+    whole_share: float | None = None
+    temperature: Temperature | None = None
 
 
-@dataclass(frozen=True, eq=False)
+class More(TypedDict, total=False):
+    """What else a run may be given: see :class:`Run`."""
+
+    valid: np.ndarray
+    sensors: Sequence[str]
+    channels: Sequence[Channel]
+    log: Log
+    settings: PreparationSettings
+    notes: tuple[Finding, ...]
+    temperature: Temperature
+
+
+@dataclass(frozen=True, eq=False, init=False)
 class Run:
-    """Sampled positions and commands of the actuated joints, and torques of sensors behind their gears.
+    """Sampled positions and commands of the actuated joints, and torques of sensors on the link side of their gears.
 
-    ``time`` (N,) in s, uniform; ``position`` (N, n) in rad or m; ``command`` (N, c), the current references in A or,
-    where ``kind`` says so, torques in N m (forces in N), 0 for the joints of a floating base, then those of the torque
-    ``sensors`` (names of joints), and then moments and forces of the ``wrenches`` on bodies, six of each about the
-    origin of its axes; ``channels`` list them. Where ``valid``
-    (N, c) is false the sample was interpolated or clipped. ``notes`` report repairs, ``settings`` are those of
-    the preparation made by hand, ``whole`` is the share of whole numbers among the joints' commands before they were
-    resampled (None: they were not), ``temperature`` is that of the joints, ``calibration`` the accuracy of sensors,
-    ``log`` the origin.
+    Attributes
+    ----------
+    name : str
+        Name in messages and results.
+    joints : tuple of str
+        Names of the joints, in the order of the columns.
+    time, position : ndarray
+        (N,) in s, uniform, and (N, n) in rad or m.
+    command : ndarray
+        (N, c) Columns of the channels: the current references in A or, where ``kind`` says so, torques in N m (forces
+        in N), 0 for the joints of a floating base, then torques of sensors, and then moments and forces of wrenches on
+        bodies, six of each about the origin of its axes.
+    kind : {"current", "torque"}
+        Of the commands.
+    payload : Payload, optional
+        What the robot carried.
+    valid : ndarray
+        (N, c) False where the sample was interpolated or clipped; all are valid if left out.
+    channels : tuple of Channel
+        Those of the joints and of torque ``sensors`` (names of joints) if left out.
+    log : Log
+        The origin; its ``settings``, ``notes`` and ``temperature`` may be given in its place.
 
     The arrays of a long log are memory-mapped from a file.
     """
@@ -56,61 +93,118 @@ class Run:
     time: np.ndarray = field(repr=False)
     position: np.ndarray = field(repr=False)
     command: np.ndarray = field(repr=False)
-    kind: Literal["current", "torque"] = "current"
-    payload: Payload | None = None
-    notes: tuple[Finding, ...] = ()
-    valid: np.ndarray = field(default_factory=lambda: np.ones((0, 0), dtype=bool), repr=False)
-    settings: PreparationSettings = CHOSEN
-    sensors: tuple[str, ...] = ()
-    temperature: Temperature | None = None
-    wrenches: tuple[WrenchFrame, ...] = ()
-    calibration: Calibration = EXACT
-    log: Log | None = field(default=None, repr=False)
-    whole: float | None = field(default=None, repr=False)
+    kind: Literal["current", "torque"]
+    payload: Payload | None
+    valid: np.ndarray = field(repr=False)
+    channels: tuple[Channel, ...] = field(repr=False)
+    log: Log = field(repr=False)
+
+    def __init__(
+        self,
+        name: str,
+        joints: Sequence[str],
+        time: np.ndarray,
+        position: np.ndarray,
+        command: np.ndarray,
+        kind: Literal["current", "torque"] = "current",
+        payload: Payload | None = None,
+        **more: Unpack[More],
+    ) -> None:
+        if strange := more.keys() - More.__annotations__:
+            raise TypeError(f"a run has no '{min(strange)}'; give {', '.join(More.__annotations__)}")
+        if problem := name_problem(name):
+            raise GtauError(f"run: {problem}.")
+        base = next((rows for joint in joints if set(rows := base_rows(joint)) <= set(joints)), ())
+        of_log: Any = {key: more[key] for key in ("settings", "notes", "temperature") if key in more}
+        log = replace(more.get("log", Log()), **of_log)
+        channels = tuple(more.get("channels") or channels_of(joints, base, {SENSOR: more.get("sensors", ())}))
+        unit = "A" if kind == "current" else "N m"
+        channels = tuple(replace(channel, unit=unit) if channel.name in joints else channel for channel in channels)
+        valid = more.get("valid", np.broadcast_to(True, (len(time), len(channels))))
+        values = (name, tuple(joints), time, position, command, kind, payload, valid, channels, log)
+        for attribute, value in zip(fields(self), values, strict=True):
+            object.__setattr__(self, attribute.name, value)
+        shape, measured = (len(time), len(joints)), (len(time), len(channels))
+        if position.shape != shape or command.shape != measured or valid.shape != measured:
+            groups = " and ".join(dict.fromkeys(f"the {channel.kind.group}" for channel in channels[len(joints) :]))
+            also = f"; commands and what is valid {measured}, with {groups}" if groups else ""
+            raise GtauError(
+                f"run '{name}': positions {position.shape}, commands {command.shape} and what is valid "
+                f"{valid.shape} must all have the shape {shape}, samples by joints{also}."
+            )
 
     def __repr__(self) -> str:
         load = "" if self.payload is None else f", payload {self.payload.name!r}"
         return f"Run({self.name!r}, {len(self.time)} samples of joints {', '.join(self.joints)}, {self.kind}s{load})"
 
-    def __post_init__(self) -> None:
-        if problem := name_problem(self.name):
-            raise GtauError(f"run: {problem}.")
-        shape = (len(self.time), len(self.joints))
-        measured = (len(self.time), len(self.channels))
-        if self.valid.size == 0:
-            object.__setattr__(self, "valid", np.broadcast_to(True, measured))
-        if self.position.shape != shape or self.command.shape != measured or self.valid.shape != measured:
-            more = " and ".join(dict.fromkeys(f"the {each.kind.group}" for each in self.channels[len(self.joints) :]))
-            also = f"; commands and what is valid {measured}, with {more}" if more else ""
-            raise GtauError(
-                f"run '{self.name}': positions {self.position.shape}, commands {self.command.shape} and what is valid "
-                f"{self.valid.shape} must all have the shape {shape}, samples by joints{also}."
-            )
+    @property
+    def notes(self) -> tuple[Finding, ...]:
+        """Notes on repairs of the log."""
+        return self.log.notes
+
+    @property
+    def temperature(self) -> Temperature | None:
+        """Temperature of the joints, where it was logged."""
+        return self.log.temperature
 
     @property
     def base(self) -> tuple[str, ...]:
         """The six joints of a floating base, whose columns of ``command`` are 0; empty for a fixed one."""
-        return next((rows for joint in self.joints if set(rows := base_rows(joint)) <= set(self.joints)), ())
+        return tuple(channel.joint for channel in self.channels if channel.kind == BASE)
 
     @property
-    def channels(self) -> tuple[Channel, ...]:
-        """The channels in the columns of ``command``."""
-        return channels_of(self.joints, self.base, self.sensors, self.wrenches)
+    def sensors(self) -> tuple[str, ...]:
+        """The joints whose torque is measured on the link side, by a sensor of any kind."""
+        return tuple(dict.fromkeys(channel.joint for channel in self.channels if channel.kind.link_side))
 
     @property
-    def sensed(self) -> tuple[str, ...]:
-        """The joints whose torque is measured behind their drives, by a sensor of any kind."""
-        return tuple(dict.fromkeys(each.joint for each in self.channels if each.kind.behind_drive))
+    def wrenches(self) -> tuple[WrenchFrame, ...]:
+        """The frames of the measured wrenches, six channels each."""
+        return tuple(channel.frame for channel in self.channels if channel.frame and channel.row % 6 == 0)
 
     @property
     def given(self) -> slice:
         """The columns of ``command`` that the model takes as given, those of the wrenches, after all others."""
-        return slice(sum(each.kind.modelled for each in self.channels), len(self.channels))
+        return slice(sum(channel.kind.modelled for channel in self.channels), len(self.channels))
 
     @property
     def rate(self) -> float:
         """Sampling rate, Hz."""
         return (len(self.time) - 1) / float(self.time[-1] - self.time[0])
+
+    def ordered(self, joints: Sequence[str], link_side: bool = True) -> Run:
+        """Return the run with its channels in the order of ``joints``, with or without those on the ``link_side``.
+
+        Raises
+        ------
+        GtauError
+            The run lacks one of the joints, a robot's actuated ones, or has others.
+        """
+        if set(self.joints) != set(joints) or len(self.joints) != len(joints):
+            raise GtauError(
+                f"run '{self.name}' has the joints {', '.join(self.joints)}, but the robot's actuated joints are "
+                f"{', '.join(joints)}; give signals for exactly these."
+            )
+        place = [joints.index(joint) for joint in self.joints]
+        kept = [k for k, channel in enumerate(self.channels) if link_side or not channel.kind.link_side]
+        rows = [place[channel.row] if channel.kind.modelled else channel.row for channel in self.channels]
+        order = sorted(
+            kept, key=lambda k: (not self.channels[k].kind.modelled, self.channels[k].kind.link_side, rows[k])
+        )
+        if order == list(range(len(self.channels))):
+            return self
+
+        def columns(array: np.ndarray, chosen: Sequence[int]) -> np.ndarray:
+            return store((part[:, chosen] for part in blocks(array)), (len(chosen),), array.dtype.type)
+
+        return replace(
+            self,
+            joints=tuple(joints),
+            position=columns(self.position, np.argsort(place).tolist()),
+            command=columns(self.command, order),
+            valid=columns(self.valid, order),
+            channels=tuple(replace(self.channels[k], row=rows[k]) for k in order),
+        )
 
 
 @takes(progress=FUNCTION, part=("a gtau.Part", (Part,)))
@@ -152,74 +246,29 @@ def read_run(
     """
     signals, units = read_group(Signals, "signals", signals), read_group(Units, "units", {} if units is None else units)
     settings = read_group(PreparationSettings, "settings", settings)
-    if not (isinstance(log, (str, Path)) or (isinstance(log, (list, tuple)) and all(map(_is_path, log)))):
+    paths = [log] if isinstance(log, (str, Path)) else log
+    if not isinstance(paths, (list, tuple)) or not all(isinstance(path, (str, Path)) for path in paths):
         with as_log(log) as path:
-            return replace(read_run(path, signals, payload, units, progress, settings, part), log=None)
-    paths = tuple([Path(log)] if isinstance(log, (str, Path)) else [Path(each) for each in log])
-    logged = find_logs(paths, signals, units)
-    uniform = check(logged.source, logged.blocks(part.rows, progress=progress), settings, part)
+            run = read_run(path, signals, payload, units, progress, settings, part)
+        return replace(run, log=replace(run.log, paths=(), signals=None, units=None))
+    paths, notes = [Path(path) for path in paths], list[Finding]()
+    source, parts = read_logs(paths, signals, units, notes, part.rows, progress)
+    channels = tuple(replace(channel, delay=settings.delay) for channel in source.channels)
+    samples = check(replace(source, channels=channels), parts, notes, settings, part)
+    temperature = None
+    if signals.temperature is not None:
+        from gtau.signals.reading.side_signals import read_temperature
+
+        temperature = read_temperature(paths, signals, units, part)
     return Run(
-        name=(paths[0].name if paths[0].is_dir() else paths[0].stem) + part.label,
-        joints=signals.joints,
-        time=uniform.time,
-        position=uniform.position,
-        command=uniform.command,
-        kind=signals.kind,
-        payload=as_payload(payload),
-        notes=(*logged.notes, *uniform.notes),
-        valid=uniform.valid,
-        settings=settings,
-        sensors=signals.sensors,
-        temperature=read_temperature(paths, signals, units, part),
-        wrenches=tuple(each.frame for each in signals.all_wrenches),
-        calibration=signals.calibration,
-        log=Log(paths, signals, units),
-        whole=uniform.whole,
+        (paths[0].name if paths[0].is_dir() else paths[0].stem) + part.label,
+        signals.joints,
+        samples.time,
+        samples.position,
+        samples.command,
+        signals.kind,
+        as_payload(payload),
+        valid=samples.valid,
+        channels=channels,
+        log=Log(tuple(paths), signals, units, settings, tuple(notes), samples.whole_share, temperature),
     )
-
-
-def _is_path(each: Any) -> bool:
-    return isinstance(each, (str, Path))
-
-
-def without_sensors(run: Run) -> Run:
-    """Return the run without its torque sensors."""
-    return _reordered(run, run.joints, ())
-
-
-def arrange(run: Run, joints: Sequence[str]) -> Run:
-    """Order a run's columns, and those of its torque sensors, as `joints`, a robot's actuated ones.
-
-    Raises
-    ------
-    GtauError
-        The run lacks one of them or has others.
-    """
-    if set(run.joints) != set(joints) or len(run.joints) != len(joints):
-        raise GtauError(
-            f"run '{run.name}' has the joints {', '.join(run.joints)}, but the robot's actuated joints are "
-            f"{', '.join(joints)}; give signals for exactly these."
-        )
-    return _reordered(run, joints, [joint for joint in joints if joint in run.sensors])
-
-
-def _reordered(run: Run, joints: Sequence[str], sensors: Sequence[str]) -> Run:
-    """Keep the channels of ``joints`` and ``sensors``, in this order, before those that the model takes as given."""
-    names, given = [each.name for each in run.channels], [not each.kind.modelled for each in run.channels]
-    kept = [names.index(each.name) for each in channels_of(joints, (), sensors)]
-    kept += np.flatnonzero(given).tolist()
-    if kept == list(range(len(names))):
-        return run
-    return replace(
-        run,
-        joints=tuple(joints),
-        sensors=tuple(sensors),
-        position=_columns(run.position, kept[: len(joints)]),
-        command=_columns(run.command, kept),
-        valid=_columns(run.valid, kept),
-    )
-
-
-def _columns(array: np.ndarray, order: list[int]) -> np.ndarray:
-    parts = (block(array, *span)[:, order] for span in spans(len(array)))
-    return store(parts, array.shape[1:], array.dtype.type)

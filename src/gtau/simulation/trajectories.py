@@ -20,7 +20,7 @@ from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_
 from gtau.documents.validation import Keys, Positive
 from gtau.errors import GtauError
 from gtau.robots.robot import Joint, Robot
-from gtau.signals.reading.log_file import read_log
+from gtau.signals.reading.logs import read_log
 
 Trajectory = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.standard_parameters import Body, constrained_least_squares
+from gtau.estimation.estimators.standard_parameters import Body, constrained_least_squares, unbounded
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.payload import PayloadBody, PayloadEstimate, Weighed
 from gtau.robots.readers.read import frame_on
@@ -117,6 +117,5 @@ def _consistent(weighed: Weighed, mass: float) -> np.ndarray:
     tight = 1 / (EXACT * (np.abs(weighed.exact) @ unit))
     R = np.concatenate([whiten @ weighed.sums, weighed.exact * tight[:, None], np.diag(1 / (LOOSE * unit))])
     y = np.concatenate([whiten @ weighed.values, weighed.stated * tight, supposed / (LOOSE * unit)])
-    free = np.full(10, np.inf)
     body = Body("payload", np.arange(10), np.zeros(10))
-    return constrained_least_squares(R, y, [body], -free, free, unit, mass, length)
+    return constrained_least_squares(R, y, unbounded([body], unit, mass, length))

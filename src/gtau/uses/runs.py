@@ -9,7 +9,8 @@ from typing import Any
 
 from gtau.errors import GtauError
 from gtau.estimation.experiment_runs import describe
-from gtau.estimation.regression.dataset import at_rate_of, check_wrenches, motor_to_joint_speed
+from gtau.estimation.regression.dataset import at_rate_of, motor_to_joint_speed
+from gtau.estimation.regression.plausibility import check_wrenches
 from gtau.estimation.results.result import Result
 from gtau.robots.file import RobotFile
 from gtau.robots.robot import Limits, Robot
@@ -17,7 +18,7 @@ from gtau.signals.preparation.prepared_run import PreparedRun, prepare
 from gtau.signals.reading.experiment import Experiment, read_experiment
 from gtau.signals.reading.samples import WHOLE, Part
 from gtau.signals.reading.statements import Payload
-from gtau.signals.run import Run, arrange, read_run
+from gtau.signals.run import Run, read_run
 
 
 def suited(result: Result, run: Run) -> Run:
@@ -27,7 +28,7 @@ def suited(result: Result, run: Run) -> Run:
             f"this takes a run, not a {type(run).__name__}; read the log with gtau.read_run(log, signals), which knows "
             "its columns."
         )
-    run = arrange(run, result.idm.actuated)
+    run = run.ordered(result.idm.actuated)
     if run.kind != result.kind:
         raise GtauError(
             f"run '{run.name}' holds {run.kind}s, but the model was identified from {result.kind}s; give a run of the "

@@ -26,7 +26,7 @@ from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
 from gtau.signals.reading.experiment import Experiment
-from gtau.signals.run import Run, without_sensors
+from gtau.signals.run import Run
 from gtau.uses.runs import require_same
 
 
@@ -95,13 +95,13 @@ def weigh(
         g_tau = model.gains
         rows = [model.covariance_names.index(Parameter("gain", joint)) for joint in robot.actuated]
         covariance = model.covariance[np.ix_(rows, rows)]
-    weighed = tuple(without_sensors(run) for run in chosen)  # the model's gains say as much
+    weighed = tuple(run.ordered(run.joints, link_side=False) for run in chosen)  # the model's gains say as much
     dataset = reduce_runs(robot, weighed, at_rate_of(weighed, model.preparation), progress=progress)
 
     def solve(problem: Problem) -> Solution:
         return wls(problem, g_tau)
 
-    dataset, system = select_friction(dataset, solve, progress)
+    system = select_friction(dataset, solve, progress)
     lost = [name for each in system.payloads for name in each.unknown if name in system.unexcited]
     if lost:
         raise GtauError(
@@ -109,14 +109,14 @@ def weigh(
             "with one of which all parameters are known."
         )
     solution = solve(system.problem)
-    total = solution.jackknife + scale_uncertainty(dataset, system, solve)
+    total = solution.jackknife + scale_uncertainty(system, solve)
     if covariance.any():
         slopes = np.stack([_slope(system.problem, g_tau, j, solution.values) for j in range(len(g_tau))], axis=1)
         total = total + slopes @ covariance @ slopes.T
     none = np.zeros_like(total)
     freedom = degrees_of_freedom(system.problem, solution, False)
     vector = Estimates(system.problem.unknowns, solution.values, total, none, none, freedom)
-    estimates = payload_estimates(dataset, system, vector, {})
+    estimates = payload_estimates(system, vector, {})
     return tuple(payload for payload in estimates if "m" not in payload.known)
 
 

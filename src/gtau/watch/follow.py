@@ -15,7 +15,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from gtau.errors import GtauError
-from gtau.signals.reading.log_file import find_columns
+from gtau.signals.reading.logs import find_columns
 from gtau.signals.run import Run
 from gtau.watch.state import date_of, digest_of, logs_of
 from gtau.watch.watch import Status, Watch, now

@@ -25,16 +25,17 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.friction.law import transmitted
-from gtau.estimation.regression.column_blocks import carried_payload
-from gtau.estimation.regression.dataset import at_rate_of, check_wrenches, prepare_runs
+from gtau.estimation.regression.column_blocks import payload_columns
+from gtau.estimation.regression.dataset import at_rate_of, prepare_runs
 from gtau.estimation.regression.equations import BLOCKS, delayed
+from gtau.estimation.regression.plausibility import check_wrenches
 from gtau.estimation.regression.rows import Labels, Rows, stream_rows
 from gtau.estimation.regression.run_blocks import block_edges, block_of
 from gtau.estimation.results.result import Result
 from gtau.robots.parameter import Parameter, unit_of
 from gtau.robots.robot import PLAIN_FRICTION
 from gtau.signals.reading.statements import Payload
-from gtau.signals.run import Run, arrange, without_sensors
+from gtau.signals.run import Run
 from gtau.uses.prediction import check_temperature_unit, friction_along, loaded_parameters
 
 STEP = 1e-3  # rad or m, of an encoder zero: torques are linear over this
@@ -113,7 +114,7 @@ def normal_equations(model: Result, run: Run) -> NormalEquations:
             "same kind."
         )
     idm, base = model.idm, model.base
-    run = without_sensors(arrange(run, idm.actuated))
+    run = run.ordered(idm.actuated, link_side=False)
     check_wrenches(model.robot, run)
     check_temperature_unit(model, run)
     preparation = at_rate_of([run], model.preparation)
@@ -121,8 +122,8 @@ def normal_equations(model: Result, run: Run) -> NormalEquations:
     decimator, n = preparation.at(run.rate).decimator, len(idm.actuated)
     chi = loaded_parameters(model, run.payload, f"run '{run.name}'")
     load, friction = np.array(transmitted(np, base.standard, chi)), friction_along(model, prepared, chi)
-    payload = carried_payload(idm, base, 0, Payload(name="load"))
-    quantities, sigma = quantities_of(model, payload.unknown.values()), _sigma(model)
+    (payload,) = payload_columns(idm, base, [Payload(name="load")])
+    quantities, sigma = quantities_of(model, [name.kind for name in payload.unknown]), _sigma(model)
     p = len(quantities)
     G, rows = np.zeros((BLOCKS, n, p + 1, p + 1)), np.zeros((BLOCKS, n), dtype=int)
     power = np.zeros(n)

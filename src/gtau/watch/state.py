@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, FiniteFloat, ValidationError
 
 from gtau.documents.files import in_order, write_atomically
 from gtau.errors import GtauError
-from gtau.signals.reading.log_file import is_log_folder
+from gtau.signals.reading.logs import is_log_folder
 
 SCHEMA: Literal["gtau-watch/1"] = "gtau-watch/1"
 HISTORY = "history.jsonl"

@@ -12,9 +12,9 @@ import polars as pl
 import pytest
 
 from gtau.errors import GtauError
-from gtau.signals.reading.log_file import find_columns, read_log
+from gtau.signals.reading.logs import find_columns, read_log
 from gtau.signals.run import Run, read_run
-from gtau.signals.storage import Sizes, working_with
+from gtau.signals.storage import working_with
 
 N, RATE = 1500, 500.0
 JOINTS = ("shoulder", "elbow")
@@ -144,7 +144,7 @@ def test_blocks_and_parts_are_those_of_the_whole(tmp_path: Path, log: Log, name:
     columns = FORMATS[name](tmp_path / name, log)
     names = [columns["time"], *columns["position"].values()]
     file = read_log(tmp_path / name, names)
-    with working_with(Sizes(rows=400)):
+    with working_with(400):
         blocks = list(file.blocks())
     assert [len(values) for values, _ in blocks] == [400, 400, 400, 300]
     assert blocks[-1][1] == 1.0

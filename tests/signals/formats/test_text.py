@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from gtau.errors import GtauError
-from gtau.signals.reading.log_file import find_columns
+from gtau.signals.reading.logs import find_columns
 from gtau.signals.run import read_run
-from gtau.signals.storage import Sizes, working_with
+from gtau.signals.storage import working_with
 
 N = 600
 TIME = np.arange(N) / 500
@@ -106,7 +106,7 @@ def test_text_among_numbers_names_its_lines(write: Callable[..., Path]) -> None:
 
 def test_a_log_read_in_parts_begins_where_its_table_does(write: Callable[..., Path]) -> None:
     path = write("Logger 3.1", "t,q,v", "s,rad,A", *ROWS)
-    with working_with(Sizes(text=1000)):
+    with working_with(16):
         run = read_run(path, SIGNALS)
     np.testing.assert_allclose(run.position[:, 0], VALUES[:, 0], atol=1e-9)
 

@@ -17,12 +17,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from gtau.errors import GtauError
 from gtau.estimation.diagnostics.linearisation import Offer
 from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.thresholds.estimates import ALTERNATIVE_PRIOR, REFUTED_STD
 from gtau.findings import Finding
 from gtau.findings.finding import named_causes
 from gtau.findings.words import Words
+from gtau.signals.reading.statements import Payload
 
 CERTAIN = 1e9  # log factor that stands for certainty
 SHOWN = float("inf")
@@ -134,6 +138,37 @@ def established(
     slopes = np.zeros(len(fit.solution.values))
     slopes[fit.system.problem.gain_rows] = moves * fit.gains / size
     return Alternative(hypothesis, (cause,), size, None, unit, share=share).moving(fit, slopes)
+
+
+def refitted(
+    fit: Fit, payloads: Sequence[Payload | None] | None = None, dataset: Dataset | None = None, method: str = "ml"
+) -> Fit | None:
+    """Fit the same equations with other loads, or another dataset's priors; None where then nothing gives the scale."""
+    system = fit.system.again(dataset, payloads=payloads)
+    payloads = [run.payload for run in fit.dataset.runs] if payloads is None else payloads
+    try:
+        if fit.free_gains:
+            require_scale(fit.dataset.robot, system, payloads, method)
+        solution = fit.solve(system.problem)
+    except GtauError:
+        return None
+    return replace(fit, system=system, solution=solution, unrefined=solution)
+
+
+def residual_ratio(other: Fit, own: Fit) -> float:
+    """Compute the residual variance relative to ``own``, the geometric mean over all channels (the likelihood's).
+
+    So a single joint that feels gravity, say, counts among many that do not.
+    """
+    rows = own.system.problem.total_rows
+    return float(np.exp(2 * rows @ np.log(other.solution.sigma / own.solution.sigma) / rows.sum()))
+
+
+def of_refit(fit: Fit, hypothesis: str, cause: Finding, other: Fit, own: Fit) -> Alternative:
+    """Make an alternative of a fit with another description beside ``own``, with that of the user."""
+    rows, ratio = own.system.problem.total_rows, other.solution.sigma / own.solution.sigma
+    moves = other.gains / own.gains - 1 if fit.free_gains else np.zeros(len(fit.gains))
+    return established(fit, hypothesis, cause, moves, 1 - float(rows @ ratio**2 / rows.sum()))
 
 
 def model_covariance(alternatives: Sequence[Alternative], size: int) -> np.ndarray:

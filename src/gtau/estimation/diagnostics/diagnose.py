@@ -13,12 +13,12 @@ from gtau.estimation.diagnostics.gain_checks import (
     estimated_gains,
     given_gains,
     half_widths,
+    impossible_parameters,
     logged_torques,
     wrench_contradictions,
 )
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit, prior_findings
 from gtau.estimation.diagnostics.other_estimators import position_noise
-from gtau.estimation.diagnostics.parameter_checks import delay_verdicts, impossible_parameters, motors, unlike_legs
 from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings
 from gtau.estimation.diagnostics.stated_constants import (
     SensorScale,
@@ -26,8 +26,8 @@ from gtau.estimation.diagnostics.stated_constants import (
     sensor_contradictions,
     sensor_scales,
 )
-from gtau.estimation.diagnostics.unit_checks import units_and_signs
-from gtau.estimation.diagnostics.verdict import GIVEN, GOOD, OUTCOMES, Outcome, Verdict, decide
+from gtau.estimation.diagnostics.unit_checks import units_and_signs, unlike_legs
+from gtau.estimation.diagnostics.verdict import GIVEN, GOOD, OUTCOMES, Outcome, Verdict, decide, delay_verdicts, motors
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.unknowns import Estimates
 from gtau.findings import Finding

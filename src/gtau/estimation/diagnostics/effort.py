@@ -47,7 +47,10 @@ REWEIGHTED = 3  # steps that find the variances of joints with common parameters
 class Meaning:
     """A meaning of effort, by ``kind``: ``left`` (n,) are the shares of the columns that it leaves, rms.
 
-    ``altered`` are the joints whose columns it changes, and ``likelihood`` the logarithm.
+    ``altered`` are the joints whose columns it changes, and ``likelihood`` the logarithm. The ``values`` of the stated
+    meaning are the interval of the coefficient of ``gravity``, the ``scale``, the torque over that of the file's
+    inertias with its standard deviation, None without them, and ``open``, whether the rows fit without gravity as well
+    as with it, and the file states no inertias.
     """
 
     kind: str
@@ -58,78 +61,46 @@ class Meaning:
 
 
 Maker = Callable[..., Meaning]
+UNRANKED = (Meaning(AS_STATED, np.zeros(0), 0.0),)
 
 
-@dataclass(frozen=True, eq=False)
-class Ranking:
-    """Meanings, the most likely first; none where there are too few rows.
+def stated_meaning(meanings: Sequence[Meaning]) -> Meaning:
+    """Return the stated one of ranked meanings."""
+    return next(meaning for meaning in meanings if meaning.kind == AS_STATED)
 
-    ``gravity`` is the interval of its coefficient, and ``scale`` the torque over that of the file's inertias with its
-    standard deviation, None without them. ``gravity_open`` is whether the
-    rows fit without gravity as well as with it, and the file states no inertias.
-    """
 
-    meanings: tuple[Meaning, ...] = ()
-    gravity: tuple[float, float] = (1.0, 1.0)
-    scale: tuple[float, float] | None = None
-    gravity_open: bool = False
-
-    @property
-    def best(self) -> str:
-        """The kind of the most likely meaning."""
-        return self.meanings[0].kind if self.meanings else AS_STATED
-
-    def findings(self, dataset: Dataset) -> tuple[Finding, ...]:
-        """Say what the altered columns hold, if that is the most likely meaning, and which one is nearly as likely."""
-        best, *others = self.meanings or (Meaning(AS_STATED, np.zeros(0), 0.0),)
-        names, kind = dataset.model.actuated, dataset.runs[0].kind
-        stated = next((each.left for each in others if each.kind == AS_STATED), best.left)
-        close = [each.kind for each in others[:1] if best.likelihood - each.likelihood < MEANING_CLOSE]
-        values = {"kind": kind, "also": f" (nearly as likely: {close[0]})" if close else ""}
-        joints = tuple(names[j] for j in best.altered)
-        if best.kind == F.LATE:
-            return tuple(
-                Finding(
-                    F.LATE,
-                    (names[j],),
-                    values={**values, "lag": lag, "shifted": float(best.left[j]), "as_logged": float(stated[j])},
-                    size=float(stated[j]),
-                )
-                for j, lag in zip(best.altered, best.values["lags"], strict=True)
-            )
-        if best.kind not in (F.SWAPPED, F.MAGNITUDES, F.REVERSED):
-            return ()
+def effort_findings(meanings: Sequence[Meaning], dataset: Dataset) -> Iterator[Finding]:
+    """Say what the altered columns hold, if that is the most likely meaning, and which one is nearly as likely."""
+    best, names, stated = meanings[0], dataset.model.actuated, stated_meaning(meanings).left
+    close = [other.kind for other in meanings[1:2] if best.likelihood - other.likelihood < MEANING_CLOSE]
+    values = {"kind": dataset.runs[0].kind, "also": f" (nearly as likely: {close[0]})" if close else ""}
+    if best.kind == F.LATE:
+        for j, lag in zip(best.altered, best.values["lags"], strict=True):
+            shares = {"lag": lag, "shifted": float(best.left[j]), "as_logged": float(stated[j])}
+            yield Finding(F.LATE, (names[j],), values=values | shares, size=float(stated[j]))
+    elif best.kind in (F.SWAPPED, F.MAGNITUDES, F.REVERSED):
         shares = {"exchanged": best.values["after"], "as_logged": best.values["before"]}
-        return (
-            Finding(F(best.kind), joints, values=values | shares, size=1 - shares["exchanged"] / shares["as_logged"]),
-        )
+        joints = tuple(names[j] for j in best.altered)
+        yield Finding(F(best.kind), joints, values=values | shares, size=1 - shares["exchanged"] / shares["as_logged"])
 
 
-UNRANKED = Ranking()
+def rank_meanings(dataset: Dataset, slowest: float) -> tuple[Meaning, ...]:
+    """Rank the meanings of effort, the most likely first; only the stated one where there are too few rows.
 
-
-def rank_meanings(dataset: Dataset, slowest: float) -> Ranking:
-    """Rank the meanings of effort.
-
-    Parameters
-    ----------
-    dataset : Dataset
-        The runs.
-    slowest : float
-        The longest delay that the model describes, s; where it is 0 no other is tried.
+    ``slowest`` is the longest delay that the model describes, s; where it is 0 no other is tried.
     """
     joints = joint_rows(dataset, slowest)
     if not joints:
-        return Ranking()
-    left = np.array([float(each.left(each.mine)) for each in joints])
-    counts = np.array([each.independent for each in joints])
+        return UNRANKED
+    left = np.array([float(joint.left(joint.mine)) for joint in joints])
+    counts = np.array([joint.independent for joint in joints])
 
     def made(kind: str, shares: np.ndarray, altered: Sequence[int] = (), chosen: int = 0, **values: Any) -> Meaning:
         likelihood = -float(counts @ np.log(np.maximum(shares, TINY))) - chosen / 2 * float(np.log(counts.sum()))
         return Meaning(kind, shares, likelihood, tuple(altered), values)
 
     stated, none = made(AS_STATED, left), made(NONE, np.full(len(left), float(MISFIT)))
-    factors, found = triangles(joints), [stated, none]
+    factors, found = triangles(joints), [none]
     found += _late(joints, left, made)
     found += _permuted(joints, left, counts, made)
     found += _magnitudes(joints, left, made)
@@ -138,31 +109,27 @@ def rank_meanings(dataset: Dataset, slowest: float) -> Ranking:
     if torques and stated.likelihood > none.likelihood:
         found += _among_joints(joints, factors, stated, counts)
     profile = _gravity_profile(joints, factors, made)
-    likely = np.array([each.likelihood for each in profile])
+    likely = np.array([meaning.likelihood for meaning in profile])
     held = np.array(SHARES)[likely > likely.max() - LIKELY_SHARES]
     low, high = float(held.min()), float(held.max())
     as_well = profile[0].likelihood > stated.likelihood - counts.sum() / 2 * np.log(AS_WELL)
-    of_file = _by_file(joints, counts, dataset) if torques else None
-    if of_file is None:
-        without = low <= NO_GRAVITY and high < WITH_GRAVITY
-        gain = profile[0].likelihood - stated.likelihood
+    coefficients, gain = _by_file(joints, counts, dataset) if torques else (None, 0.0)
+    scale = None
+    if coefficients is None:
+        without, gain = low <= NO_GRAVITY and high < WITH_GRAVITY, profile[0].likelihood - stated.likelihood
     else:
-        (coefficient, std), gain = of_file.gravity, of_file.gain
+        (coefficient, std), scale = coefficients
         near = max(abs(coefficient) - SIGN_STD * std, 0.0)  # a reversed column has gravity too
         without = as_well and near < NO_GRAVITY and abs(coefficient) + SIGN_STD * std < WITH_GRAVITY
-    if of_file is not None and (turned := of_file.scale[0] / of_file.scale[1]) < -SIGN_STD:
+    if scale is not None and (turned := scale[0] / scale[1]) < -SIGN_STD:
         likelihood = stated.likelihood + 2 * turned**2  # of the coefficient, at its size with either sign
         values = {"after": float(left.max()), "before": 1.0}
         found.append(Meaning(F.REVERSED, left, likelihood, tuple(range(len(left))), values))
     if alone and without and gain > MEANING_CLOSE:
         found.append(replace(profile[0], likelihood=stated.likelihood + gain))
-    ranked = tuple(sorted(found, key=lambda each: -each.likelihood))
-    return Ranking(
-        ranked,
-        (low, high),
-        None if of_file is None else of_file.scale,
-        as_well and low <= NO_GRAVITY and of_file is None,
-    )
+    is_open = as_well and low <= NO_GRAVITY and coefficients is None
+    stated = replace(stated, values={"gravity": (low, high), "scale": scale, "open": is_open})
+    return tuple(sorted([stated, *found], key=lambda meaning: -meaning.likelihood))
 
 
 def _late(joints: Sequence[JointRows], left: np.ndarray, made: Maker) -> Iterator[Meaning]:
@@ -287,23 +254,20 @@ def _gravity_profile(joints: Sequence[JointRows], factors: Sequence[np.ndarray],
     return found
 
 
-@dataclass(frozen=True)
-class _ByFile:
-    """Coefficients of the file's ``gravity``, and of its whole torque (``scale``), each with standard deviation.
+def _by_file(
+    joints: Sequence[JointRows], counts: np.ndarray, dataset: Dataset
+) -> tuple[list[tuple[float, float]] | None, float]:
+    """Regress the torques of the runs without payload on those that the file's inertias give, and friction.
 
-    ``gain`` is how much more likely the rows are without the file's gravity than with it, a logarithm.
+    Returns
+    -------
+    tuple
+        Coefficients of the file's gravity, and of its whole torque, each with standard deviation, None without them;
+        and how much more likely the rows are without the file's gravity than with it, a logarithm.
     """
-
-    gravity: tuple[float, float]
-    scale: tuple[float, float]
-    gain: float
-
-
-def _by_file(joints: Sequence[JointRows], counts: np.ndarray, dataset: Dataset) -> _ByFile | None:
-    """Regress the torques of the runs without payload on those that the file's inertias give, and friction."""
     stated, base = stated_inertias(dataset.robot), dataset.base
-    if not any(stated.values()) or not all(each.free.any() for each in joints):
-        return None
+    if not any(stated.values()) or not all(joint.free.any() for joint in joints):
+        return None, 0.0
     values = base.matrix @ np.array([stated.get(name, 0.0) for name in dataset.model.parameter_names])
     found, gain = np.zeros((2, len(joints), 3)), 0.0  # coefficient, variance and weight, (N m)^2
     for joint, count in zip(joints, counts, strict=True):
@@ -330,4 +294,4 @@ def _by_file(joints: Sequence[JointRows], counts: np.ndarray, dataset: Dataset) 
         mean = float(weight @ coefficient) / max(float(weight.sum()), 1e-300)
         spread = np.sqrt(weight**2 @ ((coefficient - mean) ** 2 + variance)) / max(float(weight.sum()), 1e-300)
         pooled.append((mean, float(spread)))
-    return _ByFile(pooled[0], pooled[1], gain) if np.any(found[0, :, 2]) else None
+    return (pooled, gain) if np.any(found[0, :, 2]) else (None, 0.0)

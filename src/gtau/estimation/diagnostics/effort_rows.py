@@ -6,16 +6,18 @@ nor the other joints matter. Gravity's part of a column is what the regressor ha
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from gtau.estimation.diagnostics.linearisation import window_motion
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.equations import triangle
-from gtau.estimation.regression.rows import stream_rows
+from gtau.estimation.regression.rows import Rows, stream_rows
 from gtau.robots.robot import INERTIAL
+from gtau.signals.preparation.prepared_run import SampleWindow
 
 REACH = 0.3  # s: lags beyond are other runs, or clocks that were never set
 COARSE, FINE = 2, 16  # lags tried in the longest delay that the model describes, everywhere and about the best
@@ -24,46 +26,40 @@ INDEPENDENT = 0.99  # largest autocorrelation that is believed
 
 
 @dataclass(frozen=True, eq=False)
-class _Window:
-    """Rows of a window, with margins for shifts: ``currents`` (3, c, K) with derivatives, every ``step`` (s).
-
-    Of each joint the rows ``kept`` and its columns there, (., p), and gravity's part of them; ``load`` is its payload.
-    """
-
-    currents: np.ndarray
-    step: float
-    kept: list[np.ndarray]
-    columns: list[np.ndarray]
-    weight: list[np.ndarray]
-    load: str | None
-
-
-@dataclass(frozen=True, eq=False)
 class JointRows:
     """The K rows of the joint ``index``.
 
     ``own`` (K, p) are its columns, ``weight`` (K, p) gravity's part of them, and ``names`` (p,) their numbers among
-    ``base.standard``, from ``base.count`` on for a second payload, and so on; ``basis`` is an orthonormal one.
-    ``effort`` (K, n) are the columns of all joints, its own at the first of the ``lags`` (s): that which fits best of
-    those which a delay of the model describes. ``shifted`` (K,) is its own at the second, which fits best of all.
-    ``free`` are the rows without payload and ``independent`` their number, by the autocorrelation of the residuals.
+    ``base.standard``, from ``base.count`` on for a second payload, and so on. ``effort`` (K, n) are the columns of all
+    joints, its own at the first of the ``lags`` (s): that which fits best of those which a delay of the model
+    describes. ``shifted`` (K,) is its own at the second, which fits best of all. ``free`` are the rows without payload.
     """
 
     index: int
     own: np.ndarray
     weight: np.ndarray
     names: np.ndarray
-    basis: np.ndarray
     effort: np.ndarray
     lags: tuple[float, float]
     shifted: np.ndarray
     free: np.ndarray
-    independent: float
+
+    @cached_property
+    def basis(self) -> np.ndarray:
+        """Orthonormal basis of its columns (K, r)."""
+        return basis_of(self.own)
 
     @property
     def mine(self) -> np.ndarray:
         """Its own column of effort, (K,)."""
         return np.asarray(self.effort[:, self.index])
+
+    @property
+    def independent(self) -> float:
+        """Number of independent rows, by the autocorrelation of the residuals."""
+        rest = self.mine - self.basis @ (self.basis.T @ self.mine)
+        rho = float(np.clip(rest[1:] @ rest[:-1] / max(rest @ rest, 1e-300), 0.0, INDEPENDENT))
+        return max(len(rest) * (1 - rho) / (1 + rho), 1.0)
 
     def left(self, effort: np.ndarray) -> np.ndarray:
         """Compute the shares of columns (K, m), or of one, that the equations leave, rms."""
@@ -90,54 +86,77 @@ def joint_rows(dataset: Dataset, slowest: float) -> list[JointRows]:
     ``slowest`` is the longest delay that the model describes, s; where it is 0 no lag is tried.
     """
     reach = max(REACH, 2 * slowest) if slowest else 0.0
-    windows = list(_windows(dataset, reach + slowest))
-    loads = list(dict.fromkeys(window.load for window in windows))
-    found = [
-        _rows(j, windows, loads, dataset, reach, slowest) for j in range(len(dataset.model.actuated) * bool(windows))
-    ]
-    return [] if any(len(each.own) < 2 * each.basis.shape[1] for each in found) else found
+    windows = [_streamed(dataset, window) for _, window in dataset.windows()]
+    loads = [load.name if (load := dataset.runs[run].payload) else None for run, _ in dataset.windows()]
+    count = len(dataset.model.actuated) if windows else 0
+    joints = [_rows(j, windows, loads, dataset, reach, slowest) for j in range(count)]
+    return [] if any(len(joint.own) < 2 * joint.basis.shape[1] for joint in joints) else joints
+
+
+def _streamed(dataset: Dataset, window: SampleWindow) -> tuple[Rows, np.ndarray]:
+    """Stream the rows along a window, and gravity's part of their entries (entries, K)."""
+    model, names = dataset.model, dataset.base.standard
+    regressor, decimator = model.columns(names), dataset.preparation.at(window.run.rate).decimator
+    parts = list(stream_rows(model, regressor, window, decimator))
+    entries, currents, keep = (
+        np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in ("entries", "currents", "keep")
+    )
+    motion = window_motion(model, window)
+    rest = replace(motion, yd=np.zeros_like(motion.yd), ydd=np.zeros_like(motion.ydd))
+    falling = np.array([name.kind in INERTIAL for name in names])[regressor.columns]
+    weight = decimator.apply(regressor(model.layout, rest))[:, : entries.shape[1]] * falling[:, None]
+    return replace(parts[0], entries=entries, currents=currents, keep=keep), weight
 
 
 def _rows(
-    j: int, windows: list[_Window], loads: list[str | None], dataset: Dataset, reach: float, slowest: float
+    j: int,
+    windows: Sequence[tuple[Rows, np.ndarray]],
+    loads: Sequence[str | None],
+    dataset: Dataset,
+    reach: float,
+    slowest: float,
 ) -> JointRows:
-    def stacked(parts: list[np.ndarray]) -> np.ndarray:
-        apart = [np.eye(len(loads))[[loads.index(window.load)]] for window in windows]
-        return np.concatenate([np.kron(one, part) for one, part in zip(apart, parts, strict=True)])
-
+    """Stack the rows of a joint in all windows, with margins of ``reach`` and ``slowest`` (s) for shifts."""
     regressor, n = dataset.model.columns(dataset.base.standard), len(dataset.model.actuated)
-    own, weight = stacked([each.columns[j] for each in windows]), stacked([each.weight[j] for each in windows])
-    names = regressor.columns[regressor.rows == j]
-    basis = basis_of(own)
+    mine, carried = regressor.rows == j, list(dict.fromkeys(loads))
+    apart = [np.eye(len(carried))[[carried.index(load)]] for load in loads]  # each payload has columns of its own
+    steps = [
+        dataset.preparation.at(window.run.rate).decimator.factor / window.run.rate for _, window in dataset.windows()
+    ]
+    kept = []
+    for (rows, _), step in zip(windows, steps, strict=True):
+        margin, length = int(np.ceil((reach + slowest) / step)), rows.currents.shape[2]
+        inner = np.arange(length)[margin : max(length - margin, 0)]
+        kept.append(inner[rows.keep[j, inner]])
+
+    def stacked(parts: Iterable[np.ndarray]) -> np.ndarray:
+        each = zip(apart, parts, kept, strict=True)
+        return np.concatenate([np.kron(one, part[mine][:, at].T) for one, part, at in each])
 
     def shifted(lags: np.ndarray, column: int = j) -> np.ndarray:
-        return np.concatenate([_shifted(each, j, column, lags) for each in windows])
+        """Compute a column of effort at the joint's rows ``lags`` later (K, lags)."""
+        parts = []
+        for (rows, _), at, step in zip(windows, kept, steps, strict=True):
+            whole = np.round(lags / step).astype(int)
+            rest = (lags - whole * step)[:, None]
+            v, v_d, v_dd = rows.currents[:, column][:, at + whole[:, None]]
+            parts.append((v + rest * v_d + rest**2 / 2 * v_dd).T)
+        return np.concatenate(parts)
 
+    own = stacked(rows.entries for rows, _ in windows)
+    basis = basis_of(own)
     lags = _lags(lambda lags: unexplained(basis, shifted(lags)), reach, slowest)
     both = shifted(np.array(lags))
-    effort = np.column_stack([shifted(np.zeros(1), k)[:, 0] if k != j else both[:, 0] for k in range(n)])
-    rest = both[:, 0] - basis @ (basis.T @ both[:, 0])
-    rho = float(np.clip(rest[1:] @ rest[:-1] / max(rest @ rest, 1e-300), 0.0, INDEPENDENT))
     return JointRows(
         j,
         own,
-        weight,
-        np.concatenate([names + k * dataset.base.count for k in range(len(loads))]),
-        basis,
-        effort,
+        stacked(weight for _, weight in windows),
+        np.concatenate([regressor.columns[mine] + k * dataset.base.count for k in range(len(carried))]),
+        np.column_stack([both[:, 0] if k == j else shifted(np.zeros(1), k)[:, 0] for k in range(n)]),
         lags,
         both[:, 1],
-        np.concatenate([np.full(len(each.kept[j]), each.load is None) for each in windows]),
-        max(len(own) * (1 - rho) / (1 + rho), 1.0),
+        np.concatenate([np.full(len(at), load is None) for at, load in zip(kept, loads, strict=True)]),
     )
-
-
-def _shifted(window: _Window, joint: int, column: int, lags: np.ndarray) -> np.ndarray:
-    """Compute the currents of a ``column`` at a joint's rows ``lags`` later (rows, lags)."""
-    steps = np.round(lags / window.step).astype(int)
-    rest = (lags - steps * window.step)[:, None]
-    v, v_d, v_dd = window.currents[:, column][:, window.kept[joint] + steps[:, None]]
-    return np.asarray((v + rest * v_d + rest**2 / 2 * v_dd).T)
 
 
 def _lags(left: Callable[[np.ndarray], np.ndarray], reach: float, slowest: float) -> tuple[float, float]:
@@ -157,30 +176,6 @@ def _lags(left: Callable[[np.ndarray], np.ndarray], reach: float, slowest: float
     a, b, c = np.take(shares, [k - 1, k, k + 1], mode="clip") ** 2
     between = (a - c) / (2 * (a - 2 * b + c)) if min(a, c) > b else 0.0
     return stated, float(fine[k] + slowest / FINE * between)
-
-
-def _windows(dataset: Dataset, reach: float) -> Iterator[_Window]:
-    """Iterate over the middle of the runs, with currents available up to ``reach`` (s) before and after."""
-    model, names = dataset.model, dataset.base.standard
-    joints, regressor = range(len(model.actuated)), model.columns(names)
-    falling = np.array([name.kind in INERTIAL for name in names])[regressor.columns]
-    for run, piece in dataset.windows():
-        decimator = dataset.preparation.at(piece.run.rate).decimator
-        parts = list(stream_rows(model, regressor, piece, decimator))
-        currents, entries = (
-            np.concatenate(each, axis=-1) for each in zip(*((p.currents, p.entries) for p in parts), strict=True)
-        )
-        motion = window_motion(model, piece)
-        rest = replace(motion, yd=np.zeros_like(motion.yd), ydd=np.zeros_like(motion.ydd))
-        weight = decimator.apply(regressor(model.layout, rest))[:, : entries.shape[1]] * falling[:, None]
-        step = decimator.factor / piece.run.rate
-        margin = int(np.ceil(reach / step))
-        inner = slice(margin, max(currents.shape[2] - margin, 0))
-        keep = np.concatenate([part.keep for part in parts], axis=1)
-        kept = [np.arange(currents.shape[2])[inner][keep[j, inner]] for j in joints]
-        columns, falls = ([each[regressor.rows == j][:, kept[j]].T for j in joints] for each in (entries, weight))
-        load = dataset.runs[run].payload
-        yield _Window(currents, step, kept, columns, falls, None if load is None else load.name)
 
 
 def triangles(joints: list[JointRows]) -> list[np.ndarray]:

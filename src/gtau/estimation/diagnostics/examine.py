@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import Alternative, compete, model_covariance
-from gtau.estimation.diagnostics.effort import UNRANKED, Ranking, rank_meanings
+from gtau.estimation.diagnostics.effort import UNRANKED, Meaning, effort_findings, rank_meanings, stated_meaning
 from gtau.estimation.diagnostics.hypotheses import HYPOTHESES, find_alternatives, ranked
 from gtau.estimation.diagnostics.hypotheses.description import GRAVITY, WRENCH_OFFSETS, WRENCH_POINTS
 from gtau.estimation.diagnostics.hypotheses.drives import GAIN_CHANGE, gain_changes
@@ -25,9 +25,9 @@ from gtau.estimation.diagnostics.other_robots import (
     other_length,
     other_loads,
 )
-from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
 from gtau.estimation.diagnostics.repeating_residuals import RIPPLE, position_ripple
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
+from gtau.estimation.diagnostics.verdict import unexplained_shares
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.regression.unknowns import Estimates
@@ -67,8 +67,8 @@ class Examination:
     findings : tuple of Finding
         What the columns of some joints hold instead of their currents or torques, frozen encoders, a torque that
         repeats at the same positions, and tests that refused these data or have no power on them.
-    effort : Ranking
-        What the columns of all joints may hold.
+    effort : tuple of Meaning
+        What the columns of all joints may hold, the most likely first.
     ripple : Alternative, optional
         What of the residuals repeats at the same positions.
     """
@@ -76,7 +76,7 @@ class Examination:
     lack_of_fit: float
     alternatives: tuple[Alternative, ...] = ()
     findings: tuple[Finding, ...] = ()
-    effort: Ranking = UNRANKED
+    effort: tuple[Meaning, ...] = UNRANKED
     ripple: Alternative | None = None
 
     def covariance(self, fit: Fit) -> np.ndarray:
@@ -138,10 +138,15 @@ def _loads(fit: Fit, seen: Examination, progress: Progress) -> Iterator[Alternat
 
 
 def _gravity(fit: Fit, seen: Examination, progress: Progress) -> Iterator[Alternative]:
-    missing = missing_gravity(fit) if seen.effort.best == F.WITHOUT_GRAVITY else None
+    missing = missing_gravity(fit) if seen.effort[0].kind == F.WITHOUT_GRAVITY else None
     asked = _lacking(fit) and gravity_asked_for(fit, seen.alternatives)
     if gravity := likelier_gravity(fit, missing, other_gravity(fit, progress) if asked else None):
         yield gravity
+
+
+def _gravity_not_shown(fit: Fit, seen: Examination, progress: Progress) -> Iterator[Finding]:
+    if stated_meaning(seen.effort).values.get("open"):
+        yield from gravity_not_shown(fit)
 
 
 def _lengths(fit: Fit, seen: Examination, progress: Progress) -> Iterator[Alternative]:
@@ -163,7 +168,11 @@ CHECKS: tuple[Check, ...] = (
     # see the evidence of DOMINANT
     Check(GAIN_CHANGE, lambda fit, seen, progress: gain_changes(fit), frozenset({RIPPLE}), DOMINANT),
     # what the columns hold instead explains the residuals
-    Check(EFFORT, lambda fit, seen, progress: seen.effort.findings(fit.dataset), frozenset({OTHER_GRAVITY, LENGTHS})),
+    Check(
+        EFFORT,
+        lambda fit, seen, progress: effort_findings(seen.effort, fit.dataset),
+        frozenset({OTHER_GRAVITY, LENGTHS}),
+    ),
     # links that turned unseen look like another body in that run
     Check(FROZEN, lambda fit, seen, progress: frozen_encoders(fit), frozenset({TOOL_BODIES})),
     # what another current in these runs, say, would explain is its effect
@@ -172,7 +181,7 @@ CHECKS: tuple[Check, ...] = (
     ),
     # what a few degrees, other lengths or ripple would explain is its effect
     Check(OTHER_GRAVITY, _gravity, frozenset({GRAVITY.name, GRAVITY_NOT_SHOWN, LENGTHS, RIPPLE})),
-    Check(GRAVITY_NOT_SHOWN, lambda fit, seen, progress: gravity_not_shown(fit) if seen.effort.gravity_open else ()),
+    Check(GRAVITY_NOT_SHOWN, _gravity_not_shown),
     Check(LENGTHS, _lengths),
     Check(RIPPLE, _ripple),
 )
@@ -238,7 +247,7 @@ def estimates_of(fit: Fit, examined: Examination, correlated: bool) -> Estimates
         By the block jackknife and with the model part, or by the method's formula alone, as the paper does.
     """
     problem, solution = fit.system.problem, fit.solution
-    of_scale = scale_uncertainty(fit.dataset, fit.system, fit.solve)
+    of_scale = scale_uncertainty(fit.system, fit.solve)
     if not correlated:
         parts = (solution.covariance, of_scale, np.zeros_like(of_scale))
         return Estimates(problem.unknowns, solution.values, *parts, None)

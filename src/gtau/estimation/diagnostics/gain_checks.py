@@ -19,10 +19,10 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import friction_levels, rms_speeds, rms_torques
+from gtau.estimation.diagnostics.effort import stated_meaning
 from gtau.estimation.diagnostics.examine import Examination
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
-from gtau.estimation.diagnostics.parameter_checks import motors, unexplained_shares
-from gtau.estimation.diagnostics.verdict import Verdict
+from gtau.estimation.diagnostics.verdict import Verdict, judge_parameter, motors, unexplained_shares
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.unknowns import Estimates
 from gtau.estimation.thresholds.estimates import (
@@ -36,10 +36,10 @@ from gtau.estimation.thresholds.estimates import (
     NEGATIVE_STD,
 )
 from gtau.estimation.thresholds.logs import ALIKE, BEYOND_GEARS, FRICTIONLESS, GEARED, MODEL_RESIDUAL
-from gtau.findings import Finding
+from gtau.findings import Finding, Outcome
 from gtau.findings import FindingKind as F
-from gtau.model.base_parameters import whole_mass
-from gtau.robots.parameter import Parameter
+from gtau.model.base_parameters import regrouped, whole_mass
+from gtau.robots.parameter import Parameter, unit_of
 
 
 def estimated_gains(
@@ -135,13 +135,35 @@ def given_gains(fit: Fit, examined: Examination, payloads: Mapping[str, Verdict]
             yield of_payload.get(joint, Finding(F.UNEXPLAINED, (joint,), values=values))
 
 
+def impossible_parameters(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
+    """Find base parameters that no body or joint has, against the gain of their joint, or all where it has no motor.
+
+    Gains and parameters are estimated together: friction that drives a joint is what a wrong description looks like.
+    """
+    dataset, stds = fit.dataset, np.sqrt(np.diag(estimates.covariance))
+    listed: dict[str, list[list[object]]] = {}
+    for name, terms in regrouped(dataset.base, dataset.model.parameter_names).items():
+        if name not in estimates.unknowns.places:
+            continue
+        value, std = (
+            float(fit.solution.theta[estimates.unknowns.places[name]]),
+            float(stds[estimates.unknowns.places[name]]),
+        )
+        if judge_parameter(value, std, terms).outcome == Outcome.CONTRADICTORY:
+            unit = unit_of(name.kind, dataset.robot, name.body)
+            listed.setdefault(name.body, []).append([name, value, std, unit])
+    for body, parameters in listed.items():
+        joints = (body,) if body in motors(fit) else motors(fit)
+        yield Finding(F.IMPOSSIBLE_PARAMETERS, joints, values={"parameters": parameters}, size=len(parameters))
+
+
 def wrench_contradictions(fit: Fit) -> Iterator[Finding]:
     """Find contradictions of measured wrenches: a negative mass of the robot, or an unexplained wrench on its base.
 
     Both are against all gains.
     """
     floating, problem = fit.dataset.robot.floating, fit.system.problem
-    name = whole_mass(fit.system.base, fit.dataset.model.parameter_names) if floating else ""
+    name = whole_mass(fit.dataset.base, fit.dataset.model.parameter_names) if floating else ""
     if name in problem.parameters:
         k = problem.parameters.index(name)
         mass, std = float(fit.solution.theta[k]), float(np.sqrt(fit.solution.covariance[k, k]))
@@ -179,8 +201,8 @@ def logged_torques(fit: Fit, examined: Examination, estimates: Estimates) -> Ite
         return
     if kind == "torque" and fit.free_gains:
         scales = np.abs(fit.gains)[half_widths(fit, estimates) < 1]
-    elif kind == "torque" and examined.effort.scale is not None:
-        share, std = examined.effort.scale
+    elif kind == "torque" and (scale := stated_meaning(examined.effort).values.get("scale")):
+        share, std = scale
         scales = 1 / np.maximum([abs(share) + 2 * std, abs(share) - 2 * std], 1e-300)
     if len(scales) and scales.min() > GEARED and scales.max() < BEYOND_GEARS:
         yield Finding(F.MOTOR_SIDE, values={"least": float(scales.min()), "most": float(scales.max())})

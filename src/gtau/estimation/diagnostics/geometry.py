@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gtau.estimation.diagnostics.geometry_findings import ConstantChange, GeometryTest, PoseResidual, PoseTrace
+from gtau.estimation.diagnostics.geometry_findings import ConstantChange, GeometryTest, PoseResidual
 from gtau.estimation.diagnostics.pose_fit import PoseFit, component_names, fit_frames, fit_poses
 from gtau.estimation.thresholds.logs import (
     GEOMETRY_ALIKE,
@@ -59,7 +59,7 @@ def geometry_test(
         found = better
     progress("geometry", MOST + 1, MOST + 1)
     runs = [each.run for each in logged]
-    return _tested(columns, columns.body or model.robot.tool, runs, given, found, tried, model.robot)
+    return _tested(columns, runs, given, found, tried, model.robot)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,10 +97,10 @@ def _tried(fit: PoseFit) -> list[_Candidate]:
 
 
 def _fitted(before: PoseFit, candidate: _Candidate) -> _Candidate:
-    fit = fit_poses(before.poses, before.state, (*before.chosen, candidate.constant))
+    fit = fit_poses(before, (*before.chosen, candidate.constant))
     if fit is None:
         return candidate
-    change = float(fit.state.change[candidate.constant])
+    change = float(fit.change[candidate.constant])
     return _Candidate(candidate.constant, change, float(fit.std[-1]), fit.left, fit)
 
 
@@ -120,60 +120,54 @@ def _better(before: PoseFit, candidates: Sequence[_Candidate], length: float) ->
 
 
 def _tested(
-    columns: PoseColumns,
-    body: str,
-    runs: Sequence[str],
-    given: PoseFit,
-    found: PoseFit,
-    tried: Sequence[_Candidate],
-    robot: Robot,
+    columns: PoseColumns, runs: Sequence[str], given: PoseFit, found: PoseFit, tried: Sequence[_Candidate], robot: Robot
 ) -> GeometryTest:
+    """Collect what constants of the geometry explain: from ``given`` frames alone, and with those ``found``."""
     poses, constants, names = given.poses, given.poses.geometry.constants, component_names(columns)
     before, after = (_unexplained(fit) for fit in (given, found))
     linear = np.array([unit == "m" for _, unit in names])
-    position, angle = ([_distance(each[:, which]) for each in (before, after)] for which in (linear, ~linear))
+    distances = {
+        kind: (_rms_distance(before[:, which]), _rms_distance(after[:, which]))
+        for kind, which in {"position": linear, "angle": ~linear}.items()
+        if which.any()
+    }
     explained = []
     for k, std in zip(found.chosen, found.std[len(found.std) - len(found.chosen) :], strict=True):
-        alone = next(each for each in tried if each.constant == k)
-        alike = [each for each in tried if each.constant != k and each.left < GEOMETRY_ALIKE * alone.left]
-        alike = alike if len(found.chosen) == 1 else []
-        change, share = float(found.state.change[k]), 1 - alone.left / given.left
-        explained.append(_change(constants[k], change, float(std), share, [constants[each.constant] for each in alike]))
-    seen = {each.constant for each in tried}
-    off = position[1] is not None and position[1] > GEOMETRY_RMS * characteristic_length(robot)
-    residuals, traces = [], []
+        alone = next(candidate for candidate in tried if candidate.constant == k)
+        alike = [
+            constants[candidate.constant].name
+            for candidate in tried
+            if candidate.constant != k and candidate.left < GEOMETRY_ALIKE * alone.left and len(found.chosen) == 1
+        ]
+        change, share = float(found.change[k]), 1 - alone.left / given.left
+        explained.append(_change(constants[k], change, float(std), share, tuple(alike)))
+    seen = {candidate.constant for candidate in tried}
+    off = linear.any() and distances["position"][1] > GEOMETRY_RMS * characteristic_length(robot)
+    residuals = []
     for k, run in enumerate(runs):
         mine = poses.run == k
-        traces.append(PoseTrace(run, poses.time[mine], before[mine], after[mine]))
         for j, (name, unit) in enumerate(names):
-            rms, left = (float(np.sqrt(np.mean(each[mine, j] ** 2))) for each in (before, after))
-            residuals.append(PoseResidual(run, name, unit, rms, float(np.mean(before[mine, j])), left))
+            of_time = poses.time[mine], before[mine, j], after[mine, j]
+            rms, left = (float(np.sqrt(np.mean(part**2))) for part in of_time[1:])
+            residuals.append(PoseResidual(run, name, unit, rms, float(np.mean(of_time[1])), left, *of_time))
     return GeometryTest(
-        body=body,
+        body=columns.body or robot.tool,
         source=columns.source,
         outcome="unexplained" if off else "other constants" if explained else "confirmed",
-        position_rms=position[0],
-        position_after=position[1],
-        angle_rms=angle[0],
-        angle_after=angle[1],
+        distances=distances,
         explained_by=tuple(explained),
         share=1 - found.left / given.left,
         tried=tuple(
             _change(constants[each.constant], each.change, each.std, 1 - each.left / given.left) for each in tried
         ),
-        unseen=tuple(each.name for k, each in enumerate(constants) if k not in seen),
-        delay=poses.delay + found.state.frames.delay,
-        delay_std=float(found.std[0]),
+        unseen=tuple(constant.name for k, constant in enumerate(constants) if k not in seen),
+        delay=(poses.delay + found.frames.delay, float(found.std[0])),
         residuals=tuple(residuals),
-        traces=tuple(traces),
     )
 
 
-def _change(
-    constant: Constant, change: float, std: float, share: float, alike: Sequence[Constant] = ()
-) -> ConstantChange:
-    names = tuple(each.name for each in alike)
-    return ConstantChange(constant.name, constant.value, change, std, constant.unit, share, names)
+def _change(constant: Constant, change: float, std: float, share: float, alike: tuple[str, ...] = ()) -> ConstantChange:
+    return ConstantChange(constant.name, constant.value, change, std, constant.unit, share, alike)
 
 
 def _unexplained(fit: PoseFit) -> np.ndarray:
@@ -181,5 +175,5 @@ def _unexplained(fit: PoseFit) -> np.ndarray:
     return fit.beyond(fit.residual).reshape(len(fit.poses.run), -1) / fit.poses.weights
 
 
-def _distance(residual: np.ndarray) -> float | None:
-    return float(np.sqrt(np.mean(np.sum(residual**2, axis=1)))) if residual.size else None
+def _rms_distance(residual: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))

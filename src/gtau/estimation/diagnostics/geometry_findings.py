@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -38,11 +39,12 @@ class ConstantChange:
         return f"{self.name} {factor * self.value:.5g} -> {new} {unit} (standard deviation {std}){either}"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PoseResidual:
     """A component of the pose in a run, logged less computed: rms and mean (``bias``) in ``unit``.
 
-    ``rms_after`` is what the constants of :attr:`GeometryTest.explained_by` leave.
+    ``rms_after`` is what the constants of :attr:`GeometryTest.explained_by` leave. ``model.json`` does not hold the
+    residuals ``before`` and ``after`` at the instants ``time`` (K,) in s.
     """
 
     run: str
@@ -51,16 +53,9 @@ class PoseResidual:
     rms: float
     bias: float
     rms_after: float
-
-
-@dataclass(frozen=True, eq=False)
-class PoseTrace:
-    """Residuals of a run for figures: ``time`` (K,) in s, ``before`` and ``after`` (K, m) constants are changed."""
-
-    run: str
-    time: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
+    time: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    before: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    after: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,10 +68,9 @@ class GeometryTest:
         Whose pose, and from where; see :class:`gtau.signals.reading.body_columns.PoseColumns`.
     outcome : {"confirmed", "other constants", "unexplained"}
         The last where residuals too large for the robot are left, whatever constants change.
-    position_rms, angle_rms : float or None
-        Distance in m and angle in rad between logged and computed poses, rms; None where none is logged.
-    position_after, angle_after : float or None
-        What ``explained_by`` leaves of them.
+    distances : mapping
+        Of what is logged of ``position`` and ``angle``, the rms distance between logged and computed poses, m and rad,
+        and what ``explained_by`` leaves of it.
     explained_by : tuple of ConstantChange
         Constants that together explain the residuals, if any do.
     share : float
@@ -85,67 +79,61 @@ class GeometryTest:
         Each constant by itself, the best first.
     unseen : tuple of str
         Constants of which the poses say nothing, as the frames would explain the same or the closures hold them.
-    delay, delay_std : float
-        By how much poses lag behind the positions, s.
+    delay : tuple of float
+        By how much poses lag behind the positions, and its standard deviation, s.
     residuals : tuple of PoseResidual
         Component by component and run by run.
-    traces : tuple of PoseTrace
-        The residuals in time; ``model.json`` does not hold them.
     """
 
     body: str
     source: str
     outcome: str
-    position_rms: float | None
-    position_after: float | None
-    angle_rms: float | None
-    angle_after: float | None
+    distances: Mapping[str, tuple[float, float]]
     explained_by: tuple[ConstantChange, ...]
     share: float
     tried: tuple[ConstantChange, ...]
     unseen: tuple[str, ...]
-    delay: float
-    delay_std: float
+    delay: tuple[float, float]
     residuals: tuple[PoseResidual, ...]
-    traces: tuple[PoseTrace, ...] = ()
 
     @property
     def note(self) -> Finding:
         """Outcome as a note."""
-        before, after = _sizes(self.position_rms, self.angle_rms), _sizes(self.position_after, self.angle_after)
-        logged = f"the logged pose of '{self.body}'"
-        if self.outcome == "confirmed":
-            return Finding(F.ROBOT, values={"what": f"{logged} confirms the robot's geometry to {before} rms"})
-        changes = " and ".join(map(str, self.explained_by))
-        if self.outcome == "unexplained":
-            found = f"; {changes} would explain {percent(self.share)} of its variance" if changes else ""
-            what = (
-                f"{logged} is {before} rms from the one computed from the positions, which lengths and encoder zeros "
-                f"do not explain{found}"
-            )
-            action = (
-                "check its columns, units and sequence of angles, whether it is of this body (source: tool) and in the "
-                "robot's base (source: tracker), and the angles of the robot's geometry"
-            )
-            return Finding(F.GEOMETRY, values={"what": what, "action": action})
-        explained = "explains" if len(self.explained_by) == 1 else "explain"
-        what = (
-            f"the geometry is off: {changes} {explained} {percent(self.share)} of the residual variance of {logged}, "
-            f"which is {before} rms from the one computed, and {after} with "
-            f"{'that change' if len(self.explained_by) == 1 else 'these changes'}"
-        )
-        action = " and ".join(dict.fromkeys(CORRECT[bool(each.value)] for each in self.explained_by))
-        return Finding(F.GEOMETRY, values={"what": what, "action": action})
+        units = {"position": "mm", "angle": "mrad"}
+        sizes = [[f"{1e3 * size:.2g} {units[kind]}" for size in both] for kind, both in self.distances.items()]
+        before, after = (" and ".join(part) for part in zip(*sizes, strict=True))
+        kinds = {"confirmed": F.CONFIRMED_GEOMETRY, "unexplained": F.UNEXPLAINED_POSE}
+        values = {
+            "before": before,
+            "after": after,
+            "changes": list(map(str, self.explained_by)),
+            "count": len(self.explained_by),
+            "share": percent(self.share),
+            "correct": list(dict.fromkeys(CORRECT[bool(constant.value)] for constant in self.explained_by)),
+        }
+        return Finding(kinds.get(self.outcome, F.GEOMETRY), (), self.body, values)
 
 
 def to_document(test: GeometryTest) -> dict[str, Any]:
     """Describe the test as a JSON document, SI units, without the residuals in time."""
-    return asdict(replace(test, traces=())) | {"sentence": str(test.note)}
+    document = asdict(test) | {"traces": [], "sentence": str(test.note)}
+    distances = document.pop("distances")
+    for kind in ("position", "angle"):
+        document[f"{kind}_rms"], document[f"{kind}_after"] = distances.get(kind, (None, None))
+    document["delay"], document["delay_std"] = test.delay
+    for residual in document["residuals"]:
+        for name in ("time", "before", "after"):
+            del residual[name]
+    return document
 
 
-def _sizes(position: float | None, angle: float | None) -> str:
-    sizes = [] if position is None else [f"{1e3 * position:.2g} mm"]
-    return " and ".join(sizes + ([] if angle is None else [f"{1e3 * angle:.2g} mrad"]))
+def from_document(document: Any) -> Any:
+    """Give a JSON document of a test the fields of the test."""
+    if not isinstance(document, dict):
+        return document
+    kinds = [kind for kind in ("position", "angle") if document.get(f"{kind}_rms") is not None]
+    distances = {kind: (document[f"{kind}_rms"], document.get(f"{kind}_after")) for kind in kinds}
+    return document | {"distances": distances, "delay": (document.get("delay"), document.get("delay_std"))}
 
 
 def percent(share: float, digits: int = 3) -> str:

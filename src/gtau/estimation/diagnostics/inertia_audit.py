@@ -7,19 +7,17 @@ are as identified on both sides. A rotor inertia that the file does not state ma
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from gtau.errors import GtauError
-from gtau.estimation.estimators.estimator import Fit, Iterate, Solution
+from gtau.estimation.diagnostics.alternatives import refitted
+from gtau.estimation.estimators.estimator import Fit, Iterate
 from gtau.estimation.estimators.newton import degrees_of_freedom, residuals, stacked
 from gtau.estimation.regression.equations import MODEL
 from gtau.estimation.regression.priors import inertia_priors, sizes_of, stated_inertias
-from gtau.estimation.regression.scale_source import require_scale
-from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import INERTIA_CHANCE, INERTIA_EXPLAINED
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
@@ -128,17 +126,11 @@ def without_file_inertias(
     """
     if not fit.dataset.prior_inertias:
         return fit, covariance, freedom
-    dataset = replace(fit.dataset, priors=fit.dataset.stated_priors, prior_inertias=0.0)
-    system = dataset.system(fit.system.friction, fit.system.problem.slowest > 0)
-    payloads = [run.payload for run in dataset.runs]
-    try:
-        if fit.free_gains:
-            require_scale(dataset.robot, system, payloads, "ml")
-        solution = fit.solve(system.problem)
-    except GtauError:
+    dataset = replace(fit.dataset, priors=fit.dataset.stated_priors, prior_inertias=0.0, alike=fit.dataset)
+    bare = refitted(fit, dataset=dataset)
+    if bare is None:
         return None
-    bare = replace(fit, dataset=dataset, system=system, solution=solution, unrefined=solution)
-    return bare, solution.jackknife, degrees_of_freedom(system.problem, solution, fit.free_gains)
+    return bare, bare.solution.jackknife, degrees_of_freedom(bare.system.problem, bare.solution, fit.free_gains)
 
 
 def audit_inertias(
@@ -159,26 +151,22 @@ def audit_inertias(
     if not stated:
         return None
     comparison = _Comparison.of(fit, stated)
-    found = tuple(_parameters(fit, comparison, stated, covariance, freedom, prior))
-    wrong = [each for each in found if each.standing == "contradicted"]
-    return InertiaAudit(
-        comparison.errors(comparison.file),
-        comparison.errors(comparison.identified),
-        found,
-        tuple(_links(fit, comparison, stated)) if wrong else (),
-        prior,
-    )
+    parameters = _parameters(comparison, covariance, freedom, prior)
+    wrong = any(parameter.standing == "contradicted" for parameter in parameters)
+    links = tuple(_links(comparison)) if wrong else ()
+    errors = comparison.errors(comparison.file), comparison.errors(comparison.identified)
+    return InertiaAudit(*errors, parameters, links, prior)
 
 
 @dataclass(frozen=True, eq=False)
 class _Comparison:
     """Parameters of the whole problem, (n_whole,), as ``identified`` and by the ``file``; which are ``inertial``.
 
-    ``open`` are those that regroup a rotor inertia which the file does not state.
+    ``open`` are those that regroup a rotor inertia which the file does not state among the ``stated`` ones.
     """
 
-    system: System
-    solution: Solution
+    fit: Fit
+    stated: Mapping[str, float]
     identified: np.ndarray
     file: np.ndarray
     inertial: np.ndarray
@@ -186,26 +174,24 @@ class _Comparison:
 
     @classmethod
     def of(cls, fit: Fit, stated: Mapping[str, float]) -> _Comparison:
-        system, base, names = fit.system, fit.dataset.base, fit.dataset.model.parameter_names
-        identified = system.full(fit.solution.theta)[:-1]
+        base, names = fit.dataset.base, fit.dataset.model.parameter_names
+        identified = fit.system.full(fit.solution.theta)[:-1]
         values = np.array([stated.get(name, 0.0) for name in names])
         unstated = np.array([name.kind == "ia" and name not in stated for name in names])
         of_bodies = np.array([name.kind in (*INERTIAL, "ia") for name in names])
         of_drives = np.array([name.kind in DRIVE[1:] for name in names])
-        inertial = np.zeros(len(identified), dtype=bool)
+        inertial, unknown, raised = (np.zeros(len(identified), dtype=bool) for _ in range(3))
         inertial[: base.count] = np.any(base.matrix[:, of_bodies], axis=1) & ~np.any(base.matrix[:, of_drives], axis=1)
-        unknown = np.zeros_like(inertial)
         unknown[: base.count] = np.any(base.matrix[:, unstated], axis=1)
+        raised[: base.count] = np.all(base.matrix[:, unstated] >= 0, axis=1)
         file = identified.copy()
         file[: base.count][inertial[: base.count]] = (base.matrix @ values)[inertial[: base.count]]
-        raised = np.zeros_like(inertial)
-        raised[: base.count] = np.all(base.matrix[:, unstated] >= 0, axis=1)
         file = np.where(unknown & raised, np.maximum(file, identified), np.where(unknown, identified, file))
-        return cls(system, fit.solution, identified, file, inertial, unknown & inertial)
+        return cls(fit, stated, identified, file, inertial, unknown & inertial)
 
     def errors(self, theta: np.ndarray) -> dict[str, float]:
         """Compute the torque errors of the joints, per cent of their rms torque."""
-        whole, solution = self.system.whole, self.solution
+        whole, solution = self.fit.system.whole, self.fit.solution
         left = residuals(stacked(whole), Iterate(theta, 1 / solution.gains, solution.delays))
         rms = np.sqrt(np.sum(left**2, axis=-1) / whole.total_rows)
         share = 100 * rms / whole.balance(theta)
@@ -214,91 +200,87 @@ class _Comparison:
     @property
     def rows(self) -> np.ndarray:
         """Weighted Jacobian of the residuals with respect to the whole problem's parameters, (., n_whole)."""
-        problem, solution = self.system.whole, self.solution
+        problem, solution = self.fit.system.whole, self.fit.solution
         weights = 1 / (solution.gains * np.maximum(solution.sigma, problem.smallest_sigma))
         return np.concatenate([w * R[:, MODEL] for w, R in zip(weights, problem.triangles, strict=True)])
 
+    def kept(self, prior: float) -> tuple[np.ndarray, np.ndarray]:
+        """Compute the file's values of the parameters that stay (n_theta,), and their standard deviations as priors.
+
+        What the motions do not separate adds to the parameters that stay: the same sums of the file's.
+        """
+        base, robot, names = self.fit.dataset.base, self.fit.dataset.robot, self.fit.dataset.model.parameter_names
+        places = [self.fit.system.whole.parameters.index(name) for name in self.fit.system.problem.parameters]
+        rows = self.rows
+        scale = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
+        T = np.linalg.lstsq(rows[:, places] / scale[places], rows / scale, rcond=None)[0]
+        T = T * scale / scale[places][:, None]
+        stds = inertia_priors(robot, prior) if prior else {}
+        sigma = np.array([(stds[name].std or 0.0) if name in stds else 0.0 for name in names])
+        return T @ self.file, np.sqrt(np.sum((T[:, : base.count] @ base.matrix * sigma) ** 2, axis=1))
+
 
 def _parameters(
-    fit: Fit,
-    comparison: _Comparison,
-    stated: Mapping[str, float],
-    covariance: np.ndarray,
-    freedom: np.ndarray | None,
-    prior: float,
-) -> list[AuditedParameter]:
+    comparison: _Comparison, covariance: np.ndarray, freedom: np.ndarray | None, prior: float
+) -> tuple[AuditedParameter, ...]:
     """Compare each base parameter that regroups inertias."""
     from scipy.special import stdtrit
 
-    base, robot, names = fit.dataset.base, fit.dataset.robot, fit.dataset.model.parameter_names
-    kept, whole = fit.system.problem.parameters, fit.system.whole.parameters
-    # what the motions do not separate adds to the parameters that stay: the same sums of the file's
-    rows = comparison.rows
-    places = [whole.index(name) for name in kept]
-    scale = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
-    T = np.linalg.lstsq(rows[:, places] / scale[places], rows / scale, rcond=None)[0]
-    T = T * scale / scale[places][:, None]
-    file, own = T @ comparison.file, (base.matrix @ [stated.get(name, 0.0) for name in names]).tolist()
-    spread = np.zeros(len(kept))
-    if prior:
-        stds = inertia_priors(robot, prior)
-        sigma = np.array([(stds[name].std or 0.0) if name in stds else 0.0 for name in names])
-        spread = np.sqrt(np.sum((T[:, : base.count] @ base.matrix * sigma) ** 2, axis=1))
-    tested: list[tuple[int, AuditedParameter, float]] = []
-    found: dict[str, AuditedParameter] = {}
+    fit, stated, base = comparison.fit, comparison.stated, comparison.fit.dataset.base
+    kept, (file, prior_std) = fit.system.problem.parameters, comparison.kept(prior)
+    own = (base.matrix @ [stated.get(name, 0.0) for name in fit.dataset.model.parameter_names]).tolist()
+    tested: dict[Parameter, float] = {}
+    audited: dict[Parameter, AuditedParameter] = {}
     for k, name in enumerate(base.names):
         if not comparison.inertial[k]:
             continue
         kind, body = base.standard[k].kind, base.standard[k].body
-        each = AuditedParameter(name, body, unit_of(kind, robot, body), "not identifiable", float(comparison.file[k]))
-        found[name] = each
+        unit = unit_of(kind, fit.dataset.robot, body)
+        audited[name] = AuditedParameter(name, body, unit, "not identifiable", float(comparison.file[k]))
         if name not in kept:
             continue
         place = kept.index(name)
-        value, std = float(fit.solution.theta[place]), float(np.sqrt(covariance[place, place]))
+        value, std, of_file = float(fit.solution.theta[place]), float(np.sqrt(covariance[place, place])), file[place]
         nu = np.inf if freedom is None else float(freedom[place])
         half = std * float(stdtrit(nu, 0.975))
-        each = replace(each, stated=float(file[place]), value=value, std=std, interval=(value - half, value + half))
+        interval = value - half, value + half
+        audited[name] = replace(audited[name], stated=float(of_file), value=value, std=std, interval=interval)
         sizes = sizes_of(dict(stated), body) if Parameter("m", body) in stated else None
-        size = abs(file[place]) if kind == "ia" else (sizes or {}).get(kind, 0.0)
+        size = abs(of_file) if kind == "ia" else (sizes or {}).get(kind, 0.0)
         if comparison.open[k]:
-            found[name] = replace(each, standing="not stated", stated=own[k] if kind in INERTIAL else None)
-        elif half > max(size, abs(file[place])):
-            found[name] = each
-        else:
-            z = (value - float(file[place])) / float(np.hypot(std, spread[place]))
-            tested.append((k, replace(each, z=z), nu))
-    for _, each, nu in tested:
+            of_file = own[k] if kind in INERTIAL else None
+            audited[name] = replace(audited[name], standing="not stated", stated=of_file)
+        elif half <= max(size, abs(of_file)):
+            z = (value - float(of_file)) / float(np.hypot(std, prior_std[place]))
+            audited[name], tested[name] = replace(audited[name], z=z), nu
+    for name, nu in tested.items():
         limit = float(stdtrit(nu, 1 - INERTIA_CHANCE / (2 * len(tested))))
-        standing: Standing = "contradicted" if abs(each.z or 0.0) > limit else "agrees"
-        found[each.name] = replace(each, standing=standing)
-    return list(found.values())
+        standing: Standing = "contradicted" if abs(audited[name].z or 0.0) > limit else "agrees"
+        audited[name] = replace(audited[name], standing=standing)
+    return tuple(audited.values())
 
 
-def _links(fit: Fit, comparison: _Comparison, stated: Mapping[str, float]) -> list[AuditedLink]:
+def _links(comparison: _Comparison) -> Iterator[AuditedLink]:
     """Name the links that explain the larger torque error of the file, one after the other."""
-    base, names = fit.dataset.base, fit.dataset.model.parameter_names
-    rows, difference = comparison.rows, comparison.identified - comparison.file
-    torque = rows @ difference
+    base, names = comparison.fit.dataset.base, comparison.fit.dataset.model.parameter_names
+    rows, stated = comparison.rows, comparison.stated
+    torque = rows @ (comparison.identified - comparison.file)
     members: dict[str, list[int]] = {}
     for k, name in enumerate(names):
         if name.kind in INERTIAL or name in stated:
             members.setdefault(ROTORS if name.kind == "ia" else name.body, []).append(k)
     bodies = {body: base.matrix[:, columns] for body, columns in members.items()}
-    found: list[AuditedLink] = []
     # rotor inertias that the file leaves open adapt to any change of links
     freed = base.matrix[:, [k for k, name in enumerate(names) if name.kind == "ia" and name not in stated]]
     least, total = float(torque @ torque), float(torque @ torque)
-    while len(found) < len(bodies) and least > (1 - INERTIA_EXPLAINED) * total:
-        named = {each.name for each in found}
-        tried = {body: _freed(rows, torque, np.hstack([freed, G])) for body, G in bodies.items() if body not in named}
+    while bodies and least > (1 - INERTIA_EXPLAINED) * total:
+        tried = {body: _freed(rows, torque, np.hstack([freed, columns])) for body, columns in bodies.items()}
         body = min(tried, key=lambda name: tried[name][0])
         least, change = tried[body]
-        freed = np.hstack([freed, bodies[body]])
+        freed = np.hstack([freed, bodies.pop(body)])
         theta = comparison.file.copy()
         theta[: base.count] += change
-        found.append(AuditedLink(body, _rms(comparison.errors(theta))))
-    return found
+        yield AuditedLink(body, _rms(comparison.errors(theta)))
 
 
 def _freed(rows: np.ndarray, torque: np.ndarray, G: np.ndarray) -> tuple[float, np.ndarray]:

@@ -21,7 +21,7 @@ from gtau.estimation.regression.rows import Labels, Rows, configurations, stream
 from gtau.estimation.regression.windows import Windows, window_clusters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import Motion
-from gtau.signals.preparation.prepared_run import InMemoryRun
+from gtau.signals.preparation.prepared_run import SampleWindow
 
 RANK = 1e-6  # of the largest singular value: directions below it are left out
 SPANNED = 1e-6  # of the square of a column: less is left by the other unknowns, so it could be any of them
@@ -29,7 +29,7 @@ SPANNED = 1e-6  # of the square of a column: less is left by the other unknowns,
 CandidateColumns = Callable[[Rows], np.ndarray]
 """Gives torques (n, K, m), or (c, K, m) of all channels, in N m or N at each block of a window's rows, in order."""
 
-Offer = Callable[[InMemoryRun, Callable[[], Motion], np.ndarray], CandidateColumns]
+Offer = Callable[[SampleWindow, Callable[[], Motion], np.ndarray], CandidateColumns]
 """Makes the candidate columns along a window: from its motion, and the values (n_b,) of the base columns in its run."""
 
 
@@ -167,14 +167,14 @@ def stacked_triangles(reduced: Sequence[Sequence[np.ndarray]]) -> np.ndarray:
 
 
 def window_rows(
-    fit: Fit, run: int, window: InMemoryRun, candidates: CandidateColumns | None, model: InverseDynamics
+    fit: Fit, run: int, window: SampleWindow, candidates: CandidateColumns | None, model: InverseDynamics
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the decimated rows of a window (c, K, columns + m), and which of them are kept (c, K).
 
     Their columns are those of :class:`gtau.estimation.regression.factors.Factors`, and m candidates.
     """
     regressor, c = model.columns(fit.dataset.base.standard), len(fit.system.problem.channels)
-    loaded = any(term.kind == "fl" for term in fit.system.friction.terms)
+    loaded = any(term.kind == "fl" for term in fit.system.terms)
     load = fit.system.load(run, fit.solution.theta) if loaded else None
     decimator = fit.dataset.preparation.at(window.run.rate).decimator
     parts, keep = [], []
@@ -185,14 +185,14 @@ def window_rows(
     return np.concatenate(parts, axis=1), np.concatenate(keep, axis=1)
 
 
-def errors_and_jacobian(fit: Fit, run: int, window: InMemoryRun, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def errors_and_jacobian(fit: Fit, run: int, window: SampleWindow, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Compute errors (c, p) and their Jacobian (c, p, k), both in standard deviations, along a ``window`` of a run.
 
     ``rows`` (c, p, .) begin with the columns of the factors.
     """
     system, problem = fit.system, fit.system.problem
     columns = system.whole.columns_of(problem.parameters)
-    warm, time = fit.dataset.temperatures, window.all.time
+    warm, time = fit.dataset.temperatures, window.time
     maps = system.map(run, None if warm is None else warm.between(run, time[0], time[-1]))[..., columns]
     return weighted(fit, rows[..., : maps.shape[1]] @ maps)
 
@@ -205,7 +205,7 @@ def weighted(fit: Fit, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return e * weights[:, None], J * weights[:, None, None]
 
 
-def window_motion(model: InverseDynamics, window: InMemoryRun) -> Motion:
+def window_motion(model: InverseDynamics, window: SampleWindow) -> Motion:
     """Compute configurations, velocities and accelerations of a ``model`` along a window.
 
     Raises
@@ -216,7 +216,7 @@ def window_motion(model: InverseDynamics, window: InMemoryRun) -> Motion:
     return motion_along(model, window, configurations(model, window))
 
 
-def motion_along(model: InverseDynamics, window: InMemoryRun, c: np.ndarray) -> Motion:
+def motion_along(model: InverseDynamics, window: SampleWindow, c: np.ndarray) -> Motion:
     """Compute the motion with configurations ``c`` (n_c, N) along a window."""
     of = window.samples()
     qd, qdd = (np.ascontiguousarray(each.T) for each in (of.qd, of.qdd))
@@ -242,7 +242,7 @@ def known_rows(fit: Fit, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
     return weight * errors, weight * jacobian_of_known(problem, fit.free_gains)
 
 
-def at_full_rate(window: InMemoryRun, fit: Fit, torques: np.ndarray) -> CandidateColumns:
+def at_full_rate(window: SampleWindow, fit: Fit, torques: np.ndarray) -> CandidateColumns:
     """Decimate torques (m, n, M), made at every sample of a window, into candidate columns."""
     decimator = fit.dataset.preparation.at(window.run.rate).decimator
     decimated = decimator.apply(torques)  # (m, n, outputs)
@@ -252,9 +252,9 @@ def at_full_rate(window: InMemoryRun, fit: Fit, torques: np.ndarray) -> Candidat
 def on_channels(offer: Offer, felt: bool) -> Offer:
     """Add a joint's torque to its torque sensor's rows where the sensor has ``felt`` it, otherwise zeros."""
 
-    def with_sensors(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+    def with_sensors(window: SampleWindow, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
         columns = offer(window, motion, values)
-        behind = [each.row for each in window.run.channels if each.kind.behind_drive]
+        behind = [each.row for each in window.run.channels if each.kind.link_side]
 
         def of_channels(rows: Rows) -> np.ndarray:
             torques = columns(rows)
@@ -268,7 +268,7 @@ def on_channels(offer: Offer, felt: bool) -> Offer:
 def side_by_side(offers: Sequence[Offer]) -> Offer:
     """Build the columns of several hypotheses in one pass over the windows."""
 
-    def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+    def offer(window: SampleWindow, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
         each = [make(window, motion, values) for make in offers]
         return lambda rows: np.concatenate([columns(rows) for columns in each], axis=-1)
 

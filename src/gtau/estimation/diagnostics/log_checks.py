@@ -18,10 +18,9 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.estimators.estimator import Fit, Solution
-from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.equations import SIGNAL, SIGNALS
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import MISFIT, UNFELT_PAYLOAD
 from gtau.estimation.thresholds.logs import (
     DELAY_MOTION,
@@ -92,7 +91,7 @@ def doubtful_commands(runs: Sequence[Run], robot: Robot) -> Iterator[Finding]:
     for run in runs:
         for span in spans(len(run.time)):
             peaks = np.maximum(peaks, np.abs(block(run.command, *span)[:, :n]).max(axis=0))
-    whole = min(whole_numbers(run.command, n) if run.whole is None else run.whole for run in runs)
+    whole = min(whole_numbers(run.command, n) if run.log.whole_share is None else run.log.whole_share for run in runs)
     if whole > WHOLE and peaks.max() >= STEPS:
         yield Finding(F.WHOLE_NUMBERS, values={"kind": kind, "largest": float(peaks.max())})
         return

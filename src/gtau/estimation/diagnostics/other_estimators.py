@@ -63,12 +63,12 @@ def _alternatives(fit: Fit, estimator: Finding, moves: np.ndarray, stds: np.ndar
     """
     problem, values = fit.system.problem, fit.solution.values
     plausible = np.sqrt(np.diag(fit.solution.jackknife))
-    for k, name in enumerate(problem.unknowns[: problem.n_theta + len(problem.joints)]):
-        gain = k >= problem.n_theta
-        estimated = problem.unknown_gains[k - problem.n_theta] if gain else abs(moves[k]) >= DIFFERENT_STD * stds[k]
+    for k, name in enumerate(problem.unknowns[: problem.gain_rows.stop]):
+        j, gain = k - problem.gain_rows.start, name.kind == "gain"
+        estimated = problem.unknown_gains[j] if gain else abs(moves[k]) >= DIFFERENT_STD * stds[k]
         if not (estimated and stds[k] > 0 and plausible[k] > 0 and values[k]):
             continue
-        scale, joints = abs(values[k]), (problem.joints[k - problem.n_theta],) if gain else ()
+        scale, joints = abs(values[k]), (problem.joints[j],) if gain else ()
         yield Alternative(
             estimator.kind,
             (replace(estimator, joints=joints, subject="" if gain else name),),
@@ -152,7 +152,7 @@ def differences(fit: Fit) -> Iterator[tuple[Finding, np.ndarray, np.ndarray] | F
         difference = _difference(usual, weighed, clusters, known, back, T)
         yield Finding(F.INSTRUMENTS), *difference
     for changed, preparation in preparations:
-        other = replace(fit, dataset=_prepared_as(dataset, preparation))
+        other = replace(fit, system=replace(fit.system, dataset=_prepared_as(dataset, preparation)))
         others = central_windows(other.dataset.prepared, WINDOWS, cut)
         if len(others) != len(pairs):
             continue  # its filters are longer than a window

@@ -18,24 +18,28 @@ a linear test points anywhere: the robot is fitted again.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.alternatives import Alternative, established, rms_torques
+from gtau.estimation.diagnostics.alternatives import (
+    Alternative,
+    established,
+    of_refit,
+    refitted,
+    residual_ratio,
+    rms_torques,
+)
 from gtau.estimation.diagnostics.hypotheses.description import DEGREE, GRAVITY, OTHER_GRAVITY
 from gtau.estimation.diagnostics.linearisation import linearise, on_channels, window_motion
-from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
-from gtau.estimation.estimators.estimator import Fit, Given, Solution
+from gtau.estimation.diagnostics.verdict import unexplained_shares
+from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.friction import Friction
-from gtau.estimation.regression.scale_source import require_scale
-from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import (
     GRAVITY_ALIKE,
     GRAVITY_LEAST,
@@ -64,91 +68,70 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.lengths import SAME, models_alike
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Attachment, Closure, Mdh, Placement, Robot, Spring
-from gtau.signals.preparation.prepared_run import InMemoryRun
+from gtau.signals.preparation.prepared_run import SampleWindow
 from gtau.signals.reading.statements import Payload
 
 TOOL_BODIES, LENGTHS = "tool bodies", "lengths"
 
 
-@dataclass(frozen=True, eq=False)
-class _Loaded:
-    """The data fitted with the loads of ``runs`` unknown, which leaves a part ``left`` of the residual variance.
-
-    ``masses`` (runs,) are those beyond what is declared, kg.
-    """
-
-    runs: tuple[int, ...]
-    system: System
-    solution: Solution
-    left: float
-    masses: np.ndarray
-
-    @property
-    def places(self) -> list[int]:
-        """Numbers of the masses among the parameters."""
-        return [self.system.problem.parameters.index(f"m_L{run + 1}") for run in self.runs]
-
-    @property
-    def std(self) -> np.ndarray:
-        """Standard deviations of the masses by the jackknife."""
-        return np.asarray(np.sqrt(np.diag(self.solution.jackknife)[self.places]))
-
-
 def other_loads(fit: Fit) -> Alternative | None:
     """Find the runs whose bodies at the tool are other than declared, with their masses; None without any."""
-    best: _Loaded | None = None
-    count = len(fit.dataset.runs)
-    while best is None or len(best.runs) < count - 1:
-        taken = () if best is None else best.runs
-        tried = [_loaded(fit, (*taken, run)) for run in range(count) if run not in taken]
-        found = [each for each in tried if each is not None]
-        least = min((each.left for each in found), default=1.0)
-        if least > LOAD_LEFT * (1.0 if best is None else best.left):
+    own = replace(fit, solution=replace(fit.solution, sigma=fit.unrefined.sigma))  # residuals as ``solve`` leaves them
+    count, carried, left = len(fit.dataset.runs), tuple[int, ...](), 1.0
+    best: Fit | None = None
+    while best is None or len(carried) < count - 1:
+        wider = [(*carried, run) for run in range(count) if run not in carried]
+        tried = {runs: other for runs in wider if (other := _loaded(fit, runs)) is not None}
+        ratios = {runs: residual_ratio(other, own) for runs, other in tried.items()}
+        least = min(ratios.values(), default=1.0)
+        if least > LOAD_LEFT * left:
             break
         # a body in some runs is one that the others lack: more is forgotten than taken away
-        best = max((each for each in found if each.left < LOAD_ALIKE * least), key=lambda each: each.masses[-1])
+        alike = [runs for runs, ratio in ratios.items() if ratio < LOAD_ALIKE * least]
+        carried = max(alike, key=lambda runs: _masses(fit, tried[runs], runs)[-1])
+        best, left = tried[carried], ratios[carried]
     if best is None:
         return None
-    declared = [_mass(fit, run) for run in best.runs]
-    if np.any(np.abs(best.masses) < np.maximum(REFUTED_STD * best.std, MASS_ABSENT * np.array(declared))):
+    masses, places = _masses(fit, best, carried), _places(best, carried)
+    std = np.sqrt(np.diag(best.solution.jackknife)[places])
+    declared = np.array([_declared(fit, run) for run in carried])
+    if np.any(np.abs(masses) < np.maximum(REFUTED_STD * std, MASS_ABSENT * declared)):
         return None
-    return _alternative(fit, best)
+    return _of_bodies(fit, best, own, carried)
 
 
-def _loaded(fit: Fit, runs: tuple[int, ...]) -> _Loaded | None:
+def _loaded(fit: Fit, runs: tuple[int, ...]) -> Fit | None:
     """Fit with unknown loads in ``runs``; None where a mass is then not identifiable."""
-    dataset, system = fit.dataset, fit.system
-    declared = [run.payload for run in dataset.runs]
-    loads = [Payload(name=f"of run {k}") if k in runs else each for k, each in enumerate(declared)]
-    other = dataset.system(system.friction, system.problem.slowest > 0, loads)
-    masses = {f"m_L{run + 1}" for run in runs}
-    if not masses <= set(other.problem.parameters) or not set(other.unexcited) <= set(system.unexcited):
+    declared = [run.payload for run in fit.dataset.runs]
+    loads = [Payload(name=f"of run {k}") if k in runs else payload for k, payload in enumerate(declared)]
+    other = refitted(fit, loads)
+    if other is None or not {f"m_L{run + 1}" for run in runs} <= set(other.system.problem.parameters):
         return None
-    try:
-        if fit.free_gains:
-            require_scale(dataset.robot, other, loads, "ml")
-        solution = fit.solve(other.problem)
-    except GtauError:
-        return None
-    rows = system.problem.total_rows
-    left = float(np.exp(2 * rows @ np.log(solution.sigma / fit.unrefined.sigma) / rows.sum()))
-    found = _Loaded(runs, other, solution, left, np.zeros(len(runs)))
-    return replace(found, masses=solution.theta[found.places] - [_mass(fit, run) for run in runs])
+    return other if set(other.system.unexcited) <= set(fit.system.unexcited) else None
 
 
-def _mass(fit: Fit, run: int) -> float:
+def _places(other: Fit, runs: Sequence[int]) -> list[int]:
+    """Numbers of the masses of unknown loads among the parameters."""
+    return [other.system.problem.parameters.index(f"m_L{run + 1}") for run in runs]
+
+
+def _masses(fit: Fit, other: Fit, runs: Sequence[int]) -> np.ndarray:
+    """Compute the masses (runs,) of unknown loads beyond what is declared, kg."""
+    return np.asarray(other.solution.theta[_places(other, runs)] - [_declared(fit, run) for run in runs])
+
+
+def _declared(fit: Fit, run: int) -> float:
     """Return the declared mass of a run's payload, kg; 0 without one."""
     payload = fit.dataset.runs[run].payload
     return 0.0 if payload is None else payload.mass or 0.0
 
 
-def _alternative(fit: Fit, found: _Loaded) -> Alternative:
+def _of_bodies(fit: Fit, other: Fit, own: Fit, carried: Sequence[int]) -> Alternative:
     from scipy.special import stdtrit
 
-    problem, runs = fit.system.problem, fit.dataset.runs
-    freedom = degrees_of_freedom(found.system.problem, found.solution, fit.free_gains)[found.places]
-    halves = found.std * stdtrit(freedom, 0.975)
-    ratio = found.solution.sigma / fit.unrefined.sigma
+    runs, places = fit.dataset.runs, _places(other, carried)
+    freedom = degrees_of_freedom(other.system.problem, other.solution, fit.free_gains)[places]
+    halves = np.sqrt(np.diag(other.solution.jackknife)[places]) * stdtrit(freedom, 0.975)
     bodies = [
         {
             "run": runs[run].name,
@@ -156,13 +139,12 @@ def _alternative(fit: Fit, found: _Loaded) -> Alternative:
             "half": float(half),
             "declared": "" if (load := runs[run].payload) is None or load.mass is None else load.name,
         }
-        for run, more, half in zip(found.runs, found.masses, halves, strict=True)
+        for run, more, half in zip(carried, _masses(fit, other, carried), halves, strict=True)
     ]
-    n, rows = len(fit.gains), problem.total_rows
-    joints = tuple(joint for joint, each in zip(problem.joints, ratio, strict=False) if each**2 < LOAD_LEFT)
-    cause = Finding(F.TOOL_BODY, joints, values={"bodies": bodies, "remains": found.left})
-    moves = found.solution.gains[:n] / fit.gains - 1 if fit.free_gains else np.zeros(n)
-    return established(fit, TOOL_BODIES, cause, moves, 1 - float(rows @ ratio**2 / rows.sum()))
+    helped = (other.solution.sigma / own.solution.sigma) ** 2 < LOAD_LEFT
+    joints = tuple(joint for joint, less in zip(fit.system.problem.joints, helped, strict=False) if less)
+    cause = Finding(F.TOOL_BODY, joints, values={"bodies": bodies, "remains": residual_ratio(other, own)})
+    return of_refit(fit, TOOL_BODIES, cause, other, own)
 
 
 Tie = TypeVar("Tie", Closure, Spring)
@@ -289,20 +271,19 @@ def other_gravity(fit: Fit, progress: Progress = silent) -> Alternative | None:
         progress("gravity along other axes", k, 6)
         other = own if _degrees(axis, declared) < GRAVITY_LEAST else fitted(fit, own.dataset, size * axis)
         if other is not None:
-            found.append((left_of(other, own), other))
+            found.append((residual_ratio(other, own), other))
     progress("gravity along other axes", 6, 6)
     left, best = min([(1.0, own), *found], key=lambda each: each[0])
     alike = [other for rest, other in found if rest <= GRAVITY_ALIKE * left]
     for better in _freely(fit, best, list(enumerate(windows))):
-        if left_of(better, own) < (1 - REFUTED_SHARE) * left:
-            left, best, alike = left_of(better, own), better, []
+        if residual_ratio(better, own) < (1 - REFUTED_SHARE) * left:
+            left, best, alike = residual_ratio(better, own), better, []
     gravity = np.array(best.dataset.robot.gravity)
-    moves = np.zeros(len(fit.gains)) if not fit.free_gains else best.gains / own.gains - 1
     if 1 - left < GRAVITY_SHARE or _degrees(gravity, declared) < GRAVITY_LEAST:
         return None
     before, after = own.solution.sigma, best.solution.sigma
     shares = before / own.system.problem.balance(own.solution.theta)
-    helped = [j for j in range(len(moves)) if after[j] ** 2 < (1 - GRAVITY_SHARE) * before[j] ** 2]
+    helped = [j for j in range(len(fit.gains)) if after[j] ** 2 < (1 - GRAVITY_SHARE) * before[j] ** 2]
     joints = tuple(fit.system.problem.joints[j] for j in helped)
     values = {
         "gravity": gravity.tolist(),
@@ -314,9 +295,7 @@ def other_gravity(fit: Fit, progress: Progress = silent) -> Alternative | None:
         "remains": left,
         "floating": bool(fit.dataset.robot.floating),
     }
-    rows = own.system.problem.total_rows
-    share = 1 - float(rows @ (after / before) ** 2 / rows.sum())
-    return established(fit, GRAVITY.name, Finding(OTHER_GRAVITY.kind, joints, values=values), moves, share)
+    return of_refit(fit, GRAVITY.name, Finding(OTHER_GRAVITY.kind, joints, values=values), best, own)
 
 
 def fitted(fit: Fit, dataset: Dataset, gravity: np.ndarray) -> Fit | None:
@@ -324,18 +303,17 @@ def fitted(fit: Fit, dataset: Dataset, gravity: np.ndarray) -> Fit | None:
     model, base = dataset.model, dataset.base
     if not np.array_equal(gravity, dataset.robot.gravity):
         model = model.with_gravity(gravity)
-        base = base_parameters(model, sensors=dataset.runs[0].sensed)
-    friction, given = fit.system.friction, Given(None if fit.free_gains else fit.gains)
-    friction = Friction(tuple(each for each in friction.terms if each.kind != "fl"), friction.per_run)
+        base = base_parameters(model, sensors=dataset.runs[0].sensors)
+    gains = None if fit.free_gains else fit.gains
+    terms = tuple(term for term in fit.system.terms if term.kind != "fl")
     try:
-        other = replace(dataset, robot=model.robot, model=model, base=base, factors=()).reduced()
-        system = other.system(friction, fit.system.problem.slowest > 0)
-        return fit_by(ml_or_wls(given), other, system, given)
+        other = replace(dataset, model=model, base=base, factors=(), alike=dataset).reduced()
+        return fit_by(ml_or_wls(gains), fit.system.again(other, terms), fit.free_gains)
     except GtauError:
         return None
 
 
-def _freely(fit: Fit, start: Fit, windows: Sequence[tuple[int, InMemoryRun]]) -> Iterator[Fit]:
+def _freely(fit: Fit, start: Fit, windows: Sequence[tuple[int, SampleWindow]]) -> Iterator[Fit]:
     """Rotate gravity to the direction that the residuals favour."""
     at: Fit | None = start
     for _ in range(STEPS):
@@ -353,15 +331,6 @@ def _freely(fit: Fit, start: Fit, windows: Sequence[tuple[int, InMemoryRun]]) ->
             yield at
 
 
-def left_of(fit: Fit, own: Fit) -> float:
-    """Compute the residual variance relative to ``own``, the geometric mean over all channels (the likelihood's).
-
-    So a single joint that feels gravity counts among many that do not.
-    """
-    rows = own.system.problem.total_rows
-    return float(np.exp(2 * rows @ np.log(fit.solution.sigma / own.solution.sigma) / rows.sum()))
-
-
 def _degrees(one: np.ndarray, other: np.ndarray) -> float:
     cosine = one @ other / (np.linalg.norm(one) * np.linalg.norm(other))
     return float(np.arccos(np.clip(cosine, -1.0, 1.0)) / DEGREE)
@@ -376,13 +345,11 @@ def missing_gravity(fit: Fit) -> Alternative | None:
         return None
     n, before, after = len(fit.gains), own.solution.sigma, other.solution.sigma
     shares, ratio = before / own.system.problem.balance(own.solution.theta), after / before
-    joints, left = fit.system.problem.joints, left_of(other, own)
+    joints, left = fit.system.problem.joints, residual_ratio(other, own)
     helped = [j for j in range(n) if ratio[j] <= max(np.sqrt(left), ratio[:n].min())]
     explained = {joints[j]: [float(shares[j]), float(shares[j] * ratio[j])] for j in helped}
-    moves = other.gains / own.gains - 1 if fit.free_gains else np.zeros(n)
-    rows = own.system.problem.total_rows
     cause = Finding(F.WITHOUT_GRAVITY, tuple(explained), values={"left": explained, "remains": left})
-    return established(fit, GRAVITY.name, cause, moves, 1 - float(rows @ ratio**2 / rows.sum()))
+    return of_refit(fit, GRAVITY.name, cause, other, own)
 
 
 def gravity_not_shown(fit: Fit) -> Iterator[Finding]:

@@ -1,4 +1,4 @@
-"""Comparison of logged poses with those computed from the joint positions.
+"""Fit of frames and constants of the geometry to logged poses, with the loops closed anew after each step.
 
 A logged pose is ``T_t(0_T_b(q(t - d))) T_m``: that of the body in the base, after a frame ``T_m`` of a tool or marker
 fixed to the body, in the frame ``T_t`` of a tracker, delayed by ``d`` to the positions. The unknown ones are estimated
@@ -50,29 +50,6 @@ class Frames:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Compared:
-    """Logged less computed components (N, m), and their derivatives by unknown frames and by constants.
-
-    ``by_frames`` (N, m, 7 + 6 runs) is by the steps of :meth:`Frames.moved`, of which ``free`` are unknown, ``about``
-    (runs, 3) the points about which the tracker turns; ``by_constants`` (N, m, constants).
-    """
-
-    residual: np.ndarray
-    by_frames: np.ndarray
-    by_constants: np.ndarray
-    free: np.ndarray
-    about: np.ndarray
-
-
-def free_steps(columns: PoseColumns, runs: int) -> np.ndarray:
-    """Mark the entries of a step of the frames that are unknown (7 + 6 runs,)."""
-    turns = columns.angles is not None or columns.quaternion is not None or columns.rotation_vector is not None
-    marker, tracker = columns.source != "controller", columns.source == "tracker"
-    # where only a position is logged, nobody sees how a marker is turned
-    return np.array([True, *[marker] * 3, *[marker and turns] * 3, *[tracker] * (6 * runs)])
-
-
 def component_names(columns: PoseColumns) -> tuple[tuple[str, str], ...]:
     """Name the compared components, with units: columns, and for a whole orientation the rotation between the two."""
     named = [(column, "m") for column in columns.position.values()]
@@ -83,30 +60,22 @@ def component_names(columns: PoseColumns) -> tuple[tuple[str, str], ...]:
     return tuple(named)
 
 
-def compare(
-    columns: PoseColumns, values: np.ndarray, body: BodyPose, qd: np.ndarray, run: np.ndarray, frames: Frames
-) -> Compared:
-    """Compare logged poses with computed ones.
+def compare(poses: Poses, body: BodyPose, frames: Frames) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Compare logged poses with those of the body, computed from the positions, behind tracker and marker.
 
-    Parameters
-    ----------
-    columns, values : PoseColumns, ndarray
-        What is logged, (N, columns).
-    body : BodyPose
-        Computed from the positions.
-    qd : ndarray
-        Joint velocities (N, n).
-    run : ndarray
-        Numbers (N,) of the runs.
-    frames : Frames
-        Of tracker and marker.
+    Returns
+    -------
+    tuple of ndarray
+        Logged less computed components (N, m), and their derivatives: by the steps of :meth:`Frames.moved`, (N, m, 7 +
+        6 runs), and by the constants, (N, m, constants); the points (runs, 3) about which the tracker turns.
     """
+    columns, run = poses.columns, poses.run
     R_t, p_t, (R_m, p_m) = frames.tracker[0][run], frames.tracker[1][run], frames.marker
-    twist = np.einsum("nij,nj->ni", body.by_joints, qd)  # of the body, base axes
+    twist = np.einsum("nij,nj->ni", body.by_joints, poses.qd)  # of the body, base axes
     R_b = Rotation.from_rotvec(-frames.delay * twist[:, 3:]).as_matrix() @ body.rotation
     still = body.position - frames.delay * twist[:, :3] + R_b @ p_m
     R, p = R_t @ R_b @ R_m, _turned(R_t, still) + p_t
-    residual, by_twist = _components(columns, values, R, p)
+    residual, by_twist = _components(columns, poses.values, R, p)
     arm = _turned(R_t @ R_b, np.broadcast_to(p_m, p.shape))  # from the body's frame to the marker, tracker's axes
 
     def carried(of_body: np.ndarray) -> np.ndarray:
@@ -123,12 +92,12 @@ def compare(
         mine, first = run == k, OWN + 6 * k
         by_frames[mine, :, first : first + 6] = np.eye(6)
         by_frames[mine, :3, first + 3 : first + 6] = -_cross_matrices(p[mine] - about[k])
-    free = free_steps(columns, runs)
-    return Compared(residual, by_twist @ by_frames, by_twist @ carried(body.by_constants), free, about)
+    return residual, by_twist @ by_frames, by_twist @ carried(body.by_constants), about
 
 
-def first_frames(columns: PoseColumns, values: np.ndarray, body: BodyPose, run: np.ndarray) -> Frames:
+def first_frames(poses: Poses, body: BodyPose) -> Frames:
     """Guess the poses of tracker and marker from full positions and orientations; otherwise leave them unchanged."""
+    columns, values, run = poses.columns, poses.values, poses.run
     runs, measured = int(run.max()) + 1, _orientations(columns, values)
     R_t, p_t = np.tile(np.eye(3), (runs, 1, 1)), np.zeros((runs, 3))
     if columns.source == "tracker" and len(columns.axes) == 3:
@@ -232,28 +201,38 @@ class Poses:
 
 
 @dataclass(frozen=True, eq=False)
-class State:
-    """Changes (constants,) of the geometry, configurations (n_c, N) closed with them, the body there, and frames."""
+class PoseFit:
+    """Gauss-Newton solution with the ``frames`` and the constants ``chosen`` free.
 
+    ``change`` (constants,) are those of the geometry, and ``c`` (n_c, N) the configurations closed with them. ``body``
+    is the body there, and ``compared`` what :func:`compare` makes of it.
+    """
+
+    poses: Poses
+    frames: Frames
     change: np.ndarray
     c: np.ndarray
     body: BodyPose
-    frames: Frames
-
-
-@dataclass(frozen=True, eq=False)
-class PoseFit:
-    """Gauss-Newton solution with the frames and the constants ``chosen`` free."""
-
-    poses: Poses
-    state: State
-    compared: Compared
     chosen: tuple[int, ...]
+
+    @cached_property
+    def compared(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Residuals (N, m), and their derivatives by frames and by constants; see :func:`compare`."""
+        return compare(self.poses, self.body, self.frames)
+
+    @property
+    def free(self) -> np.ndarray:
+        """Entries of a step of the frames that are unknown (7 + 6 runs,)."""
+        columns, runs = self.poses.columns, len(self.frames.tracker[0])
+        turns = columns.angles is not None or columns.quaternion is not None or columns.rotation_vector is not None
+        marker, tracker = columns.source != "controller", columns.source == "tracker"
+        # where only a position is logged, nobody sees how a marker is turned
+        return np.array([True, *[marker] * 3, *[marker and turns] * 3, *[tracker] * (6 * runs)])
 
     @property
     def residual(self) -> np.ndarray:
         """Weighted residuals (N m,)."""
-        return (self.compared.residual * self.poses.weights).reshape(-1)
+        return (self.compared[0] * self.poses.weights).reshape(-1)
 
     @property
     def squares(self) -> float:
@@ -262,14 +241,13 @@ class PoseFit:
 
     def column(self, constant: int) -> np.ndarray:
         """Return the weighted derivatives (N m,) of the computed pose with respect to a constant."""
-        return (self.compared.by_constants[:, :, constant] * self.poses.weights).reshape(-1)
+        return (self.compared[2][:, :, constant] * self.poses.weights).reshape(-1)
 
     @cached_property
     def columns(self) -> np.ndarray:
         """Weighted derivatives (N m, k) by the delay, the frames that are free, and the constants chosen."""
-        frames = self.compared.by_frames[:, :, self.compared.free] * self.poses.weights[:, None]
-        found = [frames.reshape(self.residual.size, -1), *(self.column(k)[:, None] for k in self.chosen)]
-        return np.hstack(found)
+        frames = self.compared[1][:, :, self.free] * self.poses.weights[:, None]
+        return np.hstack([frames.reshape(self.residual.size, -1), *(self.column(k)[:, None] for k in self.chosen)])
 
     @cached_property
     def _factors(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -312,12 +290,12 @@ class PoseFit:
         return np.asarray(np.sqrt(np.sum(scores**2, axis=0) * len(scores) / (len(scores) - 1)))
 
 
-def fit_poses(poses: Poses, state: State, chosen: Sequence[int]) -> PoseFit | None:
-    """Fit the frames and the constants ``chosen`` from a ``state`` on; None where the loops cannot follow.
+def fit_poses(start: PoseFit, chosen: Sequence[int]) -> PoseFit | None:
+    """Fit the frames and the constants ``chosen`` from a fit on; None where the loops cannot follow.
 
     Levenberg-Marquardt, as a tracker's frame is hardly determined where little of a pose is logged.
     """
-    fit, damping = _at(poses, state, chosen), LEAST_DAMPING
+    fit, damping = replace(start, chosen=tuple(chosen)), LEAST_DAMPING
     for _ in range(STEPS):
         moved = _moved(fit, fit.step(damping))
         if moved is None or not moved.squares < fit.squares:
@@ -326,32 +304,25 @@ def fit_poses(poses: Poses, state: State, chosen: Sequence[int]) -> PoseFit | No
             damping *= 10
             continue
         gained = fit.squares - moved.squares
-        settled = damping < DAMPED and gained <= SETTLED * moved.squares + (FLOOR * poses.weights.max()) ** 2
+        converged = damping < DAMPED and gained <= SETTLED * moved.squares + (FLOOR * fit.poses.weights.max()) ** 2
         fit, damping = moved, max(damping / 10, LEAST_DAMPING)
-        if settled:
+        if converged:
             break
     return fit if np.isfinite(fit.columns).all() else None
 
 
 def _moved(fit: PoseFit, step: np.ndarray) -> PoseFit | None:
     """Take a step (k,) of the free frames and constants; None where the loops cannot follow."""
-    poses, state, constants = fit.poses, fit.state, list(fit.chosen)
-    of_frames = np.zeros(fit.compared.free.size)
-    of_frames[fit.compared.free] = step[: len(step) - len(constants)]
-    state = replace(state, frames=state.frames.moved(of_frames, fit.compared.about))
-    if constants:
-        change = state.change.copy()
-        change[constants] += step[len(step) - len(constants) :]
-        c = poses.geometry.close(state.c, state.change, change)
-        if c is None:
-            return None
-        state = replace(state, change=change, c=c, body=poses.geometry.pose(c, change))
-    return _at(poses, state, constants)
-
-
-def _at(poses: Poses, state: State, chosen: Sequence[int]) -> PoseFit:
-    compared = compare(poses.columns, poses.values, state.body, poses.qd, poses.run, state.frames)
-    return PoseFit(poses, state, compared, tuple(chosen))
+    constants, free = list(fit.chosen), fit.free
+    of_frames = np.zeros(free.size)
+    of_frames[free] = step[: len(step) - len(constants)]
+    fit = replace(fit, frames=fit.frames.moved(of_frames, fit.compared[3]))
+    if not constants:
+        return fit
+    change, geometry = fit.change.copy(), fit.poses.geometry
+    change[constants] += step[len(step) - len(constants) :]
+    c = geometry.close(fit.c, fit.change, change)
+    return None if c is None else replace(fit, change=change, c=c, body=geometry.pose(c, change))
 
 
 def fit_frames(
@@ -375,7 +346,7 @@ def fit_frames(
     """
     geometry = variable_geometry(model.robot, columns.body or model.robot.tool)
     fit = _fit_delayed(model, geometry, columns, joints, logged, 0.0)
-    delay = float(np.clip(fit.state.frames.delay, -LONGEST, LONGEST))
+    delay = float(np.clip(fit.frames.delay, -LONGEST, LONGEST))
     # a delay by velocities alone is wrong by half the acceleration times its square, 0.4 mm at 20 ms of a quick arm
     return _fit_delayed(model, geometry, columns, joints, logged, delay) if abs(delay) > SHORTEST else fit
 
@@ -410,11 +381,11 @@ def _fit_delayed(
     poses = Poses(geometry, columns, values, qd, time, run, stretch, weights, delay)
     c, change = c.T.copy(), np.zeros(len(geometry.constants))
     body = geometry.pose(c, change)
-    fit = fit_poses(poses, State(change, c, body, first_frames(columns, values, body, run)), ())
+    fit = fit_poses(PoseFit(poses, first_frames(poses, body), change, c, body, ()), ())
     assert fit is not None  # without other constants the loops stay closed
-    seen = np.flatnonzero(np.isfinite(fit.compared.by_constants).all(axis=(0, 1)))
-    every = PoseFit(poses, fit.state, fit.compared, tuple(seen.tolist()))
-    spread = np.sqrt(np.mean(every.beyond(fit.residual).reshape(len(values), -1) ** 2, axis=0))
-    weighed = fit_poses(replace(poses, weights=1 / np.maximum(spread, FLOOR)), fit.state, ())
+    seen = np.flatnonzero(np.isfinite(fit.compared[2]).all(axis=(0, 1)))
+    left = replace(fit, chosen=tuple(seen.tolist())).beyond(fit.residual).reshape(len(values), -1)
+    weights = 1 / np.maximum(np.sqrt(np.mean(left**2, axis=0)), FLOOR)
+    weighed = fit_poses(replace(fit, poses=replace(poses, weights=weights)), ())
     assert weighed is not None
     return weighed

@@ -38,7 +38,7 @@ from gtau.estimation.thresholds.estimates import CORRELATED, CORRELATED_STD, PRO
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.loops import Motion
-from gtau.signals.preparation.prepared_run import InMemoryRun
+from gtau.signals.preparation.prepared_run import SampleWindow
 
 KNOTS = 24  # of the piecewise linear function, over a joint's range in all runs
 LARGEST = 10.0  # times the joint's error: how large such a torque may be, more or less
@@ -54,12 +54,12 @@ def position_ripple(fit: Fit) -> Alternative:
     """
     problem, solution = fit.system.problem, fit.solution
     pieces = fit.dataset.windows(2)
-    low = np.min([piece.all.q.min(axis=0) for _, piece in pieces], axis=0)
-    high = np.max([piece.all.q.max(axis=0) for _, piece in pieces], axis=0)
+    low = np.min([piece.q.min(axis=0) for _, piece in pieces], axis=0)
+    high = np.max([piece.q.max(axis=0) for _, piece in pieces], axis=0)
     knots = np.linspace(low, high, KNOTS)  # (KNOTS, n)
     width = np.maximum(knots[1] - knots[0], 1e-300)
 
-    def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+    def offer(window: SampleWindow, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
         q = window.samples().q.T
         hats = np.maximum(0.0, 1 - np.abs(q[:, None, :] - knots.T[:, :, None]) / width[:, None, None])
         return at_full_rate(window, fit, hats.swapaxes(0, 1))
@@ -168,11 +168,11 @@ def _residuals(fit: Fit, run: int) -> tuple[np.ndarray, np.ndarray]:
     size = min(SAMPLES // len(fit.dataset.prepared), len(prepared))
     middle = int((0.5 * (place.begin + place.end) - float(prepared.time[0])) * prepared.run.rate)
     start = min(max(middle - size // 2, 0), len(prepared) - size)
-    window = InMemoryRun(prepared.run, prepared.samples(start, start + size))
+    window = prepared.samples(start, start + size)
     A, keep = window_rows(fit, run, window, None, fit.dataset.model)
     e, _ = errors_and_jacobian(fit, run, window, A)
     decimator = prepared.preparation.decimator
-    return window.all.time[decimator.instants(size)], np.where(keep, e, np.nan)
+    return window.time[decimator.instants(size)], np.where(keep, e, np.nan)
 
 
 def repeated_motion_findings(fit: Fit, alternatives: Sequence[Alternative]) -> list[Finding]:

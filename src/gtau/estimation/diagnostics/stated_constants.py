@@ -15,10 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from gtau.errors import GtauError
+from gtau.estimation.diagnostics.alternatives import refitted, residual_ratio
 from gtau.estimation.diagnostics.linearisation import weighted
-from gtau.estimation.diagnostics.parameter_checks import unexplained_shares
-from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, known_verdict, verdict_of
+from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, known_verdict, unexplained_shares, verdict_of
 from gtau.estimation.estimators.estimator import Fit, Solve, jackknife
 from gtau.estimation.estimators.newton import (
     curvature_of_delays,
@@ -30,11 +29,9 @@ from gtau.estimation.estimators.newton import (
     whitening,
 )
 from gtau.estimation.regression.column_blocks import known_values
-from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.equations import KNOWN, SIGNALS, delayed_signal, modelled, triangle
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.scale_source import require_scale
-from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import APART, MISFIT_GIVEN, PAYLOAD_MOVES
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
@@ -67,34 +64,36 @@ class StatedConstant:
         return replace(problem, blocks=blocks)
 
 
-def stated_constants(dataset: Dataset, system: System) -> list[StatedConstant]:
+def stated_constants(system: System) -> list[StatedConstant]:
     """List all constants that give the scale: payloads' parameters, torque sensors, wrenches, known parameters.
 
     The last three are scales, of value 1, of each sensor, of all wrenches, and of all known parameters together.
     """
-    problem, calibration = system.problem, dataset.runs[0].calibration
+    problem = system.problem
     torques, readings, known = np.zeros(problem.blocks.shape[:3]), np.zeros(len(problem.channels)), problem.known[:, -1]
     found = []
     for name in dict.fromkeys(each.payload.name for each in system.payloads if each.acts):
         payload = next(each.payload for each in system.payloads if each.payload.name == name)
         for kind, value in known_values(payload).items():
-            std, of_unit = payload.mass_std if kind == "m" else 0.0, _torques_of_unit(dataset, system, name, kind)
+            std, of_unit = payload.mass_std if kind == "m" else 0.0, _torques_of_unit(system, name, kind)
             found.append(StatedConstant(f"payload '{name}'", value, std, of_unit, readings, 0.0 * known))
     for k in problem.sensor_channels:
         channel, of_sensor = problem.channels[k], np.eye(len(readings))[k]
-        source, std = f"{channel.kind.name} of '{channel.joint}'", calibration.of(channel)
+        source, std = f"{channel.kind.name} of '{channel.joint}'", channel.std
         found.append(StatedConstant(source, 1.0, std, torques, of_sensor, 0.0 * known))
     if problem.base or system.of_wrenches is not None:
         of_bodies = torques if system.of_wrenches is None else system.of_wrenches
-        std, of_base = calibration.wrenches or 0.0, np.eye(len(readings))[problem.base].sum(axis=0)
+        std = max((each.std for each in system.dataset.runs[0].channels if not each.kind.of_joint), default=0.0)
+        of_base = np.eye(len(readings))[problem.base].sum(axis=0)
         found.append(StatedConstant(_wrenches(problem), 1.0, std, of_bodies, of_base, 0.0 * known))
     if len(known):
         found.append(StatedConstant("known parameters", 1.0, 0.0, torques, readings, -known))
     return found
 
 
-def _torques_of_unit(dataset: Dataset, system: System, name: str, kind: str) -> np.ndarray:
+def _torques_of_unit(system: System, name: str, kind: str) -> np.ndarray:
     """Compute the torques (U, c, p) of a unit of a payload's parameter, in the rows of the problem."""
+    dataset = system.dataset
     parts, channels = [np.zeros(factor.R.shape[:3]) for factor in dataset.factors], system.problem.channels
     for run in (each.run for each in system.payloads if each.payload.name == name):
         block = next(each for each in system.effects if f"{kind}_L{run + 1}" in each.stated)
@@ -140,7 +139,7 @@ def scale_shares(fit: Fit) -> dict[str, np.ndarray]:
     fit : Fit
         With gains that were estimated.
     """
-    constants = stated_constants(fit.dataset, fit.system)
+    constants = stated_constants(fit.system)
     slopes = estimate_slopes(fit, constants)[fit.system.problem.gain_rows]
     shares: dict[str, np.ndarray] = {}
     for each, slope in zip(constants, slopes.T, strict=True):
@@ -150,7 +149,7 @@ def scale_shares(fit: Fit) -> dict[str, np.ndarray]:
     return {source: share / total for source, share in shares.items()}
 
 
-def scale_uncertainty(dataset: Dataset, system: System, solve: Solve) -> np.ndarray:
+def scale_uncertainty(system: System, solve: Solve) -> np.ndarray:
     """Compute the covariance of (theta, gains, delays) that the uncertainty of stated constants adds, (k, k).
 
     Each constant is larger and smaller by its standard deviation, and ``solve`` says how far the estimates move: those
@@ -159,7 +158,7 @@ def scale_uncertainty(dataset: Dataset, system: System, solve: Solve) -> np.ndar
     """
     problem = system.problem
     extra = np.zeros((len(problem.unknowns),) * 2)
-    for each in stated_constants(dataset, system):
+    for each in stated_constants(system):
         if each.std:
             above, below = (solve(each.changed(problem, by)).values for by in (each.std, -each.std))
             extra += np.outer(above - below, above - below) / 4
@@ -220,7 +219,7 @@ def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
             sides.append((A.T @ A, A.T @ (unit[:, -1] + unit[:, columns] @ step)))
         of_known_part = back[-1] @ (of_known[:, columns] @ back).T  # what no unit of the data shows
         variance = jackknife(one_step(sides) @ back[-1:].T)[0, 0] + of_known_part @ of_known_part
-        std = float(np.hypot(np.sqrt(variance), fit.dataset.runs[0].calibration.of(problem.channels[sensor])))
+        std = float(np.hypot(np.sqrt(variance), problem.channels[sensor].std))
         found.append(SensorScale(problem.channels[sensor], 1 - float(step[-1]), std, T @ step[:-1]))
     return tuple(found)
 
@@ -301,53 +300,46 @@ def weigh_known(fit: Fit, method: str, accuracy: float) -> dict[str, Verdict]:
 
 def _freed(fit: Fit, method: str, payload: Payload, kind: str, accuracy: float) -> tuple[float, Verdict] | None:
     """Estimate a payload's parameter without stating it: what that leaves, and a verdict; None if not identifiable."""
-    dataset, system = fit.dataset, fit.system
     values = {other: value for other, value in payload.parameters.items() if other != kind}
     mass = None if kind == "m" else payload.mass
     changed = payload.model_copy(update={"mass": mass, "parameters": values})
-    payloads = [changed if run.payload and run.payload.name == payload.name else run.payload for run in dataset.runs]
-    other = dataset.system(system.friction, system.problem.slowest > 0, payloads)
-    try:
-        if fit.free_gains:
-            require_scale(dataset.robot, other, payloads, method)
-        free = fit.solve(other.problem)
-    except GtauError:
+    runs = fit.dataset.runs
+    loads = [changed if run.payload and run.payload.name == payload.name else run.payload for run in runs]
+    other = refitted(fit, loads, method=method)
+    if other is None:
         return None  # without this value nothing gives the scale
-    std = np.sqrt(np.diag(free.jackknife))
+    parameters, std = other.system.problem.parameters, np.sqrt(np.diag(other.solution.jackknife))
     columns = [
-        other.problem.parameters.index(label)
-        for each in other.payloads
-        if each.payload.name == payload.name
-        for (label, of), sums in zip(each.unknown.items(), each.sums, strict=True)
-        if of == kind and np.count_nonzero(sums) == 1 and label in other.problem.parameters
+        parameters.index(label)
+        for load in other.system.payloads
+        if load.payload.name == payload.name
+        for label, sums in zip(load.unknown, load.sums, strict=True)
+        if label.kind == kind and np.count_nonzero(sums) == 1 and label in parameters
     ]
-    if not columns or not set(other.unexcited) <= set(system.unexcited):
+    if not columns or not set(other.system.unexcited) <= set(fit.system.unexcited):
         return None  # or it cannot be separated from what is not declared
     best = min(columns, key=lambda k: float(std[k]))
-    value, declared = float(free.theta[best]), known_values(payload)[kind]
+    value, declared = float(other.solution.theta[best]), known_values(payload)[kind]
+    left = float(other.system.problem.total_rows @ np.log(other.solution.sigma))
     if fit.free_gains:
-        small = kind != "m" and float(np.abs(free.gains / fit.solution.gains - 1).max()) < PAYLOAD_MOVES
+        small = kind != "m" and float(np.abs(other.solution.gains / fit.solution.gains - 1).max()) < PAYLOAD_MOVES
     else:
         small = abs(value - declared) <= accuracy * abs(declared)
-    left = float(other.problem.total_rows @ np.log(free.sigma))
-    if small:
-        return left, GOOD
     of_mass = payload.mass_std if mass is None else value * payload.mass_std / mass
-    misfits = [unexplained_shares(*each) for each in ((system.problem, fit.solution), (other.problem, free))]
-    explained = tuple(
-        joint
-        for joint, before, after in zip(system.problem.joints, *misfits, strict=False)
-        if before > MISFIT_GIVEN >= after
-    )
-    rows = system.problem.total_rows
-    remains = float(np.exp(2 * (left - rows @ np.log(fit.solution.sigma)) / rows.sum()))
     tested = {
         "parameter": kind,
         "declared": declared,
         "found": value,
         "std": float(np.hypot(std[best], of_mass)),
-        "unit": unit_of(kind, dataset.robot, dataset.robot.tool),
-        "remains": remains,
-        "given": "" if fit.free_gains else dataset.runs[0].kind,
+        "unit": unit_of(kind, fit.dataset.robot, fit.dataset.robot.tool),
+        "remains": residual_ratio(other, fit),
+        "given": "" if fit.free_gains else runs[0].kind,
     }
-    return left, known_verdict(tested, explained)
+    return left, GOOD if small else known_verdict(tested, _explained(fit, other))
+
+
+def _explained(fit: Fit, other: Fit) -> tuple[str, ...]:
+    """List the joints whose torque only the fit leaves unexplained, not the other one."""
+    before, after = (unexplained_shares(each.system.problem, each.solution) for each in (fit, other))
+    joints = zip(fit.system.problem.joints, before, after, strict=False)
+    return tuple(joint for joint, share, less in joints if share > MISFIT_GIVEN >= less)

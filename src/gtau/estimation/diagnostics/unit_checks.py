@@ -1,5 +1,6 @@
-"""Checks of units and signs: a wrong one fits the data as well as the truth, so that only sizes reveal it.
+"""Checks against what is known beside the logs: units and signs, and legs of the same geometry.
 
+A wrong unit or sign fits the data as well as the truth, so that only sizes reveal it.
 Grams for kilograms scale all gains and parameters, milliamperes for amperes a gain, a reversed column turns its sign.
 What is known beside the logs speaks then: prior gains first, which settle the size of their joint's gain; else the
 gains of the other joints, what an arm of this reach carries, what drives take, the inertias of the robot's file, and
@@ -16,21 +17,28 @@ import numpy as np
 
 from gtau.estimation.diagnostics.gain_checks import half_widths
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
-from gtau.estimation.diagnostics.parameter_checks import motors
+from gtau.estimation.diagnostics.verdict import motors
 from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.unknowns import Estimates
 from gtau.estimation.thresholds.estimates import (
     EFFORT_FACTOR,
     FILE_FACTOR,
     GAINS_APART,
+    LEG_DIFFERENCE,
+    LEG_DIFFERENCE_STD,
+    LEG_PROBABILITY,
     NEGATIVE_STD,
     PRIOR_FACTOR,
 )
 from gtau.estimation.thresholds.logs import CURRENTS_APART, LARGEST_CURRENT, PAYLOAD_DENSITY
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
-from gtau.robots.parameter import gain_unit, parameter_of, torque_unit
-from gtau.robots.robot import GROUND, Robot
+from gtau.model.base_parameters import regrouped
+from gtau.robots.geometry import identical_legs
+from gtau.robots.parameter import Parameter, gain_unit, parameter_of, torque_unit
+from gtau.robots.robot import GROUND, PLAIN_FRICTION, Robot
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
 from gtau.signals.run import Run
 from gtau.signals.storage import block, spans
@@ -187,3 +195,82 @@ def _efforts_exceeded(fit: Fit, settled: Collection[str]) -> Iterator[Finding]:
             values = {"torque": float(torques[worst]), "limit": limits[worst], "ratio": ratios[worst]}
             of_all = {"all": len(joints) == len(ratios), "given": not fit.free_gains, "kind": fit.dataset.runs[0].kind}
             yield Finding(kind, tuple(joints), worst, {**values, **of_all, "unit": torque_unit(robot, worst)})
+
+
+def unlike_legs(dataset: Dataset, problem: Problem, theta: np.ndarray, covariance: np.ndarray) -> Iterator[Finding]:
+    """Find the leg that differs most from those of the same geometry (the paper's check after section 3.1).
+
+    Their frictions always differ, and the table shows them.
+    """
+    place = {name: k for k, name in enumerate(problem.parameters)}
+    listed = regrouped(dataset.base, dataset.model.parameter_names)
+    terms = {name: listed[name] for name in dataset.base.names if name in place}
+    index = [place[name] for name in terms]
+    if not np.diag(covariance)[index].all():
+        return
+    unlike = [
+        finding
+        for finding in leg_differences(dataset.robot, terms, theta[index], covariance[np.ix_(index, index)])
+        if finding.values["probability"] < LEG_PROBABILITY
+        and finding.values["parameter"].kind not in PLAIN_FRICTION
+        and 100 * finding.values["share"] > LEG_DIFFERENCE
+        and abs(finding.values["t"]) > LEG_DIFFERENCE_STD
+    ]
+    if unlike:
+        yield max(unlike, key=lambda finding: finding.values["share"])
+
+
+def leg_differences(
+    robot: Robot, terms: Mapping[Parameter, Mapping[Parameter, float]], parameters: np.ndarray, covariance: np.ndarray
+) -> Iterator[Finding]:
+    """Compare every leg's identified parameters with the mean of those of the legs of the same geometry.
+
+    Parameters
+    ----------
+    robot : Robot
+    terms : mapping
+        Base parameters that were identified, all or the essential ones, with what each regroups: only those that
+        regroup the same standard ones, leg by leg, are compared.
+    parameters : ndarray
+        Their values, (len(terms),).
+    covariance : ndarray
+        (len(terms), len(terms)).
+
+    Yields
+    ------
+    Finding
+        By leg that has like ones (of two like legs only the first) and parameter: the difference as ``share`` of the
+        mean of the others and in standard deviations, ``t``; and the ``probability`` that legs which are alike differ
+        by as much or more in all parameters together (Mahalanobis).
+    """
+    from scipy.stats import chi2
+
+    names = list(terms)
+    for group in identical_legs(robot):
+        tables = [{_in_leg(terms[name], leg): k for k, name in enumerate(names) if name.body in leg} for leg in group]
+        shared = [meaning for meaning in tables[0] if all(meaning in table for table in tables)]
+        if len(group) < 2 or not shared:
+            continue
+        for k in range(len(group) if len(group) > 2 else 1):
+            contrast = np.zeros((len(shared), len(names)))
+            for row, meaning in enumerate(shared):
+                for j, table in enumerate(tables):
+                    contrast[row, table[meaning]] = 1.0 if j == k else -1.0 / (len(group) - 1)
+            difference, scatter = contrast @ parameters, contrast @ covariance @ contrast.T
+            others, std = np.minimum(contrast, 0.0) @ parameters, np.sqrt(np.diag(scatter))
+            correlation, t = scatter / np.outer(std, std), difference / std
+            square = float(t @ np.linalg.pinv(correlation, rcond=1e-10, hermitian=True) @ t)
+            rank = int(np.linalg.matrix_rank(correlation, tol=1e-10, hermitian=True))
+            shares = np.abs(np.divide(difference, others, out=np.full(len(shared), np.inf), where=others != 0))
+            for row, meaning in enumerate(shared):
+                values = {"parameter": names[tables[k][meaning]], "share": float(shares[row]), "t": float(t[row])}
+                probability = float(chi2.sf(square, rank))
+                yield Finding(F.UNLIKE_LEGS, (), group[k][0], {**values, "probability": probability})
+
+
+def _in_leg(terms: Mapping[Parameter, float], leg: Sequence[str]) -> frozenset[tuple[str, int | str, float]]:
+    """Describe what a parameter regroups, joints counted from the first of its leg, factors to three decimals."""
+    return frozenset(
+        (name.kind, leg.index(name.body) if name.body in leg else name.body, round(factor, 3))
+        for name, factor in terms.items()
+    )

@@ -1,4 +1,4 @@
-"""Verdicts: the credibility of an estimate, and the finding that decides it."""
+"""Verdicts: the credibility of an estimate, and the finding that decides it; of gains that which counts most."""
 
 from __future__ import annotations
 
@@ -6,12 +6,16 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from gtau.estimation.diagnostics.hypotheses import HYPOTHESES
+import numpy as np
+
+from gtau.estimation.estimators.estimator import Fit, Solution
+from gtau.estimation.regression.equations import SIGNALS, modelled
+from gtau.estimation.regression.problem import Problem
 from gtau.estimation.thresholds.estimates import APART, NEGATIVE_STD, WEAK_PARAMETER
+from gtau.estimation.thresholds.logs import DELAY_MOTION, DELAY_STD
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.findings import Outcome as Outcome  # which verdicts have
-from gtau.findings.finding import WORDS
 from gtau.robots.parameter import Parameter
 
 
@@ -38,7 +42,6 @@ class Verdict:
         return self.outcome.value + (f": {self.why}; {self.advice}" if self.finding else "")
 
 
-WORDS.update({cause.kind: cause.words for hypothesis in HYPOTHESES for cause in hypothesis.causes})
 GIVEN, GOOD = Verdict(Outcome.GIVEN), Verdict(Outcome.GOOD)
 NONNEGATIVE = {"m", "xx", "yy", "zz", "ia", "fv", "fs"}
 OUTCOMES: Mapping[str, Outcome] = {kind: kind.outcome for kind in F if kind.outcome}
@@ -122,3 +125,47 @@ def known_verdict(values: Mapping[str, Any], explained: tuple[str, ...] = ()) ->
         return GOOD
     kind = F.PAYLOAD_MASS if values["parameter"] == "m" else F.PAYLOAD_PARAMETER
     return verdict_of(Finding(kind, explained, values=values, size=size))
+
+
+def delay_verdicts(problem: Problem, solution: Solution, std: np.ndarray, period: float) -> tuple[Verdict, ...]:
+    """Judge the delay of every channel: of the joints' currents, and of torque sensors.
+
+    A delay is read off the current's rate of change. Where a joint moves slowly, that is mostly noise, which looks the
+    same at any delay. What the expansion ``v - d v' + d^2/2 v''`` makes of the noise then places the minimum, and gives
+    it a curvature of its own: the standard deviation ``std`` (c,), s, means nothing. A delay within the ``period`` of
+    the samples, s, is believed whatever its relative standard deviation.
+    """
+    verdicts = []
+    for share, error, delay, deviation in zip(*moving_share(problem, solution), solution.delays, std, strict=True):
+        if share <= DELAY_MOTION * error:
+            verdicts.append(verdict_of(Finding(F.DELAY_NOISE)))
+        elif abs(delay) > period and deviation > DELAY_STD * abs(delay):
+            verdicts.append(verdict_of(Finding(F.DELAY_UNCERTAIN, values={"std": float(deviation)})))
+        else:
+            verdicts.append(GOOD)
+    return tuple(verdicts)
+
+
+def moving_share(problem: Problem, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """Compute the share of motion in the mean square of each channel's rate of change, and its standard error, (c,).
+
+    The rest is noise n, of which ``n n''`` takes away on average what ``n'^2`` adds (parts integrated). The error is
+    that of a ratio, from its scatter over the units.
+    """
+    v, rate, change = np.moveaxis(problem.blocks[..., SIGNALS], -1, 0)  # (U, c, p) each
+    e = v - modelled(problem.blocks, solution.theta) / solution.gains[:, None]
+    squares = np.einsum("ujp,ujp->uj", rate, rate)
+    of_motion = squares + np.einsum("ujp,ujp->uj", e, change)
+    total = np.maximum(squares.sum(axis=0), 1e-300)
+    share = of_motion.sum(axis=0) / total
+    return share, np.linalg.norm(of_motion - share * squares, axis=0) / total
+
+
+def unexplained_shares(problem: Problem, solution: Solution) -> np.ndarray:
+    """Compute the share of each channel's current or torque that the model leaves unexplained, rms, (c,)."""
+    return np.asarray(solution.sigma / problem.balance(solution.theta))
+
+
+def motors(fit: Fit) -> tuple[str, ...]:
+    """List the joints whose gains are judged: all but those of a floating base."""
+    return tuple(channel.joint for channel in fit.system.problem.channels if channel.kind.unknown_gain)

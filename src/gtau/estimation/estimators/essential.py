@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit, Solution, Solve
-from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.equations import delayed_signal, triangle
-from gtau.estimation.regression.friction import BEARING, TEMPERATURE_TERMS, TERMS, Friction, all_terms
+from gtau.estimation.regression.friction import BEARING, TEMPERATURE_TERMS, TERMS, all_terms
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import FRICTION_TERM_GAIN, FRICTION_TERM_STD
 from gtau.progress import Progress
 from gtau.robots.parameter import Parameter
@@ -18,28 +17,29 @@ LOAD_PASSES = 6  # at most, over the logs, for load-dependent friction
 LOAD_CONVERGED = 1e-4  # relative change of the gains at convergence
 
 
-def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> tuple[Dataset, System]:
+def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> System:
     """Choose the friction terms from the data; load-dependent ones need the torques, and so a fit, first.
 
-    Terms supported by the joints' own equations, but not identifiable from all equations, are left out.
-    Returns the data, streamed again where a joint has load-dependent friction, and its problem.
+    Terms supported by the joints' own equations, but not identifiable from all equations, are left out. The data of the
+    system are streamed again where a joint has load-dependent friction.
     """
-    per_run, sensors = len(dataset.runs) > 1, [each.name for each in dataset.runs[0].channels if each.kind.behind_drive]
+    per_run, sensors = len(dataset.runs) > 1, [each.name for each in dataset.runs[0].channels if each.kind.link_side]
     warm = () if dataset.temperatures is None else tuple(dataset.temperatures.reference)
     of_temperature = all_terms(warm, TEMPERATURE_TERMS)
     offered = (*all_terms(dataset.robot.motors), *of_temperature, *all_terms(sensors, BEARING))
-    terms, criterion = select_friction_terms(dataset.system(Friction(offered, per_run)).problem)
+    terms, criterion = select_friction_terms(dataset.system(offered, per_run).problem)
     if warm and per_run:  # differences between runs may come from temperature alone
-        alone, less = select_friction_terms(dataset.system(Friction(offered)).problem)
+        alone, less = select_friction_terms(dataset.system(offered).problem)
         if less < criterion and set(alone) & set(of_temperature):
             terms, per_run = alone, False
-    friction = Friction(terms, per_run)
     if any(term.kind == "fl" for term in terms):
         # Until the torques are known the current stands for them, which explains itself where friction is most of it:
         # the terms are chosen again once a fit without load-dependent ones has given the torques.
-        without = Friction(tuple(term for term in offered if term.kind != "fl"), per_run)
-        terms, _ = select_friction_terms(dataset.system(without).problem)
-        system, gains = dataset.system(Friction(terms, per_run)), None
+        without = tuple(term for term in offered if term.kind != "fl")
+        system, gains = (
+            dataset.system(select_friction_terms(dataset.system(without, per_run).problem)[0], per_run),
+            None,
+        )
         for _ in range(LOAD_PASSES):
             solution = solve(system.problem)
             if gains is not None and np.allclose(solution.gains, gains, rtol=LOAD_CONVERGED, atol=0):
@@ -47,12 +47,11 @@ def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> tuple
             first, gains = gains is None, solution.gains
             dataset = dataset.reduced([system.load(k, solution.theta) for k in range(len(dataset.runs))], progress)
             if first:
-                terms, _ = select_friction_terms(dataset.system(Friction(offered, per_run)).problem)
-                friction = Friction(terms, per_run)
-            system = dataset.system(friction)
+                terms, _ = select_friction_terms(dataset.system(offered, per_run).problem)
+            system = dataset.system(terms, per_run)
     else:
-        system = dataset.system(friction)
-    return dataset, dataset.system(Friction(prune_friction_terms(system.problem, friction, solve), per_run))
+        system = dataset.system(terms, per_run)
+    return system.again(terms=prune_friction_terms(system.problem, system.terms, solve))
 
 
 def select_friction_terms(problem: Problem) -> tuple[tuple[Parameter, ...], float]:
@@ -93,9 +92,9 @@ def select_friction_terms(problem: Problem) -> tuple[tuple[Parameter, ...], floa
     return tuple(chosen), float(total)
 
 
-def prune_friction_terms(problem: Problem, friction: Friction, solve: Solve) -> tuple[Parameter, ...]:
+def prune_friction_terms(problem: Problem, terms: tuple[Parameter, ...], solve: Solve) -> tuple[Parameter, ...]:
     """Keep the terms whose jackknife standard deviations are below a third of them, dropping the worst first."""
-    terms = tuple(name for name in friction.terms if name in problem.parameters)
+    terms = tuple(name for name in terms if name in problem.parameters)
     while terms:
         solution = solve(problem)
         index = [problem.parameters.index(name) for name in terms]

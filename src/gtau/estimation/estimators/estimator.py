@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
-from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System
 from gtau.estimation.regression.unknowns import Unknowns
 from gtau.progress import Progress, silent
 
@@ -112,28 +112,12 @@ class Gains(Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class Given:
-    """Prior knowledge.
-
-    Attributes
-    ----------
-    gains : ndarray, optional
-        Drive gains (n,), N m/A or N/A, for torques the ratio of true to logged ones; None if they are to be estimated.
-    progress : Progress
-        Called as the work goes on.
-    """
-
-    gains: np.ndarray | None = None
-    progress: Progress = silent
-
-
-@dataclass(frozen=True, eq=False)
 class Fit:
     """A fit of an estimator to the data.
 
     Attributes
     ----------
-    dataset, system : Dataset, System
+    system : System
         The equations solved: those given, or the same reweighted or along simulated motion.
     solution : Solution
         The estimates.
@@ -151,7 +135,6 @@ class Fit:
         The equations solved, but with every row at full weight, if the estimator weighted rows.
     """
 
-    dataset: Dataset
     system: System
     solution: Solution
     solve: Solve
@@ -162,9 +145,21 @@ class Fit:
     unweighted: Problem | None = None
 
     @property
+    def dataset(self) -> Dataset:
+        """The runs behind the equations."""
+        return self.system.dataset
+
+    @property
     def gains(self) -> np.ndarray:
         """Drive gains of the joints, (n,)."""
         return self.solution.gains[: len(self.system.problem.joints)]
+
+
+class FitSystem(Protocol):
+    """Function that fits a system."""
+
+    def __call__(self, system: System, gains: np.ndarray | None = None, progress: Progress = silent) -> Fit:
+        """Fit with gains (n,), or estimate them where they are None."""
 
 
 @dataclass(frozen=True)
@@ -180,9 +175,11 @@ class Estimator:
     gains : Gains
         Whether it estimates the gains or takes them.
     solver : callable
-        Maps the prior knowledge to the function that solves a problem: for friction selection and sensitivities.
+        Maps the gains (n,), None if they are to be estimated, to the function that solves a problem: for friction
+        selection and sensitivities. N m/A or N/A, for torques the ratio of true to logged ones.
     fit : callable
-        Fits a system. Raises GtauError where the data do not suit the method.
+        Fits a system, with gains or without, and reports its progress. Raises GtauError where the data do not suit the
+        method.
     in_paper : bool
         Whether the paper uses it.
     least_squares : bool
@@ -194,8 +191,8 @@ class Estimator:
     name: str
     description: str
     gains: Gains
-    solver: Callable[[Given], Solve]
-    fit: Callable[[Dataset, System, Given], Fit]
+    solver: Callable[[np.ndarray | None], Solve]
+    fit: FitSystem
     in_paper: bool = False
     least_squares: bool = True
     takes_priors: bool = True

@@ -6,20 +6,18 @@ follow from the residuals, so the logs are streamed again with the weights of th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given, Solution
+from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Solve
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml
-from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.equations import delayed
 from gtau.estimation.regression.factors import Factors
-from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System
-from gtau.progress import Progress
+from gtau.progress import Progress, silent
 from gtau.signals.storage import block, rows_at, spans, stride_of
 
 TUNING = 1.345  # standard deviations: 95 % efficient without outliers
@@ -28,9 +26,7 @@ CONVERGED = 1e-4  # relative change of the gains
 MAD = 1.4826  # median absolute deviation to standard deviation
 
 
-def reweighted(
-    dataset: Dataset, system: System, solve: Callable[[Problem], Solution], progress: Progress
-) -> tuple[Dataset, System]:
+def reweighted(system: System, solve: Solve, progress: Progress) -> System:
     """Iterate between Huber's weights on the rows and the estimates of ``solve`` until they settle, or PASSES times."""
     sigma, gains = None, None
     for _ in range(PASSES):
@@ -39,13 +35,12 @@ def reweighted(
             break
         gains, sigma = solution.gains, solution.sigma if sigma is None else sigma
         of_row = np.hstack([-system.full(solution.theta) / gains[:, None], delayed(solution.delays)])
-        coefficients = [np.einsum("jpk,jk->jp", system.map(run), of_row) for run in range(len(dataset.runs))]
-        weigh = [(each, TUNING * sigma) for each in coefficients]
-        dataset = dataset.reduced(system.loads(solution.theta), progress, weigh)
-        system = dataset.system(system.friction, system.problem.slowest > 0)
-        sigma = MAD * _medians(dataset.factors)
+        runs = range(len(system.dataset.runs))
+        weigh = [(np.einsum("jpk,jk->jp", system.map(run), of_row), TUNING * sigma) for run in runs]
+        system = system.again(system.dataset.reduced(system.loads(solution.theta), progress, weigh))
+        sigma = MAD * _medians(system.dataset.factors)
         sigma = np.maximum(sigma, system.whole.smallest_sigma)
-    return dataset, system
+    return system
 
 
 def _medians(factors: Sequence[Factors]) -> np.ndarray:
@@ -83,15 +78,15 @@ def sandwich_factor(factors: Sequence[Factors]) -> float:
     return weights / curvature if curvature else 1.0
 
 
-def _fit(dataset: Dataset, system: System, given: Given) -> Fit:
+def _fit(system: System, gains: np.ndarray | None = None, progress: Progress = silent) -> Fit:
     unweighted = system.problem
-    dataset, system = reweighted(dataset, system, ml, given.progress)
+    system = reweighted(system, ml, progress)
     fixed = ml(system.problem)
-    factor = sandwich_factor(dataset.factors)
+    factor = sandwich_factor(system.dataset.factors)
     solution = replace(fixed, covariance=factor**2 * fixed.covariance, replicates=lambda: factor * fixed.replicates())
-    return replace(fit_by(ml, dataset, system, given, solution, fixed), unweighted=unweighted)
+    return replace(fit_by(ml, system, True, fixed), solution=solution, unweighted=unweighted)
 
 
 HUBER = Estimator(
-    "huber", "maximum likelihood with Huber's weights against outliers", Gains.ESTIMATED, lambda given: ml, _fit
+    "huber", "maximum likelihood with Huber's weights against outliers", Gains.ESTIMATED, lambda gains: ml, _fit
 )

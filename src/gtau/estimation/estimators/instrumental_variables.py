@@ -19,23 +19,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given, Iterate, Solution
+from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Iterate, Solution
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.estimators.newton import jacobian, one_step, residuals, to_gains
 from gtau.estimation.estimators.simulated_motion import resimulated_runs
-from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.equations import BLOCKS, SIGNALS, triangle
 from gtau.estimation.regression.factors import EXTRA, Factors, Triangles
 from gtau.estimation.regression.friction import TERMS
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.rows import stream_rows
 from gtau.estimation.regression.run_blocks import block_of
-from gtau.estimation.regression.system import System
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.progress import Progress
+from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
 from gtau.signals.preparation.filters import Decimator
-from gtau.signals.preparation.prepared_run import InMemoryRun, PreparedRun
+from gtau.signals.preparation.prepared_run import PreparedRun, SampleWindow
 
 PASSES = 6  # simulations
 SAME = 0.01  # standard deviations: a smaller change ends them
@@ -62,14 +61,12 @@ class Pair:
         return Pair(self.measured.without(gone), self.simulated.without(gone), (measured, simulated))
 
 
-def instrumental(
-    dataset: Dataset, system: System, solution: Solution, free_gains: bool, progress: Progress
-) -> tuple[Pair, Solution]:
+def instrumental(system: System, solution: Solution, free_gains: bool, progress: Progress) -> tuple[Pair, Solution]:
     """Estimate by instrumental variables, and return the equations with their instruments.
 
     Parameters
     ----------
-    dataset, system, solution : Dataset, System, Solution
+    system, solution : System, Solution
         The identification without instruments, where the simulations begin.
     free_gains : bool
         Estimate the gains, or take those of ``solution``.
@@ -81,7 +78,7 @@ def instrumental(
     """
     for k in range(PASSES):
         progress("simulation", k, PASSES)
-        pair = paired(dataset, system, solution)
+        pair = paired(system, solution)
         before, solution = solution, with_instruments(pair, solution, free_gains)
         std = np.sqrt(np.diag(solution.covariance))
         if np.all(np.abs(solution.values - before.values) <= SAME * std):
@@ -142,18 +139,15 @@ def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
     return Solution(problem.unknowns, state.values, sigma, T @ white @ white.T @ T.T, replicates)
 
 
-def paired(dataset: Dataset, system: System, solution: Solution) -> Pair:
+def paired(system: System, solution: Solution) -> Pair:
     """Build the problem along the measured motion and along the simulated one."""
-    simulated = resimulated_runs(dataset, system, solution)
+    dataset, simulated = system.dataset, resimulated_runs(system, solution)
     loads, preparation, columns = system.loads(solution.theta), dataset.preparation, dataset.base.standard
     pairs = [
         _reduced(dataset.model, columns, measured, other, preparation.at(measured.run.rate).decimator, load, edges)
         for measured, other, load, edges in zip(dataset.prepared, simulated, loads, dataset.edges, strict=True)
     ]
-    measured, instruments = (
-        dataset.with_factors(factors).system(system.friction, system.problem.slowest > 0).whole
-        for factors in zip(*pairs, strict=True)
-    )
+    measured, instruments = (system.again(dataset.with_factors(factors)).whole for factors in zip(*pairs, strict=True))
     whole, of_instruments, b = [], [], len(measured.parameters) + 1
     for j in range(len(measured.joints)):
         R = triangle(*np.concatenate([instruments.blocks[:, j, :, :b], measured.blocks[:, j]], axis=-1))
@@ -166,7 +160,7 @@ def _reduced(
     idm: InverseDynamics,
     columns: tuple[Parameter, ...],
     measured: PreparedRun,
-    simulated: InMemoryRun,
+    simulated: SampleWindow,
     decimator: Decimator,
     load: np.ndarray | None,
     edges: np.ndarray,
@@ -199,15 +193,15 @@ def _reduced(
     return Factors(R[0], collected.rows), Factors(R[1], collected.rows)
 
 
-def _fit(dataset: Dataset, system: System, given: Given) -> Fit:
-    solver, free_gains = ml_or_wls(given), given.gains is None
+def _fit(system: System, gains: np.ndarray | None = None, progress: Progress = silent) -> Fit:
+    solver, free_gains = ml_or_wls(gains), gains is None
     unrefined = solver(system.problem)
-    pair, solution = instrumental(dataset, system, unrefined, free_gains, given.progress)
+    pair, solution = instrumental(system, unrefined, free_gains, progress)
 
     def solve_fixed(problem: Problem) -> Solution:
         return with_instruments(pair.of(problem.parameters), solution, free_gains=False)
 
-    return Fit(dataset, system, solution, solver, unrefined, solve_fixed, free_gains, noise_free=True)
+    return Fit(system, solution, solver, unrefined, solve_fixed, free_gains, noise_free=True)
 
 
 IV = Estimator(

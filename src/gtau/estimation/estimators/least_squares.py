@@ -15,11 +15,11 @@ from functools import partial
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Given, Iterate, Solution, Solve
+from gtau.estimation.estimators.estimator import Estimator, Fit, FitSystem, Gains, Iterate, Solution, Solve
 from gtau.estimation.estimators.newton import solve
-from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System
+from gtau.progress import Progress, silent
 
 
 def ols(problem: Problem, gains: np.ndarray) -> Solution:
@@ -66,31 +66,26 @@ def scarcity(problem: Problem) -> str:
     return f"after filtering there are {rows} equations for {unknowns} unknowns; log longer runs, at a higher rate, "
 
 
-def with_given(solver: Callable[[Problem, np.ndarray], Solution], given: Given) -> Solve:
-    """Fix the gains of a solver to those given."""
-    assert given.gains is not None
-    gains = given.gains
+def with_given(solver: Callable[[Problem, np.ndarray], Solution], gains: np.ndarray | None) -> Solve:
+    """Fix the gains of a solver to those given, (n,)."""
+    assert gains is not None
     return lambda problem: solver(problem, np.append(gains, np.ones(len(problem.channels) - len(gains))))
 
 
-def fit_by(
-    solve: Solve,
-    dataset: Dataset,
-    system: System,
-    given: Given,
-    refined: Solution | None = None,
-    unrefined: Solution | None = None,
-) -> Fit:
-    """Fit by ``solve``, or to a ``refined`` solution found from its ``unrefined`` one."""
-    unrefined = solve(system.problem) if unrefined is None else unrefined
-    solution = unrefined if refined is None else refined
+def fit_by(solve: Solve, system: System, free_gains: bool, unrefined: Solution | None = None) -> Fit:
+    """Fit by ``solve``, whose solution for ``system`` may be known."""
+    solution = solve(system.problem) if unrefined is None else unrefined
     solve_fixed = partial(wls, gains=solution.gains, delays=solution.delays)
-    return Fit(dataset, system, solution, solve, unrefined, solve_fixed, free_gains=given.gains is None)
+    return Fit(system, solution, solve, solution, solve_fixed, free_gains)
 
 
-def plain_fit(solver: Callable[[Given], Solve]) -> Callable[[Dataset, System, Given], Fit]:
+def plain_fit(solver: Callable[[np.ndarray | None], Solve]) -> FitSystem:
     """Make the fit of an estimator that only solves the problem."""
-    return lambda dataset, system, given: fit_by(solver(given), dataset, system, given)
+
+    def fit(system: System, gains: np.ndarray | None = None, progress: Progress = silent) -> Fit:
+        return fit_by(solver(gains), system, gains is None)
+
+    return fit
 
 
 SOLVE_WLS, SOLVE_OLS = partial(with_given, wls), partial(with_given, ols)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.estimator import Estimator, Gains, Given, Iterate, Solution, Solve
+from gtau.estimation.estimators.estimator import Estimator, Gains, Iterate, Solution, Solve
 from gtau.estimation.estimators.least_squares import plain_fit, scarcity, with_given, wls
 from gtau.estimation.estimators.newton import solve
 from gtau.estimation.estimators.two_stage import two_stage
@@ -85,11 +85,11 @@ def own_share(problem: Problem) -> float:
     return float(np.linalg.norm(left) / (np.linalg.norm(torque) or 1.0))
 
 
-def ml_or_wls(given: Given) -> Solve:
+def ml_or_wls(gains: np.ndarray | None) -> Solve:
     """Maximise the likelihood, or solve weighted least squares where the gains are given."""
-    return ml if given.gains is None else with_given(wls, given)
+    return ml if gains is None else with_given(wls, gains)
 
 
 ML = Estimator(
-    "ml", "maximum likelihood in the current domain", Gains.ESTIMATED, lambda given: ml, plain_fit(lambda given: ml)
+    "ml", "maximum likelihood in the current domain", Gains.ESTIMATED, lambda gains: ml, plain_fit(lambda gains: ml)
 )

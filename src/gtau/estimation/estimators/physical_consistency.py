@@ -26,12 +26,10 @@ from gtau.estimation.estimators.standard_parameters import (
     pseudo_inertia,
     standard_unknowns,
 )
-from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.equations import leave_one_out, triangle
 from gtau.estimation.regression.priors import of_theta
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System
-from gtau.robots.parameter import Parameter
 from gtau.robots.robot import INERTIAL
 from gtau.signals.reading.statements import Prior
 
@@ -80,14 +78,12 @@ class Consistency:
     open: tuple[str, ...]
 
 
-def consistent(
-    dataset: Dataset, system: System, solution: Solution, priors: Mapping[str, Prior], free_gains: bool
-) -> Consistency:
+def consistent(system: System, solution: Solution, priors: Mapping[str, Prior], free_gains: bool) -> Consistency:
     """Find physically consistent standard parameters, alone (gains given) or together with the gains.
 
     Parameters
     ----------
-    dataset, system, solution : Dataset, System, Solution
+    system, solution : System, Solution
         The identification without constraints.
     priors : mapping
         Standard parameter to its prior.
@@ -100,22 +96,19 @@ def consistent(
         Where no rigid bodies agree with the priors and payloads, the programme does not converge, or
         its solver is not installed.
     """
-    problem, n = system.whole, len(system.whole.joints)
-    of_base = of_theta(dataset.base, dataset.model.parameter_names, problem.parameters, priors)
-    unknowns = standard_unknowns(dataset, system, solution, priors)
-    triangles = stacked(problem)
-    values = dict(zip(system.problem.parameters, solution.theta, strict=True))
-    theta = np.array([values.get(name, 0.0) for name in problem.parameters])
-    state = Iterate(theta, 1 / solution.gains, solution.delays)
+    problem, n, base = system.whole, len(system.whole.joints), system.dataset.base
+    of_base = of_theta(base, system.dataset.model.parameter_names, problem.parameters, priors)
+    unknowns, triangles = standard_unknowns(system, solution, priors), stacked(problem)
+    free = Iterate(system.full(solution.theta)[:-1], 1 / solution.gains, solution.delays)
+    stated = np.insert(of_base, [len(free.theta)] * ((2 if free_gains else 1) * len(problem.channels)), 0.0, axis=1)
 
     def errors(at: Iterate) -> np.ndarray:
         return np.sum(residuals(triangles, at) ** 2, axis=-1)
 
-    before = errors(state)
+    state = free
     for _ in range(STEPS):
         weights = 1 / np.maximum(np.sqrt(errors(state) / problem.total_rows), problem.smallest_sigma)
         linear = _linear(triangles, state, problem, weights, free_gains)
-        stated = np.insert(of_base, [len(theta)] * (linear.shape[1] - of_base.shape[1]), 0.0, axis=1)
         x, rest = _programme(triangle(linear, stated), unknowns)
         step = np.concatenate([unknowns.S @ x - state.theta, rest])
         state = state.moved(step)
@@ -130,36 +123,34 @@ def consistent(
     gain_std = _gain_std(problem, state, weights, unknowns, stated) if free_gains else np.zeros(n)
     if free_gains and np.ndim(solution.of_prior):  # leaving out data does not show the uncertainty of priors
         gain_std = np.sqrt(gain_std**2 + np.diag(np.asarray(solution.of_prior))[system.problem.gain_rows])
-    std = dict(zip(system.problem.parameters, np.sqrt(np.diag(solution.jackknife)), strict=False))
-    gains, free_std = 1 / state.b[:n], np.sqrt(np.diag(solution.jackknife))[len(values) : len(values) + n]
-    moves = [
-        Move(name, values[name], float(value), abs(float(value) - values[name]) / std[name])
-        for name, value in zip(problem.parameters, state.theta, strict=True)
-        if name.run is None and std.get(name)
-    ]
-    moves += [
-        Move(Parameter("gain", joint), float(a), float(b), float(abs(b - a) / s))
-        for joint, a, b, s in zip(problem.joints, solution.gains[:n], gains, free_std, strict=True)
-        if free_gains
-    ]
-    count = len(dataset.model.parameter_names)
+    bodies = {body.name: body.values(x) for body in unknowns.rigid.bodies}
+    payloads = [f"L{payload.run + 1}" for payload in system.payloads]
+    shares = 100 * (np.sqrt(errors(state) / errors(free))[:n] - 1)
+    gains = zip(problem.joints, 1 / state.b[:n], gain_std, strict=True)
     return Consistency(
-        standard={name: float(value) for name, value in zip(unknowns.names[:count], x[:count], strict=True)},
-        payloads={
-            body.name: dict(zip(INERTIAL, map(float, body.values(x)), strict=True))
-            for body in unknowns.bodies[len(unknowns.bodies) - len(system.payloads) :]
-        },
-        gains={joint: (float(g), float(s)) for joint, g, s in zip(problem.joints, gains, gain_std, strict=True)},
-        moves=tuple(sorted(moves, key=lambda move: -move.deviations)),
-        eigenvalues={
-            body.name: float(np.linalg.eigvalsh(pseudo_inertia(body.values(x)))[0]) for body in unknowns.bodies
-        },
-        loss={
-            joint: 100 * float(np.sqrt(after / first) - 1)
-            for joint, first, after in zip(problem.joints, before[:n], errors(state)[:n], strict=True)
-        },
-        open=dataset.base.without_effect,
+        standard=dict(zip(system.dataset.model.parameter_names, map(float, x), strict=False)),
+        payloads={label: dict(zip(INERTIAL, map(float, bodies[label]), strict=True)) for label in payloads},
+        gains={joint: (float(gain), float(std)) for joint, gain, std in gains},
+        moves=_moves(system, solution, state, free_gains),
+        eigenvalues={body: float(np.linalg.eigvalsh(pseudo_inertia(values))[0]) for body, values in bodies.items()},
+        loss=dict(zip(problem.joints, map(float, shares), strict=True)),
+        open=base.without_effect,
     )
+
+
+def _moves(system: System, solution: Solution, state: Iterate, free_gains: bool) -> tuple[Move, ...]:
+    """List how far each parameter, and each gain that is free, is moved from its ``solution``, the most moved first."""
+    consistent = dict(zip(system.whole.unknowns, state.values, strict=True))
+    names = [name for name in system.problem.parameters if name.run is None]
+    names += system.problem.unknowns[system.problem.gain_rows] if free_gains else ()
+    std = np.sqrt(np.diag(solution.jackknife))
+    moves = []
+    for name in names:
+        k = solution.unknowns.places[name]
+        if std[k]:
+            free, value = float(solution.values[k]), float(consistent[name])
+            moves.append(Move(name, free, value, abs(value - free) / float(std[k])))
+    return tuple(sorted(moves, key=lambda move: -move.deviations))
 
 
 def _linear(blocks: np.ndarray, state: Iterate, problem: Problem, weights: np.ndarray, free_gains: bool) -> np.ndarray:
@@ -174,23 +165,12 @@ def _programme(R: np.ndarray, unknowns: StandardUnknowns) -> tuple[np.ndarray, n
     """Solve one convex programme for unknowns x, and steps of 1/g and of the delays."""
     parameters, c = unknowns.S.shape
     R, y = R[:-1, :-1], R[:-1, -1]  # the last row is the residual of the unconstrained fit
-    rest = R.shape[1] - parameters
-    A = np.zeros((len(R) + c, c + rest))
-    A[: len(R), :c], A[: len(R), c:] = R[:, :parameters] @ unknowns.S, R[:, parameters:]
-    A[len(R) :, :c] = np.diag(1 / unknowns.spread)
-    sizes = np.linalg.norm(R[:, parameters:], axis=0)
-    free = np.full(rest, np.inf)
-    solved = constrained_least_squares(
-        A,
-        np.concatenate([y, unknowns.centre / unknowns.spread]),
-        unknowns.bodies,
-        np.concatenate([unknowns.lower, -free]),
-        np.concatenate([unknowns.upper, free]),
-        np.concatenate([unknowns.unit, 1 / np.where(sizes > 0, sizes, 1.0)]),
-        unknowns.mass,
-        unknowns.length,
-        np.pad(unknowns.within, ((0, 0), (0, rest))),
-    )
+    rest = R[:, parameters:]
+    prior = np.hstack([np.diag(1 / unknowns.std), np.zeros((c, rest.shape[1]))])
+    A = np.concatenate([np.hstack([R[:, :parameters] @ unknowns.S, rest]), prior])
+    sizes = np.linalg.norm(rest, axis=0)
+    rigid = unknowns.rigid.beside(1 / np.where(sizes > 0, sizes, 1.0))
+    solved = constrained_least_squares(A, np.concatenate([y, unknowns.centre / unknowns.std]), rigid)
     return solved[:c], solved[c:]
 
 

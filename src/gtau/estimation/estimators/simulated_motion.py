@@ -23,13 +23,12 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.estimators.estimator import Solution
-from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.rows import Labels
-from gtau.estimation.regression.system import System
 from gtau.model.inverse_dynamics import PATH, InverseDynamics, Regressor
 from gtau.signals.preparation.bandwidth import spectra
 from gtau.signals.preparation.filters import below_nyquist, filter_edge, position_filter
-from gtau.signals.preparation.prepared_run import InMemoryRun, Preparation, PreparedRun, SampleWindow
+from gtau.signals.preparation.prepared_run import Preparation, PreparedRun, SampleWindow
 from gtau.signals.run import Run
 from gtau.signals.storage import Store, block, spans
 
@@ -45,8 +44,9 @@ CONVERGED = 1e-6  # change of the accelerations, of their rms
 MEASURED = ("command", "command_d", "command_dd", "usable")
 
 
-def resimulated_runs(dataset: Dataset, system: System, solution: Solution) -> tuple[InMemoryRun, ...]:
+def resimulated_runs(system: System, solution: Solution) -> tuple[SampleWindow, ...]:
     """Replace the motions of all runs by those of the simulated loop; see :func:`resimulated`."""
+    dataset = system.dataset
     if dataset.robot.floating:
         raise GtauError(
             f"motion is simulated from the currents of motors, and the base '{dataset.robot.floating}' has none; use "
@@ -66,7 +66,7 @@ def resimulated_runs(dataset: Dataset, system: System, solution: Solution) -> tu
 
 def resimulated(
     idm: InverseDynamics, regressor: Regressor, values: np.ndarray, prepared: PreparedRun, preparation: Preparation
-) -> InMemoryRun:
+) -> SampleWindow:
     """Replace a run's motion by that of the simulated loop; rows in the reference's ends are left out too.
 
     Parameters
@@ -115,7 +115,7 @@ def resimulated(
         measured.usable[(number < edge) | (number >= len(run.time) - edge)] = False
         for name, each in rest.items():
             each.append(getattr(measured, name))
-    return InMemoryRun(run, SampleWindow(prepared.time, *motion, **{name: each.array() for name, each in rest.items()}))
+    return SampleWindow(run, prepared.time, *motion, *(rows.array() for rows in rest.values()))
 
 
 def reference_cutoff(preparation: Preparation, run: Run) -> float | None:

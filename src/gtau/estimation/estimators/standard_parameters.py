@@ -7,17 +7,16 @@ convex programme is solved by the interior-point solver Clarabel.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gtau.errors import GtauError, missing_extra
 from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.regression.column_blocks import known_values
-from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import LAST_OVERHANG, OVERHANG
 from gtau.robots.geometry import characteristic_length, extent, longest_placement
 from gtau.robots.parameter import Parameter
@@ -82,36 +81,39 @@ class Body:
         return np.where(self.places < 0, self.known, x[self.places])
 
 
-def constrained_least_squares(
-    R: np.ndarray,
-    y: np.ndarray,
-    bodies: Sequence[Body],
-    lower: np.ndarray,
-    upper: np.ndarray,
-    unit: np.ndarray,
-    mass: float,
-    length: float,
-    within: np.ndarray | None = None,
-) -> np.ndarray:
-    """Minimise ``|R x - y|`` over unknowns that are consistent with rigid bodies.
+@dataclass(frozen=True, eq=False)
+class RigidBodies:
+    """Constraints of unknowns x (c,) by rigid bodies and bounds.
 
-    Parameters
-    ----------
-    R, y : ndarray
-        (r, c) and (r,); every unknown must enter ``R``.
-    bodies : sequence of Body
-        Bodies whose pseudo-inertias are held above the share MARGIN of ``mass`` (kg), in lengths of ``length`` (m).
-    lower, upper : ndarray
-        Bounds of the unknowns (c,), infinite where there are none.
-    unit : ndarray
-        Natural size of each unknown, (c,), for the solver's scaling.
-    within : ndarray, optional
-        Rows (k, c) of ``within @ x >= 0``; see :func:`ball_row`.
+    The pseudo-inertias of ``bodies`` are held above the share MARGIN of ``mass`` (kg), in lengths of ``length`` (m);
+    ``unit`` (c,) are natural sizes of the unknowns, for the solver's scaling; ``lower`` and ``upper`` (c,) bound them,
+    infinite where there are none; ``within @ x >= 0`` (k, c), see :func:`ball_row`.
+    """
 
-    Returns
-    -------
-    ndarray
-        The unknowns, (c,).
+    bodies: tuple[Body, ...]
+    unit: np.ndarray
+    mass: float
+    length: float
+    lower: np.ndarray
+    upper: np.ndarray
+    within: np.ndarray
+
+    def beside(self, sizes: np.ndarray) -> RigidBodies:
+        """Append unknowns of these natural ``sizes`` without constraints."""
+        more = len(sizes)
+        lower, upper = (np.append(x, np.full(more, end)) for x, end in ((self.lower, -np.inf), (self.upper, np.inf)))
+        unit, within = np.append(self.unit, sizes), np.pad(self.within, ((0, 0), (0, more)))
+        return replace(self, unit=unit, lower=lower, upper=upper, within=within)
+
+
+def unbounded(bodies: Sequence[Body], unit: np.ndarray, mass: float, length: float) -> RigidBodies:
+    """Constrain unknowns by rigid bodies alone."""
+    free, none = np.full(len(unit), np.inf), np.zeros((0, len(unit)))
+    return RigidBodies(tuple(bodies), unit, mass, length, -free, free, none)
+
+
+def constrained_least_squares(R: np.ndarray, y: np.ndarray, rigid: RigidBodies) -> np.ndarray:
+    """Minimise ``|R x - y|``, R (r, c), over unknowns (c,) that are consistent with rigid bodies; all must enter R.
 
     Raises
     ------
@@ -125,121 +127,127 @@ def constrained_least_squares(
     from scipy.sparse import csc_array, diags_array, hstack, vstack
 
     r, c = R.shape
-    scaled = csc_array(R * unit)
     # unknowns (x / unit, e) with e = R x - y, so that R^T R is never formed
-    rows = [hstack([scaled, -diags_array(np.ones(r))])]
-    right = [y]
-    cones = [clarabel.ZeroConeT(r)]
-    bounded = [(np.isfinite(lower), -1.0, lower), (np.isfinite(upper), 1.0, upper)]
-    for chosen, sign, bound in bounded:
-        k = np.flatnonzero(chosen)
-        if k.size:
-            rows.append(csc_array((np.full(k.size, sign), (np.arange(k.size), k)), shape=(k.size, c + r)))
-            right.append(sign * bound[k] / unit[k])
-            cones.append(clarabel.NonnegativeConeT(k.size))
-    if within is not None and len(within):
-        rows.append(hstack([csc_array(-within * unit), csc_array((len(within), r))]))
-        right.append(np.zeros(len(within)))
-        cones.append(clarabel.NonnegativeConeT(len(within)))
-    upper_triangle = [(i, j) for j in range(4) for i in range(j + 1)]
-    i, j = np.array(upper_triangle).T
-    scale = np.append(np.full(3, 1 / length), 1.0)
-    vectors = (BASIS * np.outer(scale, scale))[:, i, j] * np.where(i == j, 1.0, ROOT2)  # (10, 10)
-    floor = MARGIN * np.where(i == j, 1.0, 0.0)
-    for body in bodies:
-        free = body.places >= 0
-        block = np.zeros((10, c + r))
-        block[:, body.places[free]] = -(vectors[free] * unit[body.places[free], None]).T / mass
-        rows.append(csc_array(block))
-        right.append(body.known[~free] @ vectors[~free] / mass - floor)
+    rows = [hstack([csc_array(R * rigid.unit), -diags_array(np.ones(r))])]
+    right, cones = [y], [clarabel.ZeroConeT(r)]
+    limits, ends = _inequalities(rigid)
+    if len(ends):
+        rows.append(hstack([csc_array(limits), csc_array((len(ends), r))]))
+        right.append(ends)
+        cones.append(clarabel.NonnegativeConeT(len(ends)))
+    for block, end in _pseudo_inertias(rigid):
+        rows.append(hstack([csc_array(block), csc_array((len(end), r))]))
+        right.append(end)
         cones.append(clarabel.PSDTriangleConeT(4))
     settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.max_threads = 1
+    settings.verbose, settings.max_threads = False, 1
     objective = diags_array(np.append(np.zeros(c), np.ones(r)), format="csc")
-    problem = clarabel.DefaultSolver(
-        objective, np.zeros(c + r), csc_array(vstack(rows, format="csc")), np.concatenate(right), cones, settings
-    )
+    stacked = csc_array(vstack(rows, format="csc"))
+    problem = clarabel.DefaultSolver(objective, np.zeros(c + r), stacked, np.concatenate(right), cones, settings)
     solved = problem.solve()
     if solved.status not in (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved):
         raise GtauError(
             f"no rigid bodies can have these parameters (the solver says '{solved.status}'); "
             "check the bounds under 'priors' and the known parameters of the payloads."
         )
-    return np.asarray(solved.x)[:c] * unit
+    return np.asarray(solved.x)[:c] * rigid.unit
+
+
+def _inequalities(rigid: RigidBodies) -> tuple[np.ndarray, np.ndarray]:
+    """Write bounds and balls as rows ``A z <= end`` of the scaled unknowns z, (k, c) and (k,)."""
+    rows, ends, eye = [], [], np.eye(len(rigid.unit))
+    for sign, bound in ((-1.0, rigid.lower), (1.0, rigid.upper)):
+        k = np.isfinite(bound)
+        rows.append(sign * eye[k])
+        ends.append(sign * bound[k] / rigid.unit[k])
+    rows.append(-rigid.within * rigid.unit)
+    ends.append(np.zeros(len(rigid.within)))
+    return np.concatenate(rows), np.concatenate(ends)
+
+
+def _pseudo_inertias(rigid: RigidBodies) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Write the pseudo-inertia of each body, less its lower limit, as ``end - A z``, (10, c) and (10,)."""
+    i, j = np.array([(i, j) for j in range(4) for i in range(j + 1)]).T
+    scale = np.append(np.full(3, 1 / rigid.length), 1.0)
+    vectors = (BASIS * np.outer(scale, scale))[:, i, j] * np.where(i == j, 1.0, ROOT2)  # (10, 10)
+    floor = MARGIN * np.where(i == j, 1.0, 0.0)
+    for body in rigid.bodies:
+        free = body.places >= 0
+        block = np.zeros((10, len(rigid.unit)))
+        block[:, body.places[free]] = -(vectors[free] * rigid.unit[body.places[free], None]).T / rigid.mass
+        yield block, body.known[~free] @ vectors[~free] / rigid.mass - floor
 
 
 @dataclass(frozen=True, eq=False)
 class StandardUnknowns:
-    """Unknowns x (c,) of the consistent fit, ``theta = S x`` of the problem, (n_theta, c), and ``within @ x >= 0``."""
+    """Unknowns x (c,) of the consistent fit, ``theta = S x`` of the problem, and what they may be.
+
+    Their priors have the means ``centre`` and the standard deviations ``std``.
+    """
 
     names: tuple[Parameter, ...]
     S: np.ndarray
-    bodies: tuple[Body, ...]
-    lower: np.ndarray
-    upper: np.ndarray
     centre: np.ndarray
-    spread: np.ndarray
-    unit: np.ndarray
-    within: np.ndarray
-    mass: float
-    length: float
+    std: np.ndarray
+    rigid: RigidBodies
 
 
-def standard_unknowns(
-    dataset: Dataset, system: System, solution: Solution, priors: Mapping[str, Prior]
-) -> StandardUnknowns:
+def standard_unknowns(system: System, solution: Solution, priors: Mapping[str, Prior]) -> StandardUnknowns:
     """List the standard parameters behind the problem's, with their priors."""
-    robot, problem = dataset.robot, system.whole
-    names = list(dataset.model.parameter_names)
-    position = {name: k for k, name in enumerate(names)}
-    bodies = [
-        Body(body, np.array([position[Parameter(kind, body)] for kind in INERTIAL]), np.zeros(10))
-        for body in robot.bodies
-        if Parameter("m", body) in position
-    ]
-    for each in system.payloads:
-        known = known_values(each.payload)
-        label = f"L{each.run + 1}"
-        first = len(names)
-        names += [Parameter(kind, label) for kind in each.free]
-        places = [first + each.free.index(kind) if kind in each.free else -1 for kind in INERTIAL]
-        bodies.append(Body(label, np.array(places), np.array([known.get(kind, 0.0) for kind in INERTIAL])))
-    carried = {name for each in system.payloads for name in each.unknown}
-    others = [name for name in problem.parameters[dataset.base.count :] if name not in carried]
-    names += others
-    S = np.zeros((len(problem.parameters), len(names)))
-    S[: dataset.base.count, : len(position)] = dataset.base.matrix
-    row = {name: k for k, name in enumerate(problem.parameters)}
-    column: dict[str, int] = {name: k for k, name in enumerate(names)}
-    for each in system.payloads:
-        columns = [column[Parameter(kind, f"L{each.run + 1}")] for kind in each.free]
-        S[np.ix_([row[name] for name in each.unknown], columns)] = each.sums
-    for name in others:
-        S[row[name], column[name]] = 1.0
+    robot, problem = system.dataset.robot, system.whole
+    bodies, names, S = _regrouped(system)
     length = characteristic_length(robot)
     mass = _mass_scale(robot, problem, solution, length)
     unit = np.array([natural_size(name, robot, mass, length, problem.channels) for name in names])
-    centre, spread = np.zeros(len(names)), LOOSE * unit
-    lower, upper = np.full(len(names), -np.inf), np.full(len(names), np.inf)
+    centre, std = np.zeros(len(names)), LOOSE * unit
+    plausible = np.array([mass / len(robot.bodies) * (SLENDER * length) ** 2] * 10)
+    plausible[[1, 2, 4, 6, 7, 8]] = 0.0
+    plausible[9] = mass / len(robot.bodies)
     for body in bodies:
-        plausible = np.array([mass / len(robot.bodies) * (SLENDER * length) ** 2] * 10)
-        plausible[[1, 2, 4, 6, 7, 8]] = 0.0
-        plausible[9] = mass / len(robot.bodies)
         centre[body.places[body.places >= 0]] = plausible[body.places >= 0]
-    for k, parameter in enumerate(names):
-        if parameter.kind in ("ia", "fv", "fs", "fl", DAMPING) and parameter.run is None:
-            lower[k] = 0.0
+    dissipates = [name.kind in ("ia", "fv", "fs", "fl", DAMPING) and name.run is None for name in names]
+    lower, upper = np.where(dissipates, 0.0, -np.inf), np.full(len(names), np.inf)
+    place: dict[str, int] = {name: k for k, name in enumerate(names)}
     for stated, prior in priors.items():
-        if stated not in column:  # a base parameter: see known_equations
+        if stated not in place:  # a base parameter: see known_equations
             continue
-        k = column[stated]
+        k = place[stated]
         lower[k] = lower[k] if prior.min is None else prior.min
         upper[k] = upper[k] if prior.max is None else prior.max
         if prior.value is not None and prior.std is not None:
-            centre[k], spread[k] = prior.value, prior.std
-    within = within_reach(robot, bodies[: len(bodies) - len(system.payloads)], len(names)) / (mass * length**2)
-    return StandardUnknowns(tuple(names), S, tuple(bodies), lower, upper, centre, spread, unit, within, mass, length)
+            centre[k], std[k] = prior.value, prior.std
+    own = bodies[: len(bodies) - len(system.payloads)]
+    within = within_reach(robot, own, len(names)) / (mass * length**2)
+    rigid = RigidBodies(tuple(bodies), unit, mass, length, lower, upper, within)
+    return StandardUnknowns(tuple(names), S, centre, std, rigid)
+
+
+def _regrouped(system: System) -> tuple[list[Body], list[Parameter], np.ndarray]:
+    """List the bodies, payloads last, the unknowns (c,), and what these add to the problem's parameters, (., c)."""
+    base, problem, kinds = system.dataset.base, system.whole, len(INERTIAL)
+    names = list(system.dataset.model.parameter_names)
+    place = {name: k for k, name in enumerate(names)}
+    bodies = [
+        Body(body, np.array([place[Parameter(kind, body)] for kind in INERTIAL]), np.zeros(kinds))
+        for body in system.dataset.robot.bodies
+        if Parameter("m", body) in place
+    ]
+    for payload in system.payloads:
+        label, known, first = f"L{payload.run + 1}", known_values(payload.payload), len(names)
+        summed = {kind: first + k for k, kind in enumerate(payload.summed)}
+        places, values = ([of.get(kind, default) for kind in INERTIAL] for of, default in ((summed, -1), (known, 0.0)))
+        bodies.append(Body(label, np.array(places), np.array(values)))
+        names += [Parameter(kind, label) for kind in payload.summed]
+    of_payloads = {name for payload in system.payloads for name in payload.unknown}
+    others = [name for name in problem.parameters[base.count :] if name not in of_payloads]
+    S = np.zeros((len(problem.parameters), len(names) + len(others)))
+    S[: base.count, : len(place)] = base.matrix
+    end = len(place)
+    for payload in system.payloads:
+        begin, end = end, end + len(payload.summed)
+        S[problem.unknowns.at(payload.unknown), begin:end] = payload.sums
+    S[problem.unknowns.at(others), np.arange(end, end + len(others))] = 1.0
+    return bodies, [*names, *others], S
 
 
 def within_reach(robot: Robot, bodies: Sequence[Body], count: int) -> np.ndarray:

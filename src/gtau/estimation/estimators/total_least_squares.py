@@ -84,8 +84,8 @@ TLS = Estimator(
     "tls",
     "total least squares (the paper's)",
     Gains.ESTIMATED,
-    lambda given: tls,
-    plain_fit(lambda given: tls),
+    lambda gains: tls,
+    plain_fit(lambda gains: tls),
     in_paper=True,
     takes_priors=False,
 )

@@ -129,5 +129,5 @@ def _rows(problem: Problem, j: int, block: np.ndarray, coefficients: np.ndarray)
 
 
 TWO_STAGE = Estimator(
-    "2sls", "two-stage least squares", Gains.ESTIMATED, lambda given: two_stage, plain_fit(lambda given: two_stage)
+    "2sls", "two-stage least squares", Gains.ESTIMATED, lambda gains: two_stage, plain_fit(lambda gains: two_stage)
 )

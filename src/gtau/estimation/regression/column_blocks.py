@@ -15,7 +15,7 @@ import numpy as np
 
 from gtau.estimation.regression.equations import FIXED, KNOWN, SIGNALS
 from gtau.estimation.regression.factors import EXTRA
-from gtau.estimation.regression.friction import DRIFTING, TEMPERATURE_TERMS, TERMS, Friction
+from gtau.estimation.regression.friction import DRIFTING, TEMPERATURE_TERMS, TERMS
 from gtau.model.base_parameters import BaseParameters, independent_columns, seen_by_sensor
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter
@@ -44,20 +44,18 @@ class ColumnBlock:
 
 
 @dataclass(frozen=True, eq=False)
-class CarriedPayload:
-    """The payload of one run.
+class PayloadColumns:
+    """Columns of the payload of one run.
 
-    ``unknown`` maps the name in the problem of each unknown parameter that acts on some actuated joint
-    to its kind, and ``regroupings`` the kind to its regrouping formula: ``sums`` (unknown, free)
-    of the kinds ``free`` that are not known. ``columns`` (n_b, k) are those of the unknown and then of the known
-    parameters, in base columns.
+    ``unknown`` are its parameters that act on some actuated joint: each the sum of those of the kinds ``summed`` that
+    are not known, with the factors ``sums`` (unknown, summed). ``columns`` (n_b, k) are those of the unknown and then
+    of the known parameters, in base columns.
     """
 
     run: int
     payload: Payload
-    unknown: Mapping[Parameter, str]
-    regroupings: Mapping[str, str]
-    free: tuple[str, ...]
+    unknown: tuple[Parameter, ...]
+    summed: tuple[str, ...]
     sums: np.ndarray
     columns: np.ndarray
 
@@ -66,6 +64,11 @@ class CarriedPayload:
         """Decide whether its known parameters act on some actuated joint."""
         return bool(self.columns[:, len(self.unknown) :].any())
 
+    def regrouping(self, name: Parameter) -> str:
+        """Write the sum of parameters that an unknown one stands for."""
+        terms = zip(self.summed, self.sums[self.unknown.index(name)], strict=True)
+        return " + ".join(kind if kind == name.kind else f"{factor:.5g} {kind}" for kind, factor in terms if factor)
+
 
 def known_values(payload: Payload) -> dict[str, float]:
     """Return the known inertial parameters of a payload, by kind; empty for an unknown payload."""
@@ -73,73 +76,68 @@ def known_values(payload: Payload) -> dict[str, float]:
     return {**mass, **payload.parameters}
 
 
-def carried_payload(idm: InverseDynamics, base: BaseParameters, run: int, payload: Payload) -> CarriedPayload:
-    """Express the parameters of a ``payload`` on the robot's tool in base columns (eq. 18).
+def payload_columns(
+    idm: InverseDynamics, base: BaseParameters, payloads: Sequence[Payload | None]
+) -> tuple[PayloadColumns, ...]:
+    """Express the parameters of the payloads of all runs on the robot's tool in base columns (eq. 18).
 
     Of parameters that act alike first moments are kept rather than inertias, and masses last, so that a parameter is
     called ``m`` only where it is the mass by itself.
     """
-    values, center = known_values(payload), dict(zip(FIRST_MOMENTS, payload.center or (), strict=False))
-    order = (*FIRST_MOMENTS, *(kind for kind in INERTIAL if kind not in FIRST_MOMENTS))
-    free = [kind for kind in order if kind not in values and kind not in center]
     of_tool = {kind: base.matrix[:, idm.parameter_names.index(Parameter(kind, idm.robot.tool))] for kind in INERTIAL}
-    of_tool["m"] = of_tool["m"] + sum(each * of_tool[kind] for kind, each in center.items())  # moments are the mass's
-    columns = np.reshape([of_tool[kind] for kind in free], (len(free), base.count)).T
-    kept, coefficients, _ = independent_columns(columns)
-    formulas = {
-        free[k]: " + ".join(
-            f"{coefficients[row, other]:.5g} {kind}" if other != k else kind
-            for other, kind in enumerate(free)
-            if coefficients[row, other]
-        )
-        for row, k in enumerate(kept)
-    }
-    unknown = {Parameter(free[k], f"L{run + 1}"): free[k] for k in kept}
-    both = np.array([of_tool[kind] for kind in (*unknown.values(), *values)]).T.reshape(base.count, -1)
-    return CarriedPayload(run, payload, unknown, formulas, tuple(free), coefficients, both)
+    order = (*FIRST_MOMENTS, *(kind for kind in INERTIAL if kind not in FIRST_MOMENTS))
+    made = []
+    for run, payload in enumerate(payloads):
+        if payload is None:
+            continue
+        values, center = known_values(payload), dict(zip(FIRST_MOMENTS, payload.center or (), strict=False))
+        summed = tuple(kind for kind in order if kind not in values and kind not in center)
+        mass = of_tool["m"] + sum(at * of_tool[kind] for kind, at in center.items())  # moments are the mass's
+        acting = of_tool | {"m": mass}
+        columns = np.reshape([acting[kind] for kind in summed], (len(summed), base.count)).T
+        kept, sums, _ = independent_columns(columns)
+        unknown = tuple(Parameter(summed[k], f"L{run + 1}") for k in kept)
+        both = np.array([acting[kind] for kind in (*(name.kind for name in unknown), *values)]).T
+        made.append(PayloadColumns(run, payload, unknown, summed, sums, both.reshape(base.count, -1)))
+    return tuple(made)
 
 
 def column_blocks(
-    base: BaseParameters, channels: Sequence[Channel], carried: Sequence[CarriedPayload], friction: Friction, runs: int
-) -> list[ColumnBlock]:
+    base: BaseParameters,
+    channels: Sequence[Channel],
+    payloads: Sequence[PayloadColumns],
+    terms: tuple[Parameter, ...],
+    drifting: int,
+) -> tuple[ColumnBlock, ...]:
     """List the effects of the model, in the order of their parameters in the problem.
 
-    Parameters
-    ----------
-    base : BaseParameters
-        Whose standard columns the factors have.
-    channels : sequence of Channel
-        Those of the problem.
-    carried : sequence of CarriedPayload
-        Payloads of all runs.
-    friction : Friction
-        Terms to take, and whether friction may drift between runs.
-    runs : int
-        Number of runs.
+    ``base`` are the base parameters, whose standard columns the factors have, ``terms`` those of further friction to
+    take. In each of ``drifting`` runs friction is another; 1 if it is the same in all.
     """
-    offsets = tuple(Parameter("off", channel.name) for channel in channels if channel.kind.behind_drive)
-    return [
+    offsets = tuple(Parameter("off", channel.name) for channel in channels if channel.kind.link_side)
+    return (
         ColumnBlock(base.names, lambda run, channel, above: _felt(base, channel, np.eye(base.count))),
-        *(_payload_block(base, each) for each in carried),
-        _drift_block(base, [channel.joint for channel in channels], runs if friction.per_run else 1),
-        _own_block(base, friction.terms),
+        *(_payload_block(base, payload) for payload in payloads),
+        _drift_block(base, [channel.joint for channel in channels], drifting),
+        _own_block(base, terms),
         _own_block(base, offsets),
-    ]
+    )
 
 
 def _felt(base: BaseParameters, channel: Channel, columns: np.ndarray) -> np.ndarray:
     """Place columns (n_b, k) in those of the factors, (p, k); a sensor does not measure those of its joint's drive."""
-    felt = columns * seen_by_sensor(base.standard, channel.joint)[:, None] if channel.kind.behind_drive else columns
+    felt = columns * seen_by_sensor(base.standard, channel.joint)[:, None] if channel.kind.link_side else columns
     return np.concatenate([felt, np.zeros((EXTRA, columns.shape[1]))])
 
 
-def _payload_block(base: BaseParameters, carried: CarriedPayload) -> ColumnBlock:
-    values = {Parameter(kind, f"L{carried.run + 1}"): value for kind, value in known_values(carried.payload).items()}
+def _payload_block(base: BaseParameters, of_payload: PayloadColumns) -> ColumnBlock:
+    label = f"L{of_payload.run + 1}"
+    values = {Parameter(kind, label): value for kind, value in known_values(of_payload.payload).items()}
 
     def columns(run: int, channel: Channel, above: np.ndarray) -> np.ndarray:
-        return _felt(base, channel, carried.columns * (run == carried.run))
+        return _felt(base, channel, of_payload.columns * (run == of_payload.run))
 
-    return ColumnBlock((*carried.unknown, *values), columns, values)
+    return ColumnBlock((*of_payload.unknown, *values), columns, values)
 
 
 def _drift_block(base: BaseParameters, joints: Sequence[str], runs: int) -> ColumnBlock:

@@ -3,32 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
+from dataclasses import InitVar, dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.regression.assembly import assemble_problem, require_base_wrench, unexcited
+from gtau.estimation.regression.column_blocks import (
+    ColumnBlock,
+    PayloadColumns,
+    column_blocks,
+    column_map,
+    payload_columns,
+)
+from gtau.estimation.regression.equations import KNOWN
 from gtau.estimation.regression.factors import Factors, reduce_run
-from gtau.estimation.regression.friction import PAPER, Friction, Temperatures, temperatures_of
-from gtau.estimation.regression.plausibility import within_limits
-from gtau.estimation.regression.priors import inertia_priors
+from gtau.estimation.regression.friction import Temperatures, is_transmitted, temperatures_of
+from gtau.estimation.regression.plausibility import check_wrenches, sensors_of, within_limits
+from gtau.estimation.regression.priors import inertia_priors, known_equations
+from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.run_blocks import Place, aligned_edges, find_places
-from gtau.estimation.regression.system import System, assemble_system
 from gtau.estimation.regression.windows import Windows, central_windows
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
+from gtau.robots.parameter import Parameter
 from gtau.robots.plausibility import oddities, tool_note
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.choice import choose_preparation
-from gtau.signals.preparation.prepared_run import InMemoryRun, Preparation, PreparedRun, prepare
+from gtau.signals.preparation.prepared_run import Preparation, PreparedRun, SampleWindow, prepare
 from gtau.signals.reading.statements import Payload, Prior
-from gtau.signals.run import Run, arrange
+from gtau.signals.run import Run
 
 
 @lru_cache(maxsize=8)
@@ -43,38 +52,12 @@ def base_of(robot: Robot, sensors: tuple[str, ...] = ()) -> BaseParameters:
     return base_parameters(model_of(robot), sensors=sensors)
 
 
-@dataclass(frozen=True, eq=False)
-class Dataset:
-    """All runs of an experiment, read and reduced, with the priors, before any estimation.
+class Motions:
+    """What follows from the motions of runs alone, computed once: groups, blocks and windows."""
 
-    ``priors`` are those of standard or base parameters, by name; with the inertias of the robot's file among them,
-    ``prior_inertias`` is their relative standard deviation, else 0.
-    """
-
-    robot: Robot
-    model: InverseDynamics
-    base: BaseParameters
-    preparation: Preparation
-    prepared: tuple[PreparedRun, ...]
-    factors: tuple[Factors, ...]
-    priors: Mapping[str, Prior] = field(default_factory=dict)
-    prior_inertias: float = 0.0
-
-    @property
-    def stated_priors(self) -> Mapping[str, Prior]:
-        """The priors without the inertias of the robot's file."""
-        of_file = inertia_priors(self.robot, self.prior_inertias) if self.prior_inertias else {}
-        return {name: prior for name, prior in self.priors.items() if of_file.get(name) != prior}
-
-    @property
-    def runs(self) -> tuple[Run, ...]:
-        """The runs, their joints in the model's order."""
-        return tuple(each.run for each in self.prepared)
-
-    @cached_property
-    def temperatures(self) -> Temperatures | None:
-        """Differences of the joints from their mean temperatures, where these are logged."""
-        return temperatures_of(self.prepared, self.edges)
+    def __init__(self, prepared: Sequence[PreparedRun]):
+        self.prepared = prepared
+        self._windows: dict[int, Windows] = {}
 
     @cached_property
     def places(self) -> tuple[Place, ...]:
@@ -86,15 +69,68 @@ class Dataset:
         """Edges of the blocks of each run, as shares of its samples, (BLOCKS + 1,)."""
         return aligned_edges(self.prepared, self.places)
 
-    @cached_property
-    def _windows(self) -> dict[int, Windows]:
-        return {}
-
-    def windows(self, pieces: int = 1) -> Windows:
-        """Cut the middle of every run into windows; see :func:`gtau.estimation.regression.windows.central_windows`."""
+    def windows(self, pieces: int) -> Windows:
+        """Cut the middle of every run into windows."""
         if pieces not in self._windows:
             self._windows[pieces] = central_windows(self.prepared, pieces)
         return self._windows[pieces]
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """All runs of an experiment, read and reduced, with the priors, before any estimation.
+
+    ``priors`` are those of standard or base parameters, by name; with the inertias of the robot's file among them,
+    ``prior_inertias`` is their relative standard deviation, else 0. ``alike`` is a dataset of the same prepared runs.
+    """
+
+    model: InverseDynamics
+    base: BaseParameters
+    preparation: Preparation
+    prepared: tuple[PreparedRun, ...]
+    factors: tuple[Factors, ...] = ()
+    priors: Mapping[str, Prior] = field(default_factory=dict)
+    prior_inertias: float = 0.0
+    motions: Motions = field(init=False)
+    alike: InitVar[Dataset | None] = None
+
+    def __post_init__(self, alike: Dataset | None) -> None:
+        object.__setattr__(self, "motions", Motions(self.prepared) if alike is None else alike.motions)
+
+    @property
+    def robot(self) -> Robot:
+        """The robot of the model."""
+        return self.model.robot
+
+    @property
+    def stated_priors(self) -> Mapping[str, Prior]:
+        """The priors without the inertias of the robot's file."""
+        of_file = inertia_priors(self.robot, self.prior_inertias) if self.prior_inertias else {}
+        return {name: prior for name, prior in self.priors.items() if of_file.get(name) != prior}
+
+    @property
+    def runs(self) -> tuple[Run, ...]:
+        """The runs, their joints in the model's order."""
+        return tuple(prepared.run for prepared in self.prepared)
+
+    @cached_property
+    def temperatures(self) -> Temperatures | None:
+        """Differences of the joints from their mean temperatures, where these are logged."""
+        return temperatures_of(self.prepared, self.edges)
+
+    @property
+    def places(self) -> tuple[Place, ...]:
+        """Place of each run among those that repeat its motion."""
+        return self.motions.places
+
+    @property
+    def edges(self) -> tuple[np.ndarray, ...]:
+        """Edges of the blocks of each run, as shares of its samples, (BLOCKS + 1,)."""
+        return self.motions.edges
+
+    def windows(self, pieces: int = 1) -> Windows:
+        """Cut the middle of every run into windows; see :func:`gtau.estimation.regression.windows.central_windows`."""
+        return self.motions.windows(pieces)
 
     @property
     def notes(self) -> tuple[Finding, ...]:
@@ -104,30 +140,51 @@ class Dataset:
         return (*of_robot, *runs)
 
     def system(
-        self, friction: Friction = PAPER, delays: bool = True, payloads: Sequence[Payload | None] | None = None
+        self,
+        terms: tuple[Parameter, ...] = (),
+        per_run: bool = False,
+        delays: bool = True,
+        payloads: Sequence[Payload | None] | None = None,
     ) -> System:
-        """Assemble the estimation problem with this friction, without delays if so wanted, or with other payloads."""
+        """Assemble the estimation problem.
+
+        Parameters
+        ----------
+        terms : tuple of Parameter
+            Of friction beyond the paper's, viscous and Coulomb friction and an offset.
+        per_run : bool
+            Whether friction may drift between runs.
+        delays : bool
+            Whether currents may be delayed.
+        payloads : sequence, optional
+            Other than those of the runs, None for a run without.
+
+        Raises
+        ------
+        GtauError
+            Where some joint has no usable row in any run, nothing measured acts on a floating base, or a prior names no
+            parameter.
+        """
+        measured = self.runs[0].channels
+        channels = [channel for channel in measured if channel.kind.modelled]
+        given = (each.joint for each in measured if not each.kind.modelled and each.joint != self.robot.floating)
         payloads = [run.payload for run in self.runs] if payloads is None else payloads
+        of_payloads = payload_columns(self.model, self.base, payloads)
+        effects = column_blocks(self.base, channels, of_payloads, terms, len(self.runs) if per_run else 1)
+        require_base_wrench(self.model, self.factors)
         slowest = 0.5 / (2 * np.pi * self.preparation.bandwidth) if delays else 0.0
-        return assemble_system(
-            self.model,
-            self.base,
-            self.factors,
-            payloads,
-            slowest,
-            friction,
-            self.runs[0].channels,
-            self.priors,
-            None if self.temperatures is None else self.temperatures.of_blocks,
-            [each.group for each in self.places],
-        )
+        warm = None if self.temperatures is None else self.temperatures.of_blocks
+        plain = assemble_problem(effects, channels, self.factors, slowest, warm, [place.group for place in self.places])
+        known = known_equations(self.base, self.model.parameter_names, plain.parameters, self.priors)
+        whole = replace(plain, known=known, wrenches=tuple(dict.fromkeys(given)), factored=plain.triangles)
+        return System(self, whole.without(unexcited(whole)), whole, effects, of_payloads, terms)
 
     def reduced(
         self,
         loads: Sequence[np.ndarray | None] | None = None,
         progress: Progress = silent,
         weigh: Sequence[tuple[np.ndarray, np.ndarray]] | None = None,
-        along: Sequence[InMemoryRun] | None = None,
+        along: Sequence[SampleWindow] | None = None,
     ) -> Dataset:
         """Reduce the same runs with the torques of ``loads`` (one a run) in load-dependent friction.
 
@@ -136,29 +193,118 @@ class Dataset:
         """
         factors: list[Factors] = []
         begun, total = 0, sum(map(len, self.prepared))
-        runs: Sequence[PreparedRun | InMemoryRun] = self.prepared if along is None else along
+        runs: Sequence[PreparedRun | SampleWindow] = self.prepared if along is None else along
 
         def advance(samples: int) -> None:
             progress("model along the runs", begun + samples, total)
 
-        for k, each in enumerate(runs):
+        for k, run in enumerate(runs):
             advance(0)
-            decimator = self.preparation.at(each.run.rate).decimator
+            decimator = self.preparation.at(run.run.rate).decimator
             load, weights = None if loads is None else loads[k], None if weigh is None else weigh[k]
             factor = reduce_run(
-                self.model, self.base.standard, each, decimator, load, weights, advance, edges=self.edges[k]
+                self.model, self.base.standard, run, decimator, load, weights, advance, edges=self.edges[k]
             )
             factors.append(factor if along is None else replace(factor, distances=self.factors[k].distances))
-            begun += len(each)
+            begun += len(run)
         advance(0)
         return self.with_factors(factors)
 
     def with_factors(self, factors: Sequence[Factors]) -> Dataset:
         """Take other factors of the same runs, cut at the same rows."""
-        other = replace(self, factors=tuple(factors))
-        kept = ("places", "edges", "_windows")
-        other.__dict__.update({name: self.__dict__[name] for name in kept if name in self.__dict__})
-        return other
+        return replace(self, factors=tuple(factors), alike=self)
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """The problem of a dataset, and the meaning of its parameters.
+
+    ``whole`` has also the parameters that these motions cannot separate from those before them. ``effects`` are the
+    column blocks, ``terms`` the friction terms taken.
+    """
+
+    dataset: Dataset
+    problem: Problem
+    whole: Problem
+    effects: tuple[ColumnBlock, ...]
+    payloads: tuple[PayloadColumns, ...]
+    terms: tuple[Parameter, ...]
+
+    @property
+    def unexcited(self) -> tuple[Parameter, ...]:
+        """Parameters of ``whole`` that are not identifiable."""
+        kept = set(self.problem.parameters)
+        return tuple(name for name in self.whole.parameters if name not in kept)
+
+    @property
+    def stated(self) -> tuple[str, ...]:
+        """Names of the parameters with a prior value."""
+        return tuple(name for name, prior in self.dataset.priors.items() if prior.value is not None)
+
+    @cached_property
+    def _filled(self) -> np.ndarray:
+        """Mask of the blocks of all runs that have rows."""
+        return np.concatenate([factor.rows for factor in self.dataset.factors]).sum(axis=1) > 0
+
+    @property
+    def block_positions(self) -> np.ndarray:
+        """Numbers of the problem's blocks' runs, and times from their beginning (0) to their end (1), (U, 2)."""
+        rows = [len(factor.rows) for factor in self.dataset.factors]
+        return np.array([(run, (s + 0.5) / n) for run, n in enumerate(rows) for s in range(n)])[self._filled]
+
+    @property
+    def of_wrenches(self) -> np.ndarray | None:
+        """Part of measured wrenches in the problem's column ``known``, (U, c, p); None without wrenches."""
+        parts = [factor.R[..., KNOWN] for factor in self.dataset.factors]
+        return np.concatenate(parts)[self._filled] if self.whole.wrenches else None
+
+    def again(
+        self,
+        dataset: Dataset | None = None,
+        terms: tuple[Parameter, ...] | None = None,
+        payloads: Sequence[Payload | None] | None = None,
+    ) -> System:
+        """Assemble the same effects for another dataset, with other friction terms or other payloads."""
+        per_run = any(name.run is not None for name in self.whole.parameters)
+        terms = self.terms if terms is None else terms
+        return (dataset or self.dataset).system(terms, per_run, self.whole.slowest > 0, payloads)
+
+    def map(self, run: int, above: np.ndarray | None = None) -> np.ndarray:
+        """Map the columns of the factors of a run to those of ``whole``, for every channel, (c, p, n_theta + 4).
+
+        ``above`` (n,) are the joints' temperatures above their means; those of the whole run if left out.
+        """
+        if above is None:
+            return self._maps[run]
+        return np.stack([column_map(self.effects, run, each, above[each.row]) for each in self.whole.channels])
+
+    @cached_property
+    def _maps(self) -> list[np.ndarray]:
+        runs, warm = range(len(self.dataset.factors)), self.dataset.temperatures
+        still = np.zeros(len(self.dataset.model.actuated))
+        return [self.map(run, still if warm is None else warm.of_blocks[run].mean(axis=0)) for run in runs]
+
+    def full(self, theta: np.ndarray) -> np.ndarray:
+        """Extend parameters of the problem to those of ``whole`` and a 1 for the known column, (n_theta + 1,)."""
+        values = np.zeros(len(self.whole.parameters))
+        values[self.whole.unknowns.at(self.problem.parameters)] = theta
+        return np.append(values, 1.0)
+
+    def motion(self, run: int, theta: np.ndarray) -> np.ndarray:
+        """Return the base columns' values in ``run``, with its payload and its own friction, (n_b,)."""
+        base, joints = self.dataset.base, self.whole.joints
+        of_joints = self.map(run)[: len(joints), : base.count, : KNOWN + 1] @ self.full(theta)
+        rows = [joints.index(name.body) if name.body in joints else 0 for name in base.standard]  # of their friction
+        return np.asarray(of_joints[rows, np.arange(len(rows))])
+
+    def load(self, run: int, theta: np.ndarray) -> np.ndarray:
+        """Return the base columns' values in ``run`` that joints transmit: with payload, without friction, (n_b,)."""
+        return self.motion(run, theta) * is_transmitted(self.dataset.base.names)
+
+    def loads(self, theta: np.ndarray) -> list[np.ndarray | None]:
+        """Return :meth:`load` of each run, None where no friction depends on it."""
+        loaded = any(term.kind == "fl" for term in self.terms)
+        return [self.load(run, theta) if loaded else None for run in range(len(self.dataset.factors))]
 
 
 def robot_notes(robot: Robot, loaded: bool) -> list[Finding]:
@@ -192,7 +338,7 @@ def reduce_runs(
         different bodies, or one that the robot lacks, or a payload beyond a sensor that already measures it.
     """
     model = model_of(robot)
-    runs = tuple(arrange(run, model.actuated) for run in runs)
+    runs = tuple(run.ordered(model.actuated) for run in runs)
     if len({run.kind for run in runs}) > 1:
         raise GtauError("some runs hold currents and others torques; identify them separately.")
     if len({run.wrenches for run in runs}) > 1:
@@ -203,69 +349,8 @@ def reduce_runs(
     progress("base parameters", 0, 1)
     base = base_of(robot, sensors_of(robot, runs))
     prepared = prepare_runs(model, runs, preparation)
-    dataset = Dataset(robot, model, base, preparation, prepared, (), priors or {}, prior_inertias)
+    dataset = Dataset(model, base, preparation, prepared, (), priors or {}, prior_inertias)
     return dataset.reduced(progress=progress)
-
-
-def sensors_of(robot: Robot, runs: Sequence[Run]) -> tuple[str, ...]:
-    """List the joints with a sensor behind the drive, the same in all runs, in the order of its channels.
-
-    The sensor of joint j measures the torque of row j of the model without the terms of its drive: rotor
-    inertia, friction of motor and gear, and the offset of the current. It has an offset of its own. The parameters of
-    the links are the same, so they carry the scale of the sensor to all drive gains.
-
-    Raises
-    ------
-    GtauError
-        Where runs differ in their sensors, or a motor drives a sensor's joint through a coupling.
-    """
-    behind = [[each for each in run.channels if each.kind.behind_drive] for run in runs]
-    for run, own in zip(runs, behind, strict=True):
-        for kind in dict.fromkeys(each.kind for each in (*behind[0], *own)):
-            first, other = ([each.joint for each in of if each.kind == kind] for of in (behind[0], own))
-            if other != first:
-                raise GtauError(
-                    f"runs '{runs[0].name}' and '{run.name}' have {kind.group} at other joints "
-                    f"({', '.join(first) or 'none'}; {', '.join(other) or 'none'}); give '{kind.calibration}' for the "
-                    "same joints in all runs."
-                )
-    coupled = {name for each in robot.couplings for name in (each.joint, *dict(each.ratios))}
-    for each in behind[0]:
-        if each.joint in coupled:
-            raise GtauError(
-                f"joint '{each.joint}' has a {each.kind.name}, but couplings of robot '{robot.name}' share it between "
-                f"motors, so that no motor's torque is that of the joint; remove it from '{each.kind.calibration}'."
-            )
-        if each.name in robot.bodies:
-            raise GtauError(
-                f"joint '{each.name}' has the name of a {each.kind.name} of '{each.joint}'; rename the joint."
-            )
-    return runs[0].sensed
-
-
-def check_wrenches(robot: Robot, run: Run) -> None:
-    """Check that the wrenches of a run act on bodies of the robot, and include no stated payload.
-
-    Raises
-    ------
-    GtauError
-        A body is unknown, or the payload sits on a body whose wrench is measured.
-    """
-    if run.payload is not None and robot.tool in [frame.body for frame in run.wrenches]:
-        raise GtauError(
-            f"run '{run.name}': the payload '{run.payload.name}' is on '{robot.tool}', whose wrench is measured: "
-            "the sensor feels it already; remove the 'payload', or the sensor from 'wrenches'."
-        )
-    bodies = [body for body in robot.bodies if body not in robot.base]
-    for frame in run.wrenches:
-        if frame.body not in (*bodies, robot.floating):
-            close = get_close_matches(frame.body, bodies, n=1)
-            hint = f" (did you mean '{close[0]}'?)" if close else ""
-            raise GtauError(
-                f"'wrenches' names the body '{frame.body}', but a body of robot '{robot.name}' has the name of its "
-                f"joint: {', '.join(bodies)}; write the joint that moves it{hint}, and, with 'axes: "
-                "body', 'at' in that joint's frame."
-            )
 
 
 def prepare_runs(model: InverseDynamics, runs: Sequence[Run], preparation: Preparation) -> tuple[PreparedRun, ...]:

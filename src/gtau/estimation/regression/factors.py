@@ -22,7 +22,7 @@ from gtau.model.singularities import singularities
 from gtau.robots.parameter import Parameter
 from gtau.signals.channel import Channel
 from gtau.signals.preparation.filters import Decimator
-from gtau.signals.preparation.prepared_run import InMemoryRun, PreparedRun
+from gtau.signals.preparation.prepared_run import PreparedRun, SampleWindow
 from gtau.signals.storage import Store
 
 ROWS = 512  # merged into triangles at once
@@ -118,7 +118,7 @@ def add_products(G: np.ndarray, rows: np.ndarray, block: np.ndarray) -> None:
 def reduce_run(
     idm: InverseDynamics,
     columns: tuple[Parameter, ...],
-    prepared: PreparedRun | InMemoryRun,
+    prepared: PreparedRun | SampleWindow,
     decimator: Decimator,
     load: np.ndarray | None = None,
     weigh: tuple[np.ndarray, np.ndarray] | None = None,

@@ -45,18 +45,6 @@ UNITS = {
 INSTANTS = 50  # of a block, over which the mean is taken
 
 
-@dataclass(frozen=True)
-class Friction:
-    """A friction model: the terms taken (``fl_11``), and whether friction may drift between runs."""
-
-    terms: tuple[Parameter, ...] = ()
-    per_run: bool = False
-
-
-PAPER = Friction()
-"""Viscous and Coulomb friction and an offset, shared by all runs."""
-
-
 def term_columns(qd: np.ndarray, effort: np.ndarray) -> np.ndarray:
     """Build the columns of the terms, (2, n, N), from speeds and transmitted torques (n, N)."""
     return np.stack([qd * qd * qd, np.abs(effort) * np.sign(qd)])  # a power would take ten times as long

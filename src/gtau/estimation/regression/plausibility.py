@@ -1,9 +1,10 @@
-"""Implausible motions of runs, which suggest a wrong unit, clock or limit."""
+"""Runs that do not suit their robot: implausible motions, sensors and wrenches."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from difflib import get_close_matches
 
 import numpy as np
 
@@ -58,13 +59,14 @@ def within_limits(robot: Robot, prepared: PreparedRun) -> PreparedRun:
 def _check_units(robot: Robot, run: Run, span: np.ndarray, speeds: np.ndarray) -> None:
     """Refuse motions impossible for a robot of this size, and name the wrong unit or clock; (n,) rad or m, s."""
     # Motors behind gears make any number of turns, and floating bases move without limits.
+    units = run.log.units
     geared = {name for each in robot.couplings for name in (each.joint, *dict(each.ratios))}.union(robot.base)
     for kind, (basic, other) in UNITS.items():
         joints = [j for j, name in enumerate(run.joints) if robot.joint(name).kind == kind and name not in geared]
         if not joints:
             continue
         widest = max(joints, key=lambda j: span[j])
-        declared = {run.log.units.of_position(run.joints[j]) or basic for j in joints} if run.log else {basic}
+        declared = {units.of_position(run.joints[j]) or basic for j in joints} if units else {basic}
         size = 1.0 if kind == "revolute" else characteristic_length(robot)
         moved = f"{span[widest]:.3g} {basic}"
         if 0 < span[widest] < LEAST[kind] * size and declared == {other}:
@@ -89,29 +91,86 @@ def _check_units(robot: Robot, run: Run, span: np.ndarray, speeds: np.ndarray) -
 
 def stated_rate(run: Run) -> float | None:
     """Return the sampling rate (Hz) stated for a log's signals; None if the log has time stamps."""
-    stated = run.log is not None and isinstance(run.log.signals.time, SampleRate)
-    return run.log.signals.time.rate if stated else None  # type: ignore[union-attr]
+    stated = None if run.log.signals is None else run.log.signals.time
+    return stated.rate if isinstance(stated, SampleRate) else None
 
 
 def _judge(run: str, joint: Joint, low: float, high: float, speed: float) -> Iterator[Finding]:
     unit = joint.unit
-    other = "deg" if joint.turns else "mm"
-    repair = (
-        f"if the log is in {other}, write that under 'units'; otherwise check the columns and the time, or "
-        f"{write_limits(joint.name)}."
-    )
     if joint.limits.position is not None:
         lower, upper = joint.limits.position
-        moved = f"joint '{joint.name}' goes from {low:.4g} to {high:.4g} {unit}"
-        limits = f"its limits {lower:.4g} to {upper:.4g} {unit}"
         excess = max(lower - low, high - upper) / (upper - lower)
         if excess > FAR_BEYOND_LIMITS:
-            raise GtauError(f"run '{run}': {moved}, far outside {limits}; {repair}")
+            raise GtauError(
+                f"run '{run}': joint '{joint.name}' goes from {low:.4g} to {high:.4g} {unit}, far outside its limits "
+                f"{lower:.4g} to {upper:.4g} {unit}; if the log is in {'deg' if joint.turns else 'mm'}, write that "
+                f"under 'units'; otherwise check the columns and the time, or {write_limits(joint.name)}."
+            )
         if excess > BEYOND_LIMITS:
             values = {"low": low, "high": high, "lower": lower, "upper": upper, "unit": unit}
             yield Finding(F.LIMITS, (joint.name,), values=values)
     if joint.limits.velocity is not None and speed > joint.limits.velocity:
         # in many files a placeholder, so no log is refused
-        yield Finding(
-            F.SPEED_LIMIT, (joint.name,), values={"speed": speed, "limit": joint.limits.velocity, "unit": unit}
+        values = {"speed": speed, "ratio": speed / joint.limits.velocity, "limit": joint.limits.velocity, "unit": unit}
+        yield Finding(F.SPEED_LIMIT, (joint.name,), values=values)
+
+
+def sensors_of(robot: Robot, runs: Sequence[Run]) -> tuple[str, ...]:
+    """List the joints with a sensor behind the drive, the same in all runs, in the order of its channels.
+
+    The sensor of joint j measures the torque of row j of the model without the terms of its drive: rotor
+    inertia, friction of motor and gear, and the offset of the current. It has an offset of its own. The parameters of
+    the links are the same, so they carry the scale of the sensor to all drive gains.
+
+    Raises
+    ------
+    GtauError
+        Where runs differ in their sensors, or a motor drives a sensor's joint through a coupling.
+    """
+    behind = [[each for each in run.channels if each.kind.link_side] for run in runs]
+    for run, own in zip(runs, behind, strict=True):
+        for kind in dict.fromkeys(each.kind for each in (*behind[0], *own)):
+            first, other = ([each.joint for each in of if each.kind == kind] for of in (behind[0], own))
+            if other != first:
+                raise GtauError(
+                    f"runs '{runs[0].name}' and '{run.name}' have {kind.group} at other joints "
+                    f"({', '.join(first) or 'none'}; {', '.join(other) or 'none'}); give '{kind.calibration}' for the "
+                    "same joints in all runs."
+                )
+    coupled = {name for each in robot.couplings for name in (each.joint, *dict(each.ratios))}
+    for each in behind[0]:
+        if each.joint in coupled:
+            raise GtauError(
+                f"joint '{each.joint}' has a {each.kind.name}, but couplings of robot '{robot.name}' share it between "
+                f"motors, so that no motor's torque is that of the joint; remove it from '{each.kind.calibration}'."
+            )
+        if each.name in robot.bodies:
+            raise GtauError(
+                f"joint '{each.name}' has the name of a {each.kind.name} of '{each.joint}'; rename the joint."
+            )
+    return runs[0].sensors
+
+
+def check_wrenches(robot: Robot, run: Run) -> None:
+    """Check that the wrenches of a run act on bodies of the robot, and include no stated payload.
+
+    Raises
+    ------
+    GtauError
+        A body is unknown, or the payload sits on a body whose wrench is measured.
+    """
+    if run.payload is not None and robot.tool in [frame.body for frame in run.wrenches]:
+        raise GtauError(
+            f"run '{run.name}': the payload '{run.payload.name}' is on '{robot.tool}', whose wrench is measured: "
+            "the sensor feels it already; remove the 'payload', or the sensor from 'wrenches'."
         )
+    bodies = [body for body in robot.bodies if body not in robot.base]
+    for frame in run.wrenches:
+        if frame.body not in (*bodies, robot.floating):
+            close = get_close_matches(frame.body, bodies, n=1)
+            hint = f" (did you mean '{close[0]}'?)" if close else ""
+            raise GtauError(
+                f"'wrenches' names the body '{frame.body}', but a body of robot '{robot.name}' has the name of its "
+                f"joint: {', '.join(bodies)}; write the joint that moves it{hint}, and, with 'axes: "
+                "body', 'at' in that joint's frame."
+            )

@@ -11,7 +11,7 @@ both. An estimator that reweights rows streams the logs again (``Dataset.reduced
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import InitVar, dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -46,6 +46,8 @@ class Problem:
         Bodies on which measured wrenches act; the column ``known`` holds minus their joint torques.
     clusters : ndarray, optional
         (U,) the same number for blocks that the jackknife leaves out together, of runs that repeat a motion.
+    factored, independent : tuple, optional
+        ``triangles`` and ``own_columns`` where they are known already.
     """
 
     parameters: tuple[Parameter, ...]
@@ -56,15 +58,20 @@ class Problem:
     known: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     wrenches: tuple[str, ...] = ()
     clusters: np.ndarray | None = None
+    factored: InitVar[tuple[np.ndarray, ...] | None] = None
+    independent: InitVar[tuple[list[int], ...] | None] = None
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, factored: tuple[np.ndarray, ...] | None, independent: tuple[list[int], ...] | None) -> None:
         if not self.known.size:
             object.__setattr__(self, "known", np.zeros((0, len(self.parameters) + 1)))
+        for name, value in (("triangles", factored), ("own_columns", independent)):
+            if value is not None:
+                object.__setattr__(self, name, value)
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
         """Actuated joints, those of a floating base included, (n,)."""
-        return tuple(each.joint for each in self.channels if not each.kind.behind_drive)
+        return tuple(each.joint for each in self.channels if not each.kind.link_side)
 
     @cached_property
     def sensor_channels(self) -> list[int]:
@@ -222,18 +229,18 @@ class Problem:
         kept = tuple(name for name in self.parameters if name not in gone)
         columns = self.columns_of(kept)
         known = self.known[:, [*columns[:-FIXED], -1]]
-        less = replace(self, parameters=kept, blocks=self.blocks[..., columns], known=known)
         # the triangles of fewer columns follow from those of all: no pass over the units
-        less.__dict__["triangles"] = tuple(select_columns(R, columns) for R in self.triangles)
+        triangles = tuple(select_columns(R, columns) for R in self.triangles)
         # columns that depended on others still do if these are all there, or if there are none
         now = {old: new for new, old in enumerate(columns)}
-        less.__dict__["own_columns"] = tuple(
+        independent = tuple(
             [now[k] for k in own if k in now]
             if now.keys() >= set(own) or len(own) == np.count_nonzero(R[:, : KNOWN + 1].any(axis=0))
             else _independent(T)
-            for own, R, T in zip(self.own_columns, self.triangles, less.triangles, strict=True)
+            for own, R, T in zip(self.own_columns, self.triangles, triangles, strict=True)
         )
-        return less
+        blocks = self.blocks[..., columns]
+        return replace(self, parameters=kept, blocks=blocks, known=known, factored=triangles, independent=independent)
 
 
 def _independent(R: np.ndarray) -> list[int]:

@@ -12,7 +12,7 @@ from gtau.estimation.regression.friction import term_columns
 from gtau.model.inverse_dynamics import PATH, InverseDynamics, Regressor
 from gtau.model.loops import Motion
 from gtau.signals.preparation.filters import Block, Decimator
-from gtau.signals.preparation.prepared_run import InMemoryRun, PreparedRun, SampleWindow
+from gtau.signals.preparation.prepared_run import PreparedRun, SampleWindow
 from gtau.signals.run import Run
 from gtau.signals.storage import spans
 
@@ -56,7 +56,7 @@ Law = Callable[[np.ndarray, Motion, np.ndarray], np.ndarray]
 def stream_rows(
     idm: InverseDynamics,
     regressor: Regressor,
-    prepared: PreparedRun | InMemoryRun,
+    prepared: PreparedRun | SampleWindow,
     decimator: Decimator,
     load: np.ndarray | None = None,
     fast: int = FAST_SAMPLES,
@@ -68,7 +68,7 @@ def stream_rows(
     ----------
     idm, regressor : InverseDynamics, Regressor
         The model, and its required columns.
-    prepared, decimator : PreparedRun or InMemoryRun, Decimator
+    prepared, decimator : PreparedRun or SampleWindow, Decimator
         The run, and its filter.
     load : ndarray, optional
         Values of the columns (columns,) that give the torques transmitted by the joints, for friction
@@ -172,7 +172,7 @@ def external_torques(idm: InverseDynamics, run: Run, motion: Motion, measured: n
     return torques
 
 
-def configurations(idm: InverseDynamics, window: InMemoryRun) -> np.ndarray:
+def configurations(idm: InverseDynamics, window: SampleWindow) -> np.ndarray:
     """Compute the configurations (n_c, N) of a model along a window.
 
     Raises
@@ -180,18 +180,18 @@ def configurations(idm: InverseDynamics, window: InMemoryRun) -> np.ndarray:
     GtauError
         Where the loops cannot be closed at a sample, or a pose is too close to a singularity.
     """
-    whole = window if window.whole is None else window.whole
-    return _along_whole(idm, whole)[1][:, window.first : window.first + len(window)]
+    whole, first = window.of or (window, 0)
+    return _along_whole(idm, whole)[1][:, first : first + len(window)]
 
 
 @lru_cache(maxsize=16)  # of few runs: factors, friction, and windows of hypotheses are streamed along the same ones
-def _along_whole(idm: InverseDynamics, prepared: PreparedRun | InMemoryRun) -> tuple[SampleWindow, np.ndarray]:
+def _along_whole(idm: InverseDynamics, prepared: PreparedRun | SampleWindow) -> tuple[SampleWindow, np.ndarray]:
     of = prepared.samples()
     return of, idm.path(of.q.T.copy(), Labels(prepared.run.name, of.time))
 
 
 def _along(
-    idm: InverseDynamics, prepared: PreparedRun | InMemoryRun, blocks: Iterable[Block]
+    idm: InverseDynamics, prepared: PreparedRun | SampleWindow, blocks: Iterable[Block]
 ) -> Iterator[tuple[Block, SampleWindow, np.ndarray]]:
     """Stream the blocks with samples and configurations; these are made for longer stretches, which is faster."""
     begin, end = 0, 0  # the stretch that ``of`` and ``c`` are for
@@ -204,7 +204,7 @@ def _along(
             known = max(end - at.start, 0) if c.size else 0
             stop = min(max(at.start + PATH, at.stop), len(prepared))
             of = prepared.samples(at.start, stop)
-            if isinstance(prepared, InMemoryRun) and prepared.whole is not None:
+            if isinstance(prepared, SampleWindow) and prepared.of is not None:
                 c = configurations(idm, prepared)[:, at.start : stop]
             else:
                 labels = Labels(prepared.run.name, of.time[known:])

@@ -16,14 +16,14 @@ import numpy as np
 
 from gtau.estimation.regression.equations import BLOCKS
 from gtau.estimation.thresholds.logs import REPEATED, REPEATED_PART
-from gtau.signals.preparation.prepared_run import InMemoryRun, PreparedRun
+from gtau.signals.preparation.prepared_run import PreparedRun, SampleWindow
 
 ASLEEP = 1e-6  # weight of a sample in a rest
 REST = 0.5  # of a block: shorter rests leave rows in it, and longer ones may leave none
 LONGEST = 1 << 16  # positions of a run that are compared, at most
 
 
-def block_edges(prepared: PreparedRun | InMemoryRun) -> np.ndarray:
+def block_edges(prepared: PreparedRun | SampleWindow) -> np.ndarray:
     """Find the edges of the blocks of a run, as shares of its samples, (BLOCKS + 1,).
 
     Blocks are equal if the robot does not rest for long; if it does, equal ones would leave all rows to a few.

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.equations import KNOWN, MODEL, SIGNAL
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System
 from gtau.estimation.thresholds.estimates import ANSWERED, OWN_BODY
 from gtau.model.base_parameters import independent_columns
 from gtau.robots.robot import Robot

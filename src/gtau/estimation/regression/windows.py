@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from gtau.estimation.regression.run_blocks import Place
 from gtau.signals.preparation.filters import STENCIL
-from gtau.signals.preparation.prepared_run import InMemoryRun, PreparedRun, joined
+from gtau.signals.preparation.prepared_run import PreparedRun, SampleWindow, joined
 
 WINDOWS = 10  # of a run, within which residuals may be autocorrelated
 SAMPLES = 24_000  # of all windows together, which bounds the time of the tests for long logs
@@ -16,7 +17,7 @@ SAMPLES = 24_000  # of all windows together, which bounds the time of the tests 
 # simulated logs with a rest in half of each run (16 windows) no window had a usable row.
 REST = 0.5
 
-Windows = Sequence[tuple[int, InMemoryRun]]
+Windows = Sequence[tuple[int, SampleWindow]]
 """Windows of runs, each with its run's number."""
 
 
@@ -27,16 +28,16 @@ def central_windows(prepared: Sequence[PreparedRun], pieces: int, cut: Sequence[
     filters' supports. All windows together have at most ``SAMPLES`` samples; runs too short for a row of each window
     are left out. With :func:`moving_stretches` of the same runs prepared otherwise (``cut``), the windows are those.
     """
-    windows: list[tuple[int, InMemoryRun]] = []
+    windows: list[tuple[int, SampleWindow]] = []
     cut = moving_stretches(prepared, pieces) if cut is None else cut
     for number, (run, stretches) in enumerate(zip(prepared, cut, strict=True)):
         size = sum(map(len, stretches)) // pieces
         if run.preparation.decimator.outputs(size) == 0:
             continue
         kept = _middle(stretches, size * pieces)
-        middle = InMemoryRun(run.run, joined([run.samples(each.start, each.stop) for each in kept]))
+        middle = joined([run.samples(each.start, each.stop) for each in kept])
         first = range(0, size * pieces, size)
-        windows += [(number, InMemoryRun(run.run, middle.samples(at, at + size), middle, at)) for at in first]
+        windows += [(number, replace(middle[at : at + size], of=(middle, at))) for at in first]
     return windows
 
 
@@ -76,7 +77,7 @@ def window_clusters(windows: Windows, places: Sequence[Place]) -> np.ndarray:
     numbers: list[int] = []
     first: dict[int, tuple[int, list[tuple[float, int]]]] = {}  # of a group, its first run and that one's windows
     for run, window in windows:
-        middle = float(window.all.time[len(window) // 2]) - places[run].begin
+        middle = float(window.time[len(window) // 2]) - places[run].begin
         leader, numbered = first.setdefault(places[run].group, (run, []))
         if run == leader:
             numbered.append((middle, max(numbers, default=-1) + 1))
@@ -86,4 +87,4 @@ def window_clusters(windows: Windows, places: Sequence[Place]) -> np.ndarray:
 
 def usable_rows(windows: Windows, prepared: Sequence[PreparedRun]) -> int:
     """Count the decimated rows of all channels in windows that are kept."""
-    return sum(int(prepared[run].preparation.decimator.keep(window.all.usable).sum()) for run, window in windows)
+    return sum(int(prepared[run].preparation.decimator.keep(window.usable).sum()) for run, window in windows)

@@ -13,10 +13,10 @@ from gtau.estimation.diagnostics.stated_constants import scale_shares, sensor_ve
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict, judge_parameter, parameter_verdict
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import residuals, stacked
+from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.equations import triangle
 from gtau.estimation.regression.friction import BEARING
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.system import System
 from gtau.estimation.regression.unknowns import Estimates
 from gtau.estimation.results.estimate import (
     Estimate,
@@ -55,13 +55,13 @@ def model_estimates(
     essential : Problem
         Of the essential parameters.
     """
-    dataset, channels, terms = fit.dataset, fit.system.problem.channels, fit.system.friction.terms
+    dataset, channels, terms = fit.dataset, fit.system.problem.channels, fit.system.terms
     temperatures, base_names = reference_temperatures(fit), set(dataset.base.names)
     delays = [
         _estimate(predicting, Parameter("delay", channel.name), "s", channel.joint, verdict)
         for channel, verdict in zip(channels, diagnosis.delays, strict=True)
     ]
-    sensors = {channel.name for channel in channels if channel.kind.behind_drive}
+    sensors = {channel.name for channel in channels if channel.kind.link_side}
     friction = _friction_names(fit, curves)
     given = {Parameter("gain", sensor) for sensor in sensors}
     if curves:  # terms of the equations that predict nothing
@@ -76,7 +76,7 @@ def model_estimates(
             for name in friction
             if name in predicting.unknowns.places and name not in base_names and name.body not in sensors
         ),
-        payloads=payload_estimates(dataset, fit.system, equations, diagnosis.payloads),
+        payloads=payload_estimates(fit.system, equations, diagnosis.payloads),
         covariance_names=tuple(listed),
         covariance=predicting.select(listed).covariance,
         sensors=_sensors(fit, diagnosis, predicting, delays),
@@ -87,7 +87,7 @@ def model_estimates(
 def _friction_names(fit: Fit, curves: Mapping[str, FrictionCurve]) -> tuple[Parameter, ...]:
     """List the friction that predicts: of the curves, or without any the terms of the equations."""
     if not curves:
-        return fit.system.friction.terms
+        return fit.system.terms
     return tuple(name for curve in curves.values() for name in curve.parameters)
 
 
@@ -113,10 +113,20 @@ def fit_record(
             for k, joint in enumerate(dataset.model.actuated)
         ),
         logged_speeds=_logged_speeds(fit),
+        scale=_scale(fit) if fit.free_gains else {},
         statistics={**solution.statistics, **statistics, "condition_number": _condition_number(total)},
         singular_values=tuple(np.linalg.svd(_scaled(total), compute_uv=False).tolist()) if fit.free_gains else (),
         data=dataset.runs,
     )
+
+
+def _scale(fit: Fit) -> dict[str, dict[str, float]]:
+    """List what the scale of each motor's gain rests on, in shares."""
+    actuated, shares = fit.dataset.model.actuated, scale_shares(fit)
+    return {
+        joint: {source: float(share[actuated.index(joint)]) for source, share in shares.items()}
+        for joint in fit.dataset.robot.motors
+    }
 
 
 def evidence(
@@ -124,7 +134,7 @@ def evidence(
 ) -> Evidence:
     """Collect what speaks for and against the estimates, those of the equations among them."""
     dataset, temperatures = fit.dataset, reference_temperatures(fit)
-    replaced = {*_friction_names(fit, curves), *fit.system.friction.terms} if curves else set()
+    replaced = {*_friction_names(fit, curves), *fit.system.terms} if curves else set()
     along = [
         (prepared, dataset.preparation.at(prepared.run.rate).decimator, factors.distances)
         for prepared, factors in zip(dataset.prepared, dataset.factors, strict=True)
@@ -167,22 +177,17 @@ def _estimate(
 
 
 def _gains(fit: Fit, vector: Estimates, diagnosis: Diagnosis) -> dict[str, Estimate]:
-    """Collect the drive gains of the motors, with the sources of their scale."""
+    """Collect the drive gains of the motors."""
     robot, kind = fit.dataset.robot, fit.dataset.runs[0].kind
-    scales = scale_shares(fit) if fit.free_gains else {}
     return {
-        joint: replace(
-            _estimate(vector, Parameter("gain", joint), gain_unit(robot, joint, kind), joint, diagnosis.gains[joint]),
-            scale={source: float(share[k]) for source, share in scales.items()},
-        )
-        for k, joint in enumerate(fit.dataset.model.actuated)
-        if joint in robot.motors
+        joint: _estimate(vector, Parameter("gain", joint), gain_unit(robot, joint, kind), joint, diagnosis.gains[joint])
+        for joint in robot.motors
     }
 
 
 def _parameters(fit: Fit, vector: Estimates, essential: Problem) -> dict[Parameter, Estimate]:
     """Collect the base parameters, those without a value included."""
-    base, robot, spread = fit.dataset.base, fit.dataset.robot, _spread(fit.system, fit.solution.theta)
+    base, robot, between_runs = fit.dataset.base, fit.dataset.robot, _between_runs(fit.system, fit.solution.theta)
     found = {}
     for name, terms in regrouped(base, fit.dataset.model.parameter_names).items():
         unit = unit_of(name.kind, robot, name.body)
@@ -190,7 +195,7 @@ def _parameters(fit: Fit, vector: Estimates, essential: Problem) -> dict[Paramet
         found[name] = replace(
             made,
             regrouping=base.regroupings[name],
-            spread=spread.get(name),
+            between_run_std=between_runs.get(name),
             verdict=judge_parameter(made.value, made.std, terms),
             essential=name in essential.parameters,
         )
@@ -252,7 +257,7 @@ def _sensors(
     return tuple(sensors)
 
 
-def _spread(system: System, theta: np.ndarray) -> dict[str, float]:
+def _between_runs(system: System, theta: np.ndarray) -> dict[str, float]:
     """Compute the standard deviation between runs of each friction parameter that may drift."""
     differences: dict[str, list[float]] = {}
     for name, value in zip(system.problem.parameters, theta, strict=True):

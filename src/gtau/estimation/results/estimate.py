@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from numbers import Integral
 from pathlib import Path
 from typing import Generic, Literal, TypeVar
@@ -27,13 +27,11 @@ from gtau.signals.storage import rows_at
 class Estimate:
     """A number with its unit and standard deviation.
 
-    ``value`` is None where it is not identifiable, ``std`` None where the value is known. ``spread`` is the
+    ``value`` is None where it is not identifiable, ``std`` None where the value is known. ``between_run_std`` is the
     standard deviation between runs of a parameter that may drift; its value is then the mean. ``verdict``
     says whether to believe it. ``freedom`` are the degrees of freedom behind ``std``, None for very many.
     ``model_std`` is the part of ``std`` that comes from what the model may lack; the rest is random. ``essential``
-    says whether the reduction (paper, section 5.2) keeps a base parameter; None for other estimates. ``scale`` says
-    what the scale of a drive gain rests on, in shares that add up to one; see
-    :func:`gtau.estimation.diagnostics.stated_constants.scale_shares`.
+    says whether the reduction (paper, section 5.2) keeps a base parameter; None for other estimates.
     """
 
     name: str
@@ -41,12 +39,11 @@ class Estimate:
     std: float | None
     unit: str
     regrouping: str = ""
-    spread: float | None = None
+    between_run_std: float | None = None
     verdict: Verdict = GOOD
     freedom: float | None = None
     model_std: float | None = None
     essential: bool | None = None
-    scale: Mapping[str, float] = field(default_factory=dict)
 
     def __str__(self) -> str:
         """Print value, half the 95 % interval, and unit."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +15,6 @@ from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.regression.dataset import base_of, model_of
 from gtau.estimation.results.estimate import (
     Distances,
-    Estimate,
     FrictionCurve,
     Named,
     NearestPose,
@@ -29,7 +27,7 @@ from gtau.estimation.results.payload import PayloadEstimate
 from gtau.findings import Finding
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.prepared_run import Preparation
 from gtau.signals.run import Run
@@ -96,10 +94,8 @@ class ModelEstimates:
     consistency: Consistency | None = None
 
     def __post_init__(self) -> None:
-        for name in ("drive_gains", "delays"):
+        for name in ("drive_gains", "delays", "parameters", "friction"):
             object.__setattr__(self, name, Named(getattr(self, name)))
-        for name in ("parameters", "friction"):
-            object.__setattr__(self, name, by_parameter(getattr(self, name)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +117,9 @@ class FitRecord:
         :mod:`gtau.estimation.friction.law`).
     statistics : dict
         Further figures of the method.
+    scale : dict
+        Joint to what the scale of its drive gain rests on, in shares that add up to one; see
+        :func:`gtau.estimation.diagnostics.stated_constants.scale_shares`.
     singular_values : tuple of float
         Of ``W_tot`` (eq. 33) in falling order, rows weighted by the residuals and columns of unit length; empty where
         the gains were given, and not held by ``model.json``.
@@ -135,6 +134,7 @@ class FitRecord:
     residuals: tuple[TorqueError, ...]
     logged_speeds: Mapping[str, float]
     statistics: Mapping[str, float]
+    scale: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     singular_values: tuple[float, ...] = ()
     data: tuple[Run, ...] = ()
 
@@ -179,9 +179,4 @@ class Evidence:
     distances: tuple[Distances, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "equation_friction", by_parameter(self.equation_friction))
-
-
-def by_parameter(estimates: Mapping[Any, Estimate]) -> Named[Parameter]:
-    """Key estimates by their parameters."""
-    return Named({parameter_of(name): estimate for name, estimate in estimates.items()})
+        object.__setattr__(self, "equation_friction", Named(self.equation_friction))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -28,12 +28,13 @@ from pydantic import (
     model_validator,
 )
 
+import gtau.estimation.diagnostics.hypotheses  # noqa: F401 whose causes have words
 from gtau.documents.files import MODEL, refuse_other_kind, write_atomically
 from gtau.documents.validation import Positive, unknown, validate
 from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.alternatives import Alternative
-from gtau.estimation.diagnostics.geometry_findings import GeometryTest
+from gtau.estimation.diagnostics.geometry_findings import GeometryTest, from_document
 from gtau.estimation.diagnostics.geometry_findings import to_document as geometry_document
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
@@ -53,16 +54,18 @@ from gtau.estimation.results.groups import Evidence, FitRecord, Model, ModelEsti
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.extensions import registered
-from gtau.findings import Finding
+from gtau.findings import Finding, FindingKind
 from gtau.findings.finding import finding_document, note_document, read_note
 from gtau.robots.parameter import Parameter, parameter_of, unit_of
 from gtau.robots.readers.native import parse_native
 from gtau.robots.readers.native_text import native_text
-from gtau.signals.channel import SENSOR, ChannelKind, sensor_kind
+from gtau.signals.channel import SENSOR, ChannelKind, link_side_kind
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import Preparation
 
 SCHEMA = "gtau-model/4"
+WRITTEN = {"between_run_std": "spread"}
+"""Keys of fields with other names."""
 OLDER = ("gtau-model/2", "gtau-model/3")
 """Schemas that are read too: 2 is without friction on all samples, and 3 has it apart from ``parameters``."""
 
@@ -79,7 +82,7 @@ def _gathered(entry: Any) -> Any:
     for key in ("value", "std", "freedom", "model_std", "outcome", "finding"):
         if key not in entry:
             raise ValueError(f"the key '{key}' is missing; add it")
-    return {"name": entry.get("joint"), **entry, "verdict": entry}
+    return {"name": entry.get("joint"), **entry, "between_run_std": entry.get("spread"), "verdict": entry}
 
 
 def _estimate(estimate: Estimate, *more: str, key: str = "name") -> dict[str, Any]:
@@ -94,7 +97,7 @@ def _estimate(estimate: Estimate, *more: str, key: str = "name") -> dict[str, An
         "model_std": estimate.model_std,
         "unit": estimate.unit,
         **_verdict(estimate.verdict),
-        **{name: getattr(estimate, name) for name in more},
+        **{WRITTEN.get(name, name): getattr(estimate, name) for name in more},
     }
 
 
@@ -151,13 +154,23 @@ _Joint = Annotated[
 _ByName = Annotated[tuple[_Estimate, ...], AfterValidator(_by_name)]
 _ByParameter = Annotated[_ByName, AfterValidator(_by_parameter)]
 _TorqueError = Annotated[TorqueError, _with("relative", "relative_all", "relative_raw")]
-NoteEntry = Annotated[Finding, BeforeValidator(read_note), PlainSerializer(note_document)]
+NoteEntry = Annotated[
+    Finding,
+    BeforeValidator(read_note),
+    AfterValidator(lambda finding: replace(finding, kind=FindingKind(finding.kind))),
+    PlainSerializer(note_document),
+]
 
 
 class _Group(BaseModel):
     """A group of keys, of which what follows from other values is not read."""
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True, defer_build=True)
+
+
+class _Scale(_Group):
+    joint: str
+    scale: dict[str, float] = {}
 
 
 class _Known(_Group):
@@ -199,7 +212,7 @@ class _Sensor(_Group):
     delay: _Joint
     residual: _TorqueError
     ratio: _Joint | None
-    kind: Annotated[ChannelKind, BeforeValidator(sensor_kind), PlainSerializer(lambda kind: kind.name)] = SENSOR
+    kind: Annotated[ChannelKind, BeforeValidator(link_side_kind), PlainSerializer(lambda kind: kind.name)] = SENSOR
 
 
 class _Preparation(_Group):
@@ -292,9 +305,10 @@ class _Model(_Group):
     method: Annotated[str, AfterValidator(_method)]
     kind: Literal["current", "torque"]
     runs: tuple[str, ...]
-    drive_gains: Annotated[_ByName, _listed("scale", key="joint")]
+    drive_gains: Annotated[_ByName, _listed(key="joint")]
+    scale: tuple[_Scale, ...] = Field(validation_alias="drive_gains", exclude=True)
     delays: Annotated[_ByName, _listed(key="joint")]
-    parameters: Annotated[_ByParameter, _listed("regrouping", "spread", "essential")]
+    parameters: Annotated[_ByParameter, _listed("regrouping", "between_run_std", "essential")]
     friction: Annotated[_ByParameter, _listed()]
     equation_friction: Annotated[_ByParameter, _listed()] = Field(default=(), validate_default=True)
     curves: tuple[Annotated[FrictionCurve, PlainSerializer(_curve)], ...] = ()
@@ -308,7 +322,7 @@ class _Model(_Group):
     alternatives: tuple[Annotated[Alternative, PlainSerializer(_alternative)], ...]
     singularities: tuple[NearestPose, ...]
     temperatures: ReferenceTemperatures | None = None
-    geometry: Annotated[GeometryTest, PlainSerializer(geometry_document)] | None = None
+    geometry: Annotated[GeometryTest, BeforeValidator(from_document), PlainSerializer(geometry_document)] | None = None
     audit: Annotated[InertiaAudit, _with("stated_error", "identified_error")] | None = None
     notes: tuple[NoteEntry, ...]
     covariance: _Covariance
@@ -318,6 +332,7 @@ class _Model(_Group):
         """Assemble the result."""
         robot = parse_native(self.robot_file, path).with_file(inertias=tuple(self.stated_inertias.items()))
         values = dict(self) | {
+            "scale": {gain.joint: gain.scale for gain in self.scale if gain.scale},
             "curves": {curve.joint: curve for curve in self.curves},
             "sensors": tuple(SensorEstimate(**dict(sensor)) for sensor in self.sensors),
             "payloads": tuple(payload.made() for payload in self.payloads),
@@ -348,6 +363,8 @@ def to_document(result: Result) -> dict[str, Any]:
         "standard": _standard(result),
     }
     document = _Model.model_construct(**values).model_dump(mode="json")
+    for entry in document["drive_gains"]:
+        entry["scale"] = dict(result.scale.get(entry["joint"], {}))
     return {"schema": SCHEMA, "robot": result.robot.name, **document}
 
 

@@ -11,9 +11,8 @@ import numpy as np
 from gtau import display
 from gtau.documents.validation import PATH, takes
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict, parameter_verdict, verdict_of
-from gtau.estimation.regression.column_blocks import CarriedPayload, known_values
-from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.system import System
+from gtau.estimation.regression.column_blocks import PayloadColumns, known_values
+from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.unknowns import Estimates
 from gtau.estimation.results.estimate import Estimate
 from gtau.findings import Finding
@@ -111,14 +110,12 @@ class PayloadEstimate:
         return body
 
 
-def payload_estimates(
-    dataset: Dataset, system: System, vector: Estimates, masses: Mapping[str, Verdict]
-) -> tuple[PayloadEstimate, ...]:
+def payload_estimates(system: System, vector: Estimates, masses: Mapping[str, Verdict]) -> tuple[PayloadEstimate, ...]:
     """Collect the payload of every loaded run, known and unknown parameters together.
 
     ``vector`` are the estimates by the equations, ``masses`` verdicts on known payloads, by name.
     """
-    payloads = []
+    dataset, payloads = system.dataset, []
     for carried in system.payloads:
         known, name = known_values(carried.payload), carried.payload.name
         sums = _sums(carried, vector, dataset.robot)
@@ -134,18 +131,19 @@ def payload_estimates(
     return tuple(payloads)
 
 
-def _sums(carried: CarriedPayload, vector: Estimates, robot: Robot) -> dict[str, Estimate]:
+def _sums(carried: PayloadColumns, vector: Estimates, robot: Robot) -> dict[str, Estimate]:
     """Collect the parameters of a payload by kind: what is stated, and the identified sums."""
     estimates = {}
     for kind, known in known_values(carried.payload).items():
         stated = carried.payload.mass_std or None if kind == "m" else None
         estimates[kind] = Estimate(kind, known, stated, unit_of(kind, robot, robot.tool), kind)
-    names = {kind: name for name, kind in carried.unknown.items()}
-    for kind, regrouping in carried.regroupings.items():
-        if kind not in estimates:
-            value, std, freedom = _estimated(vector, names[kind])
+    for name in carried.unknown:
+        if (kind := name.kind) not in estimates:
+            value, std, freedom = _estimated(vector, name)
             verdict, unit = parameter_verdict(value, std), unit_of(kind, robot, robot.tool)
-            estimates[kind] = Estimate(kind, value, std, unit, regrouping, verdict=verdict, freedom=freedom)
+            estimates[kind] = Estimate(
+                kind, value, std, unit, carried.regrouping(name), verdict=verdict, freedom=freedom
+            )
     return estimates
 
 
@@ -166,12 +164,12 @@ def _possible(mass: Estimate | None) -> Verdict:
     return verdict_of(Finding(F.NEGATIVE_PAYLOAD, values={"mass": mass.value, "std": mass.std}))
 
 
-def _weighed(robot: Robot, carried: CarriedPayload, vector: Estimates) -> Weighed:
+def _weighed(robot: Robot, carried: PayloadColumns, vector: Estimates) -> Weighed:
     """Collect the identified sums of parameters, and the stated values of the others."""
     seen = [name for name in carried.unknown if name in vector.unknowns.places]
     sums = np.zeros((len(seen), len(INERTIAL)))
-    rows = [list(carried.unknown).index(name) for name in seen]
-    sums[:, [INERTIAL.index(kind) for kind in carried.free]] = carried.sums[rows]
+    rows = [carried.unknown.index(name) for name in seen]
+    sums[:, [INERTIAL.index(kind) for kind in carried.summed]] = carried.sums[rows]
     estimates = vector.select(seen)
     unit = dict(zip(INERTIAL, np.eye(len(INERTIAL)), strict=True))
     stated = [(unit[kind], value) for kind, value in known_values(carried.payload).items()]

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar, overload
 
 import numpy as np
 
@@ -44,6 +44,29 @@ if TYPE_CHECKING:
     import polars as pl
 
 
+T = TypeVar("T")
+
+
+class Forwarded(Generic[T]):
+    """A field of one of the groups of a result, as a property of the result."""
+
+    def __init__(self, group: str, words: str) -> None:
+        self.group, self.__doc__ = group, words
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    @overload
+    def __get__(self, result: None, owner: type) -> Self: ...
+    @overload
+    def __get__(self, result: Result, owner: type) -> T: ...
+    def __get__(self, result: Result | None, owner: type) -> Self | T:
+        if result is None:
+            return self
+        value: T = getattr(getattr(result, self.group), self.name)
+        return value
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Result:
     """Drive gains, parameters and payloads of a robot, identified from its logs.
@@ -67,6 +90,52 @@ class Result:
     fit: FitRecord
     evidence: Evidence = field(default_factory=Evidence)
 
+    drive_gains = Forwarded[Named[str]](
+        "estimates", "Drive gains by joint, N m/A or N/A; of logged torques the factors that make them true."
+    )
+    delays = Forwarded[Named[str]]("estimates", "Delays of the current references by joint, s.")
+    parameters = Forwarded[Named[Parameter]]("estimates", "All base parameters, with which the model predicts.")
+    friction = Forwarded[Named[Parameter]](
+        "estimates", "Friction with which the model predicts beyond that among the base parameters."
+    )
+    payloads = Forwarded[tuple[PayloadEstimate, ...]]("estimates", "One entry for each loaded run.")
+    sensors = Forwarded[tuple[SensorEstimate, ...]]("estimates", "Sensors of joints, behind their drives.")
+    covariance_names = Forwarded[tuple[Parameter, ...]]("estimates", "Names of the rows of the covariance.")
+    covariance = Forwarded[np.ndarray]("estimates", "Covariance of parameters, gains and delays.")
+    temperatures = Forwarded[ReferenceTemperatures | None](
+        "estimates", "Temperatures at which friction has its values."
+    )
+    consistency = Forwarded[Consistency | None]("estimates", "Physically consistent standard parameters.")
+    method = Forwarded[str]("fit", "Name of the estimator.")
+    kind = Forwarded[str]("fit", "``current`` or ``torque``: what was logged.")
+    runs = Forwarded[tuple[str, ...]]("fit", "Names of the runs.")
+    preparation = Forwarded[Preparation]("fit", "How the logs were filtered and decimated.")
+    residuals = Forwarded[tuple[TorqueError, ...]]("fit", "Torque errors over the rows used.")
+    logged_speeds = Forwarded[Mapping[str, float]](
+        "fit", "Largest speed of each actuated joint among these, rad/s or m/s."
+    )
+    statistics = Forwarded[Mapping[str, float]]("fit", "Further figures of the method.")
+    scale = Forwarded[Mapping[str, Mapping[str, float]]]("fit", "What the scale of each gain rests on, in shares.")
+    singular_values = Forwarded[tuple[float, ...]]("fit", "Singular values of ``W_tot`` (eq. 33), in falling order.")
+    data = Forwarded[tuple[Run, ...]]("fit", "The runs; empty for a result read from a file.")
+    notes = Forwarded[tuple[Finding, ...]]("evidence", "What was repaired, left out, or is not to be trusted.")
+    alternatives = Forwarded[tuple[Alternative, ...]](
+        "evidence", "What the model may lack, and by how much that would move the gains."
+    )
+    curves = Forwarded[Mapping[str, FrictionCurve]](
+        "evidence", "What the data say of friction on all samples, by joint."
+    )
+    equation_friction = Forwarded[Named[Parameter]](
+        "evidence", "Friction in the equations that give gains and inertia."
+    )
+    geometry = Forwarded[GeometryTest | None]("evidence", "What logged poses say of the robot's geometry.")
+    audit = Forwarded[InertiaAudit | None]("evidence", "How well the inertias of the robot's file predict.")
+    requirements = Forwarded[tuple[Requirement, ...]](
+        "evidence", "What the experiment file requires, and what was found of it."
+    )
+    singularities = Forwarded[tuple[NearestPose, ...]]("evidence", "Where each run comes nearest to singularities.")
+    distances = Forwarded[tuple[Distances, ...]]("evidence", "Distances to singularities along the runs.")
+
     def __repr__(self) -> str:
         gains = ", ".join(f"{joint} {gain}" for joint, gain in self.drive_gains.items())
         head = f"{type(self).__name__}({self.robot.name!r}, {self.method!r}: drive gains {gains}; "
@@ -77,10 +146,10 @@ class Result:
 
     def replaced(self, **values: Any) -> Result:
         """Return the result with other values of fields of its groups, by name."""
-        fields = {
-            key: value for group in (self.estimates, self.fit, self.evidence) for key, value in vars(group).items()
-        }
-        return result_of(values.pop("model", self.model), **fields | values)
+        groups: dict[str, dict[str, Any]] = {}
+        for name, value in values.items():
+            groups.setdefault(getattr(type(self), name).group, {})[name] = value
+        return replace(self, **{group: replace(getattr(self, group), **fields) for group, fields in groups.items()})
 
     @property
     def robot(self) -> Robot:
@@ -96,146 +165,6 @@ class Result:
     def base(self) -> BaseParameters:
         """Its base parameters."""
         return self.model.base
-
-    @property
-    def drive_gains(self) -> Named[str]:
-        """Drive gains by joint, N m/A or N/A; of logged torques the factors that make them true."""
-        return self.estimates.drive_gains
-
-    @property
-    def delays(self) -> Named[str]:
-        """Delays of the current references by joint, s."""
-        return self.estimates.delays
-
-    @property
-    def parameters(self) -> Named[Parameter]:
-        """All base parameters, with which the model predicts."""
-        return self.estimates.parameters
-
-    @property
-    def friction(self) -> Named[Parameter]:
-        """Friction with which the model predicts beyond that among the base parameters."""
-        return self.estimates.friction
-
-    @property
-    def payloads(self) -> tuple[PayloadEstimate, ...]:
-        """One entry for each loaded run."""
-        return self.estimates.payloads
-
-    @property
-    def sensors(self) -> tuple[SensorEstimate, ...]:
-        """Sensors of joints, behind their drives."""
-        return self.estimates.sensors
-
-    @property
-    def covariance_names(self) -> tuple[Parameter, ...]:
-        """Names of the rows of the covariance."""
-        return self.estimates.covariance_names
-
-    @property
-    def covariance(self) -> np.ndarray:
-        """Covariance of parameters, gains and delays."""
-        return self.estimates.covariance
-
-    @property
-    def temperatures(self) -> ReferenceTemperatures | None:
-        """Temperatures at which friction has its values."""
-        return self.estimates.temperatures
-
-    @property
-    def consistency(self) -> Consistency | None:
-        """Physically consistent standard parameters."""
-        return self.estimates.consistency
-
-    @property
-    def method(self) -> str:
-        """Name of the estimator."""
-        return self.fit.method
-
-    @property
-    def kind(self) -> str:
-        """``current`` or ``torque``: what was logged."""
-        return self.fit.kind
-
-    @property
-    def runs(self) -> tuple[str, ...]:
-        """Names of the runs."""
-        return self.fit.runs
-
-    @property
-    def preparation(self) -> Preparation:
-        """How the logs were filtered and decimated."""
-        return self.fit.preparation
-
-    @property
-    def residuals(self) -> tuple[TorqueError, ...]:
-        """Torque errors over the rows used."""
-        return self.fit.residuals
-
-    @property
-    def logged_speeds(self) -> Mapping[str, float]:
-        """Largest speed of each actuated joint among these, rad/s or m/s."""
-        return self.fit.logged_speeds
-
-    @property
-    def statistics(self) -> Mapping[str, float]:
-        """Further figures of the method."""
-        return self.fit.statistics
-
-    @property
-    def singular_values(self) -> tuple[float, ...]:
-        """Singular values of ``W_tot`` (eq. 33), in falling order."""
-        return self.fit.singular_values
-
-    @property
-    def data(self) -> tuple[Run, ...]:
-        """The runs; empty for a result read from a file."""
-        return self.fit.data
-
-    @property
-    def notes(self) -> tuple[Finding, ...]:
-        """What was repaired, left out, or is not to be trusted."""
-        return self.evidence.notes
-
-    @property
-    def alternatives(self) -> tuple[Alternative, ...]:
-        """What the model may lack, and by how much that would move the gains."""
-        return self.evidence.alternatives
-
-    @property
-    def curves(self) -> Mapping[str, FrictionCurve]:
-        """What the data say of friction on all samples, by joint."""
-        return self.evidence.curves
-
-    @property
-    def equation_friction(self) -> Named[Parameter]:
-        """Friction in the equations that give gains and inertia."""
-        return self.evidence.equation_friction
-
-    @property
-    def geometry(self) -> GeometryTest | None:
-        """What logged poses say of the robot's geometry."""
-        return self.evidence.geometry
-
-    @property
-    def audit(self) -> InertiaAudit | None:
-        """How well the inertias of the robot's file predict."""
-        return self.evidence.audit
-
-    @property
-    def requirements(self) -> tuple[Requirement, ...]:
-        """What the experiment file requires, and what was found of it."""
-        return self.evidence.requirements
-
-    @property
-    def singularities(self) -> tuple[NearestPose, ...]:
-        """Where each run comes nearest to singularities."""
-        return self.evidence.singularities
-
-    @property
-    def distances(self) -> tuple[Distances, ...]:
-        """Distances to singularities along the runs."""
-        return self.evidence.distances
 
     @cached_property
     def friction_law(self) -> FrictionLaw:
@@ -378,15 +307,3 @@ class Result:
         """Load a result written by :meth:`save`; raises GtauError if the file is not one."""
         result: Result = late("estimation.results.model_file").load(path)
         return result
-
-
-def result_of(model: Model, **values: Any) -> Result:
-    """Make a result of the fields of its groups, by name; raises TypeError where one is of none."""
-    of_groups = [
-        {key: values.pop(key) for key in tuple(values) if key in group.__dataclass_fields__}
-        for group in (ModelEstimates, FitRecord, Evidence)
-    ]
-    if values:
-        raise TypeError(f"a result has no '{next(iter(values))}'")
-    estimates, fit, evidence = of_groups
-    return Result(model, ModelEstimates(**estimates), FitRecord(**fit), Evidence(**evidence))

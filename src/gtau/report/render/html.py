@@ -45,16 +45,20 @@ def html(page: Page, embedded: bool = False) -> str:
     def spec(panel: Any, of: str, last: bool) -> str:
         return json.dumps(spec_of(panel, arrays, of, last))
 
-    return _template().render(
-        page=page,
-        embedded=embedded,
-        scripts=scripts,
-        policy=_policy(scripts),
-        style=(asset("uPlot.min.css") if live else "") + _style(),
-        licence=asset("uPlot.LICENSE.txt") if live else "",
-        arrays=arrays,
-        group=group,
-        spec=spec,
+    return (
+        _environment()
+        .get_template("page.html.j2")
+        .render(
+            page=page,
+            embedded=embedded,
+            scripts=scripts,
+            policy=_policy(scripts),
+            style=(asset("uPlot.min.css") if live else "") + _style(),
+            licence=asset("uPlot.LICENSE.txt") if live else "",
+            arrays=arrays,
+            group=group,
+            spec=spec,
+        )
     )
 
 
@@ -75,17 +79,13 @@ def _environment() -> Any:
     def load(name: str) -> str:
         return files("gtau.report.render").joinpath("templates", name).read_text(encoding="utf-8")
 
-    found = Environment(
+    environment = Environment(
         loader=FunctionLoader(load), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    found.globals.update(numeric=NUMERIC, badges=BADGES, svg=_svg, robot=_robot, isinstance=isinstance)
-    found.filters.update(cell=_cell, key=Column.sort_key, sentence=sentence, minus=minus)
-    found.tests.update(kind=lambda item, name: type(item).__name__ == name)
-    return found
-
-
-def _template() -> Any:
-    return _environment().get_template("page.html.j2")
+    environment.globals.update(numeric=NUMERIC, badges=BADGES, svg=_svg, robot=_robot)
+    environment.filters.update(cell=_cell, key=Column.sort_key, sentence=sentence, minus=minus)
+    environment.tests.update(kind=lambda item, name: type(item).__name__ == name)
+    return environment
 
 
 def _cell(column: Column, cell: Any) -> str:
@@ -183,13 +183,13 @@ def live_charts(items: tuple[Item, ...]) -> Iterator[Chart]:
 
 def spec_of(panel: Panel, arrays: Arrays, group: str, last: bool) -> dict[str, Any]:
     """Describe a panel for the script of the page, and pack its series."""
-    time = panel.series[0].x
-    thin_time, thin = envelope(time, np.column_stack([each.y for each in panel.series]), arrays.buckets)
+    values = np.column_stack([series.y for series in panel.series])
+    thin_time, thin = envelope(panel.series[0].x, values, arrays.buckets)
     spec: dict[str, Any] = {
         "x": arrays.put(thin_time),
         "series": [
-            {"label": each.label, "data": arrays.put(thin[:, k]), "colour": each.colour, "width": each.width}
-            for k, each in enumerate(panel.series)
+            {"label": series.label, "data": arrays.put(thin[:, k]), "colour": series.colour, "width": series.width}
+            for k, series in enumerate(panel.series)
         ],
         "unit": panel.y.label,
         "group": group,

@@ -62,18 +62,7 @@ class JointSpectrum:
 
 
 def spectra(run: Run) -> tuple[JointSpectrum, ...]:
-    """Estimate spectra, end of the signal and bandwidth of every joint.
-
-    Parameters
-    ----------
-    run : Run
-        One run; a long one is read in segments.
-
-    Returns
-    -------
-    tuple of JointSpectrum
-        One for each joint, in order.
-    """
+    """Estimate spectra, end of the signal and bandwidth of every joint; a long run is read in segments."""
     frequency, density = _accelerations(run.position, run.rate)
     gain = (2 * run.rate * np.sin(np.pi * frequency / run.rate)) ** 2  # power of a difference
     high = frequency > NOISE * run.rate

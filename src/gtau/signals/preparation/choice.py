@@ -28,27 +28,13 @@ LARGEST_FACTOR = 400
 def choose_preparation(runs: Sequence[Run], decimator: Literal["fir", "chebyshev"] = "fir") -> Preparation:
     """Choose the preparation of an experiment from its runs; entries of their ``settings`` take precedence.
 
-    The bandwidth is the largest of all joints in all runs. The position filter follows from it and from where noise
-    takes over, see :func:`gtau.signals.preparation.filters.cutoff_frequency`. The decimation leaves five rows in a
-    period of the bandwidth, or more where it would lose more than 15 % of the samples around reversals and rests.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-        All runs of the experiment; their rates may differ.
-    decimator : {"fir", "chebyshev"}
-        The compact FIR, or the paper's filter.
-
-    Returns
-    -------
-    Preparation
-
-    Raises
-    ------
-    GtauError
-        No joint moves in a run, or a filter that is given is none at the rate of the slowest run.
+    The bandwidth is the largest of all joints in all runs, whose rates may differ. The position filter follows from it
+    and from where noise takes over, see :func:`gtau.signals.preparation.filters.cutoff_frequency`. The decimation
+    leaves five rows in a period of the bandwidth, or more where it would lose more than 15 % of the samples around
+    reversals and rests. Raises GtauError where no joint moves in a run, or a filter that is given is none at the rate
+    of the slowest run.
     """
-    settings = runs[0].settings
+    settings = runs[0].log.settings
     slowest = min(run.rate for run in runs)
     found = [moving_spectra(run) for run in runs]
     moving = [each for of_run in found for each in of_run if each.moves]

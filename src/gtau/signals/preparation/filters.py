@@ -124,25 +124,10 @@ def differentiate(x: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
 def position_filter(
     position: np.ndarray, rate: float, cutoff: Cutoff, start: int = 0, stop: int | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute filtered positions, speeds and accelerations.
+    """Compute filtered positions, speeds and accelerations, each (stop - start, n), of positions (N, n).
 
-    A stretch of the result equals that of the whole log; only samples within reach of the filters are read.
-
-    Parameters
-    ----------
-    position : ndarray (N, n)
-        Positions on a uniform grid, rad or m.
-    rate : float
-        Sampling rate, Hz.
-    cutoff : float, tuple or None
-        Cut-off of the low-pass, Hz, of all columns or of each; None for no filter.
-    start, stop : int
-        First sample wanted, and the one after the last; all of the log if left out.
-
-    Returns
-    -------
-    q, qd, qdd : ndarray (stop - start, n)
-        In the position's unit, per s and per s2.
+    ``rate`` and ``cutoff`` (of all columns or of each; None for no filter) are in Hz. A part from ``start`` to before
+    ``stop`` equals that of the whole log; only samples within reach of the filters are read.
     """
     stop = len(position) if stop is None else stop
     margin = filter_margin(rate, cutoff)
@@ -228,20 +213,7 @@ class Decimator:
             yield Block(slice(begin, min(n, last + self.warm_up + 1)), slice(start, stop), first - begin)
 
     def apply(self, columns: np.ndarray, block: Block | None = None) -> np.ndarray:
-        """Compute the outputs of a block.
-
-        Parameters
-        ----------
-        columns : ndarray (..., M)
-            Columns at the samples of the block.
-        block : Block, optional
-            One of `blocks`; without it the columns are those of a whole log.
-
-        Returns
-        -------
-        ndarray (..., outputs)
-            Columns at the instants of the outputs.
-        """
+        """Compute the outputs (..., outputs) of columns (..., M) at the samples of a block, or of a whole log."""
         if block is None:
             instants = self.instants(columns.shape[-1])
             block = Block(slice(0, columns.shape[-1]), slice(0, len(instants)), self.support)
@@ -263,17 +235,8 @@ class Decimator:
     def smooth(self, columns: np.ndarray, first: int, count: int) -> np.ndarray:
         """Filter without decimation: compute the outputs at ``count`` samples of a block from its ``first`` on.
 
-        Beyond the ends of the log its last sample is repeated; see :meth:`near`.
-
-        Parameters
-        ----------
-        columns : ndarray (..., M)
-            Columns at the samples of the block, with up to ``warm_up`` samples on either side.
-
-        Returns
-        -------
-        ndarray (..., count)
-            Columns at these samples.
+        The columns (..., M) have up to ``warm_up`` samples on either side. Beyond the ends of the log its last sample
+        is repeated; see :meth:`near`.
         """
         if self.factor == 1 or self.kind == "chebyshev":
             from scipy.signal import sosfiltfilt

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -36,23 +36,12 @@ NOISY = 1e3  # signal-to-noise ratios below are noted: noise then adds more than
 class Preparation:
     """Preparation of the runs of an experiment.
 
-    Attributes
-    ----------
-    bandwidth, cutoff : float
-        Of the motion and of the position filter (None: no filter), Hz.
-    decimator : Decimator
-        Of runs with this ``rate``; others are decimated to the same row rate.
-    speed_fraction : float
-        A joint's row is left out where its speed is below this share of its rms speed.
-    rate : float
-        Sampling rate of the slowest run, Hz; 0 if unknown.
-    given : tuple of str
-        Names of settings made by hand, see :class:`gtau.signals.reading.statements.PreparationSettings`.
-    prediction_cutoffs : tuple
-        Of the position filter of each joint when torques are predicted, Hz; empty for that of identification. See
-        :func:`gtau.uses.prediction.with_prediction_cutoffs`.
-    position_noise : tuple of float
-        Of the same joints, see :func:`gtau.signals.preparation.bandwidth.position_noise`.
+    ``bandwidth`` of the motion and ``cutoff`` of the position filter (None: no filter) are in Hz. The ``decimator`` is
+    that of runs with this ``rate`` (Hz, of the slowest run; 0 if unknown); others are decimated to the same row rate. A
+    joint's row is left out where its speed is below the ``speed_fraction`` of its rms speed. ``given`` names the
+    settings made by hand. ``prediction_cutoffs`` (Hz) and ``position_noise`` of each joint, where they are known, are
+    for predicted torques: see :func:`gtau.uses.prediction_filter.with_prediction_cutoffs` and
+    :func:`gtau.signals.preparation.bandwidth.position_noise`.
     """
 
     bandwidth: float
@@ -78,15 +67,16 @@ class Preparation:
 
 @dataclass(frozen=True, eq=False)
 class SampleWindow:
-    """Consecutive samples of a run, ready for the model; arrays share the sample axis M.
+    """Consecutive samples of a run in memory, ready for the model; arrays share the sample axis M.
 
     ``q``, ``qd``, ``qdd`` (M, n) in rad or m, s; ``command`` (M, c + 6 k), of the joints, then of the torque sensors,
     then of k wrenches, and its time derivatives ``command_d``, ``command_dd``, the columns of a delay. ``usable``
-    (M, c) is False where a row
-    must not be used: around the joint's reversals and rests, at gaps, at the ends of the filter, and
-    always for a joint that does not move. ``time`` (M,) in s.
+    (M, c) is False where a row must not be used: around the joint's reversals and rests, at gaps, at the ends of the
+    filter, and always for a joint that does not move. ``time`` (M,) in s. It may be a part ``of`` another window, that
+    begins with the sample of this number.
     """
 
+    run: Run
     time: np.ndarray
     q: np.ndarray
     qd: np.ndarray
@@ -95,34 +85,40 @@ class SampleWindow:
     command_d: np.ndarray
     command_dd: np.ndarray
     usable: np.ndarray
+    of: tuple[SampleWindow, int] | None = field(default=None, kw_only=True)
+
+    def __len__(self) -> int:
+        return len(self.time)
 
     def __getitem__(self, samples: slice) -> SampleWindow:
-        return SampleWindow(*(getattr(self, field.name)[samples] for field in fields(self)))
+        return SampleWindow(self.run, *(getattr(self, name)[samples] for name in ARRAYS))
+
+    def awake(self) -> tuple[np.ndarray, np.ndarray]:
+        """Split the samples into parts at (parts + 1,) indices, and mark the parts in which a row is usable."""
+        at = _parts(len(self))
+        return at, np.array([bool(np.any(block(self.usable, *span))) for span in pairwise(at.tolist())])
+
+    def samples(self, start: int = 0, stop: int | None = None) -> SampleWindow:
+        """Return samples from ``start`` to before ``stop``."""
+        stop = len(self) if stop is None else stop
+        if stored(self.q) is None:
+            return self if (start, stop) == (0, len(self)) else self[start:stop]
+        return SampleWindow(self.run, *(block(getattr(self, name), start, stop) for name in ARRAYS))
+
+
+ARRAYS = "time", "q", "qd", "qdd", "command", "command_d", "command_dd", "usable"
 
 
 @dataclass(frozen=True, eq=False)
 class PreparedRun:
-    """Prepared run; :meth:`samples` returns any stretch of it ready for the model.
+    """Prepared run; :meth:`samples` returns any part of it ready for the model.
 
-    Attributes
-    ----------
-    run, preparation : Run, Preparation
-        The run and its preparation.
-    kept : range
-        Samples of the run that are used: those from the first motion to the last.
-    moves : ndarray
-        (n,) True for joints that move.
-    speeds : ndarray
-        (n, n) Mean of ``qd qd^T`` over these samples, the reference of the joints' speed thresholds.
-    motor_to_joint_speed : ndarray
-        (n_y, n) Joint speeds from motor speeds; nonzero where a joint's friction appears in the motor's row: for the
-        motor's own joint, and for others in coupled chains.
-    peaks : ndarray
-        (PARTS, n) Largest speeds in equal parts of the run.
-    notes : tuple of Note
-        On omitted parts.
-    cutoffs : tuple
-        Of the position filter of each joint, Hz; empty for that of the preparation.
+    Of the run's samples those ``kept`` are used, from the first motion to the last. ``moves`` (n,) marks joints that
+    move; ``speeds`` (n, n) is the mean of ``qd qd^T`` over these samples, the reference of the joints' speed
+    thresholds. ``motor_to_joint_speed`` (n_y, n) gives joint speeds from motor speeds; it is nonzero where a joint's
+    friction appears in the motor's row: for the motor's own joint, and for others in coupled chains. ``peaks`` (PARTS,
+    n) are the largest speeds in equal parts of the run; ``notes`` report omitted parts. ``cutoffs`` (Hz) are those of
+    the position filter of each joint; empty for that of the preparation.
     """
 
     run: Run
@@ -200,71 +196,25 @@ class PreparedRun:
         for frame, six in wrenches:
             usable &= valid[:, six].all(axis=1, keepdims=True) | (frame.body in run.base) & ~base
         return SampleWindow(
-            block(run.time, at.start, at.stop), q, qd, qdd, command, command_d, command_dd, usable
+            run, block(run.time, at.start, at.stop), q, qd, qdd, command, command_d, command_dd, usable
         )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class InMemoryRun:
-    """In-memory run along a synthetic motion, ready for the model; interface of :class:`PreparedRun`.
-
-    It may be a window of another run, ``whole``, that begins with its sample ``first``.
-    """
-
-    run: Run
-    all: SampleWindow
-    whole: InMemoryRun | None = None
-    first: int = 0
-
-    def __len__(self) -> int:
-        return len(self.all.time)
-
-    def awake(self) -> tuple[np.ndarray, np.ndarray]:
-        """Split the samples into parts at (parts + 1,) indices, and mark the parts in which a row is usable."""
-        at = _parts(len(self))
-        moving = [bool(np.any(block(self.all.usable, *each))) for each in pairwise(at.tolist())]
-        return at, np.array(moving)
-
-    def samples(self, start: int = 0, stop: int | None = None) -> SampleWindow:
-        """Return samples from ``start`` to before ``stop``."""
-        stop = len(self) if stop is None else stop
-        if stored(self.all.q) is None:
-            return self.all[start:stop]
-        return SampleWindow(*(block(getattr(self.all, field.name), start, stop) for field in fields(SampleWindow)))
-
-
 def joined(windows: Sequence[SampleWindow]) -> SampleWindow:
-    """Concatenate stretches of samples."""
+    """Concatenate windows of a run."""
     if len(windows) == 1:
         return windows[0]
     return SampleWindow(
-        *(np.concatenate([getattr(each, field.name) for each in windows]) for field in fields(windows[0]))
+        windows[0].run, *(np.concatenate([getattr(window, name) for window in windows]) for name in ARRAYS)
     )
 
 
 def prepare(run: Run, preparation: Preparation, motor_to_joint_speed: np.ndarray | None = None) -> PreparedRun:
-    """Find the moving part of a run.
+    """Find the moving part of a run: the rest at its beginning and end, where no joint is fast enough, is cut off.
 
-    The rest at the beginning and the end, where no joint exceeds its speed threshold, is cut off.
-
-    Parameters
-    ----------
-    run : Run
-        One run.
-    preparation : Preparation
-        Of its experiment.
-    motor_to_joint_speed : ndarray, optional
-        See :class:`PreparedRun`; a joint of its own for each motor if left out.
-
-    Returns
-    -------
-    PreparedRun
-        Not decimated: decimation is applied to the columns of the model.
-
-    Raises
-    ------
-    GtauError
-        No joint moves, or the log is shorter than its filters.
+    ``motor_to_joint_speed``, see :class:`PreparedRun`, is a joint of its own for each motor if left out. Nothing is
+    decimated, as decimation is applied to the columns of the model. Raises GtauError where no joint moves, or the log
+    is shorter than its filters.
     """
     samples, n = len(run.time), len(run.joints)
     found = spectra(run)
@@ -339,7 +289,8 @@ def _notes(
     if noisy:
         yield Finding(F.NOISY, tuple(joint for joint, _ in noisy), values={"shares": noisy})
     if preparation.bandwidth > CLOSE_TO_NYQUIST * run.rate:
-        yield Finding(F.RATE, values={"bandwidth": preparation.bandwidth, "nyquist": run.rate / 2})
+        bandwidth = preparation.bandwidth
+        yield Finding(F.RATE, values={"bandwidth": bandwidth, "nyquist": run.rate / 2, "wanted": 10 * bandwidth})
 
 
 def valid_samples(run: Run, preparation: Preparation, start: int, stop: int) -> np.ndarray:

@@ -139,11 +139,8 @@ class BaseColumns(Keys):
     def positions(self, pose: np.ndarray) -> np.ndarray:
         """Convert a pose (M, p) to positions (M, 6) of the six joints.
 
-        Raises
-        ------
-        GtauError
-            Where a quaternion's length is not 1, or the pitch is close to 90 degrees, where the angles of the base are
-            singular.
+        Raises GtauError where a quaternion's length is not 1, or the pitch is close to 90 degrees, where the angles of
+        the base are singular.
         """
         p = pose[:, :3] if self.position else np.zeros((len(pose), 3))
         angles = np.zeros((len(pose), 3)) if self.quaternion is None else self._angles(pose[:, -4:])

@@ -1,83 +1,64 @@
-"""Assignment of log columns to signals and units."""
+"""Assignment of log columns to signals, and presets of common recorders."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, FiniteFloat, Tag, field_validator, model_validator
+from pydantic import Discriminator, Field, FiniteFloat, Tag, create_model, field_validator, model_validator
 
 from gtau.documents.validation import Keys, Positive
-from gtau.signals.channel import Channel, channels_of
+from gtau.signals.channel import LINK_SIDE, Channel, ChannelKind, channels_of
 from gtau.signals.reading.body_columns import BaseColumns, BodyWrench, PoseColumns
 
 LEAST_RATE, LARGEST_RATE = 10.0, 5e4  # Hz; of drives that are logged
 
-
-@dataclass(frozen=True)
-class Preset:
-    """Time column with its unit, and patterns of the columns by joint: its number from 0 (``{k}``) or 1, or its name.
-
-    Without ``gravity``, the torques are gravity-compensated by the controller.
-    """
-
-    time: str
-    time_unit: str = "s"
-    position: str | None = None
-    current: str | None = None
-    torque: str | None = None
-    gravity: bool = True
-
-
-JOINT_STATES = ("/joint_states/header/stamp", "s", "/joint_states/{joint}/position")
-
-
-PRESETS: Mapping[str, Preset] = {
-    "ur_rtde": Preset("timestamp", position="actual_q_{k}", current="actual_current_{k}"),
-    "ur_rtde_torque": Preset(
-        "timestamp", position="actual_q_{k}", torque="actual_current_as_torque_{k}", gravity=False
-    ),
-    "ur-current": Preset(*JOINT_STATES, current="/joint_states/{joint}/effort"),
-    "ur-torque": Preset(*JOINT_STATES, torque="/joint_states/{joint}/effort", gravity=False),
-    "franka-ros": Preset(*JOINT_STATES, torque="/joint_states/{joint}/effort"),
-    "kinova": Preset(*JOINT_STATES, torque="/joint_states/{joint}/effort"),
-    "lerobot": Preset("timestamp", position="observation.state[{n}]", current="observation.current[{n}]"),
-    "franka": Preset("time", "ms", position="state.q[{k}]", torque="state.tau_J[{k}]"),
-    "plotjuggler": Preset("__time", position="/joint_states/{joint}/position", torque="/joint_states/{joint}/effort"),
-    "twincat_scope": Preset("time", "ms"),
+_JOINT_STATES = {"time": "/joint_states/header/stamp", "position": "/joint_states/{joint}/position"}
+_EFFORT = "/joint_states/{joint}/effort"
+_COMPENSATED = {"gravity": [0, 0, 0]}
+PRESETS: Mapping[str, Mapping[str, Any]] = {
+    "ur_rtde": {"time": "timestamp", "position": "actual_q_{k}", "current": "actual_current_{k}"},
+    "ur_rtde_torque": {
+        "time": "timestamp",
+        "position": "actual_q_{k}",
+        "torque": "actual_current_as_torque_{k}",
+        "robot": _COMPENSATED,
+    },
+    "ur-current": _JOINT_STATES | {"current": _EFFORT},
+    "ur-torque": _JOINT_STATES | {"torque": _EFFORT, "robot": _COMPENSATED},
+    "franka-ros": _JOINT_STATES | {"torque": _EFFORT},
+    "kinova": _JOINT_STATES | {"torque": _EFFORT},
+    "lerobot": {"time": "timestamp", "position": "observation.state[{n}]", "current": "observation.current[{n}]"},
+    "franka": {"time": "time", "units": {"time": "ms"}, "position": "state.q[{k}]", "torque": "state.tau_J[{k}]"},
+    "plotjuggler": {"time": "__time", "position": "/joint_states/{joint}/position", "torque": _EFFORT},
+    "twincat_scope": {"time": "time", "units": {"time": "ms"}},
 }
-
-
-def time_unit(preset: str | None) -> str:
-    """Return the unit of the time column where none is given."""
-    return "s" if preset is None else PRESETS[preset].time_unit
+"""Entries of an experiment file: the time column and its unit, columns by joint, its number from 0 (``{k}``) or 1
+(``{n}``) or its name, and the gravity of a robot whose controller compensates it in the torques."""
 
 
 def expanded(signals: Mapping[str, Any]) -> dict[str, Any]:
     """Fill in the columns of a preset for the ``joints`` named, those given by hand first.
 
-    Raises
-    ------
-    ValueError
-        There is no such preset, or its joints are missing; the text gives the remedy.
+    Raises ValueError, whose text gives the remedy, where there is no such preset, or its joints are missing.
     """
     given = {key: value for key, value in signals.items() if key != "joints"}
     preset = PRESETS.get(str(signals["preset"]))
     if preset is None:
         raise ValueError(f"there is no preset '{signals['preset']}'; choose from {', '.join(PRESETS)}")
-    patterns = {"position": preset.position, "current": preset.current, "torque": preset.torque}
-    if given.keys() & {"current", "torque", "motor_torque"}:
-        patterns |= {"current": None, "torque": None}
-    wanted = {key: pattern for key, pattern in patterns.items() if pattern is not None and key not in given}
+    has_command = bool(given.keys() & {"current", "torque", "motor_torque"})
+    wanted = [
+        key for key in ("position", *(() if has_command else ("current", "torque"))) if key in preset.keys() - given
+    ]
     joints = signals.get("joints")
     if wanted and (not isinstance(joints, Sequence) or isinstance(joints, str) or not joints):
         raise ValueError(f"the preset '{signals['preset']}' needs the joints in their order; add 'joints: [..., ...]'")
     columns = {
-        key: {str(joint): pattern.format(k=k, n=k + 1, joint=joint) for k, joint in enumerate(joints or ())}
-        for key, pattern in wanted.items()
+        key: {str(joint): preset[key].format(k=k, n=k + 1, joint=joint) for k, joint in enumerate(joints or ())}
+        for key in wanted
     }
-    return {"time": preset.time} | columns | given
+    return {"time": preset["time"]} | columns | given
 
 
 def text_or_group(value: Any) -> str:
@@ -99,31 +80,36 @@ class SampleRate(Keys):
 
 TwoColumns = tuple[str, str]
 """Columns of the seconds and of the nanoseconds."""
+TimeColumns = Annotated[Annotated[str, Tag("text")] | Annotated[TwoColumns, Tag("pair")], Discriminator(_kind_of_time)]
 
 
 class StampsOfEach(Keys):
     """Time columns of positions and commands logged with separate time stamps."""
 
-    position: Annotated[Annotated[str, Tag("text")] | Annotated[TwoColumns, Tag("pair")], Discriminator(_kind_of_time)]
-    command: Annotated[Annotated[str, Tag("text")] | Annotated[TwoColumns, Tag("pair")], Discriminator(_kind_of_time)]
+    position: TimeColumns
+    command: TimeColumns
 
 
-class Calibration(Keys):
-    """Relative standard deviations of readings: of each torque sensor, and of all wrenches together."""
+def of_link_side(entry: Any) -> type[Keys]:
+    """Make the keys of all sensors on the link side, None where left out."""
+    fields: Any = {kind.calibration: (entry | None, None) for kind in LINK_SIDE}
+    return create_model("LinkSide", __base__=Keys, **fields)
 
-    joint_torque: Annotated[FiniteFloat, Field(gt=0, lt=0.5)] | None = None
-    wrenches: Annotated[FiniteFloat, Field(gt=0, lt=0.5)] | None = None
 
-    def of(self, channel: Channel) -> float:
-        """Return the relative standard deviation of a channel's readings, 0 where none is stated."""
-        return getattr(self, channel.kind.calibration) or 0.0
+Share = Annotated[FiniteFloat, Field(gt=0, lt=0.5)]
+
+
+class Calibration(of_link_side(Share), Keys):  # type: ignore[misc]
+    """Relative standard deviations of readings: of each sensor on the link side, and of all wrenches together."""
+
+    wrenches: Share | None = None
 
 
 EXACT = Calibration()
 """Sensors that read without an error of scale."""
 
 
-class Signals(Keys):
+class Signals(of_link_side(dict[str, str]), Keys):  # type: ignore[misc]
     """Columns of a log: time, and the position and the current (or torque) of every actuated joint.
 
     ``motor_torque`` times ``gear_ratio`` is the joint torque. ``joint_torque`` are torque sensors on the link side of
@@ -144,7 +130,6 @@ class Signals(Keys):
     torque: dict[str, str] | None = None
     motor_torque: dict[str, str] | None = None
     gear_ratio: dict[str, FiniteFloat] | None = None
-    joint_torque: dict[str, str] | None = None
     base: BaseColumns | None = None
     wrenches: tuple[BodyWrench, ...] = ()
     calibration: Calibration = EXACT
@@ -170,18 +155,18 @@ class Signals(Keys):
         """Columns of the currents or torques by joint."""
         return self.current or self.torque or self.motor_torque or {}
 
-    @property
-    def sensors(self) -> tuple[str, ...]:
-        """Joints with a torque sensor, in the order of the joints."""
-        return tuple(joint for joint in self.position if joint in (self.joint_torque or {}))
+    def sensors(self, kind: ChannelKind) -> dict[str, str]:
+        """Return the columns of a kind of sensor on the link side by joint, in the order of the joints."""
+        columns = getattr(self, kind.calibration) or {}
+        return {joint: columns[joint] for joint in self.position if joint in columns}
 
     @property
     def measured(self) -> tuple[str, ...]:
-        """Columns of the commands, then of the sensors behind the drives, then of all wrenches."""
+        """Columns of the commands, then of the sensors on the link side, then of all wrenches."""
         return (
             *(self.command[joint] for joint in self.position),
-            *(getattr(self, each.kind.calibration)[each.joint] for each in self.channels if each.kind.behind_drive),
-            *(column for each in self.all_wrenches for column in each.columns),
+            *(column for kind in LINK_SIDE for column in self.sensors(kind).values()),
+            *(column for wrench in self.all_wrenches for column in wrench.columns),
         )
 
     @property
@@ -193,7 +178,11 @@ class Signals(Keys):
     def channels(self) -> tuple[Channel, ...]:
         """Channels measured by these columns, the rows of a floating base among them."""
         base = self.base.joints if self.base else ()
-        return channels_of(self.joints, base, self.sensors, [each.frame for each in self.all_wrenches])
+        sensors = {kind: tuple(self.sensors(kind)) for kind in LINK_SIDE}
+        unit = "A" if self.kind == "current" else "N m"
+        channels = channels_of(self.joints, base, sensors, [wrench.frame for wrench in self.all_wrenches], unit)
+        stds = dict(self.calibration)
+        return tuple(replace(channel, std=stds.get(channel.kind.calibration) or 0.0) for channel in channels)
 
     @property
     def temperature_columns(self) -> dict[str, str]:
@@ -217,7 +206,7 @@ class Signals(Keys):
     def _preset(cls, data: Any) -> Any:
         return expanded(data) if isinstance(data, dict) and data.get("preset") else data
 
-    @field_validator("position", "current", "torque", "motor_torque", "joint_torque")
+    @field_validator("position", "current", "torque", "motor_torque", *(kind.calibration for kind in LINK_SIDE))
     @classmethod
     def _each_column_once(cls, columns: dict[str, str] | None) -> dict[str, str] | None:
         owners: dict[str, str] = {}
@@ -232,7 +221,7 @@ class Signals(Keys):
 
     @model_validator(mode="after")
     def _one_command_per_joint(self) -> Signals:
-        if sum(each is not None for each in (self.current, self.torque, self.motor_torque)) != 1:
+        if sum(columns is not None for columns in (self.current, self.torque, self.motor_torque)) != 1:
             raise ValueError(
                 "give the columns of either 'current' or 'torque' (or of 'motor_torque', with a 'gear_ratio'), one of "
                 "them"
@@ -260,12 +249,13 @@ class Signals(Keys):
 
     @model_validator(mode="after")
     def _each_wrench_of_its_own(self) -> Signals:
-        others = [*self.command.values(), *(self.joint_torque or {}).values(), *(self.base.forces if self.base else ())]
-        columns = [column for each in self.wrenches for column in each.columns]
+        others = [*self.command.values(), *(self.base.forces if self.base else ())]
+        others += [column for kind in LINK_SIDE for column in self.sensors(kind).values()]
+        columns = [column for wrench in self.wrenches for column in wrench.columns]
         for column in columns:
             if columns.count(column) > 1 or column in others:
                 raise ValueError(f"the column '{column}' under 'wrenches' is given twice; give each component its own")
-        if self.base is not None and any(each.body == self.base.body for each in self.wrenches):
+        if self.base is not None and any(wrench.body == self.base.body for wrench in self.wrenches):
             raise ValueError(
                 f"'wrenches' names the floating base '{self.base.body}'; describe wrenches on it under 'wrenches' of "
                 f"'base'"
@@ -274,7 +264,7 @@ class Signals(Keys):
 
     @model_validator(mode="after")
     def _calibration_of_sensors(self) -> Signals:
-        measured = {each.kind.calibration for each in self.channels[len(self.joints) :]}
+        measured = {channel.kind.calibration for channel in self.channels[len(self.joints) :]}
         for key, accuracy in self.calibration:
             if accuracy is not None and key not in measured:
                 raise ValueError(f"'calibration' is given for '{key}', which the signals lack; remove it")
@@ -282,17 +272,18 @@ class Signals(Keys):
 
     @model_validator(mode="after")
     def _sensors_of_joints(self) -> Signals:
-        for joint, column in (self.joint_torque or {}).items():
-            if joint not in self.position:
-                raise ValueError(
-                    f"'joint_torque' names the joint '{joint}', which has no position; correct the name, or remove the "
-                    "sensor of a joint without motor"
-                )
-            if column in self.command.values():
-                raise ValueError(
-                    f"the column '{column}' is given both as a {self.kind} and as a joint_torque; 'joint_torque' is "
-                    f"for sensors behind the gear, not for torques computed from motor currents"
-                )
+        for key in (kind.calibration for kind in LINK_SIDE):
+            for joint, column in (getattr(self, key) or {}).items():
+                if joint not in self.position:
+                    raise ValueError(
+                        f"'{key}' names the joint '{joint}', which has no position; correct the name, or remove the "
+                        "sensor of a joint without motor"
+                    )
+                if column in self.command.values():
+                    raise ValueError(
+                        f"the column '{column}' is given both as a {self.kind} and as a {key}; '{key}' is for sensors "
+                        "behind the gear, not for torques computed from motor currents"
+                    )
         return self
 
     @model_validator(mode="after")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,6 @@ from gtau.errors import GtauError
 from gtau.robots.robot import Robot
 from gtau.signals.reading.column_names import base_like, is_pose, is_temperature, mass_in_name, wrench_like
 from gtau.signals.reading.log_contents import Group, LogContents
-from gtau.signals.reading.log_file import find_columns
 
 LARGEST_CURRENT = 100.0  # A; commands of unknown kind with larger values are taken for torques, to be checked
 TURNS = 20.0  # rad or m; positions with a larger range are in deg or mm
@@ -23,172 +22,195 @@ TURNS = 20.0  # rad or m; positions with a larger range are in deg or mm
 # behind a low-pass of 10 Hz: 0.07 and 0.21; rounded to tenths of their standard deviation: 0.03.
 COMPUTED = 0.3
 
+UNSURE = {
+    "mass": "confirm the payload masses, read from the file names: they set the scale of all drive gains",
+    "robot": "name the robot: a name of the catalog (gtau robot), or the path of its URDF, MJCF or robot file",
+    "joints": "confirm that the columns are in the order of the joints",
+    "rate": "write the sampling rate, which is not in the log (time: {rate: HZ})",
+    "velocities": "confirm the sampling rate, found from the velocities (time: {rate: HZ})",
+    "unit": "confirm the unit of the positions (units: {position: ...})",
+    "motor": "confirm that these are proportional to the currents; motor torques are 'motor_torque:', with a "
+    "'gear_ratio:'",
+    "kind": "confirm whether these are currents or torques (key 'current:' or 'torque:')",
+    "gravity": "confirm that the controller compensates gravity in these torques, or remove 'gravity' of the robot",
+    "received": "messages without measurement stamps get receipt stamps, with the jitter of the middleware",
+    "clock": "confirm the time column, as other columns increase too",
+    "torques": "remove the '#' of joint_torque if those are sensors behind the gears, not computed from currents",
+    "sensors": "if they are computed from currents or by the controller's model, state the mass of a payload instead "
+    "(--payload LOG=KG)",
+    "base": "if the base of the robot moved, write 'base: floating' and the columns of its motion "
+    "(docs/lookup/experiment-file.md, 'A base that floats')",
+    "wrenches": "if forces that act on the robot are logged, describe them under 'wrenches:', those on a floating "
+    "base under 'base:' (docs/lookup/experiment-file.md, 'Wrenches on bodies')",
+    "reference": "confirm that these are the references of the current loops, not the feed-forward of a model",
+}
+"""Questions to the user, by the open points of a draft, in the order in which they are asked."""
+
 
 @dataclass(frozen=True)
 class Draft:
-    """Drafted experiment file: findings (with ``reasons`` by key) and undetermined entries (``open``).
+    """Drafted experiment file, with the ``reasons`` of its entries by key, and undetermined entries (``open``).
 
-    ``time`` are time columns, one or two, or the ``rate`` (Hz) instead; ``command_time`` those of commands with stamps
-    of their own. ``position`` and ``command`` are columns by joint, ``kind`` what the latter hold. ``masses`` (kg) of
-    payloads by log come from the names of the files. ``sensors`` are columns of torque sensors by joint, such by their
-    names, ``torques`` those that may be. ``others`` are columns that might be meant instead. Columns
-    of ``temperature`` are by joint, or one for all; those of a ``pose``, of the ``motion`` of a base and of
-    ``wrenches`` are only listed. ``base`` says how the robot's base is placed. Payloads of
-    logs that are ``stated`` do not come from their names. ``urdf`` is the text of the robot's file where a bag holds
-    it, ``moving`` its joints that the log has, where it lacks others. ``episodes`` are those of logs with several.
-    Torques without ``gravity`` are compensated by the controller.
+    ``logs`` are one file or two of each run; ``signals``, ``units`` and ``robot`` are as under these keys of the file,
+    but ``robot`` has no ``file`` where it is unknown, and a rate is None. ``masses`` (kg) of payloads by log come from
+    the names of the files where they are not ``stated``. ``beside`` are columns that are not used, some by joint:
+    ``temperature``, ``torques`` that may be of sensors, a ``pose``, the ``motion`` of a base, ``wrenches``, and
+    ``others`` that might be meant instead. ``urdf`` is the text of the robot's file where a bag holds it.
     """
 
     logs: tuple[tuple[Path, ...], ...]
-    robot: str | None
-    time: tuple[str, ...]
-    rate: float | None
-    position: Mapping[str, str]
-    command: Mapping[str, str]
-    kind: str
+    signals: Mapping[str, Any]
     units: Mapping[str, str]
-    command_time: tuple[str, ...] = ()
-    masses: Mapping[Path, float] = field(default_factory=dict)
-    others: tuple[str, ...] = ()
-    sensors: Mapping[str, str] = field(default_factory=dict)
-    torques: Mapping[str, str] = field(default_factory=dict)
-    reasons: Mapping[str, str] = field(default_factory=dict)
-    open: tuple[str, ...] = ()
-    temperature: Mapping[str, str] | str | None = None
-    pose: tuple[str, ...] = ()
-    motion: tuple[str, ...] = ()
-    wrenches: tuple[str, ...] = ()
-    base: Any = None
+    robot: Mapping[str, Any]
+    masses: Mapping[Path, float]
+    reasons: Mapping[str, str]
+    open: tuple[str, ...]
     stated: frozenset[Path] = frozenset()
+    beside: Mapping[str, Any] = field(default_factory=dict)
     urdf: str | None = None
-    moving: tuple[str, ...] = ()
-    episodes: Mapping[Path, tuple[int, ...]] = field(default_factory=dict)
-    gravity: bool = True
+
+    @property
+    def kind(self) -> str:
+        """Kind of the commands."""
+        return "current" if "current" in self.signals else "torque"
+
+    @property
+    def command(self) -> Mapping[str, str]:
+        """Columns of the commands by joint."""
+        return self.signals[self.kind]
+
+    @property
+    def time(self) -> tuple[str, ...]:
+        """Columns of the positions' time, one or two, or none."""
+        time = self.signals["time"]
+        time = time.get("position", ()) if isinstance(time, Mapping) else time
+        return (time,) if isinstance(time, str) else tuple(time)
+
+    @property
+    def rate(self) -> float | None:
+        """Sampling rate of a log without time column, Hz, where it is known."""
+        time = self.signals["time"]
+        return time.get("rate") if isinstance(time, Mapping) else None
 
 
 def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | None = None, base: Any = None) -> Draft:
-    """Infer the signals of logs recorded with the same layout.
+    """Infer the signals of logs recorded with the same layout, one for each run, or positions and then commands.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        The logs, one for each run; or all logs of positions and then as many of commands, run by run.
-    robot : Robot, optional
-        Its actuated joints are matched with column names; joint types and number help to infer units.
-    source : str, optional
-        Entry of the experiment file under ``robot``.
-    base : optional
-        Placement of the robot's base; where it is given, no columns are taken for the motion of a base.
-
-    Raises
-    ------
-    GtauError
-        A log cannot be read, or no positions or no commands are found in it.
+    The actuated joints of the ``robot`` are matched with column names; joint types and number help to infer units.
+    ``source`` is its entry in the experiment file. Where the placement of its ``base`` is given, no columns are taken
+    for the motion of a base. Raises GtauError where a log cannot be read, or holds no positions or no commands.
     """
     position_log, command_log, runs = _sources(paths, robot)
     positions, commands = position_log.group("position"), command_log.command_group()
-    for group, what in ((positions, "positions"), (commands, "currents or torques")):
-        if group is None:
-            names = position_log.table.columns
-            listed = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
-            raise GtauError(
-                f"{paths[0]}: no columns of {what} are recognised among {listed}; write the experiment file by hand "
-                "(docs/lookup/experiment-file.md), or rename the columns, such as q1 and current1."
-            )
-    assert positions is not None and commands is not None  # noqa: PT018 (refused above)
-    reasons, unsure, units = dict(position_log.reasons), [], {}
+    if positions is None or commands is None:
+        names = position_log.table.columns
+        listed = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
+        what = "positions" if positions is None else "currents or torques"
+        raise GtauError(
+            f"no columns of {what} are recognised among {listed}; write the experiment file by hand "
+            "(docs/lookup/experiment-file.md), or rename the columns, such as q1 and current1.",
+            source=paths[0],
+        )
+    reasons, units = dict(position_log.reasons), dict[str, str]()
     joints, reasons["position"], by_order = _joints(positions, commands, robot)
-    if by_order:
-        unsure.append("joints")
-    time, rate = position_log.time, None
-    if time:
-        units["time"], reasons["time"] = position_log.time_unit()
-    elif position_log.table.data_set and (rate := position_log.table.data_set.rate) is not None:
-        reasons["time"] = f"no time column; {rate:g} Hz by the description of the data set (meta/info.json)"
-    else:
-        rate, reasons["time"] = position_log.rate_from_velocities(positions)
-        unsure.append("rate" if rate is None else "velocities")
-    columns = {joint: pair[0] for joint, pair in joints.items()}
+    unsure = {"joints"} if by_order else set()
+    columns, currents = ({joint: pair[k] for joint, pair in joints.items()} for k in (0, 1))
+    time = _time(position_log, command_log, positions, units, reasons, unsure)
     if unit := _position_unit(position_log, positions, columns, robot, reasons):
         units["position"] = unit
-        unsure += ["unit"] if positions.unit is None else []
-    in_amperes = commands.unit in ("A", "mA")
-    kind = "current" if in_amperes or commands.kind in ("current", "motor") else "torque"
-    if commands.kind == "motor" and not in_amperes:
-        unsure.append("motor")
-    elif commands.kind == "torque" and "effort" in commands.first.lower():  # of ROS: content depends on the driver
-        unsure.append("kind")
-    elif commands.kind == "command" and not in_amperes:
-        reach = max(float(np.nanmax(np.abs(command_log.values[pair[1]]))) for pair in joints.values())
-        kind = "torque" if reach > LARGEST_CURRENT else "current"
-        unsure.append("kind")
-    gravity = "current_as_torque" not in commands.first.lower()
-    unsure += [] if gravity else ["gravity"]
+        unsure |= {"unit"} if positions.unit is None else set()
+    kind, doubts = _kind(commands, command_log, currents)
+    compensated = "current_as_torque" in commands.first.lower()
+    unsure |= doubts | ({"gravity"} if compensated else set()) | ({"reference"} if commands.reference else set())
     if commands.unit in ("A", "mA", "N m", "N"):
         units[kind] = commands.unit
-    command_time: tuple[str, ...] = ()
-    apart = command_log.path == position_log.path or command_log.rows != position_log.rows
-    if command_log is not position_log and command_log.time and apart:
-        command_time = command_log.time
-    if unstamped := [each for each in (*time[:1], *command_time[:1]) if each.endswith("/received")]:
-        reasons["received"] = " and ".join(unstamped)
-        unsure.append("received")
-    elif time and time[0].endswith("/header/stamp"):
-        reasons["time"] += "; measurement stamps, not receipt stamps"
-    clocks = position_log.other_clocks()
-    if clocks:
-        reasons["time"] += f"; {', '.join(clocks)} grow{'s' * (len(clocks) == 1)}, too"
-        unsure.append("clock")
-    alike = {group.listed: group for group in (*position_log.groups, *command_log.groups) if group.kind != "other"}
     label = {
-        joint: next(each for each, name in positions.columns.items() if name == columns[joint]) for joint in joints
+        joint: next(label for label, name in positions.columns.items() if name == columns[joint]) for joint in joints
     }
-    sensors, torques = (_beside(command_log.group(each), label) for each in ("sensor", "torque"))
-    currents = {joint: pair[1] for joint, pair in joints.items()}
-    if sensors or kind != "current":
-        torques = {}
-    unsure += ["torques"] if torques else []
+    sensors, torques = (_beside(command_log.group(what), label) for what in ("sensor", "torque"))
+    torques = {} if sensors or kind != "current" else torques
     if _computed(command_log, currents, torques):
         reasons["torques"] = "a straight line of the currents, from which they may be computed"
-    masses = {run[0]: mass for run in runs if (mass := mass_in_name(run[0].name)) is not None}
-    weighed = ["mass"] if masses else []
-    used = {positions.listed, commands.listed, *(each.listed for each in command_log.groups if each.kind == "sensor")}
-    used |= {
-        group.listed for group in command_log.groups if torques and set(torques.values()) <= set(group.columns.values())
+    used = {*positions.columns.values(), *commands.columns.values()}
+    unused = [name for name in position_log.table.columns if name not in (*used, *position_log.time)]
+    motion, wrenches = base_like(unused) if base is None else (), wrench_like(unused)
+    if torques and (group := command_log.group("torque")):
+        used |= set(group.columns.values())
+    timeless = [name for name in position_log.table.columns if name not in position_log.time]
+    beside = {
+        "temperature": _temperature(timeless, columns),
+        "torques": torques,
+        "pose": tuple(name for name in unused if is_pose(name)),
+        "motion": motion,
+        "wrenches": wrenches,
+        "others": _others(position_log, command_log, {*used, *motion, *wrenches}),
     }
-    used_names = {*positions.columns.values(), *commands.columns.values()}
-    free = [name for name in position_log.table.columns if name not in (*used_names, *time)]
-    motion, wrenches = base_like(free) if base is None else (), wrench_like(free)
-    unsure += ["base"] * bool(motion) + ["wrenches"] * bool(wrenches)
-    draft = Draft(
+    masses = {run[0]: mass for run in runs if (mass := mass_in_name(run[0].name)) is not None}
+    unsure |= {key for key, doubtful in beside.items() if doubtful and key in ("torques", "wrenches")}
+    unsure |= {key for key, doubtful in (("base", motion), ("mass", masses), ("robot", source is None)) if doubtful}
+    entries = {"file": source, "base": base, "gravity": [0, 0, 0] if compensated else None}
+    return Draft(
         logs=tuple(runs),
-        robot=source,
-        time=time,
-        rate=rate,
-        position=columns,
-        command=currents,
-        kind=kind,
+        signals={"time": time, "position": columns, kind: currents} | ({"joint_torque": sensors} if sensors else {}),
         units={key: unit for key, unit in units.items() if unit not in ("s", "rad", "m", "A", "N m", "N")},
-        command_time=command_time,
-        temperature=_temperature([name for name in position_log.table.columns if name not in time], columns),
-        pose=tuple(name for name in free if is_pose(name)),
-        motion=motion,
-        wrenches=wrenches,
-        base=base,
-        gravity=gravity,
+        robot={key: entry for key, entry in entries.items() if entry is not None},
         masses=masses,
-        episodes={run[0]: tuple(of) for run in runs if (of := find_columns(run[0]).episodes)},
-        others=tuple(
-            listed
-            for listed, group in alike.items()
-            if listed not in used and not set(group.columns.values()) <= {*motion, *wrenches}
-        ),
-        sensors=sensors,
-        torques=torques,
         reasons=reasons,
-        open=(*weighed, *["robot"] * (source is None), *unsure),
+        open=tuple(key for key in UNSURE if key in unsure),
+        beside=beside,
     )
-    return replace(draft, open=(*draft.open, "reference")) if commands.reference else draft
+
+
+def _time(
+    log: LogContents,
+    command_log: LogContents,
+    positions: Group,
+    units: dict[str, str],
+    reasons: dict[str, str],
+    unsure: set[str],
+) -> Any:
+    """Find the time columns of positions, and of commands with stamps of their own, or the sampling rate."""
+    if not log.time:
+        rate = log.table.data_set.rate if log.table.data_set else None
+        reasons["time"] = f"no time column; {rate or 0:g} Hz by the description of the data set (meta/info.json)"
+        if rate is None:
+            rate, reasons["time"] = log.rate_from_velocities(positions)
+            unsure.add("rate" if rate is None else "velocities")
+        return {"rate": rate}
+    units["time"], reasons["time"] = log.time_unit()
+    apart = command_log.path == log.path or command_log.rows != log.rows
+    stamps = command_log.time if command_log is not log and apart else ()
+    if unstamped := [name for name in (*log.time[:1], *stamps[:1]) if name.endswith("/received")]:
+        reasons["received"] = " and ".join(unstamped)
+        unsure.add("received")
+    elif log.time[0].endswith("/header/stamp"):
+        reasons["time"] += "; measurement stamps, not receipt stamps"
+    if clocks := log.other_clocks():
+        reasons["time"] += f"; {', '.join(clocks)} grow{'s' * (len(clocks) == 1)}, too"
+        unsure.add("clock")
+    time, command_time = (times[0] if len(times) == 1 else list(times) for times in (log.time, stamps))
+    return {"position": time, "command": command_time} if stamps else time
+
+
+def _kind(commands: Group, log: LogContents, columns: Mapping[str, str]) -> tuple[str, set[str]]:
+    """Decide whether commands are currents or torques, and whether that is to be confirmed."""
+    in_amperes = commands.unit in ("A", "mA")
+    if commands.kind == "torque":  # efforts of ROS are what the driver writes
+        return "current" if in_amperes else "torque", {"kind"} if "effort" in commands.first.lower() else set()
+    if commands.kind == "motor" and not in_amperes:
+        return "current", {"motor"}
+    if commands.kind == "command" and not in_amperes:
+        reach = max(float(np.nanmax(np.abs(log.values[column]))) for column in columns.values())
+        return "torque" if reach > LARGEST_CURRENT else "current", {"kind"}
+    return "current", set()
+
+
+def _others(log: LogContents, command_log: LogContents, used: set[str]) -> tuple[str, ...]:
+    """List the groups of columns that might be meant instead of those used."""
+    groups = {
+        group.listed: group for group in (*log.groups, *command_log.groups) if group.kind not in ("other", "sensor")
+    }
+    return tuple(listed for listed, group in groups.items() if not set(group.columns.values()) <= used)
 
 
 def _computed(log: LogContents, commands: Mapping[str, str], torques: Mapping[str, str]) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,9 +18,9 @@ from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
 from gtau.signals.reading.columns import PRESETS
-from gtau.signals.reading.discovery import Draft, discover
+from gtau.signals.reading.discovery import UNSURE, Draft, discover
 from gtau.signals.reading.formats.rosbag import robot_description
-from gtau.signals.reading.log_file import find_columns, is_rosbag
+from gtau.signals.reading.logs import find_columns, is_rosbag
 
 SEAL = "# as drafted: "  # a checksum of all above follows
 URDF = "robot.urdf"  # beside the experiment file, where a bag holds it
@@ -34,28 +34,12 @@ def draft_logs(
     kind: Literal["current", "torque"] | None = None,
     preset: str | None = None,
 ) -> Draft:
-    """Draft an experiment from logs recorded with the same layout.
+    """Draft an experiment from logs recorded with the same layout, see :func:`gtau.signals.reading.discovery.discover`.
 
-    Parameters
-    ----------
-    logs : sequence of Path
-        As for :func:`gtau.signals.reading.discovery.discover`.
-    robot : str, optional
-        A name of the catalog or the path of a file; if left out, the description that the first bag holds.
-    base : optional
-        How the robot's base is placed.
-    masses : mapping, optional
-        Payloads, kg, by path, name or stem of a log; 0 for none.
-    kind : {"current", "torque"}, optional
-        Kind of the commands, where it is known.
-    preset : str, optional
-        A name of :data:`gtau.signals.reading.columns.PRESETS`, which gives the kind and whether torques include
-        gravity.
-
-    Raises
-    ------
-    GtauError
-        A log or the robot cannot be read, a mass is of no log, or the logs do not have the columns of the preset.
+    ``robot`` is a name of the catalog or the path of a file; if left out, the description that the first bag holds.
+    Payloads (``masses``, kg, 0 for none) are by path, name or stem of a log. A ``preset``, a name of
+    :data:`gtau.signals.reading.columns.PRESETS`, gives the kind of commands and whether torques include gravity. Raises
+    GtauError where a log or the robot cannot be read, a mass is of no log, or the logs lack the columns of the preset.
     """
     if len(set(logs)) < len(logs):
         twice = next(log for log in logs if list(logs).count(log) > 1)
@@ -67,26 +51,32 @@ def draft_logs(
             f"robot '{known.name}': its base '{known.floating}' floats, and an experiment file with a base that "
             "floats is not drafted; start from docs/lookup/experiment-file.md, 'A base that floats'."
         )
-    found = discover(logs, known, URDF if urdf is not None else robot, base)
-    found = replace(found, urdf=urdf, moving=moving)
-    found = found if preset is None else with_preset(found, preset)
-    found = found if kind is None else with_kind(found, kind)
-    return with_masses(found, _of_logs(found, masses or {}))
+    draft = discover(logs, known, URDF if urdf is not None else robot, base)
+    draft = replace(draft, urdf=urdf, robot={**draft.robot, "joints": list(moving)} if moving else draft.robot)
+    draft = draft if preset is None else with_preset(draft, preset)
+    draft = draft if kind is None else with_kind(draft, kind)
+    return with_masses(draft, _of_logs(draft, masses or {}))
 
 
 def with_kind(draft: Draft, kind: Literal["current", "torque"]) -> Draft:
     """Return the draft with commands of known kind."""
-    settled = {"kind", "motor"}
+    signals = {kind if key == draft.kind else key: entry for key, entry in draft.signals.items()}
     units = {key: unit for key, unit in draft.units.items() if key in ("time", "position", kind)}
-    return replace(draft, kind=kind, units=units, open=tuple(key for key in draft.open if key not in settled))
+    return replace(draft, signals=signals, units=units, open=_without(draft, "kind", "motor"))
+
+
+def _without(draft: Draft, *settled: str) -> tuple[str, ...]:
+    return tuple(key for key in draft.open if key not in settled)
 
 
 def with_sensors(draft: Draft) -> Draft:
     """Return the draft with logged torques beside currents as sensor torques where no payload gives a scale."""
-    if not draft.torques or draft.masses or "torques" in draft.reasons:
+    torques = draft.beside.get("torques")
+    if not torques or draft.masses or "torques" in draft.reasons:
         return draft
     open_ = tuple("sensors" if key == "torques" else key for key in draft.open)
-    return replace(draft, sensors=draft.torques, torques={}, open=open_)
+    beside = {**draft.beside, "torques": {}}
+    return replace(draft, signals={**draft.signals, "joint_torque": torques}, beside=beside, open=open_)
 
 
 def with_preset(draft: Draft, name: str) -> Draft:
@@ -94,38 +84,31 @@ def with_preset(draft: Draft, name: str) -> Draft:
     if name not in PRESETS:
         raise GtauError(f"there is no preset '{name}'; choose from {', '.join(PRESETS)}.")
     preset = PRESETS[name]
-    pattern = preset.current or preset.torque
-    strange = [
-        column
-        for k, (joint, column) in enumerate(draft.command.items())
-        if pattern is not None and column != pattern.format(k=k, n=k + 1, joint=joint)
-    ]
-    if strange:
-        raise GtauError(
-            f"the logs have no columns of the preset '{name}', as '{strange[0]}' is not '{pattern}'; leave out "
-            "--preset, and state what the commands are (--kind current|torque)."
-        )
-    found = draft if pattern is None else with_kind(draft, "current" if preset.current else "torque")
-    open_ = tuple(key for key in found.open if key != "gravity")
-    return replace(found, gravity=preset.gravity, open=open_)
+    kind: Literal["current", "torque"] | None
+    kind = "current" if "current" in preset else "torque" if "torque" in preset else None
+    if kind is not None:
+        for k, (joint, column) in enumerate(draft.command.items()):
+            if column != preset[kind].format(k=k, n=k + 1, joint=joint):
+                raise GtauError(
+                    f"the logs have no columns of the preset '{name}', as '{column}' is not '{preset[kind]}'; leave "
+                    "out --preset, and state what the commands are (--kind current|torque)."
+                )
+        draft = with_kind(draft, kind)
+    robot = {key: entry for key, entry in draft.robot.items() if key != "gravity"} | preset.get("robot", {})
+    return replace(draft, robot=robot, open=_without(draft, "gravity"))
 
 
 def with_masses(draft: Draft, masses: Mapping[Path, float]) -> Draft:
     """Return the draft with payloads, kg, of logs where they are known, 0 for none."""
     kept = {log: mass for log, mass in ({**draft.masses, **masses}).items() if mass > 0}
     stated = draft.stated.union(masses)
-    settled = {"mass"} if set(kept) <= stated else set()
-    open_ = tuple(key for key in draft.open if key not in settled)
-    return replace(draft, masses=kept, stated=stated, open=open_)
+    return replace(draft, masses=kept, stated=stated, open=_without(draft, *(("mass",) if set(kept) <= stated else ())))
 
 
 def write_draft(draft: Draft, file: Path) -> list[Path]:
     """Write the experiment file of a draft, and the robot file from a bag, replacing those of earlier drafts.
 
-    Raises
-    ------
-    GtauError
-        Other files with these names exist, or an earlier draft has been edited.
+    Raises GtauError where other files with these names exist, or an earlier draft has been edited.
     """
     folder = folder_of(file.parent)
     texts = {} if draft.urdf is None else {folder / URDF: draft.urdf}
@@ -190,29 +173,6 @@ def _of_logs(draft: Draft, masses: Mapping[str, float]) -> dict[Path, float]:
 
 CHECK = "CHECK: "
 WIDTH = 90  # characters of columns on one line
-UNSURE = {
-    "robot": "name the robot: a name of the catalog (gtau robot), or the path of its URDF, MJCF or robot file",
-    "joints": "confirm that the columns are in the order of the joints",
-    "unit": "confirm the unit of the positions (units: {position: ...})",
-    "rate": "write the sampling rate, which is not in the log (time: {rate: HZ})",
-    "velocities": "confirm the sampling rate, found from the velocities (time: {rate: HZ})",
-    "mass": "confirm the payload masses, read from the file names: they set the scale of all drive gains",
-    "kind": "confirm whether these are currents or torques (key 'current:' or 'torque:')",
-    "motor": "confirm that these are proportional to the currents; motor torques are 'motor_torque:', with a "
-    "'gear_ratio:'",
-    "clock": "confirm the time column, as other columns increase too",
-    "gravity": "confirm that the controller compensates gravity in these torques, or remove 'gravity' of the robot",
-    "received": "messages without measurement stamps get receipt stamps, with the jitter of the middleware",
-    "torques": "remove the '#' of joint_torque if those are sensors behind the gears, not computed from currents",
-    "sensors": "if they are computed from currents or by the controller's model, state the mass of a payload instead "
-    "(--payload LOG=KG)",
-    "base": "if the base of the robot moved, write 'base: floating' and the columns of its motion "
-    "(docs/lookup/experiment-file.md, 'A base that floats')",
-    "wrenches": "if forces that act on the robot are logged, describe them under 'wrenches:', those on a floating "
-    "base under 'base:' (docs/lookup/experiment-file.md, 'Wrenches on bodies')",
-    "reference": "confirm that these are the references of the current loops, not the feed-forward of a model",
-}
-"""Questions to the user, by the open points of the draft."""
 
 
 def draft_text(draft: Draft, folder: Path) -> str:
@@ -220,72 +180,28 @@ def draft_text(draft: Draft, folder: Path) -> str:
 
     Guesses are marked ``CHECK``.
     """
-    why = draft.reasons
+    logs = f"{len(draft.logs)} log{'s' * (len(draft.logs) != 1)}"
     lines = [
-        f"# Drafted by gtau from {_count(len(draft.logs))}. Edit the lines marked CHECK, then run gtau check.",
+        f"# Drafted by gtau from {logs}. Edit the lines marked CHECK, then run gtau check.",
         "",
-        _line(f"robot: {_flow(_robot_entry(draft, folder))}", _of(draft, "robot", "")),
+        _line(f"robot: {_flow(_robot_entry(draft, folder))}", _question(draft, "robot")),
         "",
         "signals:",
+        *_signals(draft),
+        "",
+        *_units(draft),
+        "runs:",
     ]
-    if draft.time:
-        time: Any = draft.time[0] if len(draft.time) == 1 else list(draft.time)
-        if draft.command_time:
-            other = draft.command_time[0] if len(draft.command_time) == 1 else list(draft.command_time)
-            time = {"position": time, "command": other}
-        doubtful = not {"clock", "received"}.isdisjoint(draft.open)
-        lines.append(_line(f"  time: {_flow(time)}", CHECK * doubtful + why.get("time", "")))
-    else:
-        rate = 1000.0 if draft.rate is None else draft.rate
-        found = CHECK * ("velocities" in draft.open) + why.get("time", "")
-        lines.append(_line(f"  time: {{rate: {rate:g}}}", _of(draft, "rate", found)))
-    matched = why.get("position", "")
-    lines += _by_joint("position", draft.position, CHECK * ("joints" in draft.open) + matched)
-    found = why.get("velocity", "")
-    doubt = next((CHECK + UNSURE[key] for key in ("kind", "motor", "reference", "gravity") if key in draft.open), "")
-    lines += _by_joint(draft.kind, draft.command, doubt)
-    if draft.temperature is not None:
-        lines.append(f"  # temperature: {_flow(draft.temperature)}  # friction may depend on it: remove the first '#'")
-    if draft.pose:
-        lines.append(
-            f"  # A pose tests the robot's geometry; if {_first(draft.pose)} hold one, describe it under 'pose:'."
-        )
-    if draft.motion:
-        lines += [
-            f"  # {CHECK}{_first(draft.motion)} look like the motion of a base. If it moved, write",
-            "  # 'robot: {file: ..., base: floating}' above and describe them under 'base:' here",
-            "  # (docs/lookup/experiment-file.md, 'A base that floats').",
-        ]
-    if draft.wrenches:
-        lines += [
-            f"  # {CHECK}{_first(draft.wrenches)} look like forces and moments. Describe those that act",
-            "  # on the robot from outside under 'wrenches:', on a base that floats as 'wrenches' of 'base:'",
-            "  # (docs/lookup/experiment-file.md, 'Wrenches on bodies').",
-        ]
-    if draft.sensors:
-        doubt = CHECK + UNSURE["sensors"] if "sensors" in draft.open else "torque sensors behind the gears (by name)"
-        lines += _by_joint("joint_torque", draft.sensors, doubt)
-    if draft.torques:
-        lines.append(
-            f"  # {CHECK}torques of sensors behind the gears, not computed from currents, fix the scale of the"
-        )
-        lines.append("  # gains; if these columns are such torques, remove the '#':")
-        lines += [f"  #{line[1:]}" for line in _by_joint("joint_torque", draft.torques, "")]
-    if draft.others:
-        lines.append(f"  # Not used: columns {'; '.join(draft.others)}.")
-    if found:
-        lines.append(f"  # {found[0].upper()}{found[1:]}.")
-    lines += ["", *_units(draft), "runs:"]
     for run in draft.logs:
         paths = [_relative(path, folder) for path in run]
-        for episode in draft.episodes.get(run[0], (None,)):
+        for episode in find_columns(run[0]).episodes or (None,):
             lines.append(f"  - log: {_flow(paths[0] if len(paths) == 1 else paths)}")
             lines += [] if episode is None else [f"    episode: {episode}"]
             if (mass := draft.masses.get(run[0])) is not None:
                 payload = {"name": f"load_{1000 * mass:.0f}g", "mass": mass}
                 doubt = "" if run[0] in draft.stated else f"{CHECK}kg, from the file name"
                 lines.append(_line(f"    payload: {_flow(payload)}", doubt))
-    if draft.kind == "current" and not draft.masses and not draft.sensors:
+    if draft.kind == "current" and not draft.masses and "joint_torque" not in draft.signals:
         lines += [
             "# Drive gains need the mass (kg) of the payload of at least one run, and a run with a different payload "
             "or none:",
@@ -294,11 +210,52 @@ def draft_text(draft: Draft, folder: Path) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _signals(draft: Draft) -> Iterator[str]:
+    """Write the columns used, and as comments those that are not."""
+    why, beside, time = draft.reasons, draft.beside, draft.signals["time"]
+    doubtful = not {"clock", "received", "velocities"}.isdisjoint(draft.open)
+    written = _flow(time) if draft.time else f"{{rate: {1000 if draft.rate is None else draft.rate:g}}}"
+    yield _line(f"  time: {written}", _question(draft, "rate") or CHECK * doubtful + why.get("time", ""))
+    yield from _by_joint("position", draft.signals["position"], CHECK * ("joints" in draft.open) + why["position"])
+    yield from _by_joint(draft.kind, draft.command, _question(draft, "kind", "motor", "reference", "gravity"))
+    if beside.get("temperature"):
+        yield f"  # temperature: {_flow(beside['temperature'])}  # friction may depend on it: remove the first '#'"
+    if pose := beside.get("pose"):
+        yield f"  # A pose tests the robot's geometry; if {_first(pose)} hold one, describe it under 'pose:'."
+    if motion := beside.get("motion"):
+        yield f"  # {CHECK}{_first(motion)} look like the motion of a base. If it moved, write"
+        yield "  # 'robot: {file: ..., base: floating}' above and describe them under 'base:' here"
+        yield "  # (docs/lookup/experiment-file.md, 'A base that floats')."
+    if wrenches := beside.get("wrenches"):
+        yield f"  # {CHECK}{_first(wrenches)} look like forces and moments. Describe those that act"
+        yield "  # on the robot from outside under 'wrenches:', on a base that floats as 'wrenches' of 'base:'"
+        yield "  # (docs/lookup/experiment-file.md, 'Wrenches on bodies')."
+    if sensors := draft.signals.get("joint_torque"):
+        doubt = _question(draft, "sensors") or "torque sensors behind the gears (by name)"
+        yield from _by_joint("joint_torque", sensors, doubt)
+    if torques := beside.get("torques"):
+        yield f"  # {CHECK}torques of sensors behind the gears, not computed from currents, fix the scale of the"
+        yield "  # gains; if these columns are such torques, remove the '#':"
+        yield from (f"  #{line[1:]}" for line in _by_joint("joint_torque", torques, ""))
+    if others := beside.get("others"):
+        yield f"  # Not used: columns {'; '.join(others)}."
+    if velocity := why.get("velocity"):
+        yield f"  # {velocity[0].upper()}{velocity[1:]}."
+
+
+def _question(draft: Draft, *keys: str) -> str:
+    """Write the question on the first of these points that is open."""
+    return next((CHECK + UNSURE[key] for key in keys if key in draft.open), "")
+
+
 def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
     """List the guesses of a draft, each with the entry to change in its ``file``."""
-    commands, columns = list(draft.command.values()), _pairs(draft.position)
+    signals, beside = draft.signals, draft.beside
+    commands = list(draft.command.values())
+    columns = ", ".join(f"{joint}: {column}" for joint, column in signals["position"].items())
+    torques, sensors = beside.get("torques", {}), signals.get("joint_torque", {})
     first = " ... ".join(dict.fromkeys((commands[0], commands[-1])))
-    taken = {
+    assumed = {
         "joints": f"columns were assigned to the joints in order: {columns}",
         "unit": f"positions are assumed to be in {draft.units.get('position')}: {draft.reasons.get('unit')}",
         "velocities": f"the sampling rate is assumed to be {draft.rate or 0:g} Hz",
@@ -307,40 +264,38 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
         "gravity": f"{first} are assumed to be torques without gravity",
         "clock": f"time is {' and '.join(draft.time)}, but other columns increase too",
         "received": f"time is {draft.reasons.get('received', '')}, the receipt stamps",
-        "torques": f"{_first(tuple(draft.torques.values()))} are not used"
+        "torques": f"{_first(tuple(torques.values()))} are not used"
         + (f": they are {draft.reasons['torques']}" if "torques" in draft.reasons else ""),
-        "sensors": f"{_first(tuple(draft.sensors.values()))} are assumed to be torque sensors behind the gears, which "
+        "sensors": f"{_first(tuple(sensors.values()))} are assumed to be torque sensors behind the gears, which "
         f"set the scale",
-        "base": f"{_first(draft.motion)} are not used: the base is assumed to be fixed",
-        "wrenches": f"{_first(draft.wrenches)} are not used: no external contact is assumed",
+        "base": f"{_first(beside.get('motion', ()))} are not used: the base is assumed to be fixed",
+        "wrenches": f"{_first(beside.get('wrenches', ()))} are not used: no external contact is assumed",
         "reference": f"{first} are references, not measurements",
     }
     other = "torque" if draft.kind == "current" else "current"
     advice = UNSURE | {"kind": f"if they are {other}s, correct it by --kind {other}"}
-    found = [(taken[key], advice[key]) for key in draft.open if key in taken]
+    said = [(assumed[key], advice[key]) for key in draft.open if key in assumed]
     named = [run[0] for run in draft.logs if run[0] not in draft.stated]
     loads = [f"{path.name} {draft.masses[path]:g} kg" for path in named if path in draft.masses]
     if loads:
-        found.append((f"payload masses come from the file names: {', '.join(loads)}", STATE))
+        said.append((f"payload masses come from the file names: {', '.join(loads)}", STATE))
     if empty := [path.name for path in named if path not in draft.masses]:
-        found.append((f"no payload is assumed for {', '.join(empty)}, without a mass in the name", STATE))
-    for log, episodes in draft.episodes.items():
+        said.append((f"no payload is assumed for {', '.join(empty)}, without a mass in the name", STATE))
+    for log, *_ in draft.logs:
+        if not (episodes := find_columns(log).episodes):
+            continue
         what = f"each of the {len(episodes)} episodes in {log.name} is a run"
-        found.append((what, "remove unwanted episodes from 'runs'"))
+        said.append((what, "remove unwanted episodes from 'runs'"))
     if draft.urdf is not None:
-        found.append(("the robot comes from /robot_description of the bag", "for a different robot give --robot"))
-    if draft.moving:
-        found.append((f"joints missing from the log are held at home; {', '.join(draft.moving)} move", ""))
+        said.append(("the robot comes from /robot_description of the bag", "for a different robot give --robot"))
+    if moving := draft.robot.get("joints"):
+        said.append((f"joints missing from the log are held at home; {', '.join(moving)} move", ""))
     if draft.time and draft.time[0].endswith("/header/stamp"):
-        found.append((f"time is {draft.time[0]}, measurement stamps, not receipt stamps", ""))
-    return tuple(Finding(F.DRAFT, values={"what": what, "action": action}, source=str(file)) for what, action in found)
+        said.append((f"time is {draft.time[0]}, measurement stamps, not receipt stamps", ""))
+    return tuple(Finding(F.DRAFT, values={"what": what, "action": action}, source=str(file)) for what, action in said)
 
 
 STATE = "correct them by --payload LOG=KG (0 for none)"
-
-
-def _pairs(columns: Mapping[str, str]) -> str:
-    return ", ".join(f"{joint}: {column}" for joint, column in columns.items())
 
 
 def _first(columns: Sequence[str]) -> str:
@@ -348,16 +303,11 @@ def _first(columns: Sequence[str]) -> str:
 
 
 def _robot_entry(draft: Draft, folder: Path) -> Any:
-    if draft.robot is None:
+    if "file" not in draft.robot:
         return "NAME-OR-FILE"
-    path = Path(draft.robot)
-    file = _relative(path, folder) if draft.urdf is None and path.exists() else draft.robot
-    more = {"base": draft.base} if draft.base is not None else {}
-    if not draft.gravity:
-        more["gravity"] = [0, 0, 0]
-    if draft.moving:
-        more["joints"] = list(draft.moving)
-    return {"file": file} | more if more else file
+    path = Path(draft.robot["file"])
+    file = _relative(path, folder) if draft.urdf is None and path.exists() else draft.robot["file"]
+    return {**draft.robot, "file": file} if len(draft.robot) > 1 else file
 
 
 def _units(draft: Draft) -> list[str]:
@@ -369,10 +319,6 @@ def _units(draft: Draft) -> list[str]:
         comment = draft.reasons.get("unit", "") if key == "position" else ""
         lines.append(_line(f"  {key}: {unit}", CHECK * (key == "position" and "unit" in draft.open) + comment))
     return [*lines, ""]
-
-
-def _of(draft: Draft, key: str, otherwise: str) -> str:
-    return CHECK + UNSURE[key] if key in draft.open else otherwise
 
 
 def _line(text: str, comment: str) -> str:
@@ -394,7 +340,3 @@ def _flow(value: Any) -> str:
 
 def _relative(path: Path, folder: Path) -> str:
     return Path(os.path.relpath(path, folder)).as_posix()
-
-
-def _count(logs: int) -> str:
-    return f"{logs} log{'s' * (logs != 1)}"

@@ -14,7 +14,7 @@ from gtau.errors import GtauError
 from gtau.robots.parameter import Parameter
 from gtau.robots.readers.source import AnySource, RobotSource
 from gtau.robots.robot import Robot
-from gtau.signals.channel import BEHIND_DRIVE
+from gtau.signals.channel import LINK_SIDE
 from gtau.signals.reading.columns import SampleRate, Signals
 from gtau.signals.reading.logged_run import Folders, LoggedRun, file_or_name
 from gtau.signals.reading.statements import (
@@ -77,8 +77,8 @@ class Experiment(Keys):
             raise ValueError(f"a unit of '{other}' is given, but the signals hold '{signals.kind}'; remove it")
         if units.time is not None and isinstance(signals.time, SampleRate):
             raise ValueError("a unit of 'time' is given, but the signals hold no time column; remove it")
-        for kind in BEHIND_DRIVE:
-            if getattr(units, kind.calibration) is not None and kind not in {each.kind for each in signals.channels}:
+        for kind in LINK_SIDE:
+            if getattr(units, kind.calibration) is not None and not signals.sensors(kind):
                 raise ValueError(
                     f"a unit of '{kind.calibration}' is given, but the signals hold no {kind.name}; remove it"
                 )
@@ -239,11 +239,8 @@ def _check_base(signals: Signals, robot: Robot) -> None:
 def check_robot(experiment: Experiment, robot: Robot) -> None:
     """Check that an experiment's signals, units and drives suit its robot.
 
-    Raises
-    ------
-    GtauError
-        The signals' joints are not the actuated ones, a position unit does not suit its joint, or a gear of ``drives``
-        is among the robot's couplings too.
+    Raises GtauError where the signals' joints are not the actuated ones, a position unit does not suit its joint, or a
+    gear of ``drives`` is among the robot's couplings too.
     """
     signals = experiment.signals
     _check_base(signals, robot)

@@ -14,7 +14,7 @@ from gtau.robots.robot import Robot
 from gtau.signals.reading.column_names import ColumnName, parse_column_name, parse_item
 from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
 from gtau.signals.reading.formats import DataSet, Table
-from gtau.signals.reading.log_file import find_columns, read_log
+from gtau.signals.reading.logs import find_columns, read_log
 
 ROWS = 200_000  # of a log that are evaluated
 DERIVATIVE = 0.9  # correlation with a numerical derivative from which a column is taken for the velocity

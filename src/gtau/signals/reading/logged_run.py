@@ -21,7 +21,7 @@ from pydantic import (
 from gtau.documents.files import matching
 from gtau.documents.validation import Keys, Positive
 from gtau.errors import GtauError
-from gtau.signals.reading.log_file import find_columns, is_log_folder
+from gtau.signals.reading.logs import find_columns, is_log_folder
 from gtau.signals.reading.samples import Part
 from gtau.signals.reading.statements import Payload
 
@@ -36,10 +36,7 @@ class Folders(NamedTuple):
 def file_or_name(robot: str, folder: Path) -> str:
     """Return the path of a robot file beside an experiment file in ``folder``, or a name of the catalog.
 
-    Raises
-    ------
-    ValueError
-        The entry is the path of a file that does not exist.
+    Raises ValueError where the entry is the path of a file that does not exist.
     """
     file = folder / robot
     if file.is_file() or (file / "robot.urdf").is_file():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.findings.words import counted
 from gtau.signals.channel import Channel
-from gtau.signals.storage import Store, block, spans
+from gtau.signals.storage import Store, blocks
 
 MIN_SAMPLES = 100
 MAX_MISSING = 0.05  # part of a log that may be bad or missing
@@ -23,17 +23,21 @@ MAX_MISSING = 0.05  # part of a log that may be bad or missing
 class Source:
     """Description of a log for messages.
 
-    ``columns`` are the names of the columns of the ``joints``' positions, of the ``channels`` and of the time;
-    ``texts`` their first non-numeric entries read so far. Row 0 is in ``first_line``.
+    ``columns`` are the names of the columns of the joints' positions, of the ``channels`` and of the time; ``texts``
+    their first non-numeric entries read so far. Row 0 is in ``first_line`` of a text file, or the first row otherwise.
     """
 
     name: str
-    joints: tuple[str, ...]
     channels: tuple[Channel, ...]
     columns: tuple[str, ...]
     texts: Mapping[str, str]
     first_line: int = 1
     line_word: str = "line"
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints."""
+        return tuple(channel.joint for channel in self.channels if channel.kind.modelled and not channel.kind.link_side)
 
     def places(self, rows: Sequence[int], count: int) -> str:
         """Describe the location in the file of ``count`` rows, the first of which are ``rows``."""
@@ -43,13 +47,20 @@ class Source:
 
 @dataclass(frozen=True)
 class Samples:
-    """Complete samples of a log, SI units: ``time`` and ``rows`` (N,), ``position`` (N, n) and ``command`` (N, c)."""
+    """Complete samples of a log, SI units: ``time`` (N,), ``position`` (N, n) and ``command`` (N, c).
+
+    As logged they come from ``rows`` (N,). On a uniform grid they come from none, and ``valid`` (N, c) is False where a
+    command was interpolated or clipped. ``whole_share`` is the share of whole numbers among the joints' commands as
+    logged.
+    """
 
     source: Source
-    rows: np.ndarray
     time: np.ndarray
     position: np.ndarray
     command: np.ndarray
+    rows: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
+    valid: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
+    whole_share: float | None = None
 
     def place(self, sample: int) -> str:
         """Describe the location of a sample in the file."""
@@ -82,18 +93,17 @@ class Part:
             return episode
         return f"{episode} from {self.begin:g} s" + ("" if self.end == np.inf else f" to {self.end:g} s")
 
-    def of(self, blocks: Iterable[np.ndarray]) -> Iterator[tuple[int, np.ndarray]]:
+    def of(self, parts: Iterable[np.ndarray]) -> Iterator[tuple[int, np.ndarray]]:
         """Yield rows of the part, in blocks whose last column is the time, and the number of the first in each."""
         row, first = self.skip, None
-        for values in blocks:
+        for values in parts:
             time = values[:, -1]
             known = np.flatnonzero(np.isfinite(time))
             if first is None and known.size:
                 first = float(time[known[0]])
             if first is not None and (self.begin > 0 or self.end < np.inf):
                 # Rows without a time go with those before them.
-                elapsed = np.where(np.isfinite(time), time, -np.inf) - first
-                elapsed = np.maximum.accumulate(elapsed)
+                elapsed = np.maximum.accumulate(np.where(np.isfinite(time), time, -np.inf) - first)
                 start, stop = np.searchsorted(elapsed, self.begin), np.searchsorted(elapsed, self.end, side="right")
                 yield row + int(start), values[start:stop]
                 if stop < len(values):
@@ -115,58 +125,69 @@ def refuse_short(source: Source, count: int) -> None:
         )
 
 
-def complete(source: Source, blocks: Iterable[np.ndarray], notes: list[Finding], part: Part = WHOLE) -> Samples:
+def complete(source: Source, parts: Iterable[np.ndarray], notes: list[Finding], part: Part = WHOLE) -> Samples:
     """Collect the complete samples of a log or of a part of it; raises GtauError if there are too few."""
     n = len(source.joints)
     wide = n + len(source.channels)  # columns before the time
-    stores = Store(dtype=int), Store(), Store((n,)), Store((wide - n,))
+    stores = Store(), Store((n,)), Store((wide - n,)), Store(dtype=int)
     numbers = np.zeros(wide + 1, dtype=int)  # in each column
-    bad: list[int] = []
-    bad_empty: list[int] = []
-    count, bad_count, bad_column, empty = 0, 0, 0, 0
-    for row, values in part.of(blocks):
+    incomplete, empty, bad_column = _Rows(), _Rows(), 0
+    for row, values in part.of(parts):
         finite = np.isfinite(values)
-        whole = bool(finite.all())
-        kept = np.ones(len(values), dtype=bool) if whole else finite.all(axis=1)
-        numbers += len(values) if whole else finite.sum(axis=0)
-        nothing = np.zeros(len(values), dtype=bool) if whole else ~finite[:, :wide].any(axis=1)
-        found = np.flatnonzero(~kept & ~nothing)
-        if found.size and not bad_count:
-            bad_column = int(np.argmin(finite[found[0]]))
-        bad += (row + found[: 5 - len(bad)]).tolist()
-        bad_count += found.size
-        if nothing.any():
-            bad_empty += (row + np.flatnonzero(nothing)[: 5 - len(bad_empty)]).tolist()
-        parts = row + np.flatnonzero(kept), values[kept, wide], values[kept, :n], values[kept, n:wide]
-        for each, rows in zip(stores, parts, strict=True):
-            each.append(rows)
-        count, empty = count + len(values) - int(nothing.sum()), empty + int(nothing.sum())
-    samples = Samples(source, *(each.array() for each in stores))
-    if empty <= MAX_MISSING * (count + empty):  # faults like others, such as a last row that was cut
-        bad, bad_count, count, empty = sorted(bad + bad_empty)[:5], bad_count + empty, count + empty, 0
+        kept = np.ones(len(values), dtype=bool)
+        if not finite.all():
+            kept, nothing = finite.all(axis=1), ~finite[:, :wide].any(axis=1)
+            if not incomplete.count and (~kept & ~nothing).any():
+                bad_column = int(np.argmin(finite[np.argmax(~kept & ~nothing)]))
+            incomplete.add(row + np.flatnonzero(~kept & ~nothing))
+            empty.add(row + np.flatnonzero(nothing))
+        numbers += finite.sum(axis=0)
+        columns = values[kept, wide], values[kept, :n], values[kept, n:wide], row + np.flatnonzero(kept)
+        for store, added in zip(stores, columns, strict=True):
+            store.append(added)
+    time, position, command, rows = (store.array() for store in stores)
+    samples = Samples(source, time, position, command, rows)
+    count = len(samples.time) + incomplete.count
+    if empty.count <= MAX_MISSING * (count + empty.count):  # faults like others, such as a last row that was cut
+        incomplete.first = sorted(incomplete.first + empty.first)[:5]
+        incomplete.count, count, empty = incomplete.count + empty.count, count + empty.count, _Rows()
     if not count and part != WHOLE:
         raise GtauError(
             f"{source.name} has no rows in the selected part (skip: {part.skip}, from: {part.begin:g}, to: "
             f"{part.end:g} s); correct these keys."
         )
     refuse_short(source, count)
-    if empty:
-        notes.append(Finding(F.OTHER_ROWS, values={"count": empty}))
+    if empty.count:
+        notes.append(Finding(F.OTHER_ROWS, values={"count": empty.count}))
     _refuse_empty_columns(source, numbers)
-    if bad_count > MAX_MISSING * count:
-        column = source.columns[bad_column]
+    _refuse_incomplete(source, incomplete, count, source.columns[bad_column])
+    if incomplete.count:
+        places = source.places(incomplete.first, incomplete.count)
+        dropped = {"count": incomplete.count, "places": places}
+        notes.append(Finding(F.BAD_ROWS, values=dropped, share=incomplete.count / count))
+    return samples
+
+
+class _Rows:
+    """Count of rows, and the first five of them."""
+
+    def __init__(self) -> None:
+        self.count, self.first = 0, list[int]()
+
+    def add(self, rows: np.ndarray) -> None:
+        self.count += len(rows)
+        self.first += rows[: 5 - len(self.first)].tolist()
+
+
+def _refuse_incomplete(source: Source, rows: _Rows, count: int, column: str) -> None:
+    if rows.count > MAX_MISSING * count:
         entry = source.texts.get(column, "")
         raise GtauError(
-            f"{source.name} has {bad_count} of {count} rows with missing or non-numeric values (first in "
-            f"{source.places(bad[:1], 1)}, column '{column}'"
+            f"{source.name} has {rows.count} of {count} rows with missing or non-numeric values (first in "
+            f"{source.places(rows.first[:1], 1)}, column '{column}'"
             + (f": '{entry}'" if entry else "")
             + "); correct or delete them, or record the log again."
         )
-    if bad_count:
-        places = source.places(bad, bad_count)
-        dropped = {"count": bad_count, "places": places}
-        notes.append(Finding(F.BAD_ROWS, values=dropped, share=bad_count / count))
-    return samples
 
 
 def _refuse_empty_columns(source: Source, numbers: np.ndarray) -> None:
@@ -185,11 +206,5 @@ def _refuse_empty_columns(source: Source, numbers: np.ndarray) -> None:
 
 def extremes(array: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Find the smallest and largest value of every column."""
-    columns = (np.ascontiguousarray(block(array, *span).T) for span in spans(len(array)))
-    found = [(each.min(axis=1), each.max(axis=1)) for each in columns]
-    return np.min([low for low, _ in found], axis=0), np.max([high for _, high in found], axis=0)
-
-
-def ahead(samples: int) -> Iterator[tuple[int, int]]:
-    """Extend each span by the last sample of the span before."""
-    return ((max(start - 1, 0), stop) for start, stop in spans(samples))
+    ends = [(part.min(axis=1), part.max(axis=1)) for part in (np.ascontiguousarray(part.T) for part in blocks(array))]
+    return np.min([low for low, _ in ends], axis=0), np.max([high for _, high in ends], axis=0)

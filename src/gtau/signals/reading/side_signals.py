@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 
 from gtau.errors import GtauError
 from gtau.signals.reading.columns import Signals
-from gtau.signals.reading.log_file import read_log
-from gtau.signals.reading.log_set import instants
+from gtau.signals.reading.logs import instants, read_log
 from gtau.signals.reading.samples import WHOLE, Part
 from gtau.signals.reading.units import Units
 from gtau.signals.storage import store
@@ -34,22 +33,7 @@ class LoggedPoses:
 
 
 def read_poses(paths: Sequence[Path], signals: Signals, units: Units, part: Part = WHOLE) -> LoggedPoses:
-    """Read the poses of a run from the log of its positions.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        Its log, or two.
-    signals, units : Signals
-        Of the experiment, with a pose.
-    part : Part
-        Which part of the log is used.
-
-    Raises
-    ------
-    GtauError
-        A column is missing, or hardly any row holds a pose.
-    """
+    """Read the poses of a run from the log of its positions; raises GtauError where hardly any row holds one."""
     pose, path = signals.pose, Path(paths[0])
     assert pose is not None  # checked by the caller
     n = len(signals.joints)
@@ -58,8 +42,9 @@ def read_poses(paths: Sequence[Path], signals: Signals, units: Units, part: Part
     table = _complete_rows(path, columns, signals, units, part, scale)
     if len(table) < FEWEST:
         raise GtauError(
-            f"{path}: {len(table)} rows hold all of the pose ({', '.join(pose.columns)}) and the positions; give the "
-            "columns that hold them, or remove 'pose' from the signals."
+            f"{len(table)} rows hold all of the pose ({', '.join(pose.columns)}) and the positions; give the "
+            "columns that hold them, or remove 'pose' from the signals.",
+            source=path,
         )
     return LoggedPoses(path.stem + part.label, table[:, -1], table[:, :n], table[:, n:-1])
 
@@ -81,22 +66,7 @@ class Temperature:
 
 
 def read_temperature(paths: Sequence[Path], signals: Signals, units: Units, part: Part = WHOLE) -> Temperature | None:
-    """Read the temperatures of a run from the log of its positions; None where the signals have none.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        Its log, or two.
-    signals, units : Signals
-        Of the experiment.
-    part : Part
-        Which part of the log is used.
-
-    Raises
-    ------
-    GtauError
-        A column is missing, or holds no numbers.
-    """
+    """Read the temperatures of a run from the log of its positions; None where the signals have none."""
     if signals.temperature is None:
         return None
     of_joint = signals.temperature_columns
@@ -104,8 +74,9 @@ def read_temperature(paths: Sequence[Path], signals: Signals, units: Units, part
     table = _complete_rows(Path(paths[0]), columns, signals, units, part)
     if not len(table):
         raise GtauError(
-            f"{paths[0]}: no row holds a number in the temperature columns ({', '.join(columns)}); correct them, or "
-            "remove 'temperature' from the signals."
+            f"no row holds a number in the temperature columns ({', '.join(columns)}); correct them, or "
+            "remove 'temperature' from the signals.",
+            source=paths[0],
         )
     parts = np.array_split(table, min(KEPT, len(table)))
     means = np.array([each.mean(axis=0) for each in parts])

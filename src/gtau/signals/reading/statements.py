@@ -180,16 +180,7 @@ def check_drives(drives: Mapping[str, Drive], robot: Robot) -> None:
 def data_sheet_notes(
     drives: Mapping[str, Drive], robot: Robot, found: Mapping[str, tuple[float | None, float | None]]
 ) -> tuple[Finding, ...]:
-    """Compare estimates (value and standard deviation) of gains and ``ia`` with data sheets, one note for each.
-
-    Parameters
-    ----------
-    drives : mapping
-        By joint.
-    robot : Robot
-    found : mapping
-        Identified values and standard deviations, of gains by ``gain_JOINT`` and of rotor inertias by ``ia_JOINT``.
-    """
+    """Compare estimates of gains and ``ia``, their values and standard deviations by name, with data sheets."""
     said = []
     for joint, drive in drives.items():
         rows = (

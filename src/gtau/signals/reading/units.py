@@ -11,8 +11,9 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from gtau.documents.validation import Keys, Positive
 from gtau.documents.yaml_document import Document
+from gtau.signals.channel import LINK_SIDE
 from gtau.signals.reading.body_columns import BaseColumns, PoseColumns, Wrench
-from gtau.signals.reading.columns import Signals, text_or_group, time_unit
+from gtau.signals.reading.columns import PRESETS, Signals, of_link_side, text_or_group
 
 Kind = Literal["time", "position", "current", "torque", "force"]
 
@@ -41,10 +42,7 @@ UNIT = re.compile(r"[^\W\d_][^\W\d_/*^· -]*|[/*^· -]+|\d\b|[()]|°")
 def si_factor(text: str, kind: Kind) -> float:
     """Convert a unit, or a quantity such as ``0.0012 A`` (of one count), to the SI unit of its kind.
 
-    Raises
-    ------
-    ValueError
-        It is no unit of that kind; the text gives the remedy.
+    Raises ValueError, whose text gives the remedy, where it is no unit of that kind.
     """
     return _found(text, kind)[1]
 
@@ -150,7 +148,7 @@ def _one_or_by_joint(kind: Kind) -> Any:
     ]
 
 
-class Units(Keys):
+class Units(of_link_side(_one_or_by_joint("torque")), Keys):  # type: ignore[misc]
     """Units of the log's columns, or the quantity per logged count (``0.0012 A``); SI by default.
 
     ``joint_torque`` is that of the torque sensors. ``rated`` are the rated currents (A) or torques (N m, N) of which
@@ -161,7 +159,6 @@ class Units(Keys):
     position: _one_or_by_joint("position") | None = None  # type: ignore[valid-type]
     current: _one_or_by_joint("current") | None = None  # type: ignore[valid-type]
     torque: _one_or_by_joint("torque") | None = None  # type: ignore[valid-type]
-    joint_torque: _one_or_by_joint("torque") | None = None  # type: ignore[valid-type]
     rated: dict[str, Positive] = Field(default_factory=dict)
     base: BaseUnits = BaseUnits()
     pose: PoseUnits = PoseUnits()
@@ -200,9 +197,12 @@ class Units(Keys):
         positions = [si_factor(self.of_position(joint) or "rad", "position") for joint in signals.position]
         positions += self.base.scale(signals.base) if signals.base else []
         commands = [self._of_command(joint, signals) for joint in signals.position]
-        commands += [si_factor(_of(self.joint_torque, joint) or "N m", "torque") for joint in signals.sensors]
-        commands += [factor for each in signals.all_wrenches for factor in self.wrenches.scale(each)]
-        return positions, commands, si_factor(self.time or time_unit(signals.preset), "time")
+        for kind in LINK_SIDE:
+            units = getattr(self, kind.calibration)
+            commands += [si_factor(_of(units, joint) or "N m", "torque") for joint in signals.sensors(kind)]
+        commands += [factor for wrench in signals.all_wrenches for factor in self.wrenches.scale(wrench)]
+        preset = PRESETS[signals.preset] if signals.preset else {}
+        return positions, commands, si_factor(self.time or preset.get("units", {}).get("time", "s"), "time")
 
     def _of_command(self, joint: str, signals: Signals) -> float:
         unit = _of(self.current if signals.kind == "current" else self.torque, joint)

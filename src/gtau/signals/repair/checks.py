@@ -16,7 +16,7 @@ from gtau.errors import GtauError
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
-from gtau.signals.reading.samples import WHOLE, Part, Samples, Source, ahead, complete, extremes, refuse_short
+from gtau.signals.reading.samples import WHOLE, Part, Samples, Source, complete, extremes, refuse_short
 from gtau.signals.reading.statements import CHOSEN, PreparationSettings
 from gtau.signals.repair.clock import Clock, clock_of
 from gtau.signals.repair.faults import (
@@ -29,8 +29,8 @@ from gtau.signals.repair.faults import (
     whole_numbers,
     without_glitches,
 )
-from gtau.signals.repair.resampling import Resampling, UniformSamples, holds_of, uniform
-from gtau.signals.storage import block, spans, store
+from gtau.signals.repair.resampling import holds_of, uniform
+from gtau.signals.storage import block, blocks, spans, stored_like
 
 FINER = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # units of time in a second
 # s; maximum lateness of the stamps of packets or messages. In the shared logs it is 5 ms (a polled Panda).
@@ -39,40 +39,25 @@ LARGEST_VALUE = 1e9  # of any logged value; even encoder and converter counts ar
 
 
 def check(
-    source: Source, blocks: Iterable[np.ndarray], settings: PreparationSettings = CHOSEN, part: Part = WHOLE
-) -> UniformSamples:
+    source: Source,
+    parts: Iterable[np.ndarray],
+    notes: list[Finding],
+    settings: PreparationSettings = CHOSEN,
+    part: Part = WHOLE,
+) -> Samples:
     """Check a log, repair what is safe, and put it on a uniform grid.
 
-    Samples that are incomplete or repeated are dropped, angles that wrap around are unwrapped. Samples of a joint
-    whose command is clipped at a limit are masked, and outliers of positions are interpolated. Irregular
-    sampling is resampled at the mean rate: cubic splines for positions, lines for commands; see
-    :mod:`gtau.signals.repair.clock` for what the samples' instants are.
+    Samples (M, n + c + 1), in blocks, are positions, commands, torque sensors and time in SI units; the channels of the
+    ``source`` say by how much they lag. Those that are incomplete or repeated are dropped, angles that wrap around are
+    unwrapped. Samples of a joint whose command is clipped at a limit are masked, and outliers of positions are
+    interpolated. Irregular sampling is resampled at the mean rate: cubic splines for positions, lines for commands; see
+    :mod:`gtau.signals.repair.clock` for what the samples' instants are. ``notes`` report every repair.
 
-    Parameters
-    ----------
-    source : Source
-        The log.
-    blocks : iterable of ndarray
-        Its samples (M, n + c + 1) in order: positions, commands, torque sensors and time in SI units.
-    settings : PreparationSettings
-        User-specified clock and command delay.
-    part : Part
-        Part of the log to use.
-
-    Returns
-    -------
-    UniformSamples
-        With a note on every repair.
-
-    Raises
-    ------
-    GtauError
-        The log has fewer than 100 samples, more than 5 % of them bad or missing, a gap of more than
-        0.1 s (or three steps), reversed time, a command that never changes or is clipped in more than a
-        tenth of the samples, a position that jumps or freezes, no moving joint, or values that cannot be right.
+    Raises GtauError where the log has fewer than 100 samples, more than 5 % of them bad or missing, a gap of more than
+    0.1 s (or three steps), reversed time, a command that never changes or is clipped in more than a tenth of the
+    samples, a position that jumps or freezes, no moving joint, or values that cannot be right.
     """
-    notes: list[Finding] = []
-    samples = complete(source, blocks, notes, part)
+    samples = complete(source, parts, notes, part)
     _refuse_stuck(samples, notes)
     _refuse_standing_time(samples)
     samples = _without_repeated(samples, notes, settings.clock)
@@ -80,7 +65,7 @@ def check(
     _refuse_rates(samples, clock)
     if settings.clock is None:
         _refuse_late(samples, clock)
-    samples = _unwrapped(samples, _wraps(samples, notes))
+    samples = _unwrapped(samples, notes)
     instants, holds = clock.instants(samples.time), holds_of(samples)
     if glitches := find_glitches(samples, instants, holds[0]):
         notes.append(glitch_note(samples, glitches))
@@ -90,10 +75,10 @@ def check(
     refuse_frozen(samples, instants, holds[0])
     refuse_slips(samples, instants, holds[0])
     refuse_magnitudes(samples)
-    clips = tuple(clipped(samples, notes))
-    grid = Resampling(clock, clips, holds, settings.delay)
-    whole = whole_numbers(samples.command, len(source.joints))  # resampled ones are between
-    return replace(uniform(samples, instants, grid, settings.clock is not None, notes), whole=whole)
+    clips = clipped(samples, notes)
+    whole_share = whole_numbers(samples.command, len(source.joints))  # resampled ones are between
+    grid = uniform(samples, clock, instants, holds, clips, notes, settings.clock is not None)
+    return replace(grid, whole_share=whole_share)
 
 
 def _refuse_stuck(samples: Samples, notes: list[Finding]) -> None:
@@ -108,16 +93,17 @@ def _refuse_stuck(samples: Samples, notes: list[Finding]) -> None:
             )
     still = (low == high)[:n]
     if still.all():
-        raise GtauError(f"{source.name}: no position ever changes; give a log of a moving robot.")
+        raise GtauError("no position ever changes; give a log of a moving robot.", source=source.name)
     for channel, column, least, most in zip(source.channels, source.columns[n:-1], low[n:], high[n:], strict=True):
         if least < most or not channel.kind.of_joint:
             continue
-        if channel.kind.behind_drive or not still[channel.row]:  # a locked joint may have no current
+        if channel.kind.link_side or not still[channel.row]:  # a locked joint may have no current
             raise GtauError(
                 f"{source.name}, column '{column}' (joint '{channel.joint}') is stuck at {least + 0.0:g}; "
                 "give the column with the measured values, or record the log again."
             )
-    if names := tuple(each.joint for each, s in zip(source.channels, still, strict=False) if s and each.kind.of_joint):
+    resting = (channel for channel, stands in zip(source.channels, still, strict=False) if stands)
+    if names := tuple(channel.joint for channel in resting if channel.kind.of_joint):
         notes.append(Finding(F.STILL, names))
 
 
@@ -131,18 +117,14 @@ def _refuse_standing_time(samples: Samples) -> None:
 
 
 def _without_repeated(samples: Samples, notes: list[Finding], clock: Literal["stamps", "regular"] | None) -> Samples:
-    """Drop samples with the time and values of the one before.
+    """Drop samples with the time and values of the one before; raises GtauError where time goes back.
 
-    Samples with the same time but different values are all kept: their stamps are late.
-
-    Raises
-    ------
-    GtauError
-        Time goes back, or the stamps are given as true although some are the same.
+    Samples with the same time but different values are all kept, as their stamps are late, unless stamps are given as
+    true.
     """
     source, time = samples.source, samples.time
     repeated: list[int] = []
-    for start, stop in ahead(len(time)):
+    for start, stop in spans(len(time), before=1):
         part = block(time, start, stop)
         step = np.diff(part)
         if (step < 0).any():
@@ -153,7 +135,7 @@ def _without_repeated(samples: Samples, notes: list[Finding], clock: Literal["st
             )
         again = np.flatnonzero(step == 0)
         if again.size:
-            values = np.column_stack([block(each, start, stop) for each in (samples.position, samples.command)])
+            values = np.column_stack([block(array, start, stop) for array in (samples.position, samples.command)])
             different = again[(values[again] != values[again + 1]).any(axis=1)]
             if different.size:
                 if clock != "stamps":
@@ -171,45 +153,36 @@ def _without_repeated(samples: Samples, notes: list[Finding], clock: Literal["st
     notes.append(Finding(F.REPEATED_ROWS, values=dropped, share=len(repeated) / len(time)))
 
     def without(array: np.ndarray) -> np.ndarray:
-        parts = (
-            block(array, start, stop)[~np.isin(np.arange(start, stop), repeated)] for start, stop in spans(len(array))
-        )
-        return store(parts, array.shape[1:], array.dtype.type)
+        kept = ((span, ~np.isin(np.arange(*span), repeated)) for span in spans(len(array)))
+        return stored_like(array, (block(array, *span)[mask] for span, mask in kept))
 
-    rest = (without(each) for each in (samples.rows, samples.time, samples.position, samples.command))
-    samples = Samples(source, *rest)
+    arrays = (samples.time, samples.position, samples.command, samples.rows)
+    time, position, command, rows = map(without, arrays)
+    samples = Samples(source, time, position, command, rows)
     refuse_short(source, len(samples.time))
     return samples
 
 
-def _wraps(samples: Samples, notes: list[Finding]) -> np.ndarray:
-    """Decide for each joint whether its angle jumps by a full turn, (n,)."""
+def _unwrapped(samples: Samples, notes: list[Finding]) -> Samples:
+    """Unwrap the angles of joints that jump by a full turn."""
     position, source = samples.position, samples.source
     wraps = np.zeros(len(source.joints), dtype=bool)
-    for span in ahead(len(position)):
-        jump = np.abs(np.diff(block(position, *span), axis=0))
+    for part in blocks(position, before=1):
+        jump = np.abs(np.diff(part, axis=0))
         wraps |= np.any(np.abs(jump - 2 * np.pi) < 0.5, axis=0)  # no joint moves a turn, or 6 m, between two samples
-    if wraps.any():
-        turned = tuple(joint for joint, wrap in zip(source.joints, wraps, strict=True) if wrap)
-        notes.append(Finding(F.UNWRAPPED, turned))
-    return wraps
-
-
-def _unwrapped(samples: Samples, wraps: np.ndarray) -> Samples:
-    """Unwrap the angles of the joints that have ``wraps`` (n,)."""
     if not wraps.any():
         return samples
-    position = samples.position
+    turned = tuple(joint for joint, wrap in zip(source.joints, wraps, strict=True) if wrap)
+    notes.append(Finding(F.UNWRAPPED, turned))
 
-    def parts() -> Iterator[np.ndarray]:
+    def unwrapped() -> Iterator[np.ndarray]:
         turns = np.zeros(len(wraps))  # as far as the sample before
-        for start, stop in ahead(len(position)):
-            part = block(position, start, stop)
+        for k, part in enumerate(blocks(position, before=1)):
             more = np.where(wraps, np.unwrap(part, axis=0), part) + turns
             turns = more[-1] - part[-1]
-            yield more[min(start, 1) :]
+            yield more[min(k, 1) :]
 
-    return replace(samples, position=store(parts(), wraps.shape))
+    return replace(samples, position=stored_like(position, unwrapped()))
 
 
 def _refuse_late(samples: Samples, clock: Clock) -> None:
@@ -233,6 +206,7 @@ def _refuse_rates(samples: Samples, clock: Clock) -> None:
             "one that differs from the others)"
         )
         raise GtauError(
-            f"{samples.source.name}: by its '{column}' it is sampled at {clock.rate:.3g} Hz (steps of "
-            f"{clock.period:.3g} s), which is not a plausible sampling rate; {repair}."
+            f"by its '{column}' it is sampled at {clock.rate:.3g} Hz (steps of "
+            f"{clock.period:.3g} s), which is not a plausible sampling rate; {repair}.",
+            source=samples.source.name,
         )

@@ -7,66 +7,53 @@ located by the positions too, or by the surrounding stamps.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
-from gtau.signals.storage import block, spans, store
+from gtau.signals.storage import block, blocks, spans, store
 
 # How much smoother the positions must be by the other clock. In the shared logs the Panda's positions are 20 times
 # smoother at a regular rate, the UR10e's 3.6 times by their stamps; where neither, jitter does not matter (0.9 to 1.1).
 SMOOTHER = 1.25
-PASSES = 5  # in which period and gaps settle
+PASSES = 5  # in which period and gaps converge
 DECIMALS = 10.0 ** np.arange(6)
+LATE = 1.5  # usual steps, beyond which samples may be missing
+PACKET = 0.2  # share of samples whose stamps follow within a tenth of a step: they came in packets
+FEWEST_AROUND, MOST_AROUND = 20, 400  # samples to either side from which a gap is judged
+NEIGHBOURS = 21  # steps whose median is the usual one; where motions change faster, no step is clear
+CLEAR = 8.0  # standard deviations of a step of the joints' motion, where it separates one step from two
+LONGEST_BY_MOTION = 5.5  # steps over which the speed is taken to be constant
+DOUBT = 0.7  # of a step: stamps that move by less have lost no sample
+LOOKED_AT = 16, 4096  # parts of a log to evaluate, and samples in each
+REACH = 2  # samples to either side of which a prediction is made
+# Standard deviation of a sample's distance from the cubic through its four neighbours, at a regular rate, in standard
+# deviations of white noise: sqrt(1 + 2 (4^2 + 1) / 36).
+WHITE = 1.394
 
 
 @dataclass(frozen=True)
 class Clock:
-    """Sampling instants of a log.
+    """Sampling instants of a log, s.
 
-    Attributes
-    ----------
-    period : float
-        Of a regular clock, or mean step, s.
-    regular : bool
-        Instants are multiples of the period, by which the time column is corrected; otherwise they are the stamps.
-    start : float
-        Instant of the first sample, s.
-    count : int
-        Samples of that period from the start to the last one.
-    shortest, longest : float
-        Steps between samples, s.
-    before_longest : int
-        Sample before the longest step.
-    whole : float
-        Longest step without a missing sample, s.
-    gaps : tuple
-        For a regular clock, pairs of a sample and the number missing before it; -1 where it repeats the previous one.
-    late : float
-        Maximum lateness of a regular clock's stamps relative to the earliest, s; 0 if only rounded.
-    packets : bool
-        Samples came in packets with the same stamps, or nearly so.
+    The ``period`` is that of a regular clock, or the mean step. ``regular``: instants are its multiples, by which the
+    time column is corrected; otherwise they are the stamps. There are ``count`` samples of that period from the
+    ``start``, the instant of the first sample, to the last one. Steps above ``longest_step`` miss samples. A regular
+    clock has ``gaps``, pairs of a sample and the number missing before it (-1 where it repeats the previous one), and
+    its stamps are up to ``late`` late relative to the earliest; 0 if only rounded. ``packets``: samples came in packets
+    with the same stamps, or nearly so.
     """
 
     period: float
     regular: bool
     start: float
     count: int
-    shortest: float
-    longest: float
-    before_longest: int
-    whole: float
+    longest_step: float
     gaps: tuple[tuple[int, int], ...] = ()
     late: float = 0.0
     packets: bool = False
-
-    @property
-    def gapless(self) -> bool:
-        """True where sampling is regular, and no sample is missing."""
-        return self.regular and not self.gaps
 
     @property
     def rate(self) -> float:
@@ -81,19 +68,37 @@ class Clock:
         """Correct the times of samples by this clock, (N,), s; ``first`` is the number of the first sample."""
         if not self.regular:
             return time
-        return store(self.start + self.period * self._numbers(first + a, first + b) for a, b in spans(len(time)))
+        numbers = _numbering(self.gaps)
+        return store(self.start + self.period * numbers(first + a, first + b) for a, b in spans(len(time)))
 
-    def _numbers(self, first: int, stop: int) -> np.ndarray:
-        """Enumerate samples by the clock, missing ones included."""
-        samples, missing = self._sums
+    def extreme_steps(self, time: np.ndarray) -> tuple[float, float, int]:
+        """Find the shortest and the longest step between samples at their stamps, s, and the sample before the latter.
+
+        The shortest of a regular clock is its period, the longest that with the most missing samples.
+        """
+        if self.regular:
+            sample, missing = max(self.gaps, key=lambda gap: gap[1], default=(1, 0))
+            return self.period, self.period * (1 + missing), sample - 1
+        shortest, longest, before, start = np.inf, 0.0, 0, 0
+        for part in blocks(time, before=1):
+            step = np.diff(part)
+            k = int(np.argmax(step))
+            if step[k] > longest:
+                longest, before = float(step[k]), start + k
+            shortest, start = min(shortest, float(step.min())), start + len(step)
+        return shortest, longest, before
+
+
+def _numbering(gaps: tuple[tuple[int, int], ...]) -> Callable[[int, int], np.ndarray]:
+    """Enumerate samples by a regular clock, missing ones included, from one to before another."""
+    pairs = np.array(gaps, dtype=int).reshape(-1, 2)
+    missing = np.concatenate([[0], np.cumsum(pairs[:, 1])])  # before each gap, and at the end
+
+    def numbers(first: int, stop: int) -> np.ndarray:
         number = np.arange(first, stop)
-        return np.asarray(number + missing[np.searchsorted(samples, number, side="right")], dtype=float)
+        return np.asarray(number + missing[np.searchsorted(pairs[:, 0], number, side="right")], dtype=float)
 
-    @cached_property
-    def _sums(self) -> tuple[np.ndarray, np.ndarray]:
-        """Samples after gaps, and the cumulative number of missing samples before each and at the end."""
-        pairs = np.array(self.gaps, dtype=int).reshape(-1, 2)
-        return pairs[:, 0], np.concatenate([[0], np.cumsum(pairs[:, 1])])
+    return numbers
 
 
 def clock_of(time: np.ndarray, position: np.ndarray, given: Literal["stamps", "regular"] | None = None) -> Clock:
@@ -103,6 +108,24 @@ def clock_of(time: np.ndarray, position: np.ndarray, given: Literal["stamps", "r
     Otherwise the positions decide between the stamps and a regular clock, unless it is ``given``.
     """
     steps = sampled_steps(time)
+    regular, straight = _regular(time, position, steps)
+    if given == "regular" or (given is None and (straight or regular.packets or steps.min() == 0)):
+        return regular
+    period = float((time[-1] - time[0]) / (len(time) - 1))
+    stamps = Clock(
+        period=period,
+        regular=False,
+        start=float(time[0]),
+        count=int((time[-1] - time[0]) / period * (1 + 1e-12)) + 1,
+        longest_step=1.5 * max(period, float(np.quantile(steps, 0.95))),
+    )
+    if given == "stamps" or _roughness(time, position, regular) > _roughness(time, position, stamps) / SMOOTHER:
+        return stamps
+    return regular
+
+
+def _regular(time: np.ndarray, position: np.ndarray, steps: np.ndarray) -> tuple[Clock, bool]:
+    """Find the regular clock closest to the stamps, and decide whether these are straight, up to their rounding."""
     mean = _mean_step(steps)
     packets = bool(np.mean(steps < 0.1 * mean) > PACKET)
     usual = float(mean if packets else np.median(steps))
@@ -110,64 +133,31 @@ def clock_of(time: np.ndarray, position: np.ndarray, given: Literal["stamps", "r
         gaps = find_gaps(time, position, usual, packets)
         if gaps and (without := find_gaps(time, None, usual, packets)) != gaps:
             # Steps of the motion that grow and shrink within some samples look like gaps: the stamps then run away.
-            late_by = [_line(time, usual, each)[2] for each in (gaps, without)]
+            late_by = [_line(time, usual, choice)[2] for choice in (gaps, without)]
             gaps = gaps if late_by[0] <= late_by[1] + usual else without
         period, offset, late, rounded = _line(time, usual, gaps)
-        settled = rounded or abs(period / usual - 1) < 1e-5
+        converged = rounded or abs(period / usual - 1) < 1e-5
         usual = period
-        if settled:
+        if converged:
             break
     if packets and gaps:
         # Packets of all sizes look like gaps. Where all samples are there, their stamps stay near a clock without any
         # (14 ms instead of 56 to 76 ms in simulated logs); where a packet was lost, they leave it by that packet.
-        mean = float((time[-1] - time[0]) / (len(time) - 1))
-        whole = _line(time, mean, ())
-        if whole[2] <= late + whole[0]:
-            gaps, (period, offset, late, rounded) = (), whole
+        gapless = _line(time, float((time[-1] - time[0]) / (len(time) - 1)), ())
+        if gapless[2] <= late + gapless[0]:
+            gaps, (period, offset, late, rounded) = (), gapless
     straight = rounded or late <= 1e-3 * period
-    regular = Clock(
+    clock = Clock(
         period=period,
         regular=True,
         start=float(time[0]) if straight else float(time[0]) + offset,
         count=len(time) + sum(missing for _, missing in gaps),
-        shortest=period,
-        longest=period * (1 + max((missing for _, missing in gaps), default=0)),
-        before_longest=max(gaps, key=lambda gap: gap[1], default=(1, 0))[0] - 1,
-        whole=1.5 * period,
+        longest_step=1.5 * period,
         gaps=gaps,
         late=0.0 if straight else late,
         packets=packets,
     )
-    if given == "regular" or (given is None and (straight or packets)):
-        return regular
-    if steps.min() == 0 and given is None:
-        return regular
-    stamps = _by_stamps(time, steps)
-    if given == "stamps" or _roughness(time, position, regular) > _roughness(time, position, stamps) / SMOOTHER:
-        return stamps
-    return regular
-
-
-def _by_stamps(time: np.ndarray, steps: np.ndarray) -> Clock:
-    """Make the clock of true stamps."""
-    period = float((time[-1] - time[0]) / (len(time) - 1))
-    shortest, longest, before, at = np.inf, 0.0, 0, 0
-    for part in _overlapping(time):
-        step = np.diff(part)
-        k = int(np.argmax(step))
-        if step[k] > longest:
-            longest, before = float(step[k]), at + k
-        shortest, at = min(shortest, float(step.min())), at + len(step)
-    return Clock(
-        period=period,
-        regular=False,
-        start=float(time[0]),
-        count=int((time[-1] - time[0]) / period * (1 + 1e-12)) + 1,
-        shortest=shortest,
-        longest=longest,
-        before_longest=before,
-        whole=1.5 * max(period, float(np.quantile(steps, 0.95))),
-    )
+    return clock, straight
 
 
 def _mean_step(steps: np.ndarray) -> float:
@@ -178,10 +168,9 @@ def _mean_step(steps: np.ndarray) -> float:
 
 def _line(time: np.ndarray, usual: float, gaps: tuple[tuple[int, int], ...]) -> tuple[float, float, float, bool]:
     """Fit period and offset (s) of the stamps by least squares; return their lateness, and whether it is rounding."""
-    numbered = Clock(usual, True, 0.0, 0, 0.0, 0.0, 0, 0.0, gaps)
-    sums, samples = np.zeros(4), len(time)
+    numbers, sums, samples = _numbering(gaps), np.zeros(4), len(time)
     for start, stop in spans(samples):
-        number = numbered._numbers(start, stop)
+        number = numbers(start, stop)
         rest = block(time, start, stop) - time[0] - usual * number
         sums += number.sum(), rest.sum(), number @ number, number @ rest
     x, y, xx, xy = sums.tolist()
@@ -190,7 +179,7 @@ def _line(time: np.ndarray, usual: float, gaps: tuple[tuple[int, int], ...]) -> 
     low, high, resolution = np.inf, -np.inf, np.zeros(len(DECIMALS))
     for start, stop in spans(samples):
         elapsed = block(time, start, stop) - time[0]
-        off = elapsed - period * numbered._numbers(start, stop) - offset
+        off = elapsed - period * numbers(start, stop) - offset
         low, high = min(low, float(off.min())), max(high, float(off.max()))
         scaled = elapsed * DECIMALS[:, None]
         resolution = np.maximum(resolution, np.abs(scaled - np.round(scaled)).max(axis=1))
@@ -226,21 +215,6 @@ def _roughness(time: np.ndarray, position: np.ndarray, clock: Clock) -> float:
         if fast.any():
             roughness.append(np.median(distance[fast, j]) + 1e-4 * np.median(speed[fast, j]))
     return float(np.exp(np.mean(np.log(roughness)))) if roughness else 0.0
-
-
-def _overlapping(time: np.ndarray) -> Iterator[np.ndarray]:
-    """Yield blocks that begin with the last sample of the one before."""
-    return (block(time, max(start - 1, 0), stop) for start, stop in spans(len(time)))
-
-
-LATE = 1.5  # usual steps, beyond which samples may be missing
-PACKET = 0.2  # share of samples whose stamps follow within a tenth of a step: they came in packets
-FEWEST_AROUND, MOST_AROUND = 20, 400  # samples to either side from which a gap is judged
-NEIGHBOURS = 21  # steps whose median is the usual one; where motions change faster, no step is clear
-CLEAR = 8.0  # standard deviations of a step of the joints' motion, where it separates one step from two
-LONGEST_BY_MOTION = 5.5  # steps over which the speed is taken to be constant
-DOUBT = 0.7  # of a step: stamps that move by less have lost no sample
-LOOKED_AT = 16, 4096  # parts of a log to evaluate, and samples in each
 
 
 def sampled_steps(time: np.ndarray) -> np.ndarray:
@@ -334,28 +308,10 @@ def _packet(time: np.ndarray, usual: float) -> int:
     return int(np.median(np.diff(edges))) if len(edges) > 2 else 1
 
 
-REACH = 2  # samples to either side of which a prediction is made
-# Standard deviation of a sample's distance from the cubic through its four neighbours, at a regular rate, in standard
-# deviations of white noise: sqrt(1 + 2 (4^2 + 1) / 36).
-WHITE = 1.394
-
-
 def cubic_residuals(instants: np.ndarray, position: np.ndarray, period: float) -> np.ndarray:
-    """Compute the residuals of positions from the cubics through two neighbours on either side.
+    """Compute the residuals (N - 4, n) of positions (N, n) from the cubics through two neighbours on either side.
 
-    Parameters
-    ----------
-    instants : ndarray
-        (N,) Times of the samples, s.
-    position : ndarray
-        (N, n) Positions, rad or m.
-    period : float
-        Usual step, s.
-
-    Returns
-    -------
-    ndarray
-        (N - 4, n) Of all samples but the first two and the last two.
+    ``instants`` (N,) and the usual step, the ``period``, are in s; the first and the last two samples have none.
     """
     around = [slice(k, len(position) - 2 * REACH + k) for k in (0, 1, 3, 4)]
     apart = np.array([instants[each] for each in around]) - instants[REACH:-REACH]

@@ -10,10 +10,10 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
-from gtau.signals.reading.samples import Samples, ahead, extremes
+from gtau.signals.reading.samples import Samples, extremes
 from gtau.signals.repair.clock import REACH, WHITE, cubic_residuals
 from gtau.signals.repair.resampling import FROZEN, MISSING_STEP, Held
-from gtau.signals.storage import block, spans, store, stride_of
+from gtau.signals.storage import block, blocks, spans, stored_like, stride_of
 
 WIDEST = 3  # samples; positions that stay away longer are a slip, which is refused
 NEIGHBOURS = 6  # samples nearest to them, through which a cubic is fitted
@@ -55,19 +55,8 @@ class Glitch:
 def find_glitches(samples: Samples, instants: np.ndarray, held: Held) -> tuple[Glitch, ...]:
     """Find position outliers between mutually consistent neighbours, in two passes.
 
-    Parameters
-    ----------
-    samples : Samples
-        The log, its angles unwrapped.
-    instants : ndarray
-        (N,) Sampling instants, s.
-    held : Held
-        Sample-and-hold of the positions: stale samples are ignored.
-
-    Returns
-    -------
-    tuple of Glitch
-        In order.
+    Angles are unwrapped, ``instants`` (N,) are in s; samples that are stale by the sample-and-hold of the positions,
+    ``held``, are ignored.
     """
     stride = stride_of(len(samples.time))
     usual: list[np.ndarray] = []
@@ -99,7 +88,7 @@ def _blocks(
     samples: Samples, instants: np.ndarray, held: Held
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
     """Yield numbers, instants and positions of fresh samples in blocks, with those around, and which are inside."""
-    margin = 2 * (NEIGHBOURS + WIDEST) * (1 if held.by_chance else held.longest)
+    margin = 2 * (NEIGHBOURS + WIDEST) * held.longest
     for start, stop in spans(len(samples.time)):
         begin, end = max(0, start - margin), min(len(samples.time), stop + margin)
         position = block(samples.position, begin, end)
@@ -173,18 +162,20 @@ def without_glitches(samples: Samples, glitches: Sequence[Glitch]) -> Samples:
     def parts() -> Iterator[np.ndarray]:
         for start, stop in spans(len(samples.position)):
             part = block(samples.position, start, stop)
-            for each in glitches:
-                if start <= each.sample < stop:
-                    part[each.sample - start, each.joint] = each.value
+            for glitch in glitches:
+                if start <= glitch.sample < stop:
+                    part[glitch.sample - start, glitch.joint] = glitch.value
             yield part
 
-    return replace(samples, position=store(parts(), samples.position.shape[1:]))
+    return replace(samples, position=stored_like(samples.position, parts()))
 
 
 def glitch_note(samples: Samples, glitches: Sequence[Glitch]) -> Finding:
     """Report number and joints of the glitches, and the first one; ``samples`` still hold them."""
     names, first = samples.source.joints, glitches[0]
-    counts = [(names[j], sum(each.joint == j for each in glitches)) for j in sorted({each.joint for each in glitches})]
+    counts = [
+        (names[j], sum(glitch.joint == j for glitch in glitches)) for j in sorted({glitch.joint for glitch in glitches})
+    ]
     logged, place = float(samples.position[first.sample, first.joint]), samples.place(first.sample)
     values = {"counts": counts, "first": names[first.joint], "place": place}
     return Finding(
@@ -234,8 +225,9 @@ def refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:
     usually, speeds = (np.quantile(np.concatenate(each), 0.999, axis=0) for each in (usual, fast))
     for j in np.flatnonzero(speeds > LARGEST_SPEED).tolist():
         raise GtauError(
-            f"{source.name}: joint '{source.joints[j]}' moves at {speeds[j]:.2g} (rad or m)/s, faster than any joint; "
-            "give the units of its position and of the time (units: {position: ..., time: ...})."
+            f"joint '{source.joints[j]}' moves at {speeds[j]:.2g} (rad or m)/s, faster than any joint; "
+            "give the units of its position and of the time (units: {position: ..., time: ...}).",
+            source=source.name,
         )
     low, high = extremes(samples.position)
     far = np.abs(jumps) > np.maximum(SLIP_RANGE * (high - low), SLIP_QUANTA * np.array(held.quanta))
@@ -251,18 +243,14 @@ def refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:
 def refuse_frozen(samples: Samples, instants: np.ndarray, held: Held) -> None:
     """Refuse a position that freezes in full motion while the command goes on, as of an encoder that is not read.
 
-    A joint that comes to rest slows down: its last step is small.
-
-    Raises
-    ------
-    GtauError
-        Where a joint is constant to the last digit after or before a step of its usual size.
+    A joint that comes to rest slows down, so its last step is small: refused is one that is constant to the last digit
+    after or before a step of its usual size.
     """
     source, n, count = samples.source, len(samples.source.joints), len(samples.time)
     stride, fast, usual = stride_of(count), [], []
     since, into = np.zeros(n, dtype=int), np.zeros(n)  # the first sample of the present value, and the step to it
     edges, spells = np.zeros(n), np.zeros((n, 2), dtype=int)
-    for start, stop in ahead(count):
+    for start, stop in spans(count, before=1):
         position = block(samples.position, start, stop)
         fresh = held.fresh(position)
         at, steps = start + np.flatnonzero(fresh), np.diff(position[fresh], axis=0)
@@ -317,30 +305,25 @@ UNSIGNED = (
 
 
 def refuse_magnitudes(samples: Samples) -> None:
-    """Refuse commands without sign.
+    """Refuse commands without sign: of joints that move and reverse none is ever negative, half come near zero.
 
     A joint that holds against gravity may need one sign only, but it then stays away from zero; not all joints do.
-
-    Raises
-    ------
-    GtauError
-        Where no command of a joint that moves is ever negative, half of them come near zero, and these joints reverse.
     """
     source, n = samples.source, len(samples.source.joints)
     low, high = (each[:n] for each in extremes(samples.command))
-    steps = [np.abs(np.diff(block(samples.position, *span), axis=0)).sum(axis=0) for span in ahead(len(samples.time))]
+    steps = [np.abs(np.diff(part, axis=0)).sum(axis=0) for part in blocks(samples.position, before=1)]
     first, last = extremes(samples.position)
     acting = (high > low) & (last > first)
     reversing = np.sum(steps, axis=0) > REVERSING * (last - first)
     unsigned, touching = ((low >= 0) & reversing)[acting], (low <= NEAR_ZERO * high)[acting]
     if acting.any() and unsigned.all() and touching.mean() >= TOUCHING:
-        raise GtauError(f"{source.name}: its commands are {UNSIGNED}.")
+        raise GtauError(f"its commands are {UNSIGNED}.", source=source.name)
 
 
 def whole_numbers(command: np.ndarray, joints: int) -> float:
     """Compute the share of the commands (N, c) of the first ``joints`` that are whole numbers."""
-    parts = [block(command, *span)[:, :joints] for span in ahead(len(command))]
-    return sum(int(np.sum(part == np.round(part))) for part in parts) / sum(part.size for part in parts)
+    parts = (part[:, :joints] for part in blocks(command))
+    return sum(int(np.sum(part == np.round(part))) for part in parts) / (len(command) * joints)
 
 
 CLIPPED_RUN = 3  # samples in a row at the extreme value
@@ -351,10 +334,7 @@ MAX_CLIPPED = 0.1
 def clipped(samples: Samples, notes: list[Finding]) -> list[tuple[int, float]]:
     """Find joints whose commands saturate while they move, as at a drive limit, with the levels.
 
-    Raises
-    ------
-    GtauError
-        More than a tenth of the samples are clipped, or a command has no sign.
+    Raises GtauError where more than a tenth of the samples are clipped, or a command has no sign.
     """
     source, count = samples.source, len(samples.time)
     found = []
@@ -370,11 +350,12 @@ def clipped(samples: Samples, notes: list[Finding]) -> list[tuple[int, float]]:
             if _longest_at(samples, j, channel.row, level) < CLIPPED_RUN:
                 continue
             if at > MAX_CLIPPED * count and level == low[j] == 0.0:
-                raise GtauError(f"{source.name}: {what} is {UNSIGNED}.")
+                raise GtauError(f"{what} is {UNSIGNED}.", source=source.name)
             if at > MAX_CLIPPED * count:
                 raise GtauError(
-                    f"{source.name}: {what} is clipped at {level:.4g} in {at} of {count} samples; record it again "
-                    f"with slower motions or a higher limit of the drive."
+                    f"{what} is clipped at {level:.4g} in {at} of {count} samples; record it again "
+                    f"with slower motions or a higher limit of the drive.",
+                    source=source.name,
                 )
             values = {"signal": channel.kind.name, "level": level, "samples": at}
             notes.append(Finding(F.CLIPPED, (channel.joint,), values=values, share=at / count))
@@ -383,14 +364,14 @@ def clipped(samples: Samples, notes: list[Finding]) -> list[tuple[int, float]]:
 
 
 def _count_at(command: np.ndarray, j: int, level: float) -> int:
-    return sum(int(np.count_nonzero(block(command, *span)[:, j] == level)) for span in spans(len(command)))
+    return sum(int(np.count_nonzero(part[:, j] == level)) for part in blocks(command))
 
 
 def _count_beside(command: np.ndarray, j: int, level: float) -> int:
     """Count samples at the value next to an extreme one."""
     nearest, count = np.inf, 0
-    for span in spans(len(command)):
-        away = np.abs(block(command, *span)[:, j] - level)
+    for part in blocks(command):
+        away = np.abs(part[:, j] - level)
         away = away[away > 0]
         least = away.min(initial=np.inf)
         if least < nearest:
@@ -402,10 +383,10 @@ def _count_beside(command: np.ndarray, j: int, level: float) -> int:
 def _longest_at(samples: Samples, j: int, mover: int, level: float) -> int:
     """Find the longest run of samples in which joint j moves and its command stays at ``level``."""
     position, command, count = samples.position, samples.command, len(samples.time)
-    steps = [np.sum(np.diff(block(position, *span)[:, mover]) ** 2) for span in ahead(count)]
+    steps = [np.sum(np.diff(part[:, mover]) ** 2) for part in blocks(position, before=1)]
     least = 0.05 * np.sqrt(sum(steps) / count)
     longest = now = 0
-    for start, stop in ahead(count):
+    for start, stop in spans(count, before=1):
         speed = np.abs(np.diff(block(position, start, stop)[:, mover]))
         at = (block(command, start, stop)[1:, j] == level) & (speed > least)
         edges = np.flatnonzero(np.diff(np.r_[False, at, False]))

@@ -14,9 +14,9 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
-from gtau.signals.reading.samples import MAX_MISSING, Samples, ahead
+from gtau.signals.reading.samples import MAX_MISSING, Samples
 from gtau.signals.repair.clock import Clock
-from gtau.signals.storage import Store, block, spans, store
+from gtau.signals.storage import Store, block, blocks, spans, store
 
 # After stale samples a signal has come as far as meanwhile: it is not slower over them than around them by this factor.
 # At constant acceleration the factor is 6 after rest and 4 around a reversal.
@@ -28,6 +28,16 @@ LONGEST = 200  # samples for which a slower signal is held, at most
 REGULAR = 0.6  # share of the samples in runs of equal ones of nearly one length, where a signal is slower than the log
 JUMP = 3.0  # quanta by which a signal jumps after it was held; a slow one that is rounded changes by one
 REPORTED = 1e-3  # share of samples that are stale, from which on they are interpolated and reported
+MAX_GAP = 0.1  # s; longer ones cannot be bridged without inventing a motion
+MISSING_STEP = 1.5  # mean steps; longer steps have lost a sample
+# Steps over which positions are interpolated without a mask: the cubic is then off by 3 % of an oscillation of ten
+# samples, the fastest that logs should hold, and by 4e-4 of one of thirty.
+BRIDGED = 3
+MAX_BRIDGED = 0.3  # part of a log that may be missing in such steps
+SURROUNDINGS = 64  # samples to either side that a spline is made from: what lies beyond acts by less than 1e-19
+
+Clips = Sequence[tuple[int, float]]
+"""Channels (numbers) with the levels at which they are clipped."""
 
 
 @dataclass(frozen=True)
@@ -36,31 +46,29 @@ class Held:
 
     ``what`` names the group, and ``columns`` are those of the positions or of the channels. ``period`` is the usual
     number of samples from one value to the next, 1 where it is updated with every one.
-    ``quanta`` (n,) are the columns' smallest changes. ``by_chance`` is True if noise and
-    reversals explain the repeated values, so that all samples are new; ``stale`` counts those that repeat the one
-    before.
+    ``quanta`` (n,) are the columns' smallest changes. ``stale`` counts the samples that repeat the one before, 0 where
+    noise and reversals explain all repeated values, so that all samples are new.
     """
 
     what: str
     columns: slice
     period: int
     quanta: tuple[float, ...]
-    by_chance: bool = False
-    stale: int = 0
+    stale: int
 
     @property
     def longest(self) -> int:
         """Longest run of equal samples that counts as held."""
-        if self.by_chance:
+        if not self.stale:
             return 1
         return FROZEN if self.period == 1 else int(np.ceil(1.5 * self.period))
 
     def fresh(self, values: np.ndarray) -> np.ndarray:
         """Mark new samples (M,) of consecutive ``values`` (M, n); rests and slow rounded motions count as new."""
+        fresh = np.ones(len(values), dtype=bool)
         same = np.concatenate([[False], (values[1:] == values[:-1]).all(axis=1)])
-        found = np.ones(len(values), dtype=bool)
-        if not same.any():
-            return found
+        if not same.any() or not self.stale:
+            return fresh
         first = np.flatnonzero(~same)  # of each run of equal samples
         length = np.diff(np.r_[first, len(values)])
         jump = np.zeros((len(first), values.shape[1]))  # of each column to the next run
@@ -74,39 +82,38 @@ class Held:
             stale &= (length <= SPORADIC) | (around <= 2 * AROUND * NEW)
         stale &= moved.any(axis=1)
         for start, count in zip(first[stale], length[stale], strict=True):
-            found[start + 1 : start + count] = False
-        return found
+            fresh[start + 1 : start + count] = False
+        return fresh
 
     def note(self, count: int, rate: float) -> Finding:
         """Report the stale samples of a log of ``count`` samples at ``rate`` Hz."""
         if self.period > 1:
-            values = {"signal": self.what, "rate": rate / self.period, "period": self.period}
-            return Finding(F.HELD, values=values)
+            return Finding(F.HELD, values={"signal": self.what, "rate": rate / self.period, "period": self.period})
         return Finding(F.STALE, values={"signal": self.what, "stale": self.stale}, share=self.stale / count)
 
 
 def holds_of(samples: Samples) -> tuple[Held, ...]:
     """Detect sample-and-hold of the positions, and then of each group of channels, in three passes."""
-    found, start = [_held("positions", samples.position, slice(None))], 0
+    holds, start = [_held("positions", samples.position, slice(None))], 0
     for group, channels in groupby(samples.source.channels, lambda channel: channel.kind.group):
         stop = start + len(list(channels))
-        found.append(_held(group, samples.command, slice(start, stop)))
+        holds.append(_held(group, samples.command, slice(start, stop)))
         start = stop
-    return tuple(found)
+    return tuple(holds)
 
 
 def _held(what: str, array: np.ndarray, columns: slice) -> Held:
     """Detect sample-and-hold of a group's columns (N, n), and count its stale samples."""
     n = len(range(array.shape[1])[columns])
     smallest = np.full(n, np.inf)
-    for span in ahead(len(array)):
-        change = np.abs(np.diff(block(array, *span)[:, columns], axis=0))
+    for part in blocks(array, before=1):
+        change = np.abs(np.diff(part[:, columns], axis=0))
         smallest = np.minimum(smallest, np.min(np.where(change > 0, change, np.inf), axis=0, initial=np.inf))
     quanta = np.where(np.isfinite(smallest), smallest, 1.0)
     lengths = np.zeros(LONGEST + 1, dtype=int)  # how many runs of equal samples before a jump there are of each length
     run, near = 1, 0
-    for span in ahead(len(array)):
-        change = np.max(np.abs(np.diff(block(array, *span)[:, columns], axis=0)) / quanta, axis=1, initial=0.0)
+    for part in blocks(array, before=1):
+        change = np.max(np.abs(np.diff(part[:, columns], axis=0)) / quanta, axis=1, initial=0.0)
         near += int(((change[:-1] > 0) & (change[:-1] < 1.5) & (change[1:] >= JUMP)).sum())
         ends = np.flatnonzero(change)
         if ends.size:
@@ -115,11 +122,11 @@ def _held(what: str, array: np.ndarray, columns: slice) -> Held:
             run = len(change) - int(ends[-1])
         else:
             run += len(change)
-    held = Held(what, columns, _period(lengths), tuple(quanta.tolist()))
-    stale = sum(int((~held.fresh(block(array, *span)[:, columns])).sum()) for span in ahead(len(array)))
+    held = Held(what, columns, _period(lengths), tuple(quanta.tolist()), stale=len(array))
+    stale = sum(int((~held.fresh(part[:, columns])).sum()) for part in blocks(array, before=1))
     # Noise of some quanta repeats a sample as often as it steps by one quantum in each of the other 3^n - 1 directions.
     chance = 2 * near / (3.0**n - 1) + REPORTED * len(array)
-    return replace(held, stale=stale) if stale > chance else replace(held, period=1, by_chance=True)
+    return replace(held, stale=stale) if stale > chance else replace(held, period=1, stale=0)
 
 
 def _period(lengths: np.ndarray) -> int:
@@ -132,145 +139,107 @@ def _period(lengths: np.ndarray) -> int:
     return period if period > 1 and near > REGULAR * held.sum() else 1
 
 
-MAX_GAP = 0.1  # s; longer ones cannot be bridged without inventing a motion
-MISSING_STEP = 1.5  # mean steps; longer steps have lost a sample
-# Steps over which positions are interpolated without a mask: the cubic is then off by 3 % of an oscillation of ten
-# samples, the fastest that logs should hold, and by 4e-4 of one of thirty.
-BRIDGED = 3
-MAX_BRIDGED = 0.3  # part of a log that may be missing in such steps
-SURROUNDINGS = 64  # samples to either side that a spline is made from: what lies beyond acts by less than 1e-19
-
-
-@dataclass(frozen=True)
-class UniformSamples:
-    """Samples on a uniform grid; ``valid`` (N, c) is False where a command was interpolated or clipped.
-
-    ``whole`` is the share of whole numbers among the commands of joints as logged, None where it is unknown.
-    """
-
-    time: np.ndarray
-    position: np.ndarray
-    command: np.ndarray
-    valid: np.ndarray
-    notes: tuple[Finding, ...]
-    whole: float | None = None
-
-
-@dataclass(frozen=True)
-class Resampling:
-    """Resampling of a log on a uniform grid.
-
-    The ``clock`` of its samples, columns of the commands with the levels at which they are ``clipped``, how positions
-    and then groups of channels are held, and by how much commands lag (``delay``, s).
-    """
-
-    clock: Clock
-    clipped: tuple[tuple[int, float], ...]
-    holds: tuple[Held, ...]
-    delay: float = 0.0
-
-    @property
-    def direct(self) -> bool:
-        """True where the samples are on the grid already."""
-        return self.clock.gapless and not any(each.stale for each in self.holds) and not self.delay
-
-
 def uniform(
-    samples: Samples, instants: np.ndarray, grid: Resampling, given: bool, notes: list[Finding]
-) -> UniformSamples:
-    """Put samples taken at their ``instants`` onto a uniform ``grid``; of a clock that was ``given`` or found.
+    samples: Samples,
+    clock: Clock,
+    instants: np.ndarray,
+    holds: Sequence[Held],
+    clips: Clips,
+    notes: list[Finding],
+    given: bool = False,
+) -> Samples:
+    """Put samples taken at their ``instants`` onto the uniform grid of a clock that was ``given`` or found.
 
-    Raises
-    ------
-    GtauError
-        A gap is longer than 0.1 s and three steps, or too many samples are missing.
+    ``clips`` are channels with the levels at which they are clipped. The ``holds`` are those of the positions and of
+    the groups of channels; the channels say by how much they lag, which is compensated. Raises GtauError where a gap is
+    longer than 0.1 s and three steps, or too many samples are missing.
     """
-    source, clock, period = samples.source, grid.clock, grid.clock.period
-    if clock.longest > max(MAX_GAP, 3 * period):
+    source, period, count = samples.source, clock.period, clock.count
+    shortest, longest, before = clock.extreme_steps(samples.time)
+    if longest > max(MAX_GAP, 3 * period):
         raise GtauError(
-            f"{source.name}, {samples.place(clock.before_longest)}: {clock.longest:.3g} s are missing after "
-            f"{samples.time[clock.before_longest]:.9g} s; cut the log there into two runs (from: and to:)."
+            f"{source.name}, {samples.place(before)}: {longest:.3g} s are missing after "
+            f"{samples.time[before]:.9g} s; cut the log there into two runs (from: and to:)."
         )
-    count = clock.count
-    time = store(clock.time(*span) for span in spans(count))
-    n, c = len(source.joints), samples.command.shape[1]
-    if grid.direct:
-        valid = store((unclipped(block(samples.command, *span), grid.clipped) for span in spans(count)), (c,), bool)
-        notes += _of_clock(clock, given)
-        return UniformSamples(time, samples.position, samples.command, valid, tuple(notes))
-    positions, commands, masks = Store((n,)), Store((c,)), Store((c,), bool)
-    missing, masked = 0, 0
+    time, c = store(clock.time(*span) for span in spans(count)), len(source.channels)
+    stale, delay = [held for held in holds if held.stale], max((channel.delay for channel in source.channels), key=abs)
+    if clock.regular and not (clock.gaps or stale or delay):  # the samples are on the grid already
+        valid = store((unclipped(part, clips) for part in blocks(samples.command)), (c,), bool)
+        notes += _of_clock(clock, (shortest, longest), given)
+        return Samples(source, time, samples.position, samples.command, valid=valid)
+    stores, missing, masked = (Store((len(source.joints),)), Store((c,)), Store((c,), bool)), 0, 0
     for span in spans(count):
-        position, command, valid, lacking = resampled(samples, instants, grid, *span)
-        positions.append(position)
-        commands.append(command)
-        masks.append(valid)
-        missing, masked = missing + lacking[0], masked + lacking[1]
+        *arrays, lacking, hidden = resampled(samples, clock, instants, holds, clips, span)
+        for rows, array in zip(stores, arrays, strict=True):
+            rows.append(array)
+        missing, masked = missing + int(lacking.sum()), masked + int((lacking & hidden).sum())
     if masked > MAX_MISSING * count or missing > MAX_BRIDGED * count:
         what = "by stamps that come in packets, " if clock.packets else ""
         repair = ", or, where no sample is missing, give the rate instead (time: {rate: HZ})" if clock.regular else ""
         raise GtauError(
-            f"{source.name} lacks {missing} of {count} samples ({what}steps of {clock.shortest * 1e3:.3g} to "
-            f"{clock.longest * 1e3:.3g} ms); record it at a steady rate{repair}."
+            f"{source.name} lacks {missing} of {count} samples ({what}steps of {shortest * 1e3:.3g} to "
+            f"{longest * 1e3:.3g} ms); record it at a steady rate{repair}."
         )
     if missing:
         values = {"count": missing, "masked": masked, "bridged": BRIDGED}
         notes.append(Finding(F.MISSING, values=values, share=missing / count))
-    notes += _of_clock(clock, given)
-    notes += [each.note(count, clock.rate) for each in grid.holds if each.stale]
-    if grid.delay:
-        notes.append(Finding(F.MOVED_COMMANDS, values={"delay": grid.delay * 1e3}))
-    return UniformSamples(time, positions.array(), commands.array(), masks.array(), tuple(notes))
+    notes += _of_clock(clock, (shortest, longest), given)
+    notes += [held.note(count, clock.rate) for held in stale]
+    if delay:
+        notes.append(Finding(F.MOVED_COMMANDS, values={"delay": delay * 1e3}))
+    position, command, valid = (rows.array() for rows in stores)
+    return Samples(source, time, position, command, valid=valid)
 
 
-def _of_clock(clock: Clock, given: bool) -> list[Finding]:
+def _of_clock(clock: Clock, steps: tuple[float, float], given: bool) -> list[Finding]:
     """List the notes on a clock that differs from the time column."""
     of_clock = {"given": given, "hertz": clock.rate}
     if not clock.regular:
-        steps = {"shortest": clock.shortest * 1e3, "longest": clock.longest * 1e3}
-        return [Finding(F.IRREGULAR, values={**of_clock, **steps})]
+        shortest, longest = steps
+        return [Finding(F.IRREGULAR, values={**of_clock, "shortest": shortest * 1e3, "longest": longest * 1e3})]
     if not clock.late:
         return []
     return [Finding(F.LATE_STAMPS, values={**of_clock, "late": clock.late * 1e3, "packets": clock.packets})]
 
 
 def resampled(
-    samples: Samples, instants: np.ndarray, resampling: Resampling, start: int, stop: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[int, int]]:
-    """Resample positions and commands (M, n) at the clock's samples; mark valid ones, count missing and masked.
+    samples: Samples,
+    clock: Clock,
+    instants: np.ndarray,
+    holds: Sequence[Held],
+    clips: Clips,
+    span: tuple[int, int],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Resample positions and commands (M, n) at the clock's samples; mark valid, missing and masked ones.
 
     They are interpolated between fresh samples at ``instants``, of which there must be some before and after.
     """
     from scipy.interpolate import CubicSpline
 
-    clock, (positions, *channels) = resampling.clock, resampling.holds
-    grid = clock.time(start, stop)
+    positions, *groups = holds
+    grid = clock.time(*span)
     begin, end = np.searchsorted(instants, grid[[0, -1]], side="right")
-    around = SURROUNDINGS + sum(each.longest for each in resampling.holds)
+    around = SURROUNDINGS + sum(held.longest for held in holds)
     begin, end = max(0, begin - around), end + around
     known, command = block(instants, begin, end), block(samples.command, begin, end)
     position = block(samples.position, begin, end)
     later = np.concatenate([[True], np.diff(known) > 0])
     fresh = later & positions.fresh(position)
-    bridged = max(BRIDGED * clock.period, clock.whole, 1.5 * positions.period * clock.period)
-    lacking, masked = _gaps(known[later], grid, clock.whole), _gaps(known[fresh], grid, bridged)
-    good = unclipped(command, resampling.clipped)
+    bridged = max(BRIDGED * clock.period, clock.longest_step, 1.5 * positions.period * clock.period)
+    lacking, masked = _gaps(known[later], grid, clock.longest_step), _gaps(known[fresh], grid, bridged)
+    good = unclipped(command, clips)
     before = np.clip(np.searchsorted(known, grid, side="right") - 1, 0, len(known) - 2)
     # Lines for the commands: a spline would overshoot where the current is noisy.
     values = np.column_stack(
         [
-            np.interp(grid + resampling.delay, known[new], each)
-            for held in channels
+            np.interp(grid + channel.delay, known[new], column)
+            for held in groups
             for new in [later & held.fresh(command[:, held.columns])]
-            for each in command[new, held.columns].T
+            for channel, column in zip(samples.source.channels[held.columns], command[new, held.columns].T, strict=True)
         ]
     )
-    return (
-        CubicSpline(known[fresh], position[fresh])(grid),
-        values,
-        ~masked[:, None] & good[before] & good[before + 1],
-        (int(lacking.sum()), int((lacking & masked).sum())),
-    )
+    valid = ~masked[:, None] & good[before] & good[before + 1]
+    return CubicSpline(known[fresh], position[fresh])(grid), values, valid, lacking, masked
 
 
 def _gaps(known: np.ndarray, grid: np.ndarray, longest: float) -> np.ndarray:
@@ -282,9 +251,9 @@ def _gaps(known: np.ndarray, grid: np.ndarray, longest: float) -> np.ndarray:
     return ~near & (step[before] > longest * (1 + 1e-9))
 
 
-def unclipped(command: np.ndarray, clipped: Sequence[tuple[int, float]]) -> np.ndarray:
+def unclipped(command: np.ndarray, clips: Clips) -> np.ndarray:
     """Mark where commands (M, n) are not clipped at a level."""
     good = np.ones(command.shape, dtype=bool)
-    for j, level in clipped:
+    for j, level in clips:
         good[:, j] &= command[:, j] != level
     return good

@@ -25,7 +25,7 @@ from gtau.findings import Finding
 from gtau.findings.words import Sentence, Values, which_payload
 from gtau.model.loops import Motion
 from gtau.robots.floating import WRENCH
-from gtau.signals.preparation.prepared_run import InMemoryRun
+from gtau.signals.preparation.prepared_run import SampleWindow
 
 DEGREE, MILLIMETRE, PER_CENT = np.pi / 180, 1e-3, 1e-2
 STEP = 0.1  # of the unit: the torques' change is linear over this
@@ -73,15 +73,14 @@ def _with_positions(fit: Fit, steps: Sequence[tuple[np.ndarray, np.ndarray]]) ->
     model = fit.dataset.model
     regressor = model.columns(fit.dataset.base.standard)
 
-    def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+    def offer(window: SampleWindow, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
         before = regressor.torques_along(model.layout, motion(), values)
         columns = np.zeros((len(steps), *before.shape))
         for k, (factor, shift) in enumerate(steps):
-            of = window.samples()
-            other = replace(of, q=of.q * factor + shift, qd=of.qd * factor, qdd=of.qdd * factor)
-            moved, labels = InMemoryRun(window.run, other), Labels(window.run.name, of.time)
+            q, qd, qdd = window.q * factor + shift, window.qd * factor, window.qdd * factor
+            moved, labels = replace(window, q=q, qd=qd, qdd=qdd, of=None), Labels(window.run.name, window.time)
             try:  # from near the first configuration, so that loops are closed as before
-                path = model.path(np.ascontiguousarray(other.q.T), labels, motion().c[:, 0])
+                path = model.path(np.ascontiguousarray(moved.q.T), labels, motion().c[:, 0])
                 after = regressor.torques_along(model.layout, motion_along(model, moved, path), values)
             except GtauError:
                 continue  # the loops do not close there: nothing is said of this joint
@@ -201,7 +200,7 @@ def _gravity(fit: Fit) -> Offer:
     model, n = fit.dataset.model, len(fit.dataset.model.actuated)
     regressor, changes = model.gravity_torques(fit.dataset.base.standard), _changes(fit)
 
-    def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+    def offer(window: SampleWindow, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
         entries = regressor(model.layout, motion(), values)
         return at_full_rate(window, fit, np.stack([regressor.torques(entries, each, n) for each in changes]))
 
@@ -380,7 +379,7 @@ def _felt(fit: Fit, read: Reading) -> Offer:
     """Compute the joint torques that errors of the wrench readings cause."""
     model = fit.dataset.model
 
-    def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+    def offer(window: SampleWindow, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
         run = window.run
         extra = read(window.samples().command.T[run.given])
         padded = np.zeros((len(extra), len(run.channels), extra.shape[-1]))

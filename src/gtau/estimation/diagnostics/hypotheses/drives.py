@@ -43,7 +43,7 @@ from gtau.findings.words import RELATIVE
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter
 from gtau.signals.preparation.filters import differentiate
-from gtau.signals.preparation.prepared_run import InMemoryRun
+from gtau.signals.preparation.prepared_run import SampleWindow
 
 OTHER_FRICTION = "add runs at other speeds, or with other loads, to separate it from other effects"
 CUBIC_FRICTION = Cause(
@@ -76,11 +76,9 @@ def _friction_shape(fit: Fit) -> Offer:
     level = np.maximum(fv * speeds + fs, 0.02 * rms_torques(fit))
     model, base = fit.dataset.model, fit.dataset.base
     regressor, acting = model.columns(base.standard), is_transmitted(base.names)
-    absent = {
-        term: np.array([Parameter(term, j) not in fit.system.friction.terms for j in joints]) for term in ("f3", "fl")
-    }
+    absent = {term: np.array([Parameter(term, j) not in fit.system.terms for j in joints]) for term in ("f3", "fl")}
 
-    def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+    def offer(window: SampleWindow, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
         of = window.samples()
         ratio, sign = of.qd / np.where(speeds > 0, speeds, 1.0), np.sign(of.qd)
         cubic = level * ratio**3 / 3 * absent["f3"]
@@ -114,14 +112,14 @@ COULOMB_DRIFT = Cause(
 
 def _friction_drift(fit: Fit) -> Offer:
     """Add viscous or Coulomb friction that changes along the runs."""
-    joints, terms = fit.dataset.model.actuated, fit.system.friction.terms
+    joints, terms = fit.dataset.model.actuated, fit.system.terms
     # friction that depends on the temperature has a slope of its own for this
     fv, fs = friction_levels(fit) * np.array(
         [Parameter("fvt", j) not in terms and Parameter("fst", j) not in terms for j in joints]
     )
     along = _along_runs(fit)
 
-    def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+    def offer(window: SampleWindow, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
         of = window.samples()
         change = along(window, of.time)
         return at_full_rate(window, fit, np.stack([(fv * of.qd).T * change, (fs * np.sign(of.qd)).T * change]))
@@ -129,11 +127,11 @@ def _friction_drift(fit: Fit) -> Offer:
     return offer
 
 
-def _along_runs(fit: Fit) -> Callable[[InMemoryRun, np.ndarray], np.ndarray]:
+def _along_runs(fit: Fit) -> Callable[[SampleWindow, np.ndarray], np.ndarray]:
     """Return a function that takes instants in a window's run to -0.5 at its beginning, 0.5 at its end."""
     spans = {id(each.run): (each.time[0], each.time[-1]) for each in fit.dataset.prepared}
 
-    def along(window: InMemoryRun, time: np.ndarray) -> np.ndarray:
+    def along(window: SampleWindow, time: np.ndarray) -> np.ndarray:
         begin, end = spans[id(window.run)]
         return np.asarray((time - begin) / max(end - begin, 1e-12) - 0.5)
 
@@ -165,7 +163,7 @@ def _saturation(fit: Fit) -> Offer:
     regressor, n = fit.dataset.model.columns(fit.dataset.base.standard), len(fit.gains)
     scale = LARGE * rms_torques(fit)
 
-    def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+    def offer(window: SampleWindow, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
         def columns(rows: Rows) -> np.ndarray:
             tau = regressor.torques(rows.entries, values, n)
             return (np.abs(tau) * tau / scale[:, None])[:, :, None]
@@ -195,7 +193,7 @@ def _gain_drift(fit: Fit) -> Offer:
     regressor, n = fit.dataset.model.columns(fit.dataset.base.standard), len(fit.gains)
     along = _along_runs(fit)
 
-    def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+    def offer(window: SampleWindow, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
         return lambda rows: (regressor.torques(rows.entries, values, n) * along(window, rows.time))[:, :, None]
 
     return offer
@@ -224,7 +222,7 @@ def _current_lag(fit: Fit) -> Offer:
     model = fit.dataset.model
     regressor = model.columns(fit.dataset.base.standard)
 
-    def offer(window: InMemoryRun, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+    def offer(window: SampleWindow, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
         torques = regressor.torques_along(model.layout, motion(), values)
         _, change = differentiate(torques.T, window.run.rate)
         return at_full_rate(window, fit, change.T[None])

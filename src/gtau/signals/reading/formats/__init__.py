@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gtau.documents.files import system_refusals
 from gtau.errors import GtauError
 from gtau.findings import Finding
 from gtau.signals.storage import store
@@ -65,13 +66,7 @@ class Table:
         return self.data_set.episodes if self.data_set else {}
 
     def blocks(self, rows: range = ALL) -> Iterator[tuple[np.ndarray, float]]:
-        """Read numbers (M, columns), nan where a value is missing or not a number, with the fraction read so far.
-
-        Raises
-        ------
-        GtauError
-            Where the file cannot be read on.
-        """
+        """Read numbers (M, columns), nan where a value is missing or not a number, with the fraction read so far."""
         with system_refusals(self.path):
             for frame, done in self.frames(self.columns, rows):
                 values = np.empty((len(frame), len(self.columns)))
@@ -100,15 +95,6 @@ def _numbers(series: pl.Series) -> tuple[np.ndarray, str | None]:
 
 
 @contextmanager
-def system_refusals(path: Path) -> Iterator[None]:
-    """Turn an error of the system into one sentence."""
-    try:
-        yield
-    except OSError as error:
-        raise GtauError(f"{path} cannot be read: {(error.strerror or str(error)).lower()}; check the path.") from None
-
-
-@contextmanager
 def readable(path: Path, kind: str) -> Iterator[None]:
     """Turn whatever a library raises on a damaged file into one sentence; ``kind`` such as ``a MAT file``."""
     try:
@@ -128,7 +114,8 @@ def common_length(path: Path, lengths: Mapping[str, int]) -> int:
         (one, rows), *others = lengths.items()
         other = next(name for name, count in others if count != rows)
         raise GtauError(
-            f"{path}: '{one}' has {rows} rows but '{other}' has {lengths[other]}; give columns that were sampled "
-            "together, or each topic's own stamps (time: {position: COLUMN, command: COLUMN})."
+            f"'{one}' has {rows} rows but '{other}' has {lengths[other]}; give columns that were sampled "
+            "together, or each topic's own stamps (time: {position: COLUMN, command: COLUMN}).",
+            source=path,
         )
     return next(iter(lengths.values()))

@@ -14,7 +14,7 @@ import numpy as np
 
 from gtau.errors import GtauError, missing_extra
 from gtau.signals.reading.formats import WIDEST, Table, common_length, readable
-from gtau.signals.storage import sizes
+from gtau.signals.storage import block_size
 
 if TYPE_CHECKING:
     import polars as pl
@@ -24,13 +24,7 @@ NUMERIC = ["double", "single", "logical", "int8", "int16", "int32", "int64", "ui
 
 
 def open_npz(path: Path) -> Table:
-    """Find the numeric arrays of an archive; pickled objects are refused, as reading them can run code.
-
-    Raises
-    ------
-    GtauError
-        The file is damaged, or holds pickled objects and no arrays.
-    """
+    """Find the numeric arrays of an archive; pickled objects are refused, as reading them can run code."""
     with readable(path, "a NumPy archive"), np.load(path, allow_pickle=False) as archive:
         headers = {name: header for name in archive.files if (header := _header(archive, name)) is not None}
     pickled = [name for name, (_, dtype) in headers.items() if dtype.hasobject]
@@ -67,11 +61,6 @@ def open_mat(path: Path) -> Table:
     """Find the numeric arrays of a MAT file; those of a struct ``log`` are named ``log.q``.
 
     Only requested variables are read, and each struct once, since its fields exist only in it.
-
-    Raises
-    ------
-    GtauError
-        The file is damaged, or of version 7.3 and h5py is not installed.
     """
     with path.open("rb") as file:
         file.seek(512)
@@ -95,7 +84,7 @@ def open_mat(path: Path) -> Table:
     def load(names: Collection[str]) -> Iterator[Mapping[str, Any]]:
         arrays = variables(*{name.partition(".")[0] for name in names})
         if lost := set(names) - arrays.keys():
-            raise GtauError(f"{path}: '{min(lost)}' holds complex numbers; give a column of real ones.")
+            raise GtauError(f"'{min(lost)}' holds complex numbers; give a column of real ones.", source=path)
         yield arrays
 
     return _table(path, shapes, load)
@@ -113,11 +102,6 @@ def open_hdf5(path: Path, kind: str = "an HDF5 file", between: str = "/") -> Tab
     """Find the numeric datasets of a file, of its groups too; their names are joined by ``between``.
 
     Nothing is read before it is asked for, and then in blocks.
-
-    Raises
-    ------
-    GtauError
-        h5py is not installed, or the file is damaged.
     """
     try:
         import h5py
@@ -173,8 +157,8 @@ def _table(
         count = common_length(path, {name: rows[name] for name in names})
         with readable(path, "a log"), load({found[name][0] for name in names}) as arrays:
             end = min(wanted.stop, count)
-            for start in range(wanted.start, end, sizes().rows):
-                stop = min(start + sizes().rows, end)
+            for start in range(wanted.start, end, block_size()):
+                stop = min(start + block_size(), end)
                 frame = {name: _column(arrays, found[name], start, stop) for name in names}
                 yield pl.DataFrame(frame), stop / count
 

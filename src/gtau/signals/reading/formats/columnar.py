@@ -16,10 +16,14 @@ from typing import TYPE_CHECKING, Any
 from gtau.documents.files import in_order
 from gtau.errors import GtauError
 from gtau.signals.reading.formats import WIDEST, DataSet, Table
-from gtau.signals.storage import sizes
+from gtau.signals.storage import block_size
 
 if TYPE_CHECKING:
     import polars as pl
+from contextlib import contextmanager
+from tempfile import TemporaryDirectory
+
+import numpy as np
 
 EPISODE = "episode_index"
 INFO = "meta/info.json"
@@ -30,11 +34,6 @@ def open_parquet(path: Path) -> Table:
     """Find the columns of a Parquet file, or of a folder of them as one log (``part_2`` before ``part_10``).
 
     The folder may be that of a LeRobot data set.
-
-    Raises
-    ------
-    GtauError
-        There is no such file in the folder, or it is damaged.
     """
     import polars as pl
 
@@ -47,7 +46,7 @@ def open_parquet(path: Path) -> Table:
 
 
 def open_feather(path: Path) -> Table:
-    """Find the columns of a Feather file, version 2 (Arrow IPC); raises GtauError where it is damaged."""
+    """Find the columns of a Feather file, version 2 (Arrow IPC)."""
     import polars as pl
 
     return _table(path, [path], pl.scan_ipc, "Feather")
@@ -71,8 +70,8 @@ def _table(path: Path, parts: Sequence[Path], scan: Callable[[Path], pl.LazyFram
         first = 0  # row of the part
         for part, length in zip(parts, lengths, strict=True):
             begin, end = max(rows.start - first, 0), min(rows.stop - first, length)
-            for start in range(begin, end, sizes().rows):
-                stop = min(start + sizes().rows, end)
+            for start in range(begin, end, block_size()):
+                stop = min(start + block_size(), end)
                 try:
                     frame = scan(part).select([columns[name] for name in names]).slice(start, stop - start).collect()
                 except pl.exceptions.PolarsError as error:
@@ -142,11 +141,6 @@ def _data_set(log: Path) -> tuple[float | None, Mapping[str, Sequence[str]]]:
     """Read rate (Hz) and names of the items of each feature from the data set of a file of frames, or their folder.
 
     None and no names where a log is of no data set.
-
-    Raises
-    ------
-    GtauError
-        Its description is damaged.
     """
     folders = [log, *log.absolute().parents[:DEPTH]]
     file = next((folder / INFO for folder in folders if (folder / INFO).is_file()), None)
@@ -170,6 +164,50 @@ def _flat(names: Any) -> list[str]:
     if isinstance(names, list):
         return [each for of in names for each in _flat(of)]
     return [names] if isinstance(names, str) else []
+
+
+@contextmanager
+def as_log(table: Any) -> Iterator[Path]:
+    """Write a table to a temporary Parquet file for the context, so that it is read and checked like any log.
+
+    It is a frame of Polars or pandas, a mapping, or an array (N, columns), whose columns are numbered from 1 if
+    unnamed.
+    """
+    with TemporaryDirectory(prefix="gtau-") as folder:
+        path = Path(folder) / "table.parquet"
+        _frame(table).write_parquet(path)
+        try:
+            yield path
+        except GtauError as error:
+            raise GtauError(str(error).replace(str(path), "the table")) from None
+
+
+def _frame(table: Any) -> Any:
+    import polars
+
+    if isinstance(table, polars.DataFrame):
+        return table
+    if isinstance(table, polars.LazyFrame):
+        return table.collect()
+    if isinstance(table, np.ndarray) and table.dtype.names:
+        columns = {name: table[name] for name in table.dtype.names}
+    elif isinstance(table, np.ndarray) and table.ndim == 2:
+        columns = {str(k): column for k, column in enumerate(table.T, 1)}
+    elif isinstance(table, Mapping) or hasattr(table, "columns"):  # the latter pandas, which need not be installed
+        columns = {
+            str(name): np.asarray(table[name]) for name in (table.columns if hasattr(table, "columns") else table)
+        }
+    else:
+        raise GtauError(
+            f"a log cannot be a {type(table).__name__}; give the path of a file, a Polars or pandas data frame, a "
+            "mapping of columns, or an array of samples by columns."
+        )
+    try:
+        return polars.DataFrame(columns)
+    except (polars.exceptions.PolarsError, TypeError, ValueError) as error:
+        raise GtauError(
+            f"the table cannot be used as a log ({str(error).splitlines()[0]}); correct its columns."
+        ) from None
 
 
 LOG_FORMATS = {".parquet": open_parquet, ".feather": open_feather, ".arrow": open_feather}

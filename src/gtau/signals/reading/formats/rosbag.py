@@ -16,7 +16,7 @@ import numpy as np
 
 from gtau.errors import GtauError, missing_extra
 from gtau.signals.reading.formats import WIDEST, Table, common_length, readable
-from gtau.signals.storage import sizes
+from gtau.signals.storage import block_size
 
 if TYPE_CHECKING:
     import polars as pl
@@ -51,13 +51,7 @@ def robot_description(path: Path) -> str | None:
 
 
 def open_rosbag(path: Path) -> Table:
-    """Find the columns of a bag, a file or a rosbag2 folder, from the first message of every topic.
-
-    Raises
-    ------
-    GtauError
-        The package rosbags is not installed, or the bag is damaged.
-    """
+    """Find the columns of a bag, a file or a rosbag2 folder, from the first message of every topic."""
     columns: dict[str, tuple[str, Getter | None]] = {}  # topic, and what gets its value from a message; None: receipt
     counts: dict[str, int] = {}
     with readable(path, "a ROS bag"), _reader(path) as bag:
@@ -82,12 +76,13 @@ def open_rosbag(path: Path) -> Table:
         count = common_length(path, {name: counts[topic] for name, topic in zip(names, topics, strict=True)})
         if len(set(topics)) > 1:
             raise GtauError(
-                f"{path}: '{names[0]}' and '{names[[t != topics[0] for t in topics].index(True)]}' come from two "
+                f"'{names[0]}' and '{names[[t != topics[0] for t in topics].index(True)]}' come from two "
                 f"topics with separate time stamps; give both"
-                " (time: {position: COLUMN, command: COLUMN})."
+                " (time: {position: COLUMN, command: COLUMN}).",
+                source=path,
             )
         getters = [columns[name][1] for name in names]
-        values = np.empty((min(sizes().rows, count), len(names)))
+        values = np.empty((min(block_size(), count), len(names)))
         filled = 0
         with readable(path, "a ROS bag"), _reader(path) as bag:
             connections = [each for each in bag.connections if each.topic == topics[0]]

@@ -18,7 +18,7 @@ from gtau.errors import GtauError
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.signals.reading.formats import Table
-from gtau.signals.storage import sizes
+from gtau.signals.storage import BYTES, block_size
 
 if TYPE_CHECKING:
     import polars as pl
@@ -45,11 +45,6 @@ def open_text(path: Path) -> Table:
 
     Decimal commas are allowed except between comma separated columns. What stands before the table is skipped, and a
     note says so. Without a header the columns are named by their number from 1.
-
-    Raises
-    ------
-    GtauError
-        The file is empty or no text, or its header has fewer columns than its rows.
     """
     _refuse_encoding(path)
     lines = _first_lines(path)
@@ -99,7 +94,8 @@ def open_text(path: Path) -> Table:
 
 def _skipped(lines: Sequence[int], header: _Line | None) -> Iterator[Finding]:
     if lines:
-        values = {"first": lines[0], "last": lines[-1], "header": header.number if header else 0}
+        last = lines[-1] if len(lines) > 1 else 0
+        values = {"first": lines[0], "last": last, "header": header.number if header else 0}
         yield Finding(F.SKIPPED_LINES, values=values)
 
 
@@ -177,8 +173,8 @@ def _refuse_long_line(path: Path, length: int, number: int | None = None) -> Non
     if length > LONGEST:
         where = "a line" if number is None else f"line {number}"
         raise GtauError(
-            f"{path}: {where} is longer than {LONGEST >> 20} MB, too long for a row of a log; write one sample per "
-            f"line."
+            f"{where} is longer than {LONGEST >> 20} MB, too long for a row of a log; write one sample per line.",
+            source=path,
         )
 
 
@@ -254,7 +250,7 @@ def _whole_lines(path: Path, begin: int) -> Iterator[tuple[bytes, float]]:
     size, torn = path.stat().st_size, b""
     with path.open("rb") as file:
         file.seek(begin)
-        while read := file.read(sizes().text):
+        while read := file.read(BYTES * block_size()):
             end = read.rfind(b"\n") + 1
             if end:
                 text, torn = torn + read[:end], b""

@@ -1,0 +1,268 @@
+"""Map over the workers of an executor, which may die: processes of this machine, or those of a Dask scheduler."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import signal
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
+from importlib.metadata import PackageNotFoundError, version
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from typing import TYPE_CHECKING, Any
+
+from gtau.errors import GtauError, missing_extra
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+Function = Callable[[Any], Any]
+Mapper = Callable[[Function, Sequence[Any]], Iterable[tuple[int, Any]]]
+"""Calls a function for every item, in this process or elsewhere.
+
+It yields the index of each item with the function's result as soon as that is there, in any order. A GtauError in
+place of the result says why there is none.
+"""
+QUIET = "ignore:resource_tracker"  # warning option of the process that cleans up what killed workers leave
+LIMITS = {"GTAU_THREADS": "1", "POLARS_MAX_THREADS": "1"}
+"""Environment of a worker process: one thread each, as there are as many processes as cores."""
+PATIENCE = 15.0  # s to wait for a scheduler, and for its first worker
+WITHOUT_WORKERS = 60.0  # s until the work is given up: workers may be starting again
+_ONE_AT_A_TIME = threading.Lock()  # in a process: CasADi's symbolic expressions are not thread-safe
+
+
+class WorkerDied(GtauError):
+    """The worker of an item died, or another one of the same executor."""
+
+
+@dataclass(frozen=True)
+class Workers:
+    """A :class:`concurrent.futures.Executor` by its ``submit``, and how its workers fail.
+
+    ``failure`` makes a GtauError of a future's exception, :class:`WorkerDied` where its worker died, or raises what
+    ends all work. ``at_once`` items at most are submitted at a time: all of them may fail with one worker. ``check``
+    is called at least once a second, and may raise.
+    """
+
+    submit: Callable[[Function, Any], Future[Any]]
+    failure: Callable[[BaseException], GtauError]
+    at_once: int = sys.maxsize
+    check: Callable[[], None] = lambda: None
+
+    def map(self, function: Function, items: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+        """Map as a :data:`Mapper`; items whose worker died are tried once more, one by one."""
+        died = []
+        for k, result in self._results(function, items, range(len(items))):
+            if isinstance(result, WorkerDied):
+                died.append(k)
+            else:
+                yield k, result
+        for k in died:
+            yield from self._results(function, items, [k])
+
+    def _results(self, function: Function, items: Sequence[Any], indices: Iterable[int]) -> Iterator[tuple[int, Any]]:
+        waiting, futures = deque(indices), dict[Future[Any], int]()
+        while waiting or futures:
+            while waiting and len(futures) < self.at_once:
+                k = waiting.popleft()
+                futures[self.submit(function, items[k])] = k
+            done = wait(futures, timeout=1.0, return_when=FIRST_COMPLETED).done
+            self.check()
+            for future in done:
+                error = CancelledError() if future.cancelled() else future.exception()
+                yield futures.pop(future), future.result() if error is None else self.failure(error)
+
+
+def serial_map(function: Function, items: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+    """Process the items one by one in this process."""
+    return enumerate(map(function, items))
+
+
+@contextmanager
+def processes(jobs: int) -> Iterator[Mapper]:
+    """Open a map over ``jobs`` processes of this machine, which end on leaving; with one job, in this process."""
+    if jobs == 1:
+        yield serial_map
+        return
+    from loky import get_reusable_executor
+
+    watched, held = Pipe(duplex=False)
+    options = {"timeout": None, "initializer": _end_with, "initargs": (watched,), "env": LIMITS}
+    executor = partial(get_reusable_executor, jobs, **options)  # a new one where a process of the last one died
+
+    def submit(function: Function, item: Any) -> Future[Any]:
+        with shielded_from_terminal():
+            return executor().submit(function, item)
+
+    def failure(error: BaseException) -> GtauError:
+        if isinstance(error, BrokenExecutor):
+            return WorkerDied("its process died twice, usually for lack of memory; give it more.")
+        raise error
+
+    with watched, held:
+        try:
+            yield Workers(submit, failure, jobs).map
+        finally:
+            executor().shutdown(kill_workers=True)
+
+
+def _end_with(parent: Connection) -> None:
+    """End this worker process when the other end of the pipe closes, that is, when its parent ends in any way."""
+
+    def watch() -> None:
+        with suppress(EOFError, OSError):
+            parent.recv_bytes()  # nobody writes
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def shielded_from_terminal() -> Iterator[None]:
+    """Shield processes and threads begun within from Ctrl-C and from SIGHUP; they end with the process that began them.
+
+    A terminal signals them too, and those that die before this process reports it would be taken for failures.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    from multiprocessing.resource_tracker import ensure_running
+
+    from loky.backend.resource_tracker import ensure_running as ensure_loky_running
+
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
+    sys.warnoptions.append(QUIET)
+    try:
+        ensure_running()  # now: where it begins, it unblocks SIGINT
+        ensure_loky_running()
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        yield
+    finally:
+        sys.warnoptions.remove(QUIET)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def dask_workers(
+    address: str, patience: float = PATIENCE, without_workers: float = WITHOUT_WORKERS
+) -> Iterator[Mapper]:
+    """Open a map over the workers of the Dask scheduler at ``address``, or over those of this machine: ``local``.
+
+    Leaving cancels the work that is still going on. ``patience`` is the time for the scheduler and its first worker
+    to answer, and ``without_workers`` that without any worker until the work is given up, in s.
+
+    Raises GtauError where Dask is missing, the scheduler cannot be reached, stops or has no workers, or they have
+    another gtau.
+    """
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError:
+        raise missing_extra("--dask", "distributed", "dask") from None
+    logging.getLogger("distributed.client").disabled = True  # what it logs with a traceback, a sentence says
+    with ExitStack() as stack:
+        if address == "local":
+            options = {"n_workers": os.cpu_count(), "threads_per_worker": 1, "env": LIMITS}
+            with shielded_from_terminal():
+                cluster = LocalCluster(dashboard_address=":0", silence_logs="CRITICAL", **options)
+            address = stack.enter_context(cluster).scheduler_address
+        _check_scheduler(address, patience)
+        client = stack.enter_context(Client(address, timeout=patience))
+        check_workers(client, address, patience)
+        submit = client.get_executor(pure=False).submit
+        seen = time.monotonic()
+
+        def check() -> None:
+            nonlocal seen
+            if client.status == "running" and client.scheduler_info()["workers"]:
+                seen = time.monotonic()
+            elif time.monotonic() > seen + without_workers:
+                raise GtauError(
+                    f"the Dask scheduler has had no workers for {without_workers:.0f} s; check workers and network, "
+                    "and run the same command again."
+                )
+
+        yield Workers(partial(submit, _work, installed()), _dask_failure, check=check).map
+
+
+def _check_scheduler(address: str, patience: float) -> None:
+    """Check that the scheduler responds: a client that fails to connect leaves threads and tracebacks behind."""
+    from distributed import rpc
+
+    async def identity() -> str:
+        async with rpc(address) as scheduler:
+            answer = await asyncio.wait_for(scheduler.identity(), patience)
+        return str(answer["type"]).lower()
+
+    try:
+        kind = asyncio.run(identity())
+        reason = "" if kind == "scheduler" else f"this is a {kind}"
+    except (OSError, ValueError) as error:
+        reason = "it does not answer" if isinstance(error, OSError) else str(error)
+    if reason:
+        raise GtauError(
+            f"the Dask scheduler '{address}' cannot be reached ({reason}); give an address such as tcp://host:8786, or "
+            "'local'."
+        )
+
+
+def check_workers(client: Client, address: str, patience: float) -> None:
+    """Check that there are workers, and that they have the gtau of this process; raises GtauError."""
+    try:
+        client.wait_for_workers(1, timeout=patience)
+    except TimeoutError:
+        raise GtauError(
+            f"the Dask scheduler '{address}' has no workers; start some with 'dask worker {address} --nthreads 1'."
+        ) from None
+    for worker, theirs in client.run(version, "gtau", on_error="return").items():
+        if isinstance(theirs, PackageNotFoundError):
+            raise GtauError(f"the Dask worker {worker} has no gtau; install gtau {installed()} there.")
+        _check_version(worker, theirs, installed())
+
+
+def installed() -> str:
+    """Return the version of gtau in this process."""
+    return version("gtau")
+
+
+def _check_version(worker: str, theirs: str, ours: str) -> None:
+    if theirs != ours:
+        raise GtauError(
+            f"the Dask worker {worker} has gtau {theirs} and this machine {ours}; install the same version everywhere."
+        )
+
+
+def _work(expected: str, function: Function, item: Any) -> Any:
+    """Process an item on a worker, which may have come after the check of the others."""
+    from distributed import get_worker
+
+    _check_version(get_worker().address, installed(), expected)
+    with _ONE_AT_A_TIME:
+        return function(item)
+
+
+def _dask_failure(error: BaseException) -> GtauError:
+    from distributed import CancelledError as DaskCancelledError
+    from distributed import KilledWorker
+    from distributed.comm.core import CommClosedError
+
+    if isinstance(error, KilledWorker):
+        return WorkerDied(
+            f"it killed one Dask worker after the other, the last one {error.last_worker.address}, usually for lack "
+            f"of memory; give them more."
+        )
+    if isinstance(error, (CancelledError, DaskCancelledError, CommClosedError)):
+        raise GtauError(
+            "the Dask scheduler stopped or cancelled the work; start it, and run the same command again."
+        ) from None
+    if isinstance(error, GtauError):
+        return error
+    raise error

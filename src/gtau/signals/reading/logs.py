@@ -1,0 +1,320 @@
+"""Logs of a run: files of any format, one or two of them, as samples in SI units.
+
+Commands with separate time stamps are interpolated.
+"""
+
+from __future__ import annotations
+
+from collections import ChainMap
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from gtau.documents.files import system_refusals
+from gtau.errors import GtauError
+from gtau.extensions import added, built_in
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
+from gtau.signals.reading.body_columns import at_origins
+from gtau.signals.reading.columns import SampleRate, Signals
+from gtau.signals.reading.formats import ALL, Table
+from gtau.signals.reading.formats.columnar import INFO
+from gtau.signals.reading.formats.rosbag import LOG_FORMATS as BAGS
+from gtau.signals.reading.formats.text import open_text
+from gtau.signals.reading.samples import Source
+from gtau.signals.reading.units import Units
+from gtau.signals.storage import block, blocks, store
+
+GROUP = "gtau.log_formats"
+"""Of the entry points of other distributions."""
+
+
+def reader_of(ending: str) -> Callable[[Path], Table] | None:
+    """Find the reader of files whose name has an ending (``.npz``); None where it has none of its own."""
+    found = built_in(GROUP, "gtau.signals.reading.formats").get(ending) or added(GROUP, ending, Callable)
+    return cast("Callable[[Path], Table] | None", found)
+
+
+def read_log(path: str | Path, names: Iterable[str]) -> Table:
+    """Locate columns of a log by name, unchecked; the ending of its name gives the format, see :func:`reader_of`.
+
+    Raises
+    ------
+    GtauError
+        The file cannot be read, or a column is not in it.
+    """
+    table = find_columns(Path(path))
+    names = tuple(dict.fromkeys(names))
+    _refuse_missing(names, table)
+    return replace(table, columns=names)
+
+
+def find_columns(path: Path) -> Table:
+    """Find all columns of a log, whatever its format; raises GtauError where it cannot be read."""
+    with system_refusals(path):
+        if not path.is_dir():
+            path.open("rb").close()  # the system's reason, not a library's, where there is no such file
+        reader = reader_of(_ending(path)) or open_text
+        return reader(path)
+
+
+def _ending(path: Path) -> str:
+    """Return the ending of a file's name, or that of the files in a folder."""
+    if path.is_dir():
+        return ".db3" if (path / "metadata.yaml").is_file() else ".parquet"
+    return path.suffix.lower()
+
+
+def is_log_folder(path: Path) -> bool:
+    """Decide whether a folder is one log: a rosbag2, Parquet files, or a LeRobot data set."""
+    return any((path / name).is_file() for name in ("metadata.yaml", INFO)) or any(path.glob("*.parquet"))
+
+
+def is_rosbag(path: Path) -> bool:
+    """Decide by its name whether a path is a bag."""
+    return path.suffix.lower() in BAGS or (path / "metadata.yaml").is_file()
+
+
+def _refuse_missing(names: Iterable[str], table: Table) -> None:
+    path, columns = table.path, table.columns
+    if not columns:
+        raise GtauError(
+            f"{path} holds no columns of numbers; save the signals as plain numeric arrays, not as objects such as "
+            "tables or time series."
+        )
+    for name in names:
+        if columns.count(name) > 1:
+            raise GtauError(f"{path} has {columns.count(name)} columns named '{name}'; rename them.")
+        if name in table.unusable:
+            raise GtauError(f"{path}, column '{name}' {table.unusable[name]}.")
+        if name in columns:
+            continue
+        if table.numbered:
+            raise GtauError(
+                f"there is no column '{name}'; the file has no header, so its {len(columns)} columns are named "
+                f"1 to {len(columns)}.",
+                source=path,
+            )
+        close = get_close_matches(name, columns, n=1)
+        hint = f"did you mean '{close[0]}'? The" if close else "the"
+        listed = ", ".join(columns[:40]) + (", ..." if len(columns) > 40 else "")
+        raise GtauError(f"there is no column '{name}'; {hint} columns are {listed}.", source=path)
+
+
+LONGEST_STEP = 3.0  # usual steps of the commands, beyond which they are not interpolated but missing
+CLOSE = 0.01  # of a step: stamps that differ by less are the same, up to rounding
+
+
+def read_logs(
+    paths: Sequence[Path],
+    signals: Signals,
+    units: Units,
+    notes: list[Finding],
+    rows: range = ALL,
+    progress: Callable[[float], None] = lambda done: None,
+) -> tuple[Source, Iterator[np.ndarray]]:
+    """Find the columns of a run in its logs, and read their ``rows``; raises GtauError.
+
+    The samples (M, n + c + 1), in blocks, are positions, commands, torque sensors, wrenches and time. ``notes`` report
+    what was left out or aligned; ``progress`` is called with the part of the log that has been read.
+    """
+    if len(paths) not in (1, 2):
+        raise GtauError(f"a run has {len(paths)} logs; give one, or two with the positions and the {signals.kind}s.")
+    times, stamps, base = signals.time_columns, signals.command_time_columns, signals.base
+    positions, commands = [*signals.position.values(), *(base.pose if base else ())], list(signals.measured)
+    if len(paths) == 1 and (both := set(positions) & set(commands)):
+        raise GtauError(
+            f"the column '{min(both)}' is given both as a position and as a {signals.kind}; correct one of the two.",
+            source=paths[0],
+        )
+    position_scale, command_scale, time_scale = units.scale(signals)
+    files = [read_log(paths[0], (*times, *positions, *(commands if len(paths) == 1 and not stamps else ())))]
+    aligned = None
+    if stamps:
+        log = _stamped(paths[-1], stamps, commands, time_scale, f"{signals.kind}s")
+        clock = store(seconds(values, time_scale) for values, _ in read_log(paths[0], times).blocks())
+        aligned = _aligned((paths[0], clock), (paths[-1], log), f"{signals.kind}s")
+    elif len(paths) == 2:
+        files.append(read_log(paths[1], commands))
+    first = files[0]
+    source = Source(
+        name=" and ".join(str(path) for path in paths),
+        channels=signals.channels,
+        columns=(*_labels(signals), " and ".join(times) or "rate"),
+        texts=ChainMap(*(file.texts for file in reversed(files))),
+        first_line=(first.first_line or 1) + (aligned.rows.start if aligned else 0),
+        line_word="row" if first.first_line is None else "line",
+    )
+    notes += [note.of_source(file.path.name) if len(files) > 1 else note for file in files for note in file.notes]
+    notes += [aligned.note] if aligned and aligned.note else []
+    columns = [(k, name) for k, file in enumerate(files) for name in file.columns]
+    wanted = [(0, name) for name in positions] + [(len(files) - 1, name) for name in commands if not stamps]
+    order, at_times = [columns.index(column) for column in wanted], [columns.index((0, name)) for name in times]
+
+    def parts() -> Iterator[np.ndarray]:
+        row, located = rows.start, rows
+        if aligned is not None:
+            shift = aligned.rows.start
+            located = range(rows.start + shift, min(rows.stop + shift, aligned.rows.stop))
+        for values, done in _side_by_side(files, located):
+            progress(done)
+            time = instants(signals, values[:, at_times], time_scale, row)
+            logged = values[:, order]
+            if aligned is not None:
+                between = aligned.at(time)
+                between[np.isnan(logged).all(axis=1)] = np.nan  # rows that hold other topics
+                logged = np.hstack([logged, between])
+            row += len(values)
+            yield np.column_stack([_converted(signals, logged * [*position_scale, *command_scale]), time])
+
+    return source, parts()
+
+
+def _converted(signals: Signals, values: np.ndarray) -> np.ndarray:
+    """Prepend the base's six coordinates, whose commands are 0; move the wrenches to the origins of their axes.
+
+    The columns (M, .) are those of positions, pose, commands and sensors, and wrenches.
+    """
+    base, acting = signals.base, signals.all_wrenches
+    joints, pose = len(signals.position), len(base.pose) if base else 0
+    modelled = len(signals.measured) - sum(len(wrench.columns) for wrench in acting)
+    q, of_base, commands, wrenches = np.split(values, np.cumsum([joints, pose, modelled]), axis=1)
+    wrenches = at_origins(acting, wrenches, base.yaw if base else 0.0)
+    if base is None:
+        return np.hstack([q, commands, wrenches])
+    return np.hstack([base.positions(of_base), q, np.zeros((len(values), len(base.joints))), commands, wrenches])
+
+
+def _labels(signals: Signals) -> Iterator[str]:
+    """Name the columns of positions and channels, for messages."""
+    base, acting = signals.base, signals.all_wrenches
+    yield from (*(base.labels if base else ()), *signals.position.values())
+    yield from ["no motor"] * (len(base.joints) if base else 0)
+    yield from signals.measured[: len(signals.measured) - sum(len(wrench.columns) for wrench in acting)]
+    yield from (label for wrench in acting for label in wrench.labels)
+
+
+def _side_by_side(files: Sequence[Table], wanted: range) -> Iterator[tuple[np.ndarray, float]]:
+    """Join rows of logs that were sampled together, with the fraction of the first read so far."""
+    if len(files) == 1:
+        yield from files[0].blocks(wanted)
+        return
+    streams = [file.blocks(wanted) for file in files]
+    waiting = [np.empty((0, len(file.columns))) for file in files]
+    counts, done = [0] * len(files), 0.0
+    while True:
+        for k, stream in enumerate(streams):
+            if not len(waiting[k]) and (read := next(stream, None)) is not None:
+                waiting[k], counts[k] = read[0], counts[k] + len(read[0])
+                done = read[1] if k == 0 else done
+        count = min(map(len, waiting))
+        if not count:
+            break
+        yield np.hstack([values[:count] for values in waiting]), done
+        waiting = [values[count:] for values in waiting]
+    counts = [count + sum(len(values) for values, _ in stream) for count, stream in zip(counts, streams, strict=True)]
+    if len(set(counts)) > 1:
+        raise GtauError(
+            f"{files[0].path} has {counts[0]} rows but {files[1].path} has {counts[1]}; give two logs that were "
+            "sampled together, or the stamps of each (time: {position: COLUMN, command: COLUMN})."
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Aligned:
+    """Time in s and commands, ``log`` (K, 1 + c); ``rows`` of the positions' log lie between the first and the last.
+
+    ``longest`` (s) is the step over which they are interpolated; beyond it they are missing. ``note`` reports it.
+    """
+
+    log: np.ndarray
+    longest: float
+    rows: range
+    note: Finding | None
+
+    def at(self, time: np.ndarray) -> np.ndarray:
+        """Interpolate commands (M, c) linearly between stamps at other instants (M,); nan where they are missing."""
+        known = np.isfinite(time)
+        commands = np.full((len(time), self.log.shape[1] - 1), np.nan)
+        if not known.any():
+            return commands
+        begin = max(int(np.searchsorted(self.log[:, 0], np.min(time[known]), side="right")) - 1, 0)
+        end = int(np.searchsorted(self.log[:, 0], np.max(time[known]))) + 1
+        stamps, *logged = block(self.log, begin, end).T
+        after = np.clip(np.searchsorted(stamps, time[known], side="left"), 0, len(stamps) - 1)
+        before = np.maximum(after - (stamps[after] != time[known]), 0)
+        between = (stamps[after] - stamps[before] <= self.longest) & (stamps[after] >= time[known])
+        values = np.column_stack([np.interp(time[known], stamps, command) for command in logged])
+        commands[known] = np.where(between[:, None], values, np.nan)
+        return commands
+
+
+def _stamped(path: Path, stamps: Sequence[str], commands: Sequence[str], scale: float, what: str) -> np.ndarray:
+    """Read the complete rows of commands and their time in s, (K, 1 + c); of equal stamps the first."""
+    file = read_log(path, (*stamps, *commands))
+    at_stamps, at_commands = ([file.columns.index(name) for name in names] for names in (stamps, commands))
+    parts, row, last, count = [], 0, -np.inf, 0
+    for values, _ in file.blocks():
+        complete = np.isfinite(values).all(axis=1)
+        time = seconds(values[:, at_stamps], scale)
+        steps = np.diff(time[complete], prepend=last)
+        if (steps < 0).any():
+            at = row + int(np.flatnonzero(complete)[np.argmax(steps < 0)]) + (file.first_line or 1)
+            raise GtauError(
+                f"{path}, {'row' if file.first_line is None else 'line'} {at}: the time of the {what} goes back; cut "
+                "the log there into two runs, or correct the column."
+            )
+        last = float(time[complete][-1]) if complete.any() else last
+        complete[complete] = steps > 0
+        parts.append(np.column_stack([time[complete], values[np.ix_(complete, at_commands)]]))
+        row, count = row + len(values), count + len(parts[-1])
+    if count < 2:
+        raise GtauError(f"{path} has {count} complete rows of {what}; give the log and columns that hold them.")
+    return store(parts, (1 + len(commands),))
+
+
+def _aligned(positions: tuple[Path, np.ndarray], commands: tuple[Path, np.ndarray], what: str) -> Aligned:
+    """Compare the instants (N,) in s of a log of positions with those of commands (K, 1 + c), called ``what``."""
+    (path, clock), (other_path, log) = positions, commands
+    stamps = log[:, 0]
+    inside = np.flatnonzero((clock >= stamps[0]) & (clock <= stamps[-1]))
+    finite = clock[np.isfinite(clock)]
+    if not inside.size or not finite.size:
+        spanned = f"{finite[0]:.9g} to {finite[-1]:.9g} s" if finite.size else "no time"
+        raise GtauError(
+            f"{path} holds positions from {spanned}, but {other_path} {what} from {stamps[0]:.9g} to {stamps[-1]:.9g} "
+            "s: their clocks do not overlap; log both with one clock, or give the logs of one run."
+        )
+    rows = range(int(inside[0]), int(inside[-1]) + 1)
+    steps = [float(np.median(np.diff(time))) for time in (finite, stamps)]
+    apart = _distances(finite, stamps)
+    if apart <= CLOSE * min(steps) and len(rows) == len(clock):
+        return Aligned(log, LONGEST_STEP * max(steps), rows, None)
+    said = {"signal": what, "rate": 1 / steps[1], "position_rate": 1 / steps[0], "apart": apart * 1e3}
+    note = Finding(F.ALIGNED, values={**said, "left_out": len(clock) - len(rows)})
+    return Aligned(log, LONGEST_STEP * max(steps), rows, note)
+
+
+def _distances(time: np.ndarray, stamps: np.ndarray) -> float:
+    """Compute the typical distance in s from an instant to the closest stamp."""
+    medians = []
+    for part in blocks(time):
+        after = np.clip(np.searchsorted(stamps, part), 1, len(stamps) - 1)
+        medians.append(np.median(np.minimum(np.abs(part - stamps[after - 1]), np.abs(stamps[after] - part))))
+    return float(np.median(medians))
+
+
+def instants(signals: Signals, stamps: np.ndarray, scale: float, row: int) -> np.ndarray:
+    """Compute the times (M,) in s of rows from ``row`` on, from their time columns (M, 0 to 2) or the given rate."""
+    if isinstance(signals.time, SampleRate):
+        return np.arange(row, row + len(stamps)) / signals.time.rate
+    return seconds(stamps, scale)
+
+
+def seconds(stamps: np.ndarray, scale: float) -> np.ndarray:
+    """Convert one column, or two with seconds and nanoseconds, to times (M,) in s."""
+    return stamps[:, 0] * scale if stamps.shape[1] == 1 else stamps[:, 0] + stamps[:, 1] * 1e-9
