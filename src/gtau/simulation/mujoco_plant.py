@@ -17,8 +17,7 @@ from scipy.spatial.transform import Rotation
 from gtau.errors import GtauError, missing_extra
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import Coordinates, PlatformSlots
-from gtau.robots.parameter import Parameter, parameter_of
-from gtau.robots.rigid_body import rigid_body
+from gtau.robots.parameter import Parameter, parameter_of, rigid_body
 from gtau.robots.robot import (
     DAMPING,
     GROUND,

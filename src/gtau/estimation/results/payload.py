@@ -18,8 +18,7 @@ from gtau.estimation.results.estimate import Estimate
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.robots.geometry import longest_placement
-from gtau.robots.parameter import Parameter, unit_of
-from gtau.robots.rigid_body import RigidBody
+from gtau.robots.parameter import Parameter, RigidBody, unit_of
 from gtau.robots.robot import INERTIAL, Pose, Robot
 from gtau.signals.reading.statements import FIRST_MOMENTS, PAYLOAD_KINDS
 
