@@ -61,7 +61,7 @@ def test_tests_of_runs_that_hardly_move_are_skipped_and_say_so() -> None:
     data = dataset(0.0)
     few = tuple(replace(each, speeds=each.speeds * 1e6) for each in data.prepared)
     fit = ML.fit(data.system())
-    examined = examine(replace(fit, dataset=replace(data, prepared=few)))
+    examined = examine(replace(fit, system=replace(fit.system, dataset=replace(data, prepared=few))))
     ((said,), rows) = examined.findings, usable_rows(data.windows(10), data.prepared)
     assert (said.kind, said.values["rows"], examined.alternatives) == (F.FEW_ROWS, 0, ())
     assert rows > FEWEST_FOR_TESTS * said.values["unknowns"]
