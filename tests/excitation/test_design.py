@@ -19,11 +19,11 @@ from gtau.excitation.constraints import ConstraintUsage
 from gtau.excitation.design import Design, Stopped, check, design
 from gtau.excitation.design_file import read_design
 from gtau.excitation.evaluation import design_grid, evaluate, information
-from gtau.excitation.forecast import Expected, Weak, forecast, sampled_motions, weak_unknowns
+from gtau.excitation.forecast import Expected, Outlook, Weak, forecast, sampled_motions, weak_unknowns
 from gtau.excitation.information import root_covariance
 from gtau.excitation.nlp import Programme, random_start
 from gtau.model.home import load_robot
-from gtau.report.design import Outlook, design_document, design_page
+from gtau.report.design import design_document, design_page
 from gtau.report.page import Table
 from gtau.report.render.terminal import plain
 from gtau.signals.reading.logs import read_log
@@ -266,7 +266,7 @@ def test_weak_unknowns_come_with_a_motion_that_tells_them(found: Design) -> None
 
 def test_a_motion_that_tells_next_to_nothing_is_no_advice(found: Design, monkeypatch: pytest.MonkeyPatch) -> None:
     weak = (Weak("fv_left", 400.0, "left", "slowly", 250.0), Weak("fs_left", 4.0, "left", "slowly", 2.5))
-    monkeypatch.setattr("gtau.report.design.weak_unknowns", lambda design, expected: weak)
+    monkeypatch.setattr("gtau.excitation.forecast.weak_unknowns", lambda design, expected: weak)
     nothing, something = (each["advice"] for each in design_document(Outlook(found, {}))["weak"])
     assert nothing.startswith("no motion of one joint within the limits helps")
     assert something.startswith("a run of joint 'left' alone, slowly, would bring it to 250 %")

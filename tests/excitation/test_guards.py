@@ -19,11 +19,11 @@ from gtau.excitation.constraints import usages_of_motion
 from gtau.excitation.design import Design, check, design
 from gtau.excitation.design_file import read_design
 from gtau.excitation.evaluation import design_grid, evaluate
-from gtau.excitation.forecast import sampled_motions
+from gtau.excitation.forecast import Outlook, sampled_motions
 from gtau.excitation.nlp import random_start
 from gtau.excitation.prior import KnownGain, identified_gains
 from gtau.findings import Outcome
-from gtau.report.design import Outlook, design_page
+from gtau.report.design import design_page
 from gtau.report.render.terminal import plain
 
 ARM = """robot: arm

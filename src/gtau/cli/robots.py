@@ -119,9 +119,7 @@ def excite(
     design: Annotated[
         Path, typer.Argument(metavar="DESIGN.yaml", help="Robot, runs, limits, prior knowledge.", show_default=False)
     ],
-    out: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="Folder for report.html, the trajectory and design.json.")
-    ],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for report.html, the trajectory and design.json.")],
     criterion: Annotated[
         str,
         typer.Option(
@@ -148,6 +146,7 @@ def excite(
         from gtau.excitation.design import Design, Stopped
         from gtau.excitation.design import design as run
         from gtau.excitation.design_file import read_design
+        from gtau.excitation.forecast import Outlook
         from gtau.report import design as pages
         from gtau.report.write import write_report
 
@@ -162,7 +161,7 @@ def excite(
         except Stopped as stopped:
             raise KeyboardInterrupt(str(stopped).rstrip(".")) from None
         progress("predicting standard deviations", 0, 1)
-        outlook = pages.Outlook(best, assumed, tuple(masses))
+        outlook = Outlook(best, assumed, tuple(masses))
         report = write_report(pages.design_report(outlook), folder_of(out), seconds(), (("design", design),))
         written = (report, *pages.write_design(outlook, out))
     answer(json_, lambda: pages.design_document(outlook), lambda: pages.design_page(outlook), written)
@@ -187,7 +186,7 @@ def _masses(first: list[float], words: list[str]) -> list[float]:
 
 @refusing
 def demo(
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for logs, model, tables and figures.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for logs, model, tables and figures.")],
     json_: Json = False,
 ) -> None:
     """Simulate an Orthoglide, identify it from its logs, and weigh a second payload with the result."""
@@ -221,7 +220,7 @@ def simulate(
         Path,
         typer.Argument(metavar="SIMULATION.yaml", help="Robot, true parameters, drives, runs.", show_default=False),
     ],
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the logs and experiment.yaml.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the logs and experiment.yaml.")],
     json_: Json = False,
 ) -> None:
     """Simulate a robot under control; write its logs and the experiment file for 'gtau identify'."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -12,13 +13,14 @@ from gtau.estimation.regression.assembly import plain_problem
 from gtau.estimation.regression.equations import MODEL, SIGNALS, modelled, triangle
 from gtau.estimation.regression.factors import reduce_run
 from gtau.estimation.regression.problem import Problem
-from gtau.excitation.constraints import whole_run
-from gtau.excitation.design import Design
+from gtau.excitation.constraints import ConstraintUsage, whole_run
+from gtau.excitation.design import Design, check
 from gtau.excitation.evaluation import PER_HARMONIC, Grid, along, design_grid, evaluate, information
 from gtau.excitation.information import root_covariance
-from gtau.excitation.task import DesignProblem
+from gtau.excitation.task import DesignProblem, close
 from gtau.model.interpreter.program import single_threaded_blas
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import Parameter, parameter_of, torque_unit, unit_of
+from gtau.robots.robot import Robot
 from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.preparation.prepared_run import prepare
 from gtau.signals.run import Run
@@ -214,3 +216,85 @@ def _alone(task: DesignProblem, middle: np.ndarray, j: int, span: float, speed: 
         span /= 2
         center = (center + middle[j]) / 2
     return None
+
+
+@dataclass(frozen=True, eq=False)
+class Outlook:
+    """A design with what it promises.
+
+    ``assumed`` is what the design file left out, as :func:`gtau.read_design` returns it, and ``masses`` are those of
+    other payloads to be tried with it, kg.
+    """
+
+    design: Design
+    assumed: Mapping[str, str]
+    masses: tuple[float, ...] = ()
+
+    @property
+    def task(self) -> DesignProblem:
+        """The data of the design."""
+        return self.design.task
+
+    @property
+    def robot(self) -> Robot:
+        """The robot that moves."""
+        return self.task.model.robot
+
+    @cached_property
+    def motions(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+        """Whole runs at the controller's rate, see :func:`sampled_motions`."""
+        return sampled_motions(self.task, self.design.x)
+
+    @cached_property
+    def forecast(self) -> Forecast:
+        """Standard deviations to expect."""
+        return forecast(self.task, self.design.x)
+
+    @cached_property
+    def weak(self) -> tuple[Weak, ...]:
+        """What this design leaves unidentified."""
+        return weak_unknowns(self.design, self.forecast)
+
+    @cached_property
+    def tool(self) -> tuple[float, np.ndarray]:
+        """Greatest speed, m/s, and least and greatest coordinates (2, 3), m, of the tool's frame in the base."""
+        path = self.task.tool[0]
+        places = [path(close(self.task.model, joints[0], joints[1], joints[2], None).c) for _, joints in self.motions]
+        speeds = [np.gradient(place, time, axis=1) for (time, _), place in zip(self.motions, places, strict=True)]
+        every = np.concatenate(places, axis=1)
+        greatest = max(float(np.linalg.norm(speed, axis=0).max()) for speed in speeds)
+        return greatest, np.array([every.min(axis=1), every.max(axis=1)])
+
+    @cached_property
+    def variants(self) -> tuple[Outlook, ...]:
+        """The same motion with all known payloads of each other mass."""
+        x, tasks = self.design.x, map(self.task.with_payload_mass, self.masses)
+        designs = [replace(self.design, task=task, constraint_usages=check(task, x)) for task in tasks]
+        return tuple(Outlook(design, self.assumed) for design in designs)
+
+    @property
+    def duration(self) -> float:
+        """The longest run, s."""
+        return max(float(time[-1]) for time, _ in self.motions)
+
+    @property
+    def rms(self) -> float:
+        """Relative standard deviation of the gains, per cent, rms over the joints."""
+        return float(np.sqrt(np.mean([gain.relative**2 for gain in self.forecast.gains])))
+
+    @property
+    def usages(self) -> list[ConstraintUsage]:
+        """Usages of the limits, the largest first."""
+        return sorted(self.design.constraint_usages, key=lambda usage: -usage.excess)
+
+    @property
+    def exceeded(self) -> list[str]:
+        """Limits that the motion exceeds."""
+        return [usage.what for usage in self.usages if usage.excess > 1]
+
+    def unit(self, unknown: Expected) -> str:
+        """Return the unit of a gain or a parameter."""
+        if unknown in self.forecast.gains:
+            return f"{torque_unit(self.robot, unknown.name)}/A"
+        parameter = parameter_of(unknown.name)
+        return unit_of(parameter.kind, self.robot, parameter.body)

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gtau.documents.files import write_atomically, write_table
-from gtau.excitation.design import Design, check
-from gtau.excitation.forecast import Expected, Forecast, Weak, forecast, sampled_motions, weak_unknowns
-from gtau.excitation.task import DesignProblem, close
+from gtau.excitation.design import Design
+from gtau.excitation.forecast import Expected, Outlook, Weak, sampled_motions
+from gtau.excitation.task import DesignProblem
 from gtau.report.chart import Chart
 from gtau.report.motion import joint_panels
 from gtau.report.page import (
@@ -31,90 +30,12 @@ from gtau.report.page import (
     table,
     table_of,
 )
-from gtau.robots.parameter import Parameter, parameter_of, torque_unit, unit_of
-from gtau.robots.robot import Robot
+from gtau.robots.parameter import Parameter
 from gtau.signals.reading.statements import Payload
 
 ORDERS = (("position", ""), ("velocity", "/s"), ("acceleration", "/s²"))
 DIGITS = 9
 MOST = 1000  # %, of an assumed value, that are worth printing
-
-
-@dataclass(frozen=True, eq=False)
-class Outlook:
-    """A design with what it promises.
-
-    ``assumed`` is what the design file left out, as :func:`gtau.read_design` returns it, and ``masses`` are those of
-    other payloads to be tried with it, kg.
-    """
-
-    design: Design
-    assumed: Mapping[str, str]
-    masses: tuple[float, ...] = ()
-
-    @property
-    def task(self) -> DesignProblem:
-        """The data of the design."""
-        return self.design.task
-
-    @property
-    def robot(self) -> Robot:
-        """The robot that moves."""
-        return self.task.model.robot
-
-    @cached_property
-    def motions(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-        """Whole runs at the controller's rate, see :func:`sampled_motions`."""
-        return sampled_motions(self.task, self.design.x)
-
-    @cached_property
-    def forecast(self) -> Forecast:
-        """Standard deviations to expect."""
-        return forecast(self.task, self.design.x)
-
-    @cached_property
-    def weak(self) -> tuple[Weak, ...]:
-        """What this design leaves unidentified."""
-        return weak_unknowns(self.design, self.forecast)
-
-    @cached_property
-    def tool(self) -> tuple[float, np.ndarray]:
-        """Greatest speed, m/s, and least and greatest coordinates (2, 3), m, of the tool's frame in the base."""
-        path = self.task.tool[0]
-        places = [path(close(self.task.model, joints[0], joints[1], joints[2], None).c) for _, joints in self.motions]
-        speeds = [np.gradient(place, time, axis=1) for (time, _), place in zip(self.motions, places, strict=True)]
-        every = np.concatenate(places, axis=1)
-        greatest = max(float(np.linalg.norm(speed, axis=0).max()) for speed in speeds)
-        return greatest, np.array([every.min(axis=1), every.max(axis=1)])
-
-    @cached_property
-    def variants(self) -> tuple[Outlook, ...]:
-        """The same motion with all known payloads of each other mass."""
-        x, tasks = self.design.x, map(self.task.with_payload_mass, self.masses)
-        designs = [replace(self.design, task=task, constraint_usages=check(task, x)) for task in tasks]
-        return tuple(Outlook(design, self.assumed) for design in designs)
-
-    @property
-    def duration(self) -> float:
-        """The longest run, s."""
-        return max(float(time[-1]) for time, _ in self.motions)
-
-    @property
-    def rms(self) -> float:
-        """Relative standard deviation of the gains, per cent, rms over the joints."""
-        return float(np.sqrt(np.mean([gain.relative**2 for gain in self.forecast.gains])))
-
-    @property
-    def exceeded(self) -> list[str]:
-        """Limits that the motion exceeds."""
-        return [usage.what for usage in self.design.constraint_usages if usage.excess > 1]
-
-    def unit(self, unknown: Expected) -> str:
-        """Return the unit of a gain or a parameter."""
-        if unknown in self.forecast.gains:
-            return f"{torque_unit(self.robot, unknown.name)}/A"
-        parameter = parameter_of(unknown.name)
-        return unit_of(parameter.kind, self.robot, parameter.body)
 
 
 def file_stems(task: DesignProblem) -> tuple[str, ...]:
@@ -161,7 +82,7 @@ def design_document(outlook: Outlook) -> dict[str, Any]:
             for joint, known in zip(outlook.robot.actuated, task.prior.known, strict=False)
         ],
         "gains": [_entry(outlook, gain, "gains" in outlook.assumed) for gain in expected.gains],
-        "parameters": [_entry(outlook, each, "parameters" in outlook.assumed) for each in expected.parameters],
+        "parameters": [_entry(outlook, value, "parameters" in outlook.assumed) for value in expected.parameters],
         "rows_kept": [
             {"joint": joint, "share": share}
             for joint, share in zip(task.model.actuated, expected.kept.tolist(), strict=True)
@@ -173,7 +94,7 @@ def design_document(outlook: Outlook) -> dict[str, Any]:
         "without_effect": list(task.base.without_effect),
         "limits": [
             {"limit": usage.what, "value": usage.limit, "unit": usage.unit, "used": usage.excess}
-            for usage in sorted(design.constraint_usages, key=lambda usage: -usage.excess)
+            for usage in outlook.usages
         ],
         "payload_masses": [
             {
@@ -219,15 +140,29 @@ def design_page(outlook: Outlook) -> Page:
     assumed = "parameters" in outlook.assumed
     gains = _expected_table(outlook, expected.gains, "gains" in outlook.assumed)
     words = f"-: the value is zero, or assumed and its standard deviation exceeds {MOST} %"
-    unknown = Text(words, style="soft") if any(_meaningless(each, assumed) for each in expected.parameters) else None
+    unknown = Text(words, style="soft") if any(_meaningless(value, assumed) for value in expected.parameters) else None
     parameters = _expected_table(outlook, expected.parameters, assumed, name="parameter-table")
+    facts = {
+        "period": f"{task.series.period:.4g} s",
+        "repetitions": task.repetitions,
+        "duration of a run": f"{outlook.duration:.4g} s",
+        "tool along z of the base": "{:.3g} to {:.3g} m".format(*outlook.tool[1][:, 2]),
+        "motions": "one for all runs" if task.one_motion else "one for each run",
+    }
+    limits = table_of(
+        outlook.usages,
+        (Column("limit"), "what"),
+        (Column("value", Kind.NUMBER, 4), "limit"),
+        (Column("unit"), "unit"),
+        (Column("used, %", Kind.SHARE, decimals=1), "excess"),
+    )
     said = Text("", tuple(outlook.assumed.values())) if outlook.assumed else Text("Nothing was assumed.")
     return page(
         f"Exciting motion for {outlook.robot.name}",
-        section("Verdict", _verdict(outlook), _facts(outlook), id="verdict"),
+        section("Verdict", _verdict(outlook), Facts(facts), id="verdict"),
         section("Drive gains to expect", gains, id="gains"),
         section("Parameters to expect", parameters, unknown, id="parameters"),
-        section("Limits", _limits(design), id="limits"),
+        section("Limits", limits, id="limits"),
         _masses(outlook),
         section("Assumptions", said, id="assumed"),
         lead=[
@@ -256,10 +191,10 @@ def _verdict(outlook: Outlook) -> Text:
         f"deviation of {outlook.rms:.2g} % (rms over the joints)."
     )
     weak: dict[str, list[str]] = {}
-    for each in outlook.weak:
-        share = 100 * each.relative
+    for unknown in outlook.weak:
+        share = 100 * unknown.relative
         size = f"{share:.3g}" if share <= MOST else f">\N{NO-BREAK SPACE}{MOST}"
-        weak.setdefault(_advice(each), []).append(f"{each.name} ({size} %)")
+        weak.setdefault(_advice(unknown), []).append(f"{unknown.name} ({size} %)")
     said = [
         f"not identified (30 % or more, of the value or of a typical one): {', '.join(names)}; {advice}"
         for advice, names in weak.items()
@@ -272,50 +207,27 @@ def _verdict(outlook: Outlook) -> Text:
     return Text(words, tuple(said), "neutral")
 
 
-def _facts(outlook: Outlook) -> Facts:
-    task = outlook.task
-    return Facts(
-        {
-            "period": f"{task.series.period:.4g} s",
-            "repetitions": task.repetitions,
-            "duration of a run": f"{outlook.duration:.4g} s",
-            "tool along z of the base": "{:.3g} to {:.3g} m".format(*outlook.tool[1][:, 2]),
-            "motions": "one for all runs" if task.one_motion else "one for each run",
-        }
-    )
-
-
 def _expected_table(outlook: Outlook, unknowns: Sequence[Expected], assumed: bool, name: str = "") -> Table:
     """Tabulate standard deviations to expect; of a gain that is only assumed, just the relative one means something."""
     hidden = assumed and unknowns is outlook.forecast.gains
-    sources = dict.fromkeys((each.name for each in unknowns), "assumed" if assumed else "given")
+    sources = dict.fromkeys((unknown.name for unknown in unknowns), "assumed" if assumed else "given")
     for joint, known in zip(outlook.robot.actuated, outlook.task.prior.known, strict=False):
         if known.source not in ("given", "assumed"):
             sources[joint] = "{}, {:.4g} to {:.4g}".format(known.source, *known.interval)
     return table_of(
         unknowns,
         (Column("name", Kind.NAME), "name"),
-        (Column("prior value", Kind.NUMBER, 4), lambda each: None if hidden else each.value),
-        (Column("std", Kind.NUMBER, 3), lambda each: None if hidden else _finite(each.std)),
-        (Column("%", Kind.NUMBER, 3), lambda each: None if _meaningless(each, assumed) else _finite(each.relative)),
+        (Column("prior value", Kind.NUMBER, 4), lambda value: None if hidden else value.value),
+        (Column("std", Kind.NUMBER, 3), lambda value: None if hidden else _finite(value.std)),
+        (Column("%", Kind.NUMBER, 3), lambda value: None if _meaningless(value, assumed) else _finite(value.relative)),
         (Column("unit"), outlook.unit),
-        (Column("prior value is"), lambda each: sources[each.name]),
+        (Column("prior value is"), lambda value: sources[value.name]),
         name=name,
     )
 
 
 def _meaningless(unknown: Expected, assumed: bool) -> bool:
     return assumed and MOST < unknown.relative < np.inf
-
-
-def _limits(design: Design) -> Table:
-    return table_of(
-        sorted(design.constraint_usages, key=lambda usage: -usage.excess),
-        (Column("limit"), "what"),
-        (Column("value", Kind.NUMBER, 4), "limit"),
-        (Column("unit"), "unit"),
-        (Column("used, %", Kind.SHARE, decimals=1), "excess"),
-    )
 
 
 def _masses(outlook: Outlook) -> Section | None:
@@ -344,8 +256,8 @@ def motion_charts(outlook: Outlook) -> list[tuple[str, Chart]]:
         runs = [f"run {run + 1} ({_load(task.payloads[run])})" for run in task.motions[k]]
         panels = [
             panel
-            for each, (what, per) in zip(values, ORDERS, strict=False)
-            for panel in joint_panels(robot, task.model.actuated, time, each.T, what, 1.9, per)
+            for order, (what, per) in zip(values, ORDERS, strict=False)
+            for panel in joint_panels(robot, task.model.actuated, time, order.T, what, 1.9, per)
         ]
         charts.append((f"Motion {k + 1}: {', '.join(runs)}", Chart(tuple(panels), robot.name, live=True)))
     return charts

@@ -30,24 +30,19 @@ def fleet_document(fleet: FleetTable) -> dict[str, Any]:
     }
 
 
-def fleet_page(fleet: FleetTable) -> Page:
-    """Show each joint over the robots, outliers, and robots that were refused."""
-    return page("Drive gains of a fleet", _verdict(fleet), _joints(fleet), _outliers(fleet), _refused(fleet, LISTED))
-
-
-def fleet_report(fleet: FleetTable) -> Page:
-    """Show the fleet with every gain of every robot."""
-    charts = [fleet_chart(fleet, joint) for joint in fleet.joints]
+def fleet_page(fleet: FleetTable, full: bool = False) -> Page:
+    """Show each joint over the robots, outliers, and refused robots; in ``full`` every gain of every robot, too."""
     why = (Column("why"), "why")
+    charts = [fleet_chart(fleet, joint) for joint in fleet.joints if full]
     return page(
         "Drive gains of a fleet",
         _verdict(fleet),
         _joints(fleet),
         _outliers(fleet),
         section("Gains by robot", *charts, id="chart"),
-        section("All gains", table_of(fleet.gains, *GAIN, why, name="gains-table"), id="gains"),
-        _refused(fleet),
-        lead=[f"{len(fleet.robots)} robots."],
+        section("All gains", table_of(fleet.gains, *GAIN, why, name="gains-table"), id="gains") if full else None,
+        _refused(fleet, None if full else LISTED),
+        lead=[f"{len(fleet.robots)} robots."] if full else [],
     )
 
 

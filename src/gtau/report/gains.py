@@ -218,7 +218,7 @@ def masses_table(payloads: Sequence[PayloadEstimate]) -> Table | None:
 
 def masses_section(payloads: Sequence[PayloadEstimate]) -> Section | None:
     """Draw the masses of payloads with their intervals; None where none is identifiable."""
-    masses = {f"{each.name}, {each.run}": each.parameters["m"] for each in payloads if "m" in each.parameters}
+    masses = {f"{load.name}, {load.run}": load.parameters["m"] for load in payloads if "m" in load.parameters}
     values, halves = [m.value for m in masses.values()], [m.half_interval() for m in masses.values()]
     if set(values) <= {None}:
         return None

@@ -96,7 +96,7 @@ def report_page(result: Result, runs: Sequence[RunEvidence], prior: Mapping[str,
         motion_section(result, runs),
         geometry_section(result.geometry),
         _consistency_section(result.consistency),
-        logs_section([each.run for each in runs], result.robot, result.preparation),
+        logs_section([run.run for run in runs], result.robot, result.preparation),
         alternatives_section(result),
         findings_section(findings(result)),
         lead=[f"Estimator: {estimator_of(result.method).description}. Runs: {', '.join(result.runs)}."],
@@ -174,7 +174,7 @@ def _fit_words(result: Result) -> list[Text]:
     if result.consistency is not None:
         cost = _growth(_overall(result.consistency))
         said.append(f"Physically consistent parameters: torque residuals {cost}.")
-    return [Text(each) for each in said]
+    return list(map(Text, said))
 
 
 def _sensors_section(result: Result) -> Section | None:

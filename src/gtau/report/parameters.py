@@ -178,14 +178,14 @@ def _audit_points(audit: InertiaAudit, short: bool) -> list[str]:
         said.append(f"the data contradict none of the {tested} base parameters that they determine")
     elif audit.links:
         said.append(f"the data contradict {len(wrong)} of the {tested} base parameters that they determine")
-        steps = [f"{each.name} ({each.error:.2g} %)" for each in audit.links]
+        steps = [f"{link.name} ({link.error:.2g} %)" for link in audit.links]
         said.append(f"correct in the file, in this order (torque error after each step): {', '.join(steps)}")
     if open_ := audit.of("not stated"):
         said.append(f"{len(open_)} include a rotor inertia (armature) that the file does not state")
     if unknown := audit.of("not identifiable"):
         several = len(unknown) > 1
         listed = f"; --verbose lists {'them' if several else 'it'}"
-        listed = listed if short else f": {', '.join(each.name for each in unknown)}"
+        listed = listed if short else f": {', '.join(parameter.name for parameter in unknown)}"
         said.append(
             f"{len(unknown)} base parameter{'s are' if several else ' is'} not identifiable from these motions to "
             f"better than +-100 % of the link{listed}"

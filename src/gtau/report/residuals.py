@@ -92,12 +92,12 @@ def histogram(residuals: Residuals) -> tuple[np.ndarray, np.ndarray] | None:
     None where there are too few.
     """
     values = _kept(residuals)
-    if (found := moments(residuals)) is None:
+    if (centre := moments(residuals)) is None:
         return None
     bins = int(np.clip(np.sqrt(len(values)), 8, 40))
     low, high = np.quantile(values, [0.001, 0.999])
     density, edges = np.histogram(np.clip(values, low, high), bins=bins, range=(low, high), density=True)
-    mean, std = found
+    mean, std = centre
     return (edges - mean) / std, density * std
 
 

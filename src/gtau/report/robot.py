@@ -104,14 +104,14 @@ def robot_page(model: InverseDynamics, base: BaseParameters, verbose: bool = Fal
     """Show a robot, ``verbose`` with every base parameter."""
     robot, notes = model.robot, _notes(model.robot)
     source = f" ({robot.source})" if robot.source else ""
-    platforms = (Text(f"{each.name}: platform, free in {' '.join(each.dof)}") for each in robot.platforms)
+    platforms = (Text(f"{part.name}: platform, free in {' '.join(part.dof)}") for part in robot.platforms)
     count = (
         f"{base.count} base parameters of {len(model.parameter_names)} standard ones ({len(base.without_effect)} have "
         f"no effect); {base.inertial_count} without rotor inertia, friction and offset"
     )
     terms = [
-        f"{each.name}: {each.a.body} - {each.b.body} ({', '.join(TERMS[kind] for kind in each.parameters)})"
-        for each in robot.springs
+        f"{spring.name}: {spring.a.body} - {spring.b.body} ({', '.join(TERMS[kind] for kind in spring.parameters)})"
+        for spring in robot.springs
     ]
     hint = Text("Their names, units and regroupings: --verbose.", style="soft")
     return page(

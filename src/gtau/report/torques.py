@@ -111,8 +111,8 @@ def determination(runs: Sequence[RunEvidence]) -> dict[str, float]:
     shares = {}
     predictions = [run.prediction for run in runs if run.prediction is not None]
     for j, joint in enumerate(predictions[0].joints if predictions else ()):
-        measured = np.concatenate([each.measured[each.keep[:, j], j] for each in predictions])
-        predicted = np.concatenate([each.predicted[each.keep[:, j], j] for each in predictions])
+        measured = np.concatenate([run.measured[run.keep[:, j], j] for run in predictions])
+        predicted = np.concatenate([run.predicted[run.keep[:, j], j] for run in predictions])
         about = np.sum((measured - measured.mean()) ** 2) if measured.size else 0.0
         if about > 0:
             shares[joint] = float(1 - np.sum((measured - predicted) ** 2) / about)

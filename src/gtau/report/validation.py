@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from gtau.documents.files import write_table
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.results.conclusions import headline as headline_of_model
-from gtau.estimation.results.model_file import torque_error
+from gtau.estimation.results.model_document import torque_error
 from gtau.estimation.results.payload import PayloadBody, PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.findings import Finding
@@ -50,7 +49,7 @@ def validation_document(runs: Sequence[RunEvidence]) -> dict[str, Any]:
 
 def validation_page(result: Result, runs: Sequence[RunEvidence], notes: Sequence[Finding] = ()) -> Page:
     """Show the torque errors of each run; ``notes`` say what all predictions take for granted."""
-    said = [f"run '{each.run.name}': {note}" for each in runs for note in each.notes]
+    said = [f"run '{run.run.name}': {note}" for run in runs for note in run.notes]
     verdict = Text(headline(result, runs), (*said, *map(str, notes), CAUTION), "neutral")
     return page(
         f"Validation of {result.robot.name}",
@@ -134,8 +133,12 @@ def weighing_page(
     gains: str,
     exact: Sequence[str] = (),
     bodies: Sequence[PayloadBody] = (),
+    prior: Mapping[str, float] | None = None,
 ) -> Page:
-    """Show the payloads weighed with the ``gains`` (identified or prior), those of joints ``exact`` assumed exact."""
+    """Show the payloads weighed with the ``gains`` (identified or prior), those of joints ``exact`` assumed exact.
+
+    A report has the drive gains beside ``prior`` ones, and the robot, too.
+    """
     torques = result.kind == "torque" and gains != "prior"
     said = [f"Weighed with the {gains} drive gains."]
     if gains != "prior" and not exact and not result.believable:
@@ -156,21 +159,8 @@ def weighing_page(
         masses_section(payloads),
         bodies_section(bodies),
         payloads_section(payloads, "Inertial parameters"),
+        *(() if prior is None else (gains_section(result, prior), section("Robot", result.robot, id="robot"))),
     )
-
-
-def weighing_report(
-    result: Result,
-    payloads: Sequence[PayloadEstimate],
-    gains: str,
-    prior: Mapping[str, float],
-    exact: Sequence[str] = (),
-    bodies: Sequence[PayloadBody] = (),
-) -> Page:
-    """Add the drive gains and the robot to the page."""
-    short = weighing_page(result, payloads, gains, exact, bodies)
-    more = (gains_section(result, prior), section("Robot", result.robot, id="robot"))
-    return replace(short, sections=(*short.sections, *more))
 
 
 def bodies_section(bodies: Sequence[PayloadBody]) -> Section | None:

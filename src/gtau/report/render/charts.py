@@ -79,11 +79,11 @@ def styled(colours: Colours, size: float = 9.0) -> Iterator[None]:
 def palette() -> Colours:
     """Read the colours of the style sheet by name."""
     text = files("gtau.report.render").joinpath("assets", "light.css").read_text(encoding="utf-8")
-    found: dict[str, Any] = dict(re.findall(r"--([\w-]+): (#\w+);", text))
+    colours: dict[str, Any] = dict(re.findall(r"--([\w-]+): (#\w+);", text))
     for name, *parts in re.findall(r"--([\w-]+): rgba\((\d+), (\d+), (\d+), ([\d.]+)\)", text):
         *rgb, alpha = map(float, parts)
-        found[name] = (*(part / 255 for part in rgb), alpha)
-    return found
+        colours[name] = (*(part / 255 for part in rgb), alpha)
+    return colours
 
 
 def new_figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:

@@ -54,7 +54,7 @@ def svg(figure: Figure) -> str:
     for unwanted in UNWANTED:
         text = re.sub(unwanted, "", text, flags=re.DOTALL)
     box, body = text[text.index("viewBox=") :].split(">", 1)
-    body = re.sub(r"<[^>]*>", lambda tag: re.sub(r"(\.\d\d)\d+", r"\1", tag[0]), body)
+    body = re.sub(r"<(?!image)[^>]*>", lambda tag: re.sub(r"(\.\d\d)\d+", r"\1", tag[0]), body)
     body = re.sub(r'( id="|"#|url\(#)(\w+)', rf"\1\g<2>-{sha256(body.encode()).hexdigest()[:8]}", body)
     names = {colour: f"var(--{name})" for name, colour in variables().items()}
     body = re.sub(r"#fe01[0-9a-f]{2}", lambda colour: names[colour[0]], body)

@@ -80,49 +80,43 @@ def _kept(words: str) -> str:
     )
 
 
-def _wrapped(words: str, width: int) -> str:
-    """Break words into lines, none of them within what :func:`_kept` keeps together unless it is too long."""
-    lines = textwrap.wrap(_kept(words), max(width, 1), break_long_words=False, break_on_hyphens=False)
-    return "\n".join(lines).replace("\xa0", " ")
+def _broken(words: str, width: int = WIDTH, margin: int = 0) -> list[str]:
+    """Break words at spaces into lines, so that paths stay in one piece and no number loses its unit."""
+    lines = textwrap.wrap(
+        _kept(words), max(width, 1), subsequent_indent=" " * margin, break_long_words=False, break_on_hyphens=False
+    )
+    return [line.replace("\xa0", " ") for line in lines]
 
 
-def _lines(texts: Iterable[str], mark: str = "", style: str = "") -> Iterator[RichText]:
-    """Wrap texts at spaces, so that paths stay in one piece and no number loses its per cent sign."""
-    indent = " " * (2 if mark else 0)
+def _lines(texts: Iterable[str], mark: str = "", style: str = "", margin: int = 0) -> Iterator[RichText]:
     for words in texts:
-        lines = textwrap.wrap(
-            mark + _kept(words), WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
-        )
-        for line in lines:
-            yield RichText(line.replace("\xa0", " "), style=style, no_wrap=True, overflow="ignore")
+        for line in _broken(mark + words, margin=margin or len(mark)):
+            yield RichText(line, style=style, no_wrap=True, overflow="ignore")
 
 
 def _facts(facts: Facts) -> Iterator[RichText]:
     width = max((len(name) for name in facts.pairs), default=0) + GAP
-    for name, value in facts.pairs.items():
-        words = f"{name:<{width}}{_kept(str(value))}"
-        lines = textwrap.wrap(words, WIDTH, subsequent_indent=" " * width, break_long_words=False)
-        yield from (RichText(line.replace("\xa0", " "), no_wrap=True, overflow="ignore") for line in lines)
+    yield from _lines((f"{name:<{width}}{value}" for name, value in facts.pairs.items()), margin=width)
 
 
-def _list(found: Table) -> Iterator[RichText]:
+def _list(table: Table) -> Iterator[RichText]:
     """List the rows below the badge that they share: ``where: what; what to do``."""
-    badge = next(k for k, each in enumerate(found.columns) if each.kind == Kind.BADGE)
-    shown = [k for k, each in enumerate(found.columns) if k != badge and not each.wide]
-    for grade, rows in groupby(found.rows, key=lambda row: row[badge]):
+    badge = next(k for k, column in enumerate(table.columns) if column.kind == Kind.BADGE)
+    shown = [k for k, column in enumerate(table.columns) if k != badge and not column.wide]
+    for grade, rows in groupby(table.rows, key=lambda row: row[badge]):
         yield from _lines([f"{str(grade).capitalize()}:"], style=_badge(grade))
         for row in rows:
             where, *sentences = (str(row[k] or "") for k in shown)
-            said = "; ".join(each for each in sentences if each)
+            said = "; ".join(filter(None, sentences))
             yield from _lines([f"{where}: {said}" if where else said], "- ")
 
 
-def _table(found: Table) -> Iterator[RichTable]:
+def _table(table: Table) -> Iterator[RichTable]:
     """Print a table; one too wide is broken into several that repeat its first column."""
-    kept = [k for k, each in enumerate(found.columns) if not each.wide]
-    columns = [found.columns[k] for k in kept]
-    cells = [[_ascii(columns[i].text(row[k])) for i, k in enumerate(kept)] for row in found.rows]
-    titles = [_ascii(each.title) for each in columns]
+    kept = [k for k, column in enumerate(table.columns) if not column.wide]
+    columns = [table.columns[k] for k in kept]
+    cells = [[_ascii(columns[i].text(row[k])) for i, k in enumerate(kept)] for row in table.rows]
+    titles = [_ascii(column.title) for column in columns]
     least = [_narrowest(column, titles[i], [row[i] for row in cells], i == 0) for i, column in enumerate(columns)]
     most = [max(len(titles[i]), *(len(row[i]) for row in cells)) if cells else len(titles[i]) for i in range(len(kept))]
     for block in _blocks(least):
@@ -133,7 +127,7 @@ def _table(found: Table) -> Iterator[RichTable]:
         for i in block:
             justify: Literal["left", "right"] = "right" if columns[i].kind in NUMERIC else "left"
             shown.add_column(
-                RichText(_wrapped(titles[i], widths[i])),
+                RichText("\n".join(_broken(titles[i], widths[i]))),
                 justify=justify,
                 width=widths[i],
                 overflow="fold",
@@ -141,8 +135,8 @@ def _table(found: Table) -> Iterator[RichTable]:
             )
         for k, row in enumerate(cells):
             styles = [_badge(row[i]) if columns[i].kind == Kind.BADGE else "" for i in block]
-            texts = [RichText(_wrapped(row[i], widths[i]), style=style) for i, style in zip(block, styles, strict=True)]
-            shown.add_row(*texts, style="dim" if k in found.faint else "")
+            texts = ["\n".join(_broken(row[i], widths[i])) for i in block]
+            shown.add_row(*map(RichText, texts, styles), style="dim" if k in table.faint else "")
         yield shown
 
 
