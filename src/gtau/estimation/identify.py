@@ -252,7 +252,7 @@ def _requirements(result: Result, require: Requirements, validation: Sequence[Ru
 
 
 def _of_torques(limit: float, errors: Iterable[TorqueError], run: str = "") -> Requirement:
-    worst = max(errors, key=lambda each: each.relative, default=None)
+    worst = max(errors, key=lambda error: error.relative, default=None)
     if worst is None:
         return Requirement("torque_error", limit, None, run=run)
     return Requirement("torque_error", limit, worst.relative, worst.joint, run)
