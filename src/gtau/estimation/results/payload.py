@@ -55,7 +55,7 @@ class PayloadBody:
     @property
     def unseen(self) -> tuple[str, ...]:
         """Names of the quantities that are not identifiable from the motion."""
-        return tuple(name for name, each in self.parameters.items() if each.value is None)
+        return tuple(name for name, estimate in self.parameters.items() if estimate.value is None)
 
 
 @dataclass(frozen=True, repr=False)
