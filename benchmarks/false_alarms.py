@@ -34,7 +34,6 @@ from gtau.estimation.results.result import Result
 from gtau.findings import FindingKind as F
 
 SECONDS = 6.0
-LEGS = "legs of the same geometry differ"  # they do: the parameters of each are drawn by themselves
 # Of what stands in a log as it was recorded nothing is said that is wrong: clipped, filtered and held signals, rests.
 CLAIMS = (F.MODEL, F.SCALE, F.POSITION_NOISE, F.LIMITS, F.RATE, F.FILTERED, F.HELD)
 
@@ -52,7 +51,8 @@ def alarms_of(result: Result) -> list[str]:
         for verdict in verdicts
         if verdict.outcome == Outcome.CONTRADICTORY
     ]
-    claimed = [note for note in findings(result) if note.topic in CLAIMS and not note.what.startswith(LEGS)]
+    # legs do differ: the parameters of each are drawn by themselves
+    claimed = [note for note in findings(result) if note.topic in CLAIMS and note.kind != F.UNLIKE_LEGS]
     return said + [f"{note.kind}: {note.what}" for note in claimed]
 
 

@@ -27,6 +27,7 @@ from time import perf_counter
 import numpy as np
 
 sys.path.append(str(Path(__file__).parent))
+from gtau.estimation.pipeline import DEFAULT, estimate
 from realism.plants import ANY, PLANTS, Plant, random_parameters
 from zoo import ENTRIES
 
@@ -38,7 +39,6 @@ from gtau.estimation.friction.law import stop
 from gtau.estimation.friction.normal_equations import FrictionGroup, FrictionJoint
 from gtau.estimation.friction.selection import Candidate, choose
 from gtau.estimation.identify import identify
-from gtau.estimation.pipeline import DEFAULT, estimate
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.friction_curves import curves_of

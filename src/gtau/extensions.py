@@ -5,6 +5,7 @@ The built-in ones are found alike: a module of their package names them in a con
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Mapping
 from functools import cache
 from importlib import import_module
@@ -16,15 +17,35 @@ from gtau.errors import GtauError
 
 
 @cache
-def built_in(group: str, package: str) -> Mapping[str, Any]:
-    """Collect the built-in objects of a ``group`` by name, in the order of the modules of their ``package``.
+def homes(group: str, package: str) -> Mapping[str, str]:
+    """Find the modules of the built-in objects of a ``group`` by name, in the sources of a ``package``.
 
-    A module names them in a constant called as the end of the group: ``EXPORTS = {"c": Export(...)}``.
+    A module names its objects in a constant called as the end of the group: ``EXPORTS = {"c": Export(...)}``. Nothing
+    is imported before it is asked for.
     """
-    constant = group.rpartition(".")[2].upper()
-    names = (module.name for module in iter_modules(import_module(package).__path__))
-    modules = [import_module(f"{package}.{name}") for name in names]
-    return {name: value for module in modules for name, value in getattr(module, constant, {}).items()}
+    modules: dict[str, str] = {}
+    for module in iter_modules(import_module(package).__path__, f"{package}."):
+        source: Any = module.module_finder.find_spec(module.name, None)
+        for node in ast.parse(source.loader.get_source(module.name)).body:
+            if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == _constant(group):
+                modules |= dict.fromkeys(map(ast.literal_eval, getattr(node.value, "keys", ())), module.name)
+    return modules
+
+
+def names(group: str, package: str) -> list[str]:
+    """List the names of all objects, built in or not."""
+    return sorted({*homes(group, package), *registered(group)})
+
+
+def find(group: str, package: str, name: str, kind: Any) -> Any:
+    """Load the object of a name, None where there is none; raises GtauError as :func:`added`."""
+    if name not in homes(group, package):
+        return added(group, name, kind)
+    return getattr(import_module(homes(group, package)[name]), _constant(group))[name]
+
+
+def _constant(group: str) -> str:
+    return group.rpartition(".")[2].upper()
 
 
 @cache

@@ -17,10 +17,10 @@ from gtau.errors import GtauError
 from gtau.estimation.check_logs import check_logs
 from gtau.estimation.identify import identify
 from gtau.estimation.results.conclusions import findings
-from gtau.estimation.results.model_file import NoteEntry
+from gtau.estimation.results.model_document import NoteEntry
 from gtau.findings import Finding, Severity
 from gtau.findings import FindingKind as F
-from gtau.findings.finding import by_severity, note_document, read_note
+from gtau.findings.finding import by_severity, note_document
 from gtau.report.check import expectation
 from gtau.report.findings import findings_table
 
@@ -53,7 +53,8 @@ def test_a_note_survives_pickle_json_and_the_name_of_its_log() -> None:
 
 def test_a_note_of_an_older_file_is_read_by_its_topic() -> None:
     document = {"grade": "information", "kind": "repair", "finding": None, "source": "run", "what": "dropped 2 rows"}
-    read = read_note(document | {"joint": None, "time": None, "share": 0.001, "action": None})
+    document |= {"joint": None, "time": None, "share": 0.001, "action": None}
+    read = TypeAdapter(NoteEntry).validate_python(document)
     assert (str(read), read.kind, read.severity) == ("run: dropped 2 rows", F.REPAIR, Severity.INFORMATION)
 
 

@@ -101,7 +101,7 @@ def test_every_sample_is_predicted_better_than_by_the_plain_law(result: gtau.Res
 
 def test_friction_moves_no_gain(result: gtau.Result, monkeypatch: pytest.MonkeyPatch) -> None:
     """Gains, parameters and their intervals are those of an identification without the step."""
-    monkeypatch.setattr("gtau.estimation.pipeline.friction_step", lambda _, estimates: (estimates, {}, {}))
+    monkeypatch.setattr("gtau.estimation.identify.friction_step", lambda _, estimates: (estimates, {}, {}))
     plain = gtau.identify(robot(), experiment(SHAPES, VALUES))
     assert plain.curves == {}
     assert dict(plain.drive_gains) == dict(result.drive_gains)

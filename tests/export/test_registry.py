@@ -11,7 +11,8 @@ from typer.testing import CliRunner
 
 import gtau
 from gtau.cli.commands import app
-from gtau.export.registry import kinds
+from gtau.export.registry import HOME
+from gtau.extensions import names
 from gtau.model.home import load_robot
 
 
@@ -24,7 +25,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_command_lists_all_kinds() -> None:
     said = " ".join(CliRunner().invoke(app, ["export", "--help"]).output.split())
-    assert ", ".join(kinds()) in said
+    assert ", ".join(names(*HOME)) in said
 
 
 def test_the_command_writes_and_says_so(model: Path, tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from gtau.cli.logs import check, init
 from gtau.cli.models import export, payload, use, validate
 from gtau.cli.robots import demo, excite, robot, simulate, tutorial
 from gtau.cli.watch import watch
+from gtau.extensions import names
 
 
 def show_version(wanted: bool) -> None:
@@ -31,9 +32,8 @@ class _Command(TyperCommand):
             if parameter.param_type_name == "argument":
                 parameter.display_type_rich = _no_type  # type: ignore[attr-defined, method-assign, unused-ignore]
             elif "{exports}" in (parameter.help or ""):  # type: ignore[attr-defined]
-                from gtau.export.registry import kinds
-
-                parameter.help = parameter.help.format(exports=", ".join(kinds()))  # type: ignore[attr-defined]
+                listed = ", ".join(names("gtau.exports", "gtau.export"))
+                parameter.help = parameter.help.format(exports=listed)  # type: ignore[attr-defined]
         super().format_help(ctx, formatter)
 
 

@@ -84,13 +84,13 @@ ModelFile = Annotated[
 ]
 Columns = Annotated[
     Path | None,
-    typer.Option("--experiment", metavar="EXPERIMENT.yaml", help="Take columns and units from an experiment file."),
+    typer.Option(metavar="EXPERIMENT.yaml", help="Take columns and units from an experiment file."),
 ]
 CarriedPayload = Annotated[
     str | None,
-    typer.Option("--payload", metavar="NAME", help="Payload that the robot carries, by its name in the model."),
+    typer.Option(metavar="NAME", help="Payload that the robot carries, by its name in the model."),
 ]
-ReportFolder = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder for report.html.")]
+ReportFolder = Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for report.html.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout instead of tables.")]
 
 

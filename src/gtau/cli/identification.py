@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 Results = Annotated[
     Path,
     typer.Option(
-        "--out", metavar="DIR", help="Folder for report.html, model.json, summary.txt, singularities and torque scale."
+        metavar="DIR", help="Folder for report.html, model.json, summary.txt, singularities and torque scale."
     ),
 ]
 Method = Annotated[
@@ -50,7 +50,6 @@ Consistent = Annotated[bool, typer.Option("--consistent", help="Also find physic
 PriorInertias = Annotated[
     float | None,
     typer.Option(
-        "--prior-inertias",
         metavar="STD",
         help="Use the inertias of the robot file as priors with this relative standard deviation, 0.3 for 30 %.",
         show_default=False,
@@ -99,7 +98,7 @@ def identify(
     experiment, guessed = experiment_of(sources, robot, payload, kind, preset, out)
     with progress_bar() as progress:
         from gtau.estimation.identify import identify as run
-        from gtau.estimation.results.model_file import to_document
+        from gtau.estimation.results.model_document import to_document
         from gtau.report.identification import full_page, summary_page
         from gtau.report.write import write_identification
 
@@ -171,9 +170,7 @@ Experiments = Annotated[
 @refusing
 def fleet(
     experiments: Experiments,
-    out: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="Folder for report.html, models, table and figure.")
-    ],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for report.html, models, table and figure.")],
     method: Annotated[str, typer.Option(metavar=METHODS, help="Estimator; one that finds drive gains.")] = "ml",
     jobs: Annotated[
         int | None, typer.Option(min=1, metavar="N", help="Processes on this machine; default: one for each core.")

@@ -40,7 +40,6 @@ Sources = Annotated[
 RobotOfLogs = Annotated[
     str | None,
     typer.Option(
-        "--robot",
         metavar="ROBOT",
         help="With logs: name in the catalog or of robot_descriptions, or path of a robot file; default: "
         "/robot_description of a bag.",
@@ -50,7 +49,6 @@ RobotOfLogs = Annotated[
 Payloads = Annotated[
     list[str] | None,
     typer.Option(
-        "--payload",
         metavar="LOG=KG",
         help="With logs: payload mass of a log (kg, 0 for none); default: from names such as loaded_0.48kg.mcap. "
         "Repeatable.",
@@ -60,7 +58,6 @@ Payloads = Annotated[
 KindOfLogs = Annotated[
     Commands | None,
     typer.Option(
-        "--kind",
         metavar="current|torque",
         help="With logs: what command columns such as 'effort' contain; default: judged by name.",
         show_default=False,
@@ -70,7 +67,6 @@ KindOfLogs = Annotated[
 PresetOfLogs = Annotated[
     str | None,
     typer.Option(
-        "--preset",
         metavar="PRESET",
         help="With logs: their source (ur-current, ur-torque, franka-ros, kinova, lerobot, ...).",
         show_default=False,
@@ -89,14 +85,14 @@ def init(
         ),
     ],
     robot: Annotated[
-        str | None, typer.Option("--robot", metavar="ROBOT", help="Name in the catalog, or path of a robot file.")
+        str | None, typer.Option(metavar="ROBOT", help="Name in the catalog, or path of a robot file.")
     ] = None,
     base: Annotated[
         str | None,
-        typer.Option("--base", metavar="fixed|ROLL,PITCH,YAW", help="Fix a floating base, or turned by angles in rad."),
+        typer.Option(metavar="fixed|ROLL,PITCH,YAW", help="Fix a floating base, or turned by angles in rad."),
     ] = None,
     preset: PresetOfLogs = None,
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="File to write.")] = Path("experiment.yaml"),
+    out: Annotated[Path, typer.Option(metavar="FILE", help="File to write.")] = Path("experiment.yaml"),
     yes: Annotated[bool, typer.Option("--yes", help="Ask nothing; mark in the file what to confirm.")] = False,
     json_: Json = False,
 ) -> None:
@@ -183,12 +179,11 @@ def check(
     preset: PresetOfLogs = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", metavar="DIR", help="Folder for report.html, figures of the logs and singularities."),
+        typer.Option(metavar="DIR", help="Folder for report.html, figures of the logs and singularities."),
     ] = None,
     figure: Annotated[
         Path | None,
         typer.Option(
-            "--figure",
             metavar="DIR",
             help="Folder for a figure of each log's preparation: spectra, bandwidth, clock, rows left out.",
         ),

@@ -51,9 +51,7 @@ def validate(
     out: Annotated[
         Path | None,
         typer.Option(
-            "--out",
-            metavar="DIR",
-            help="Folder for report.html and, of each run, a figure and a table with all samples.",
+            metavar="DIR", help="Folder for report.html and, of each run, a figure and a table with all samples."
         ),
     ] = None,
     json_: Json = False,
@@ -103,7 +101,7 @@ Controller = Annotated[
     str | None, typer.Option(metavar="CONTROLLER", help=f"Also write each payload for a controller: {CONTROLLERS}.")
 ]
 WeighingFolder = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Folder for report.html and the files of --to.")
+    Path | None, typer.Option(metavar="DIR", help="Folder for report.html and the files of --to.")
 ]
 
 
@@ -128,7 +126,7 @@ def payload(
         raise GtauError(f"--to {to} writes files; name their folder by --out DIR.")
     with progress_bar() as progress:
         from gtau.estimation.diagnostics.verdict import Outcome
-        from gtau.estimation.results.model_file import payload_documents
+        from gtau.estimation.results.model_document import payload_documents
         from gtau.estimation.results.result import Result
         from gtau.report.evidence import settings_of
         from gtau.report.validation import bodies_document, weighing_page
@@ -201,27 +199,22 @@ def export_bodies(bodies: Sequence[PayloadBody], to: str, out: Path) -> list[Exp
 @refusing
 def export(
     model: ModelFile,
-    to: Annotated[str, typer.Option("--to", metavar="KIND", help="What to write: {exports}.")],
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the files.")],
+    to: Annotated[str, typer.Option(metavar="KIND", help="What to write: {exports}.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files.")],
     into: Annotated[
         Path | None,
-        typer.Option(
-            "--into", metavar="FILE", help="Robot file (URDF or MJCF) to copy with the identified parameters inserted."
-        ),
+        typer.Option(metavar="FILE", help="Robot file (URDF or MJCF) to copy with the identified parameters inserted."),
     ] = None,
     samples: Annotated[
         int,
         typer.Option(
-            "--samples",
             min=0,
             metavar="N",
             help="Also draw N models from the identified distribution, for domain randomization: samples.npz.",
         ),
     ] = 0,
-    models: Annotated[
-        int, typer.Option("--models", min=0, metavar="N", help="Number of draws also written as models.")
-    ] = 16,
-    seed: Annotated[int, typer.Option("--seed", min=0, metavar="SEED", help="Seed of the draws.")] = 0,
+    models: Annotated[int, typer.Option(min=0, metavar="N", help="Number of draws also written as models.")] = 16,
+    seed: Annotated[int, typer.Option(min=0, metavar="SEED", help="Seed of the draws.")] = 0,
     json_: Json = False,
 ) -> None:
     """Export a model for controllers, simulators, papers and other programs."""
@@ -248,7 +241,6 @@ def _show_notes(notes: Sequence[str]) -> None:
 ContactFrame = Annotated[
     str | None,
     typer.Option(
-        "--frame",
         metavar="LINK|POSE",
         help="Also compute the external force and moment at a link of the experiment's URDF (tool0), or at 'x y z "
         "roll pitch yaw' (m, rad) from the frame of the body that carries the payload.",
@@ -261,7 +253,7 @@ def use(
     model: ModelFile,
     log: Annotated[Path, typer.Argument(metavar="LOG", help="Log of a run: CSV, Parquet.", show_default=False)],
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="Table to write: .csv or .parquet, one row per sample.")
+        Path | None, typer.Option(metavar="FILE", help="Table to write: .csv or .parquet, one row per sample.")
     ] = None,
     experiment: Columns = None,
     payload: CarriedPayload = None,
@@ -272,9 +264,7 @@ def use(
     ] = False,
     observer: Annotated[
         float | None,
-        typer.Option(
-            "--observer", metavar="HZ", help="Also estimate external torques causally, by a momentum observer."
-        ),
+        typer.Option(metavar="HZ", help="Also estimate external torques causally, by a momentum observer."),
     ] = None,
     json_: Json = False,
 ) -> None:
@@ -288,7 +278,7 @@ def use(
     columns t, qJOINT and vJOINT (tauJOINT for a model of torques; s, rad or m, A), unless an experiment file names
     others. FILE gets motor, model and external torque of every sample.
     """
-    from gtau.estimation.results.model_file import torque_error
+    from gtau.estimation.results.model_document import torque_error
     from gtau.estimation.results.result import Result
     from gtau.report.page import page
     from gtau.report.torques import bands_section

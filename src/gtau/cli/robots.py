@@ -119,9 +119,7 @@ def excite(
     design: Annotated[
         Path, typer.Argument(metavar="DESIGN.yaml", help="Robot, runs, limits, prior knowledge.", show_default=False)
     ],
-    out: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="Folder for report.html, the trajectory and design.json.")
-    ],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for report.html, the trajectory and design.json.")],
     criterion: Annotated[
         str,
         typer.Option(
@@ -188,7 +186,7 @@ def _masses(first: list[float], words: list[str]) -> list[float]:
 
 @refusing
 def demo(
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for logs, model, tables and figures.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for logs, model, tables and figures.")],
     json_: Json = False,
 ) -> None:
     """Simulate an Orthoglide, identify it from its logs, and weigh a second payload with the result."""
@@ -222,7 +220,7 @@ def simulate(
         Path,
         typer.Argument(metavar="SIMULATION.yaml", help="Robot, true parameters, drives, runs.", show_default=False),
     ],
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the logs and experiment.yaml.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the logs and experiment.yaml.")],
     json_: Json = False,
 ) -> None:
     """Simulate a robot under control; write its logs and the experiment file for 'gtau identify'."""

@@ -29,7 +29,7 @@ Logs = Annotated[
 ]
 History = Annotated[
     Path,
-    typer.Option("--out", metavar="DIR", help="Folder of the history, continued if it exists, and of report.html."),
+    typer.Option(metavar="DIR", help="Folder of the history, continued if it exists, and of report.html."),
 ]
 Baseline = Annotated[
     str, typer.Option(metavar="N|DIR", help="Number of healthy logs that form the baseline, or a folder of them.")

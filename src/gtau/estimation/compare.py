@@ -17,7 +17,7 @@ from gtau.estimation.diagnostics.verdict import Outcome, worst
 from gtau.estimation.estimators.estimator import Gains
 from gtau.estimation.estimators.registry import ESTIMATORS, estimator_of
 from gtau.estimation.experiment_runs import options_of, read
-from gtau.estimation.pipeline import estimate
+from gtau.estimation.identify import estimate
 from gtau.estimation.preconditions import plan, reduced, require_inputs
 from gtau.model.interpreter.program import single_threaded_blas
 from gtau.progress import Progress, silent

@@ -116,13 +116,13 @@ class Clearance:
     def _programs(self) -> dict[str, tuple[Program, Program]]:
         """Pose of each body by c, orientation by columns first, and slopes by c of a point's weighted coordinates."""
         c, point, weights = ca.SX.sym("c", self.layout.n_c), ca.SX.sym("point", 3), ca.SX.sym("weights", 3)
-        found = {}
+        programs = {}
         for body, frame in frames(self.layout, c).items():
             if body in self.shapes and body not in FIXED:
                 pose = ca.vertcat(ca.densify(frame.R_0)[:], ca.densify(frame.p_0))
                 slope = ca.gradient(ca.dot(weights, frame.p_0 + frame.R_0 @ point), c)
-                found[body] = compile_program([c], [pose]), compile_program([c, point, weights], [ca.densify(slope)])
-        return found
+                programs[body] = compile_program([c], [pose]), compile_program([c, point, weights], [ca.densify(slope)])
+        return programs
 
 
 def clearance(layout: Coordinates, least: float, shapes: Mapping[str, Sequence[Shape]]) -> Clearance:

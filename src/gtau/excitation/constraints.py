@@ -76,8 +76,10 @@ def constraint_usages(points: Sequence[Point], shares: Sequence[np.ndarray] = ()
                 yield usage
                 continue
 
-            def rows(own: Callable[[], np.ndarray] = usage.rows, padding: tuple[tuple[int, int], ...] = padding) -> Any:
-                return np.pad(own(), padding)
+            def rows(
+                of_motion: Callable[[], np.ndarray] = usage.rows, padding: tuple[tuple[int, int], ...] = padding
+            ) -> Any:
+                return np.pad(of_motion(), padding)
 
             yield replace(usage, what=f"{usage.what} in run {k + 1}", rows=rows)
 
@@ -192,7 +194,7 @@ def _clearances(point: Point, clearance: Clearance) -> Iterator[ConstraintUsage]
             )
 
         others = [first if first == FLOOR else f"'{first}'" for first, _ in pairs]
-        distance = np.concatenate([np.min([near.distance for near in each], axis=0) for each in nearest])
+        distance = np.concatenate([np.min([near.distance for near in of_part], axis=0) for of_part in nearest])
         what = f"distance of '{body}' from {', '.join(others)}"
         yield ConstraintUsage(what, clearance.least, "m", distance / clearance.least, rows, True)
 

@@ -116,11 +116,11 @@ def design(
     failure: ConstraintUsage | None = None
     total = starts * ROUNDS * ITERATIONS
 
-    def better(found: Design) -> None:
+    def better(candidate: Design) -> None:
         nonlocal best
-        if best is None or found.value < best.value:
-            best = found
-            keep(found)
+        if best is None or candidate.value < best.value:
+            best = candidate
+            keep(candidate)
 
     for start in range(starts):
 
@@ -180,8 +180,8 @@ def _from_one(
         x = programme.best
         if stop():
             smaller = (_feasible(task, criterion, part * x, start) for part in SMALLER)
-            if (found := next(filter(None, smaller), None)) is not None:
-                keep(found)
+            if (within := next(filter(None, smaller), None)) is not None:
+                keep(within)
             break
         usages = check(task, x)
         if exceeded := {usage.what: usage.excess for usage in usages if usage.excess > 1.0}:

@@ -141,8 +141,8 @@ class DesignFile(Keys):
     @model_validator(mode="after")
     def _payloads_give_the_scale(self) -> DesignFile:
         payloads = [None if run.payload == "none" else run.payload for run in self.runs]
-        if len({None if each is None else each.name for each in payloads}) < 2 or not any(
-            each and each.mass for each in payloads
+        if len({None if payload is None else payload.name for payload in payloads}) < 2 or not any(
+            payload and payload.mass for payload in payloads
         ):
             raise ValueError(
                 "the drive gains need a run with a payload of known mass and one with another load or none; "
@@ -194,7 +194,7 @@ def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
         raise GtauError("limits.current needs the drive gains; add prior.gains or prior.model, or limit torques.")
     limits = _limits(file.limits, robot, assumed)
     stated = None if file.limits.shapes == "none" else _shapes(file.limits.shapes)
-    poses = model.motion(*(each[:, None] for each in (rest, 0 * rest, 0 * rest))).c
+    poses = model.motion(*(values[:, None] for values in (rest, 0 * rest, 0 * rest))).c
     guarded = guard(model, poses, file.limits.clearance, stated, file.limits.floor, Path(file.robot))
     limits = replace(limits, guarded=Guarded(guarded.clearance, (*guarded.said, *said)))
     for name, pose, (low, high) in zip(robot.actuated, rest, limits.position, strict=True):
@@ -348,5 +348,5 @@ def _prior(
         sigma = rough_noise(model, base, chi) / np.abs(gains)
         if len(prior.noise) < len(gains):
             assumed["noise"] = "noise of the currents: white, 0.5 % of the largest current, a sample"
-    sigma = np.array([prior.noise.get(joint, each) for joint, each in zip(model.actuated, sigma, strict=True)])
+    sigma = np.array([prior.noise.get(joint, rough) for joint, rough in zip(model.actuated, sigma, strict=True)])
     return Prior(chi, known, sigma)

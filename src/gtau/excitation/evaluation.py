@@ -59,7 +59,7 @@ class Point:
             assert self.task.platform_pullback is not None
             motors = self.task.motors
             model = self.task.platform_pullback.layout
-            c, yd, ydd = (np.zeros_like(each) for each in (self.platform.c, self.platform.yd, self.platform.ydd))
+            c, yd, ydd = (np.zeros_like(array) for array in (self.platform.c, self.platform.yd, self.platform.ydd))
             c[motors], yd[motors], ydd[motors] = by
             J = np.zeros((len(model.passive), len(model.actuated), c.shape[1]))
             by = np.stack(self.task.platform_pullback(self.platform, Slopes(c, yd, ydd, J)))
@@ -87,7 +87,8 @@ def evaluate(task: DesignProblem, x: np.ndarray, grid: Grid, near: Sequence[Poin
     before: Sequence[Point | None] = near or [None] * len(task.motions)
     parts = np.split(x, len(task.motions))
     return tuple(
-        evaluate_one(task, part, grid, runs, each) for part, runs, each in zip(parts, task.motions, before, strict=True)
+        evaluate_one(task, part, grid, runs, closed)
+        for part, runs, closed in zip(parts, task.motions, before, strict=True)
     )
 
 
@@ -136,10 +137,10 @@ def objective(points: Sequence[Point], criterion: Criterion, of_regressor: bool)
         value, F, f = criterion(triangle(*(point.W.reshape(-1, point.W.shape[2]) for point in points)))
         return value, np.concatenate([_slope_of_regressor(point, F, f) for point in points])
     weighted = [_weighted_rows(point) for point in points]
-    factors = (point.task.information.factor(*each) for point, each in zip(points, weighted, strict=True))
+    factors = (point.task.information.factor(*rows) for point, rows in zip(points, weighted, strict=True))
     value, F, f = criterion(triangle(*factors))
     return value, np.concatenate(
-        [_slope_of_information(point, *each, F, f) for point, each in zip(points, weighted, strict=True)]
+        [_slope_of_information(point, *rows, F, f) for point, rows in zip(points, weighted, strict=True)]
     )
 
 

@@ -86,7 +86,7 @@ def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
     runs = expected_runs(task, x)
     preparation = choose_preparation(runs)
     prepared = [prepare(run, preparation) for run in runs]
-    factors = [reduce_run(task.model, task.base.standard, each, preparation.decimator) for each in prepared]
+    factors = [reduce_run(task.model, task.base.standard, run, preparation.decimator) for run in prepared]
     slowest = 0.5 / (2 * np.pi * preparation.bandwidth)
     problem = plain_problem(task.model, task.base, factors, task.payloads, slowest)
     prior = dict(zip(task.base.names, task.prior.chi, strict=True))
@@ -94,7 +94,7 @@ def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
     # a row is a mean over its filter, whose gain is one where the motion is: white noise is divided by the factor
     sigma = task.prior.sigma / np.sqrt(preparation.decimator.factor)
     std = np.sqrt(np.diag(ml_covariance(problem, theta, task.prior.gains, sigma)))
-    found = dict(zip(problem.parameters, std, strict=False))
+    expected = dict(zip(problem.parameters, std, strict=False))
     gains = [Parameter("gain", joint) for joint in task.model.actuated]
     return Forecast(
         tuple(
@@ -104,13 +104,13 @@ def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
             )
         ),
         tuple(
-            Expected(name, float(value), float(found.get(name, np.nan)))
+            Expected(name, float(value), float(expected.get(name, np.nan)))
             for name, value in zip(task.base.names, task.prior.chi, strict=True)
         ),
         problem.total_rows
-        / sum(len(preparation.decimator.instants(len(each.time))) for each in prepared)
+        / sum(len(preparation.decimator.instants(len(run.time))) for run in prepared)
         * np.ones(len(gains)),
-        {name: float(each) for name, each in zip((*problem.parameters, *gains), std, strict=False)},
+        {name: float(value) for name, value in zip((*problem.parameters, *gains), std, strict=False)},
     )
 
 
@@ -168,7 +168,7 @@ def weak_unknowns(design: Design, expected: Forecast) -> tuple[Weak, ...]:
         for k, name in enumerate(unknowns.names)
         if name.kind != "delay" and name.run is None
     }
-    weak = [k for k, each in relative.items() if each >= WEAK]
+    weak = [k for k, share in relative.items() if share >= WEAK]
     if not weak:
         return ()
     then = {
@@ -178,12 +178,12 @@ def weak_unknowns(design: Design, expected: Forecast) -> tuple[Weak, ...]:
         for more in [_alone(task, middle, j, span, speed)]
         if more is not None
     }
-    found = []
+    advice = []
     for k in weak:
         helpful = [(float(after[k] / before[k]), *way) for way, after in then.items() if after[k] < WORTH * before[k]]
         part, joint, how = min(helpful) if helpful else (1.0, None, "")
-        found.append(Weak(unknowns.names[k], float(relative[k]), joint, how, float(part * relative[k])))
-    return tuple(found)
+        advice.append(Weak(unknowns.names[k], float(relative[k]), joint, how, float(part * relative[k])))
+    return tuple(advice)
 
 
 def _relative(task: DesignProblem, R: np.ndarray) -> np.ndarray:

@@ -60,12 +60,12 @@ def guard(
     guesses, how = _guesses(model.robot, stated, file)
     shapes: dict[str, Sequence[Shape]] = {**guesses, **stated}
     height, words = _floor(model, shapes, rest, least, floor)
-    found = clearance(model.layout, least, shapes if height is None else {**shapes, FLOOR: [Floor(height)]})
+    kept_apart = clearance(model.layout, least, shapes if height is None else {**shapes, FLOOR: [Floor(height)]})
     certain = {*stated, *([FLOOR] if isinstance(floor, float) else [])}
     pairs, overlapping = [], []
     moving = random_motion(model, STATES, np.random.default_rng(0)).c if guesses else rest
-    for pair in found.pairs:
-        distance = float(found.nearest(rest, pair).distance[0])
+    for pair in kept_apart.pairs:
+        distance = float(kept_apart.nearest(rest, pair).distance[0])
         if distance < least and certain.issuperset(pair):
             raise GtauError(
                 f"{_of(pair)} are {distance:.3g} m apart at rest, less than limits.clearance of {least:g} m; give them "
@@ -73,14 +73,14 @@ def guard(
             )
         if distance < least:
             overlapping.append(_of(pair))
-        elif certain.issuperset(pair) or np.ptp(found.nearest(moving, pair).distance) > SAME:
+        elif certain.issuperset(pair) or np.ptp(kept_apart.nearest(moving, pair).distance) > SAME:
             pairs.append(pair)
     said = [words, how]
     if overlapping:
         said.append(f"not checked, as guessed shapes overlap at rest: {'; '.join(overlapping)}; state {STATE}")
     if model.robot.tool not in stated and pairs:
         said.append(f"tool, payload and cables have no shape; add them to '{model.robot.tool}' under {STATE}")
-    return Guarded(replace(found, pairs=tuple(pairs)) if pairs else None, tuple(said))
+    return Guarded(replace(kept_apart, pairs=tuple(pairs)) if pairs else None, tuple(said))
 
 
 def _of(pair: tuple[str, str]) -> str:
@@ -113,8 +113,8 @@ def _guesses(robot: Robot, stated: Mapping[str, Sequence[Shape]], file: Path) ->
     return shapes, f"self-collision: {guessed} with capsules from {', '.join(sources)}{meshes}; state {STATE}"
 
 
-def _grown(found: Capsule, radius: float) -> Capsule:
-    return Capsule(found.start, found.end, found.radius + radius)
+def _grown(shape: Capsule, radius: float) -> Capsule:
+    return Capsule(shape.start, shape.end, shape.radius + radius)
 
 
 def _links(robot: Robot, ends: Mapping[str, Sequence[np.ndarray]]) -> dict[str, list[Capsule]]:
@@ -122,7 +122,7 @@ def _links(robot: Robot, ends: Mapping[str, Sequence[np.ndarray]]) -> dict[str, 
     far = {GROUND: 0.0}
     for joint in robot.joints:
         far[joint.name] = far[joint.antecedent] + float(np.linalg.norm(joint.placement.position))
-    thick, radii, found = SLENDER * max(far.values()), {GROUND: 0.0}, {}
+    thick, radii, capsules = SLENDER * max(far.values()), {GROUND: 0.0}, {}
     for body in (GROUND, *(joint.name for joint in robot.joints)):
         paths = [_path(joint.axis, joint.placement.rotation, joint.placement.position) for joint in robot.joints
                  if joint.antecedent == body]  # fmt: skip
@@ -132,8 +132,8 @@ def _links(robot: Robot, ends: Mapping[str, Sequence[np.ndarray]]) -> dict[str, 
         before = next((radii[joint.antecedent] for joint in robot.joints if joint.name == body), 0.0)
         radii[body] = min(thick, STUBBY * length) if length > 1e-6 else before or thick
         if radii[body] > 0.0:
-            found[body] = [capsule(start, end, radii[body]) for path in paths for start, end in pairwise(path)]
-    return found
+            capsules[body] = [capsule(start, end, radii[body]) for path in paths for start, end in pairwise(path)]
+    return capsules
 
 
 def _path(axis: tuple[float, float, float], rotation: np.ndarray, end: np.ndarray) -> list[np.ndarray]:

@@ -169,8 +169,8 @@ def information_of(
     n, n_b, runs, gains = len(model.actuated), base.count, len(payloads), prior.gains
     p = n_b + EXTRA
     # factors that are the identity bring out the matrices with which identification joins its runs
-    whole = Factors(np.broadcast_to(np.eye(p), (1, n, p, p)).copy(), np.full((1, n), 1000))
-    problem = plain_problem(model, base, [whole] * runs, payloads)
+    identity = Factors(np.broadcast_to(np.eye(p), (1, n, p, p)).copy(), np.full((1, n), 1000))
+    problem = plain_problem(model, base, [identity] * runs, payloads)
     names = problem.unknowns
     M = problem.blocks[:, 0, :n_b]  # (runs, n_b, parameters + 4), the same for all joints
     theta = np.zeros(len(problem.parameters))
@@ -206,7 +206,7 @@ def criterion(name: str, unknowns: Information) -> Criterion:
     GtauError
         Where a name is neither a criterion nor an unknown.
     """
-    estimated = np.array([each.kind != "delay" and each.run is None for each in unknowns.names])
+    estimated = np.array([unknown.kind != "delay" and unknown.run is None for unknown in unknowns.names])
     if name == "condition":
         return condition
     if name == "logdet":
@@ -214,16 +214,16 @@ def criterion(name: str, unknowns: Information) -> Criterion:
     if name == "trace":
         chosen = estimated
     elif name == "gains":
-        chosen = np.array([each.startswith("gain_") for each in unknowns.names])
+        chosen = np.array([unknown.startswith("gain_") for unknown in unknowns.names])
     else:
-        wanted = [each.strip() for each in name.split(",")]
-        for each in wanted:
-            if each not in unknowns.names:
+        wanted = [word.strip() for word in name.split(",")]
+        for unknown in wanted:
+            if unknown not in unknowns.names:
                 known = [*NAMED, *np.array(unknowns.names)[estimated].tolist()]
-                close = get_close_matches(each, known, n=1)
+                close = get_close_matches(unknown, known, n=1)
                 names = f"names of gains and base parameters such as {known[-1]} or {known[len(NAMED)]}"
                 advice = f"did you mean '{close[0]}'?" if close else f"choose {', '.join(NAMED)}, or {names}."
-                raise GtauError(f"there is no criterion or parameter '{each}'; {advice}")
+                raise GtauError(f"there is no criterion or parameter '{unknown}'; {advice}")
         chosen = np.isin(unknowns.names, wanted)
     weight = chosen / unknowns.scale**2 / chosen.sum()
     return lambda R: weighted_trace(R, unknowns.precision, weight)

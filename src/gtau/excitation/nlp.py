@@ -139,8 +139,8 @@ def solve(programme: Programme, x: np.ndarray, stop: Callable[[], bool]) -> np.n
         },
     )
     with single_threaded_blas():  # again, as the solver's libraries are loaded by now
-        found = solver(x0=x, lbg=low, ubg=high)
-    return np.array(found["x"]).ravel()
+        solution = solver(x0=x, lbg=low, ubg=high)
+    return np.array(solution["x"]).ravel()
 
 
 class _Function(ca.Callback):
@@ -176,7 +176,7 @@ class _Function(ca.Callback):
         return self._pattern
 
     def eval(self, arguments: Sequence[ca.DM]) -> list[Any]:
-        return [self._function(*(np.array(each).ravel() for each in arguments))]
+        return [self._function(*(np.array(argument).ravel() for argument in arguments))]
 
     def has_jacobian(self) -> bool:
         return self._jacobian is not None
@@ -235,7 +235,11 @@ def random_start(task: DesignProblem, rng: np.random.Generator, part: float) -> 
         x = task.series.random(rng)
         resting = _clear_center(task, rng, x)
         parts.append(_scaled(task, grid, runs, x, resting, part))
-    return None if any(each is None for each in parts) else np.concatenate([each for each in parts if each is not None])
+    return (
+        None
+        if any(motion is None for motion in parts)
+        else np.concatenate([motion for motion in parts if motion is not None])
+    )
 
 
 def _clear_center(task: DesignProblem, rng: np.random.Generator, x: np.ndarray) -> np.ndarray:

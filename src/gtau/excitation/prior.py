@@ -58,7 +58,7 @@ class Prior:
 
 def identified_gains(result: Result, file: Path) -> tuple[KnownGain, ...]:
     """Take the gains of an earlier result, with their intervals and verdicts."""
-    found = []
+    gains = []
     for joint in result.robot.actuated:
         gain = result.drive_gains.get(joint)
         outcome = Outcome.NOT_IDENTIFIABLE if gain is None else gain.verdict.outcome
@@ -74,8 +74,8 @@ def identified_gains(result: Result, file: Path) -> tuple[KnownGain, ...]:
                 "identify it again, or give prior.gains from the data sheets in place of prior.model."
             )
         assert gain.value is not None
-        found.append(KnownGain(gain.value, interval, outcome.value))
-    return tuple(found)
+        gains.append(KnownGain(gain.value, interval, outcome.value))
+    return tuple(gains)
 
 
 def given_parameters(model: InverseDynamics, base: BaseParameters, parameters: Mapping[str, float]) -> np.ndarray:

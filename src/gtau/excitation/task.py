@@ -143,9 +143,9 @@ class DesignProblem:
         way = np.abs(limits.position - self.rest[:, None]).max(axis=1)
         way = np.where(np.isfinite(way), way, 0.0)
         span = approach_duration(way, limits.velocity, limits.acceleration, limits.jerk)
-        whole = self.series.period * self.repetitions + 2 * span
+        duration = self.series.period * self.repetitions + 2 * span
         # the mean square speed of a quintic move by 1 in 1 s is 10 / 7
-        return np.asarray(way * np.sqrt(2 * 10 / 7 / span / whole))
+        return np.asarray(way * np.sqrt(2 * 10 / 7 / span / duration))
 
     @cached_property
     def platform_model(self) -> InverseDynamics | None:
@@ -191,8 +191,12 @@ class DesignProblem:
     def with_payload_mass(self, mass: float) -> DesignProblem:
         """Return the same task with a different ``mass``, kg, of all known payloads."""
         changed = tuple(
-            None if each is None else each.model_copy(update={"mass": mass}) if each.mass is not None else each
-            for each in self.payloads
+            None
+            if payload is None
+            else payload.model_copy(update={"mass": mass})
+            if payload.mass is not None
+            else payload
+            for payload in self.payloads
         )
         return replace(self, payloads=changed)
 

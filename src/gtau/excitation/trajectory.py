@@ -101,7 +101,7 @@ def move_duration(way: np.ndarray, velocity: np.ndarray, acceleration: np.ndarra
         np.sqrt(PEAKS[1] * size / acceleration),
         np.cbrt(PEAKS[2] * size / jerk),
     )
-    return float(max(0.0, *(each.max() for each in durations)))
+    return float(max(0.0, *(shortest.max() for shortest in durations)))
 
 
 def approach_duration(way: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray, jerk: np.ndarray) -> float:

@@ -9,18 +9,13 @@ from gtau.documents.validation import PATH, TEXT, WHOLE, takes
 from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
 from gtau.export.exported import Export, Exported, refuse_unknown, written
-from gtau.extensions import added, built_in, registered
+from gtau.extensions import find, homes, names
 from gtau.robots.floating import refuse_floating
 
-GROUP = "gtau.exports"
-"""Of the entry points of other distributions."""
+HOME = ("gtau.exports", "gtau.export")
+"""Group of entry points, and the package of the built-in kinds."""
 MODELS = 16
 """Draws that are written as models where nobody says how many."""
-
-
-def kinds() -> list[str]:
-    """List the names of all kinds."""
-    return sorted({*built_in(GROUP, "gtau.export"), *registered(GROUP)})
 
 
 @takes(
@@ -70,16 +65,15 @@ def export_model(
     GtauError
         Where the model lacks what the kind needs, or the files cannot be written.
     """
-    refuse_unknown(kind, kinds())
-    exports = built_in(GROUP, "gtau.export")
-    export: Export = exports[kind] if kind in exports else added(GROUP, kind, Export)
+    refuse_unknown(kind, names(*HOME))
+    export: Export = find(*HOME, kind, Export)
     result = model if isinstance(model, Result) else Result.load(model)
     if not export.floating:
         refuse_floating(result.robot, f"export to '{kind}' is")
     if into is not None and export.into is None:
         raise GtauError(f"--into puts a model back into a URDF or MJCF file, not into '{kind}'; leave it out.")
     if samples and not export.simulates:
-        simulated = ", ".join(name for name, other in exports.items() if other.simulates)
+        simulated = ", ".join(name for name in homes(*HOME) if find(*HOME, name, Export).simulates)
         raise GtauError(f"draws are models for simulators ({simulated}), not for '{kind}'; leave out --samples.")
 
     def write(model: Result, folder: Path) -> Exported:

@@ -131,10 +131,10 @@ def base_parameters(
             matrix[row, position[name]] = coefficients[row, column]
     standard = [order[k] for k in kept]
     names, regroupings = [], {}
-    for row, own in enumerate(standard):
-        others = [name for name in idm.parameter_names if name != own and matrix[row, position[name]]]
-        names.append(Parameter(own.kind, own.body, regrouped=bool(others)))
-        regroupings[names[-1]] = own + "".join(_term(matrix[row, position[name]], name) for name in others)
+    for row, kept_name in enumerate(standard):
+        others = [name for name in idm.parameter_names if name != kept_name and matrix[row, position[name]]]
+        names.append(Parameter(kept_name.kind, kept_name.body, regrouped=bool(others)))
+        regroupings[names[-1]] = kept_name + "".join(_term(matrix[row, position[name]], name) for name in others)
     inertial_count = len(independent_columns(R[:, inertial])[0])
     without_effect = tuple(order[k] for k in idle)
     return BaseParameters(tuple(names), tuple(standard), regroupings, matrix, without_effect, inertial_count)
@@ -155,7 +155,7 @@ def _settled_triangle(
         W = np.zeros((n, samples, n_st))
         W[full.rows, :, full.columns] = full(idm.layout, motion)
         rows = [W.reshape(-1, n_st), *(W[j] * felt for j, felt in seen.items())]
-        R = np.asarray(np.linalg.qr(np.vstack([R, *(each[:, columns] for each in rows)]), mode="r"))
+        R = np.asarray(np.linalg.qr(np.vstack([R, *(block[:, columns] for block in rows)]), mode="r"))
         before, rank = rank, len(independent_columns(R)[0])
         if rank == before:
             return R
@@ -208,8 +208,9 @@ def regrouped(base: BaseParameters, standard: Sequence[Parameter]) -> dict[Param
     ``standard`` are the names of the standard parameters, the columns of ``base.matrix``.
     """
     return {
-        name: {own: 1.0} | {other: float(row[k]) for k, other in enumerate(standard) if row[k] and other != own}
-        for name, own, row in zip(base.names, base.standard, base.matrix, strict=True)
+        name: {parameter: 1.0}
+        | {other: float(row[k]) for k, other in enumerate(standard) if row[k] and other != parameter}
+        for name, parameter, row in zip(base.names, base.standard, base.matrix, strict=True)
     }
 
 
@@ -219,5 +220,5 @@ def whole_mass(base: BaseParameters, standard: Sequence[Parameter]) -> Parameter
     ``standard`` are the names of the standard parameters, the columns of ``base.matrix``.
     """
     masses = np.array([name.kind == "m" for name in standard], dtype=float)
-    found = (name for name, row in zip(base.names, base.matrix, strict=True) if np.allclose(row, masses, atol=1e-6))
-    return next(found, None)
+    totals = (name for name, row in zip(base.names, base.matrix, strict=True) if np.allclose(row, masses, atol=1e-6))
+    return next(totals, None)

@@ -59,10 +59,10 @@ def assembly_errors(layout: Coordinates, c: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 
 def _largest(values: ca.SX) -> ca.SX:
-    found = ca.SX(0)
+    largest = ca.SX(0)
     for value in ca.vertsplit(values):
-        found = ca.fmax(found, ca.fabs(value))
-    return found
+        largest = ca.fmax(largest, ca.fabs(value))
+    return largest
 
 
 def _on_unit_quaternions(layout: Coordinates, c: ca.SX) -> ca.SX:
@@ -193,11 +193,11 @@ def solve(a: ca.SX, b: ca.SX, refine: bool) -> tuple[ca.SX, ca.SX]:
 def _inverse(upper: ca.SX) -> ca.SX:
     """Invert a unit upper triangle, given without its diagonal, by sparse back substitution."""
     n = upper.shape[0]
-    found = ca.SX(n, n)
+    inverse = ca.SX(n, n)
     for column in range(n):
-        found[column, column] = 1
+        inverse[column, column] = 1
         for row in range(column - 1, -1, -1):
-            rest = ca.mtimes(upper[row, row + 1 : column + 1], found[row + 1 : column + 1, column])
+            rest = ca.mtimes(upper[row, row + 1 : column + 1], inverse[row + 1 : column + 1, column])
             if rest.nnz():
-                found[row, column] = -rest
-    return ca.sparsify(found)
+                inverse[row, column] = -rest
+    return ca.sparsify(inverse)

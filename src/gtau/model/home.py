@@ -89,12 +89,12 @@ def load_robot(
     if isinstance(source, Robot):
         return source
     if isinstance(source, RobotSource):
-        found, name = source, source.file
+        described, name = source, source.file
     else:
         options: dict[str, Any] = {"file": str(source), "base": base, "joints": tuple(joints), "held": dict(held or {})}
         options["limits"] = dict(limits or {})
-        found, name = validate(RobotSource, Document(Path("load_robot"), options, {})), str(source)
-    robot = read_robot(found)
+        described, name = validate(RobotSource, Document(Path("load_robot"), options, {})), str(source)
+    robot = read_robot(described)
     try:
         return close_home(robot)
     except GtauError as error:
@@ -128,21 +128,21 @@ def close_home(robot: Robot) -> Robot:
             f"{_displacements(errors, given, nearest)}; correct the placements, or write a 'home' closer to the "
             "assembled robot."
         )
-    found, least = nearest, SINGULAR if errors.apart(given, nearest).max() < NEAR else POOR
+    home, least = nearest, SINGULAR if errors.apart(given, nearest).max() < NEAR else POOR
     singular = errors.condition(errors(nearest)[1]) > least
     if singular:
-        found = well_conditioned(errors, nearest)
-    moved = errors.apart(given, found)
+        home = well_conditioned(errors, nearest)
+    moved = errors.apart(given, home)
     if moved.max() < KEPT and is_closed(errors, closed(errors, given, errors.passive)):
         return robot.with_file(home_given=True)
     if moved.max() > NEAR:
-        found = with_round_motors(errors, found)
-    solved = _at(robot, layout, found)
+        home = with_round_motors(errors, home)
+    solved = _at(robot, layout, home)
     if moved.max() < NEAR:
         return solved
-    note = f"home was solved so that the loops close: {_displacements(errors, given, found)}"
+    note = f"home was solved so that the loops close: {_displacements(errors, given, home)}"
     if singular:
-        worse, better = (errors.condition(errors(c)[1]) for c in (nearest, found))
+        worse, better = (errors.condition(errors(c)[1]) for c in (nearest, home))
         note += (
             f" (the nearest pose that closes, with {_motors(layout, nearest)}, is closer to a singularity: condition "
             f"number {worse:.3g} instead of {better:.3g})"
@@ -190,15 +190,15 @@ def _at(robot: Robot, layout: Coordinates, c: np.ndarray) -> Robot:
     return replace(robot, joints=joints, platforms=tuple(platforms)).with_file(home_given=True)
 
 
-def _displacements(errors: LoopErrors, given: np.ndarray, found: np.ndarray) -> str:
+def _displacements(errors: LoopErrors, given: np.ndarray, home: np.ndarray) -> str:
     """List the displacements of joints and platforms, the largest first."""
-    layout, apart = errors.layout, errors.apart(given, found)
+    layout, apart = errors.layout, errors.apart(given, home)
     parts = []
     for k, joint in enumerate(layout.robot.joints):
-        text = f"joint '{joint.name}' from {given[k]:.4g} to {found[k]:.4g} {joint.unit}"
+        text = f"joint '{joint.name}' from {given[k]:.4g} to {home[k]:.4g} {joint.unit}"
         parts.append((bool(not joint.actuated), -apart[k], text))
     for slots in layout.platforms:
-        change = slots.displacement(given, found)
+        change = slots.displacement(given, home)
         angular = layout.angular[slots.rates]
         shift, turn = (float(np.linalg.norm(change[which])) for which in (~angular, angular))
         sizes = [f"{1e3 * shift:.4g} mm"] * (shift > NEAR * errors.length)

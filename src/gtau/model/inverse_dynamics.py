@@ -178,9 +178,9 @@ class InverseDynamics:
         """Return the regressor of the standard parameters ``names``."""
         names = tuple(names)
         if names not in self._regressors:
-            inputs, whole = self._symbolic
+            inputs, regressor = self._symbolic
             position = {name: k for k, name in enumerate(self.parameter_names)}
-            W = whole[:, [position[name] for name in names]]
+            W = regressor[:, [position[name] for name in names]]
             self._regressors[names] = Regressor(names, inputs, W)
         return self._regressors[names]
 
@@ -299,7 +299,7 @@ class InverseDynamics:
                 part = slice(begin, min(begin + BLOCK, last))
                 block = slice(offset + part.start, offset + part.stop)
                 # blocks are copied, as fresh memory for whole paths would cost more than the copies
-                now, speed, push = (np.ascontiguousarray(each[:, part]) for each in (c, qd, qdd))
+                now, speed, push = (np.ascontiguousarray(samples[:, part]) for samples in (c, qd, qdd))
                 work(block, self.rates(now, speed, push, Numbers(block.start)))
 
         share(stretch, c.shape[1])

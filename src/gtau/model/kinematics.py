@@ -43,8 +43,8 @@ class PlatformSlots:
             from scipy.spatial.transform import Rotation
 
             turned = Rotation.from_matrix(self.rotation(after) @ self.rotation(before).T).as_rotvec()
-        whole = dict(zip(TRANSLATIONS + ROTATIONS, (*shifted, *turned), strict=True))
-        return np.array([whole[dof] for dof in self.platform.dof])
+        components = dict(zip(TRANSLATIONS + ROTATIONS, (*shifted, *turned), strict=True))
+        return np.array([components[dof] for dof in self.platform.dof])
 
 
 @dataclass(frozen=True)
@@ -188,22 +188,22 @@ def _moved(joint: Joint, q: ca.SX) -> tuple[ca.SX, Vector]:
 def frames(layout: Coordinates, c: ca.SX) -> dict[str, Frame]:
     """Express the pose of every body at configuration ``c`` (n_c,)."""
     origin, axes = constant(np.zeros(3)), constant(np.eye(3))
-    found = {GROUND: Frame(axes, origin, axes, origin)}
+    poses = {GROUND: Frame(axes, origin, axes, origin)}
     for k, joint in enumerate(layout.robot.joints):
-        before = found[joint.antecedent]
+        before = poses[joint.antecedent]
         R, p = _moved(joint, c[k])
-        found[joint.name] = Frame(R, p, before.R_0 @ R, before.p_0 + before.R_0 @ p)
+        poses[joint.name] = Frame(R, p, before.R_0 @ R, before.p_0 + before.R_0 @ p)
     for slots in layout.platforms:
         p = c[slots.position]
         R = constant(slots.platform.home.rotation) if slots.quaternion is None else _rotation_of(c[slots.quaternion])
-        found[slots.platform.name] = Frame(R, p, R, p)
-    return found
+        poses[slots.platform.name] = Frame(R, p, R, p)
+    return poses
 
 
 def poses(layout: Coordinates, c: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Compute orientation (3, 3) and origin (3,), m, of every body in the base at a configuration (n_c,)."""
-    found = frames(layout, ca.SX(c))
-    return {name: (ca.evalf(at.R_0).full(), ca.evalf(at.p_0).full().ravel()) for name, at in found.items()}
+    symbolic = frames(layout, ca.SX(c))
+    return {name: (ca.evalf(at.R_0).full(), ca.evalf(at.p_0).full().ravel()) for name, at in symbolic.items()}
 
 
 def configuration_rates(layout: Coordinates, c: ca.SX, yd: ca.SX) -> ca.SX:
@@ -238,11 +238,11 @@ def twists(layout: Coordinates, frame: dict[str, Frame], rates: ca.SX) -> dict[s
     With a column of ``J`` for ``rates`` these are the partial twists of Jourdain's principle.
     """
     zero = ca.SX(3, 1)
-    found = {GROUND: Twist(zero, zero)}
+    twists = {GROUND: Twist(zero, zero)}
     for k, joint in enumerate(layout.robot.joints):
-        before, at = found[joint.antecedent], frame[joint.name]
+        before, at = twists[joint.antecedent], frame[joint.name]
         if not before.moves and not rates[k].nnz():
-            found[joint.name] = before
+            twists[joint.name] = before
             continue
         axis = constant(np.array(joint.axis))
         angular = at.R.T @ before.angular
@@ -251,8 +251,8 @@ def twists(layout: Coordinates, frame: dict[str, Frame], rates: ca.SX) -> dict[s
             angular = angular + axis * rates[k]
         else:
             linear = linear + axis * rates[k]
-        found[joint.name] = Twist(angular, linear)
-    return found | platform_twist(layout, rates, frame)
+        twists[joint.name] = Twist(angular, linear)
+    return twists | platform_twist(layout, rates, frame)
 
 
 def attached_frame(end: Attachment, frame: dict[str, Frame]) -> tuple[ca.SX, Vector]:
@@ -278,9 +278,9 @@ def accelerations(
     gravity: Vector,
 ) -> dict[str, Twist]:
     """Express the acceleration of every body less gravity, which acts as an acceleration of the base."""
-    found = {GROUND: Twist(ca.SX(3, 1), -gravity)}
+    accelerations = {GROUND: Twist(ca.SX(3, 1), -gravity)}
     for k, joint in enumerate(layout.robot.joints):
-        before, at, axis = found[joint.antecedent], frame[joint.name], constant(np.array(joint.axis))
+        before, at, axis = accelerations[joint.antecedent], frame[joint.name], constant(np.array(joint.axis))
         omega = twist[joint.antecedent].angular
         angular = at.R.T @ before.angular
         linear = at.R.T @ (
@@ -291,7 +291,7 @@ def accelerations(
             angular = angular + axis * ydd[k] + turning
         else:
             linear = linear + axis * ydd[k] + 2 * turning
-        found[joint.name] = Twist(angular, linear)
+        accelerations[joint.name] = Twist(angular, linear)
     for name, motion in platform_twist(layout, ydd, frame).items():
-        found[name] = Twist(motion.angular, motion.linear - frame[name].R_0.T @ gravity)
-    return found
+        accelerations[name] = Twist(motion.angular, motion.linear - frame[name].R_0.T @ gravity)
+    return accelerations

@@ -85,9 +85,9 @@ class VariableGeometry:
         """
         layout, change = self.layout, after - before
         step = np.zeros((layout.n_y, c.shape[1]))
-        for k, each in enumerate(self.constants):
-            if each.joint is not None:
-                step[layout.actuated[each.joint]] += change[k]
+        for k, varied in enumerate(self.constants):
+            if varied.joint is not None:
+                step[layout.actuated[varied.joint]] += change[k]
         c = layout.retract(c, step)
         if not self.rows:
             return c
@@ -109,14 +109,14 @@ class VariableGeometry:
         _, G_p, G_a, G_s, position, rotation, J, J_s = self._evaluate(c, self.shifts @ change)
         G = np.concatenate([G_a, G_s @ self.shifts], axis=2)
         follow = -np.linalg.pinv(G_p) @ G if self.rows else np.zeros((len(position), len(layout.passive), G.shape[2]))
-        left = np.abs(G + G_p @ follow).max(axis=(0, 1), initial=0.0)
+        gap = np.abs(G + G_p @ follow).max(axis=(0, 1), initial=0.0)
         direct = np.concatenate([J[:, :, layout.actuated], J_s @ self.shifts], axis=2)
         moved = direct + J[:, :, layout.passive] @ (follow * self.unit[:, None])
-        moved[:, :, left > HOLDING * np.maximum(np.abs(G).max(axis=(0, 1), initial=0.0), 1e-300)] = np.nan
+        moved[:, :, gap > HOLDING * np.maximum(np.abs(G).max(axis=(0, 1), initial=0.0), 1e-300)] = np.nan
         by_joints, by_constants = moved[:, :, :n], moved[:, :, n:]
-        for k, each in enumerate(self.constants):
-            if each.joint is not None:
-                by_constants[:, :, k] = by_joints[:, :, each.joint]
+        for k, varied in enumerate(self.constants):
+            if varied.joint is not None:
+                by_constants[:, :, k] = by_joints[:, :, varied.joint]
         return BodyPose(position, rotation, by_constants, by_joints)
 
     def _evaluate(self, c: np.ndarray, shift: np.ndarray) -> list[np.ndarray]:
@@ -132,8 +132,8 @@ class VariableGeometry:
             (6, layout.n_y),
             (6, shift.size),
         ]
-        found = self.program(c, parameters=shift)
-        parts = np.split(found, np.cumsum([int(np.prod(shape)) for shape in shapes])[:-1])
+        values = self.program(c, parameters=shift)
+        parts = np.split(values, np.cumsum([int(np.prod(shape)) for shape in shapes])[:-1])
         return [part.T.reshape(samples, *shape) for part, shape in zip(parts, shapes, strict=True)]
 
 
@@ -159,8 +159,8 @@ def variable_geometry(robot: Robot, body: str) -> VariableGeometry:
     outputs = [residual, G_p.T, G[:, layout.actuated.tolist()].T, ca.jacobian(residual, s).T, at.p_0, at.R_0.T]
     constants = [*_constants(robot, places), *_zeros(robot)]
     shifts = np.zeros((s.numel(), len(constants)))
-    for k, each in enumerate(constants):
-        for place, direction in each.directions:
+    for k, length in enumerate(constants):
+        for place, direction in length.directions:
             shifts[3 * place : 3 * place + 3, k] += direction
     program = compile_program([c], [*outputs, J.T, J_s.T], [s])
     return VariableGeometry(layout, tuple(constants), shifts, unit, residual.numel(), program)
@@ -222,14 +222,14 @@ def _constants(robot: Robot, places: Sequence[tuple[str, Placement]]) -> Iterato
             if value > shortest:
                 key = next((known for known in same if abs(known - value) < SAME * known), value)
                 same.setdefault(key, []).append((f"{what} of {where}", (k, direction)))
-    for value, found in same.items():
+    for value, uses in same.items():
         called = [name for name, constant in robot.file.constants if abs(abs(constant) - value) < SAME * value]
         prefix = f"{'/'.join(called)}, " if called else ""
-        for where, at in found:
+        for where, at in uses:
             yield Constant(f"{prefix}{where}", value, "m", (at,))
-        if len(found) > 1:
+        if len(uses) > 1:
             name = "/".join(called) or f"{1e3 * value:.4g} mm"
-            yield Constant(f"{name} at all {len(found)} places", value, "m", tuple(each for _, each in found))
+            yield Constant(f"{name} at all {len(uses)} places", value, "m", tuple(at for _, at in uses))
 
 
 def _lengths(placement: Placement) -> Iterator[tuple[str, float, Vector]]:

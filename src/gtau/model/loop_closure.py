@@ -72,7 +72,7 @@ class LoopErrors:
         turned = iter(np.arccos(np.clip(1.0 - flips, -1.0, 1.0)))
         for number, closure in enumerate(robot.closures, start=1):
             rows = 6 if closure.kind == "weld" else 3
-            distance, half = (float(np.linalg.norm(each)) for each in np.split(error[start : start + rows], [3]))
+            distance, half = (float(np.linalg.norm(part)) for part in np.split(error[start : start + rows], [3]))
             angle = max(half, float(next(turned))) if rows == 6 else 0.0
             parts = (distance, f"{1e3 * distance * self.length:.3g} mm"), (angle, f"{np.degrees(angle):.3g} degrees")
             size = " and ".join(text for part, text in parts if part > 1e-3 * max(distance, angle))
@@ -86,13 +86,13 @@ class LoopErrors:
     def apart(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         """Compute the distance between the scaled coordinates (n_y,) of two configurations, modulo full turns."""
         layout, n_t = self.layout, len(self.layout.robot.joints)
-        found = np.zeros(layout.n_y)
+        distance = np.zeros(layout.n_y)
         change = after[:n_t] - before[:n_t]
         turned = np.remainder(change + np.pi, 2 * np.pi) - np.pi
-        found[:n_t] = np.where(layout.angular[:n_t], turned, change) / self.unit[:n_t]
+        distance[:n_t] = np.where(layout.angular[:n_t], turned, change) / self.unit[:n_t]
         for slots in layout.platforms:
-            found[slots.rates] = slots.displacement(before, after) / self.unit[slots.rates]
-        return np.abs(found)
+            distance[slots.rates] = slots.displacement(before, after) / self.unit[slots.rates]
+        return np.abs(distance)
 
 
 def loop_errors(layout: Coordinates) -> LoopErrors:
@@ -169,14 +169,14 @@ def nearest_closed(errors: LoopErrors, given: np.ndarray, tolerance: float = CLO
     best: tuple[tuple[bool, float], np.ndarray] | None = None
     rng, open_ones = np.random.default_rng(0), [held]
     for start in range(STARTS):
-        found = closed(errors, _scattered(errors, given, rng) if start else given, errors.looped)
-        if not is_closed(errors, found, tolerance):
-            open_ones.append(found)
+        there = closed(errors, _scattered(errors, given, rng) if start else given, errors.looped)
+        if not is_closed(errors, there, tolerance):
+            open_ones.append(there)
             continue
-        found = _unwound(errors, given, found)
-        rank = _outside(errors, found), float(np.linalg.norm(errors.apart(given, found)))
+        there = _unwound(errors, given, there)
+        rank = _outside(errors, there), float(np.linalg.norm(errors.apart(given, there)))
         if best is None or rank < best[0]:
-            best = rank, found
+            best = rank, there
         if start == 0 and not rank[0]:
             break
     if best is None:
@@ -189,13 +189,13 @@ def nearest_closed(errors: LoopErrors, given: np.ndarray, tolerance: float = CLO
     return best[1]
 
 
-def _unwound(errors: LoopErrors, given: np.ndarray, found: np.ndarray) -> np.ndarray:
+def _unwound(errors: LoopErrors, given: np.ndarray, solved: np.ndarray) -> np.ndarray:
     """Remove full turns from a configuration, except for coupled joints, whose couplings would no longer hold."""
-    coupled = {name for each in errors.layout.robot.couplings for name in (each.joint, *dict(each.ratios))}
-    unwound = found.copy()
+    coupled = {name for coupling in errors.layout.robot.couplings for name in (coupling.joint, *dict(coupling.ratios))}
+    unwound = solved.copy()
     for k, joint in enumerate(errors.layout.robot.joints):
         if joint.turns and joint.name not in coupled:
-            unwound[k] = given[k] + np.remainder(found[k] - given[k] + np.pi, 2 * np.pi) - np.pi
+            unwound[k] = given[k] + np.remainder(solved[k] - given[k] + np.pi, 2 * np.pi) - np.pi
     return unwound
 
 
@@ -239,7 +239,7 @@ def well_conditioned(errors: LoopErrors, c: np.ndarray) -> np.ndarray:
                 tried = closed(errors, errors.moved(c, sign * size * direction), errors.looped)
                 if is_closed(errors, tried) and _outside(errors, tried) <= limited:
                     there = float(f"{errors.condition(errors(tried)[1]):.3g}")
-                    best = min(best, (there, tried), key=lambda each: each[0])
+                    best = min(best, (there, tried), key=lambda candidate: candidate[0])
         size = size if best[0] < 0.99 * condition else size / 2
         condition, c = best
     return c
@@ -249,8 +249,8 @@ def with_round_motors(errors: LoopErrors, c: np.ndarray) -> np.ndarray:
     """Find the closed configuration (n_c,) near ``c`` with rounded motor positions, if there is one."""
     rounded = c.copy()
     rounded[errors.layout.actuated] = np.round(c[errors.layout.actuated], MOTOR_DECIMALS)
-    found = closed(errors, rounded, errors.passive)
-    return found if is_closed(errors, found) and errors.apart(c, found).max() < NEAR else c
+    solved = closed(errors, rounded, errors.passive)
+    return solved if is_closed(errors, solved) and errors.apart(c, solved).max() < NEAR else c
 
 
 def _directions(errors: LoopErrors, c: np.ndarray) -> list[np.ndarray]:
@@ -260,12 +260,14 @@ def _directions(errors: LoopErrors, c: np.ndarray) -> list[np.ndarray]:
     null = Vt[int((sigma > 1e-7).sum()) :]
     projector = null.T @ null
     actuated = np.isin(errors.looped, errors.layout.actuated)
-    found: list[np.ndarray] = []
+    directions: list[np.ndarray] = []
     for k in np.argsort(~actuated, kind="stable"):
         size = np.linalg.norm(projector[k])
-        if size < 0.1 or any(abs(projector[k] @ each) > 0.99 * size * np.linalg.norm(each) for each in found):
+        if size < 0.1 or any(
+            abs(projector[k] @ direction) > 0.99 * size * np.linalg.norm(direction) for direction in directions
+        ):
             continue
-        found.append(projector[k] / np.abs(projector[k]).max())
-    steps = np.zeros((len(found), errors.layout.n_y))
-    steps[:, errors.looped] = np.reshape(found, (len(found), errors.looped.size))
+        directions.append(projector[k] / np.abs(projector[k]).max())
+    steps = np.zeros((len(directions), errors.layout.n_y))
+    steps[:, errors.looped] = np.reshape(directions, (len(directions), errors.looped.size))
     return list(steps)

@@ -38,11 +38,11 @@ def _follower(loops: Loops, shortest: float, thread: int) -> tuple[np.ndarray, l
         Bound(loops.fast_step, at, to[: n_c + 1]),
         Bound(loops.gap, at, to[n_c + 2 :]),
     )
-    programs = [part for each in bound for part in each.run()[1:4]]
+    programs = [part for program in bound for part in program.run()[1:4]]
     actuated, scale = np.array(layout.actuated, np.int64), _scale(loops)
     tables = (np.zeros((rows, LANES)) for rows in (n_c, n_c, 2 * n_c, TILE * n_c, n, n))
     pointed = [trial, made, scale, actuated, *tables]
-    where = [address(each) for each in pointed]
+    where = [address(array) for array in pointed]
     parameters = shortest, RESIDUAL, CONTRACTION, REACH
     follower = np.array((compiled().machine, *programs, *where[:4], n_c, n, *where[4:], *parameters), dtype=FOLLOWER)
     return follower, [bound, *pointed]

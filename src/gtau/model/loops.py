@@ -54,7 +54,7 @@ class Motion:
 
     def __getitem__(self, samples: slice) -> Motion:
         """Select the motion at some of the samples."""
-        return Motion(*(each[..., samples] for each in (self.c, self.yd, self.ydd, self.J, self.condition)))
+        return Motion(*(array[..., samples] for array in (self.c, self.yd, self.ydd, self.J, self.condition)))
 
 
 def joined(parts: Sequence[Motion]) -> Motion:
@@ -217,8 +217,8 @@ def differentiate(
     pose too close to a singularity, where the actuated coordinates do not determine the passive ones.
     """
     layout, samples = loops.layout, c.shape[1]
-    found = loops.motion(c, qd, qdd)
-    condition, yd, ydd, J = np.split(found, np.cumsum([1, layout.n_y, layout.n_y]))
+    motion = loops.motion(c, qd, qdd)
+    condition, yd, ydd, J = np.split(motion, np.cumsum([1, layout.n_y, layout.n_y]))
     condition = np.nan_to_num(condition[0], nan=np.inf)
     singular = condition >= CONDITION
     if singular.any():

@@ -62,8 +62,8 @@ def random_motion(idm: InverseDynamics, samples: int, rng: np.random.Generator, 
     speed = np.array([joint.limits.velocity or 3.0 for joint in joints]) / 3
     push = np.array([joint.limits.acceleration or 30.0 for joint in joints]) / 3
     parts: list[Motion] = []
-    found, drawn, share, box = 0, 0, 1.0, 1.0
-    while found < samples:
+    regular, drawn, share, box = 0, 0, 1.0, 1.0
+    while regular < samples:
         if drawn >= ENOUGH and share < FEASIBLE:
             if box <= SMALLEST:
                 raise GtauError(
@@ -71,14 +71,14 @@ def random_motion(idm: InverseDynamics, samples: int, rng: np.random.Generator, 
                     "singularities, even close to home; give limits and a home within the workspace, and check which "
                     "joints are actuated."
                 )
-            parts, found, drawn, share, box = [], 0, 0, 1.0, box / 2
-        count = samples if not drawn else ceil(1.2 * (samples - found) / max(share, FEASIBLE))
+            parts, regular, drawn, share, box = [], 0, 0, 1.0, box / 2
+        count = samples if not drawn else ceil(1.2 * (samples - regular) / max(share, FEASIBLE))
         q = home + box * (rng.uniform(bounds[:, :1], bounds[:, 1:], (len(joints), count)) - home)
         qd = rng.normal(size=q.shape) * speed[:, None]
         qdd = rng.normal(size=q.shape) * push[:, None]
         parts.append(_regular(idm, bounds, q, qd, qdd, condition))
-        found, drawn = found + parts[-1].c.shape[1], drawn + count
-        share = found / drawn
+        regular, drawn = regular + parts[-1].c.shape[1], drawn + count
+        share = regular / drawn
     return joined(parts)[slice(samples)]
 
 
@@ -145,9 +145,9 @@ def singularities(idm: InverseDynamics) -> Singularities:
     five-bar, the point where it is closed.
     """
     program = compile_program(*_tool_jacobian(idm))
-    found = Singularities(idm.layout, program, 0, 0.0)
+    unranked = Singularities(idm.layout, program, 0, 0.0)
     motion = random_motion(idm, POSES, np.random.default_rng(0))
-    s = np.linalg.svd(found.jacobian(motion), compute_uv=False)
+    s = np.linalg.svd(unranked.jacobian(motion), compute_uv=False)
     rank = int((s > NO_MOTION * s.max()).sum(axis=1).max())
     return Singularities(idm.layout, program, rank, float(s.max()))
 

@@ -50,8 +50,8 @@ class Digits:
 
 def digits_of(numbers: Iterable[float]) -> Digits:
     """Find the digits that numbers are written with; computed ones show none, nor do 0.25 and 0.4, which are exact."""
-    found = [_digits(number) for number in numbers if number != round(number) and is_written(number)]
-    significant, exponents = zip(*found, strict=True) if found else ((0,), (0,))
+    digits = [_digits(number) for number in numbers if number != round(number) and is_written(number)]
+    significant, exponents = zip(*digits, strict=True) if digits else ((0,), (0,))
     return Digits(-min(exponents), max(significant)) if -min(exponents) >= FEWEST else Digits(0, 0)
 
 

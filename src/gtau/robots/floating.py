@@ -39,13 +39,13 @@ def base_joints(name: str) -> tuple[Joint, ...]:
     kinds = (TRANSLATIONS + ROTATIONS)[: len(chain)]
     return tuple(
         Joint(
-            own,
+            joint,
             chain[k - 1] if k else GROUND,
             "prismatic" if kind in TRANSLATIONS else "revolute",
             axis=AXES[kind[-1]],
-            parameters="inertial" if own == name else "none",
+            parameters="inertial" if joint == name else "none",
         )
-        for k, (own, kind) in enumerate(zip(chain, kinds, strict=True))
+        for k, (joint, kind) in enumerate(zip(chain, kinds, strict=True))
     )
 
 
@@ -65,7 +65,9 @@ def float_base(robot: Robot, name: str = "base") -> Robot:
         closures=closures,
         springs=springs,
         floating=name,
-        file=replace(robot.file, inertias=tuple((_own(name, each), value) for each, value in robot.file.inertias)),
+        file=replace(
+            robot.file, inertias=tuple((_own(name, parameter), value) for parameter, value in robot.file.inertias)
+        ),
     )
 
 
@@ -74,18 +76,18 @@ def drawn_base(robot: Robot) -> tuple[str, ...]:
 
     They form a chain from the ground and carry all others; none if there is no such chain.
     """
-    before, found = GROUND, list[Joint]()
-    while len(found) < 6:
+    before, six = GROUND, list[Joint]()
+    while len(six) < 6:
         following = [joint for joint in robot.joints if joint.antecedent == before]
         if len(following) != 1 or following[0].actuated:
             return ()
-        found.append(following[0])
+        six.append(following[0])
         before = following[0].name
-    names = tuple(joint.name for joint in found)
+    names = tuple(joint.name for joint in six)
     ends = {GROUND, *names[:-1]}.intersection(end.body for end in robot.ends)
-    coupled = {name for each in robot.couplings for name in (each.joint, *dict(each.ratios))}
-    axes = ([joint.axis for joint in found if joint.kind == kind] for kind in ("prismatic", "revolute"))
-    spanning = all(len(each) == 3 and np.linalg.matrix_rank(each) == 3 for each in axes)
+    coupled = {name for coupling in robot.couplings for name in (coupling.joint, *dict(coupling.ratios))}
+    axes = ([joint.axis for joint in six if joint.kind == kind] for kind in ("prismatic", "revolute"))
+    spanning = all(len(directions) == 3 and np.linalg.matrix_rank(directions) == 3 for directions in axes)
     return names if spanning and not ends and coupled.isdisjoint(names) else ()
 
 

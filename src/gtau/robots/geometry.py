@@ -91,9 +91,9 @@ def written_pose(xyz: Iterable[float], rpy: Iterable[float]) -> tuple[Pose, floa
     return rounded_pose(xyz, angles), largest_change(given, angles)
 
 
-def largest_change(given: Iterable[float], taken: Iterable[float]) -> float:
+def largest_change(given: Iterable[float], exact: Iterable[float]) -> float:
     """Return the largest difference of angles, zero if within double-precision rounding."""
-    change = max((abs(a - b) for a, b in zip(given, taken, strict=True)), default=0.0)
+    change = max((abs(a - b) for a, b in zip(given, exact, strict=True)), default=0.0)
     return change if change > ROUNDING else 0.0
 
 
@@ -115,18 +115,18 @@ def with_exact_angles(robot: Robot) -> Robot:
         if isinstance(placement, Mdh):
             given: tuple[float, ...] = (placement.gamma, placement.alpha, placement.theta)
             gamma, alpha, theta = map(exact_angle, given)
-            taken: Placement = replace(placement, gamma=gamma, alpha=alpha, theta=theta)
+            meant: Placement = replace(placement, gamma=gamma, alpha=alpha, theta=theta)
             change = largest_change(given, (gamma, alpha, theta))
         else:
-            taken, change = written_pose(placement.xyz, placement.rpy)
+            meant, change = written_pose(placement.xyz, placement.rpy)
         changes[name] = max(change, changes.get(name, 0.0))
-        return taken if change else placement
+        return meant if change else placement
 
     def end(at: Attachment) -> Attachment:
         return replace(at, placement=exact(at.body, at.placement))
 
     joints = tuple(replace(joint, placement=exact(joint.name, joint.placement)) for joint in robot.joints)
-    closures = tuple(replace(each, a=end(each.a), b=end(each.b)) for each in robot.closures)
+    closures = tuple(replace(closure, a=end(closure.a), b=end(closure.b)) for closure in robot.closures)
     notes = short_angles_note(changes)
     return replace(robot, joints=joints, closures=closures).noted(*notes) if notes else robot
 
@@ -189,24 +189,24 @@ def moved_ends(
     robot: Robot, moved: Callable[[Attachment], Attachment]
 ) -> tuple[tuple[Closure, ...], tuple[Spring, ...]]:
     """Move both ends of all closures and springs."""
-    closures = tuple(replace(each, a=moved(each.a), b=moved(each.b)) for each in robot.closures)
-    return closures, tuple(replace(each, a=moved(each.a), b=moved(each.b)) for each in robot.springs)
+    closures = tuple(replace(closure, a=moved(closure.a), b=moved(closure.b)) for closure in robot.closures)
+    return closures, tuple(replace(spring, a=moved(spring.a), b=moved(spring.b)) for spring in robot.springs)
 
 
-def attached(end: Attachment, found: dict[str, Frame]) -> Frame:
+def attached(end: Attachment, frames: dict[str, Frame]) -> Frame:
     """Express the frame of a closure's end in the base."""
-    R, p = found[end.body]
+    R, p = frames[end.body]
     return R @ end.placement.rotation, p + R @ end.placement.position
 
 
 def legs(robot: Robot) -> list[tuple[str, ...]]:
     """List the joints of every chain or tree that starts at the ground, or at a base that floats, in order."""
     root: dict[str, str] = {}
-    found: dict[str, list[str]] = {}
+    chains: dict[str, list[str]] = {}
     for joint in robot.joints:
         root[joint.name] = joint.name if joint.antecedent in (GROUND, robot.floating) else root[joint.antecedent]
-        found.setdefault(root[joint.name], []).append(joint.name)
-    return [tuple(names) for names in found.values()]
+        chains.setdefault(root[joint.name], []).append(joint.name)
+    return [tuple(names) for names in chains.values()]
 
 
 def identical_legs(robot: Robot) -> list[list[tuple[str, ...]]]:

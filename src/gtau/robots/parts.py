@@ -92,9 +92,9 @@ def lock_joints(robot: Robot, positions: Mapping[str, float]) -> Robot:
     return replace(
         robot,
         joints=tuple(_heavy(joint) if joint.name in heavy else joint for joint in joints),
-        closures=tuple(each for each in closures if each.a.body != each.b.body),
+        closures=tuple(closure for closure in closures if closure.a.body != closure.b.body),
         couplings=tuple(_couplings(robot, positions)),
-        springs=tuple(each for each in springs if each.a.body != each.b.body),
+        springs=tuple(spring for spring in springs if spring.a.body != spring.b.body),
         named_tool="" if tool == GROUND else tool,
         floating="" if robot.floating in positions else robot.floating,
         file=replace(robot.file, inertias=_inertias(robot, carried)),
@@ -130,18 +130,18 @@ def _heavy(joint: Joint) -> Joint:
 
 def _with_coupled(robot: Robot, positions: Mapping[str, float]) -> dict[str, float]:
     """Complete the positions of held joints by those determined through couplings."""
-    found = dict(positions)
+    known = dict(positions)
     settled = False
     while not settled:
         settled = True
         for coupling in robot.couplings:
             terms = {coupling.joint: 1.0} | {name: -ratio for name, ratio in coupling.ratios}
-            free = [name for name in terms if name not in found]
+            free = [name for name in terms if name not in known]
             if len(free) == 1:
-                rest = sum(factor * found[name] for name, factor in terms.items() if name in found)
-                found[free[0]] = (coupling.offset - rest) / terms[free[0]]
+                rest = sum(factor * known[name] for name, factor in terms.items() if name in known)
+                known[free[0]] = (coupling.offset - rest) / terms[free[0]]
                 settled = False
-    return found
+    return known
 
 
 def _couplings(robot: Robot, positions: Mapping[str, float]) -> Iterator[Coupling]:
@@ -180,7 +180,7 @@ def without_idle_pins(robot: Robot) -> Robot:
                 aimed = _aimed(robot, pin, along)
                 if aimed is not robot:
                     return without_idle_pins(aimed)
-                apart = [np.cross(each, pin.axis) for each in (point, *slides)]
+                apart = [np.cross(direction, pin.axis) for direction in (point, *slides)]
                 idle = np.linalg.norm(apart, axis=1).max() < COAXIAL
                 why = "its axis passes through the point of the closure"
             else:
@@ -204,7 +204,7 @@ def _before_slides(robot: Robot, end: Attachment) -> tuple[Attachment, list[np.n
     directions: list[np.ndarray] = []
     while (slide := _lone(robot, end.body)) is not None and slide.kind == "prismatic":
         turned = slide.placement.rotation
-        directions = [turned @ each for each in (np.array(slide.axis), *directions)]
+        directions = [turned @ direction for direction in (np.array(slide.axis), *directions)]
         end = Attachment(slide.antecedent, compose(slide.placement, end.placement))
     return end, directions
 

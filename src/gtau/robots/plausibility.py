@@ -38,7 +38,7 @@ def massless(robot: Robot, parameters: Iterable[str]) -> tuple[str, ...]:
     """List links and platforms without a mass, moment or inertia in ``parameters``, which are massless."""
     named = {parameter_of(name).body for name in parameters if parameter_of(name).kind in INERTIAL}
     links = [joint.name for joint in robot.joints if joint.has_mass]
-    return tuple(body for body in (*links, *(each.name for each in robot.platforms)) if body not in named)
+    return tuple(body for body in (*links, *(platform.name for platform in robot.platforms)) if body not in named)
 
 
 def _lengths(robot: Robot) -> Iterator[str]:

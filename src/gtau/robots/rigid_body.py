@@ -54,10 +54,10 @@ def inertial_parameters(body: RigidBody) -> dict[str, float]:
 
 def lumped(parts: Iterable[tuple[Attachment, RigidBody]]) -> dict[str, float]:
     """Sum rigid bodies by the body that each is attached to: standard parameters by name, in the order of parts."""
-    found: dict[str, float] = {}
+    parameters: dict[str, float] = {}
     for at, part in parts:
         rotation = at.placement.rotation
         for kind, value in inertial_parameters(part.seen_from(rotation.T, -rotation.T @ at.placement.position)).items():
             name = Parameter(kind, at.body)
-            found[name] = found.get(name, 0.0) + value
-    return found
+            parameters[name] = parameters.get(name, 0.0) + value
+    return parameters

@@ -95,7 +95,7 @@ def make_run(
     c = model.motion(reference.q.T, reference.qd.T, reference.qdd.T, labels).c
     for row, joint in enumerate(model.robot.joints):  # passive ones too
         check_positions(c[row], joint, f"run '{described.name}'")
-    inertia = np.stack([plant.mass_matrix(each) for each in c.T[::HELD]]).repeat(HELD, axis=0)[: c.shape[1]]
+    inertia = np.stack([plant.mass_matrix(pose) for pose in c.T[::HELD]]).repeat(HELD, axis=0)[: c.shape[1]]
     controller = pid(reference, inertia, parts.gain, simulation.bandwidth)
     rng = np.random.default_rng([simulation.seed, *described.name.encode()])
     made = simulate(described.name, engine, controller, parts, rng, model.actuated, progress)
@@ -136,16 +136,16 @@ def simulate_experiment(
     check_joints(simulation, robot, source if isinstance(source, (str, Path)) else "simulation")
     model = InverseDynamics(robot)
     described = (*simulation.runs, *simulation.validation)
-    for each in described:  # errors are reported before the first run is made
-        make_trajectory(each.trajectory, robot, f"run '{each.name}'")
+    for run in described:  # errors are reported before the first run is made
+        make_trajectory(run.trajectory, robot, f"run '{run.name}'")
     written: list[Path] = []
     experiment = out / "experiment.yaml"
     experiment.unlink(missing_ok=True)  # it would name a mix of new and old logs
     try:
-        for each in described:
-            made = make_run(simulation, model, each, lambda done, total, name=each.name: progress(name, done, total))  # type: ignore[misc]
-            write_log(made.run, out / f"{each.name}.csv")
-            written.append(out / f"{each.name}.csv")
+        for run in described:
+            made = make_run(simulation, model, run, lambda done, total, name=run.name: progress(name, done, total))  # type: ignore[misc]
+            write_log(made.run, out / f"{run.name}.csv")
+            written.append(out / f"{run.name}.csv")
     except KeyboardInterrupt:
         finished = ", ".join(log.name for log in written) or "none"
         raise KeyboardInterrupt(

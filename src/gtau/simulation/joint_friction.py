@@ -82,11 +82,12 @@ class JointFriction:
     @cached_property
     def propels(self) -> bool:
         """True if some term of the law may propel, and is then scaled down."""
-        terms = [
-            {kind: self.values.get(Parameter(kind, joint.name), 0.0) for kind in ("fv", "fs", "fb", "fl", "f3")}
-            for joint in self.law.model.robot.joints
-        ]
-        return any(min(each["fv"], each["fs"], each["fs"] + each["fb"], each["fl"], each["f3"]) < 0 for each in terms)
+        kinds = ("fv", "fs", "fb", "fl", "f3")
+        for joint in self.law.model.robot.joints:
+            fv, fs, fb, fl, f3 = (self.values.get(Parameter(kind, joint.name), 0.0) for kind in kinds)
+            if min(fv, fs, fs + fb, fl, f3) < 0:
+                return True
+        return False
 
     def moved(self, z: np.ndarray, dq: np.ndarray) -> np.ndarray:
         """Update states (s,) for monotone displacements (n,) of the actuated joints."""
@@ -117,13 +118,13 @@ class JointFriction:
         """
         (plain, loaded), speeds = self._forces(yd, z)
         n_joints, scales, effort = len(self.offsets), ca.SX.ones(plain.shape[0]), force
-        left = force - J[:n_joints, :].T @ ca.DM(self.offsets)
+        rest_of_force = force - J[:n_joints, :].T @ ca.DM(self.offsets)
 
         def on_motors(acting: ca.SX) -> ca.SX:
             return J[:n_joints, :].T @ acting[:n_joints] + acting[n_joints:]
 
         for _ in range(1 + BALANCES * self.propels):
-            rest = left - on_motors(scales * plain)
+            rest = rest_of_force - on_motors(scales * plain)
             effort = rest / (1 + on_motors(scales * loaded) * ca.sign(rest))
             if self.propels:
                 scales = self.law.scales(ca, plain + loaded * self._felt(effort), speeds)
@@ -150,7 +151,7 @@ class JointFriction:
         states = dict(zip(law.states, ca.vertsplit(z) if law.states else [], strict=True))
         directions = [states.get(row, slides) for row, slides in enumerate(sliding)]
         (plain, speeds), (loaded, _) = (
-            [ca.densify(ca.vertcat(*each)) for each in law.forces(ca, self.values, yd, load, directions)]
+            [ca.densify(ca.vertcat(*parts)) for parts in law.forces(ca, self.values, yd, load, directions)]
             for load in (ca.SX.zeros(n), ca.SX.ones(n))
         )
         return (plain, loaded - plain), speeds

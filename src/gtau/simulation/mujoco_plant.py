@@ -131,22 +131,22 @@ def mujoco_positions(compiled: Any, layout: Coordinates, c: np.ndarray) -> np.nd
 
 def platform_coordinates(slots: PlatformSlots, c: np.ndarray) -> dict[str, np.ndarray]:
     """Compute the coordinates of a platform's joints in MuJoCo, which count from its home pose."""
-    platform, found = slots.platform, {}
+    platform, coordinates = slots.platform, {}
     shift = c[slots.position] - platform.home.position
     for axis, dof in enumerate(TRANSLATIONS):
         if dof in platform.dof:
-            found[f"{dof}_{platform.name}"] = shift[axis : axis + 1]
+            coordinates[f"{dof}_{platform.name}"] = shift[axis : axis + 1]
     if slots.quaternion is not None:
         turn = Rotation.from_matrix(platform.home.rotation).inv() * Rotation.from_quat(
             c[slots.quaternion], scalar_first=True
         )
         turns = [dof for dof in ROTATIONS if dof in platform.dof]
         if len(turns) == 3:
-            found[f"turn_{platform.name}"] = turn.as_quat(scalar_first=True)
+            coordinates[f"turn_{platform.name}"] = turn.as_quat(scalar_first=True)
         else:
             axis = platform.home.rotation[ROTATIONS.index(turns[0])]
-            found[f"turn_{platform.name}"] = np.array([turn.as_rotvec() @ axis])
-    return found
+            coordinates[f"turn_{platform.name}"] = np.array([turn.as_rotvec() @ axis])
+    return coordinates
 
 
 def robot_spec(mujoco: ModuleType, robot: Robot, chi: Mapping[str, float]) -> Any:

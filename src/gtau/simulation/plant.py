@@ -45,7 +45,7 @@ def constraints(loops: Loops) -> tuple[ca.Function, ca.Function]:
     layout = loops.layout
     c, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
     turned = _axes_of_bodies(loops, c)
-    phi, velocity, gamma = (turned @ each for each in closure_expressions(layout, c, yd))
+    phi, velocity, gamma = (turned @ expression for expression in closure_expressions(layout, c, yd))
     G = ca.jacobian(velocity, yd)
     passive, actuated = layout.passive.tolist(), layout.actuated.tolist()
     at_home = np.array(ca.Function("G", [c], [G[:, passive]])(loops.home))
@@ -140,10 +140,10 @@ class Plant:
 
     def advance(self, state: PlantState, force: np.ndarray, duration: float) -> PlantState:
         """Advance the state by ``duration`` s under constant forces (n,) of the actuated joints, N m or N."""
-        c, qd, z, left, step = state.c, state.qd, state.z, duration, duration
+        c, qd, z, remaining, step = state.c, state.qd, state.z, duration, duration
         actuated = self.layout.actuated
-        while left > SHORTEST:
-            step = min(step, left)
+        while remaining > SHORTEST:
+            step = min(step, remaining)
             c_next, qd_next, error = self._step(c, qd, force, z, np.array([step]))
             size = np.max(np.abs(error) / (TOLERANCE * (1.0 + np.abs(qd))))
             if size <= 1.0:
@@ -152,7 +152,7 @@ class Plant:
                     step *= part
                     continue
                 z = self.friction.moved(z, c_next[actuated] - c[actuated])
-                c, qd, left = c_next, qd_next, left - step
+                c, qd, remaining = c_next, qd_next, remaining - step
             elif step < SHORTEST or not np.isfinite(size):
                 if step < SHORTEST:
                     raise self._lost(c)
@@ -270,7 +270,7 @@ class Plant:
         for weights in STAGES:
             x = ca.vertcat(c, qd) + h * ca.horzcat(*slopes) @ ca.DM(weights)
             slopes.append(slope(x))
-        error = h * ca.horzcat(*(each[layout.n_c :] for each in slopes)) @ ca.DM(ERROR)
+        error = h * ca.horzcat(*(slope[layout.n_c :] for slope in slopes)) @ ca.DM(ERROR)
         return ca.Function("step", [c, qd, force, z, h], [self._closed(x[: layout.n_c]), x[layout.n_c :], error])
 
     def _closed(self, c: ca.MX) -> ca.MX:

@@ -76,7 +76,7 @@ class Simulation(Keys):
     drives: dict[str, JointHardware] = Field(min_length=1)
     friction_width: Friction = Friction()
     rate: Annotated[FiniteFloat, Field(ge=50, le=20000)] = 1000.0
-    bandwidth: Positive = Field(default_factory=lambda found: min(BANDWIDTH, found.get("rate", 1000.0) / 5))
+    bandwidth: Positive = Field(default_factory=lambda fields: min(BANDWIDTH, fields.get("rate", 1000.0) / 5))
     seed: Annotated[int, Field(ge=0)] = 0
     prior_gains: PerJoint = Field(default_factory=dict)
     runs: tuple[SimulatedRun, ...] = Field(min_length=1)

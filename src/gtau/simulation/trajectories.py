@@ -45,15 +45,15 @@ class Envelope:
 def envelope(robot: Robot, share: float = 0.9) -> Envelope:
     """Take a share of the actuated joints' limits; ten times the speed in a second where no acceleration is given."""
     limits = {name: robot.joint(name).limits for name in robot.actuated}
-    for name, each in limits.items():
-        if each.position is None or each.velocity is None:
+    for name, limit in limits.items():
+        if limit.position is None or limit.velocity is None:
             raise GtauError(
-                f"robot '{robot.name}': joint '{name}' has no {'position' if each.position is None else 'velocity'} "
+                f"robot '{robot.name}': joint '{name}' has no {'position' if limit.position is None else 'velocity'} "
                 "limit to move within; add it to the robot file."
             )
-    low, high = np.array([each.position for each in limits.values()], dtype=float).T
-    velocity = np.array([each.velocity for each in limits.values()], dtype=float)
-    given = [each.acceleration or 10.0 * speed for each, speed in zip(limits.values(), velocity, strict=True)]
+    low, high = np.array([limit.position for limit in limits.values()], dtype=float).T
+    velocity = np.array([limit.velocity for limit in limits.values()], dtype=float)
+    given = [limit.acceleration or 10.0 * speed for limit, speed in zip(limits.values(), velocity, strict=True)]
     return Envelope((low + high) / 2, share * (high - low) / 2, share * velocity, share * np.array(given))
 
 
@@ -224,10 +224,10 @@ class Fourier(Keys):
     @model_validator(mode="after")
     def _one_of_each_frequency(self) -> Fourier:
         for what, values in (("amplitude", self.amplitude), ("phase", self.phase)):
-            for joint, each in values.items():
-                if len(each) != len(self.frequency):
+            for joint, numbers in values.items():
+                if len(numbers) != len(self.frequency):
                     raise ValueError(
-                        f"joint '{joint}' has {len(each)} values of '{what}' for {len(self.frequency)} frequencies; "
+                        f"joint '{joint}' has {len(numbers)} values of '{what}' for {len(self.frequency)} frequencies; "
                         "write one for each"
                     )
         return self
@@ -267,7 +267,7 @@ def make_trajectory(motion: MotionEntry, robot: Robot, where: str) -> tuple[Traj
         made, duration = moves, float(moves.starts[-1] + moves.spans[-1] + motion.points.rest)
     elif (series := motion.fourier) is not None:
         center, amplitude, phase = (
-            np.array(_of_joints(each, robot, where)) for each in (series.center, series.amplitude, series.phase)
+            np.array(_of_joints(by_joint, robot, where)) for by_joint in (series.center, series.amplitude, series.phase)
         )
         made, duration = Sines(center, amplitude, phase, np.array(series.frequency), series.duration), series.duration
     else:

@@ -19,7 +19,8 @@ from gtau.estimation.preconditions import given_gains
 from gtau.estimation.regression.dataset import at_rate_of, reduce_runs
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.unknowns import Estimates
-from gtau.estimation.results.payload import PayloadEstimate, payload_estimates
+from gtau.estimation.results.build import payload_estimates
+from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.model.interpreter.program import single_threaded_blas
 from gtau.progress import Progress, silent

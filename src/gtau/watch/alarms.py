@@ -58,18 +58,8 @@ def alarm_of(
 ) -> Alarm:
     """Explain the change indicated by the charts.
 
-    Parameters
-    ----------
-    model : Result
-        Of the robot.
-    entries : sequence of Entry
-        Last logs, the newest one last.
-    charts, evidences : mapping
-        By name.
-    log : LogStatistics
-        Statistics of the newest log.
-    uneven : mapping
-        Joint to the largest unevenness of its residual in healthy logs.
+    ``entries`` are the last logs, ``log`` the statistics of the newest, the last one; ``uneven`` the largest
+    unevenness of each joint's residual in healthy logs.
     """
     leading = max(evidences, key=lambda name: evidences[name].log_e)
     shown = [k for k, entry in enumerate(entries) if leading in entry.values]
@@ -99,23 +89,11 @@ def alarm_of(
 def explain(
     before: np.ndarray, after: np.ndarray, log: LogStatistics, uneven: Mapping[str, float]
 ) -> tuple[tuple[Explanation, ...], int]:
-    """Find the explanations that fit a change, the best one first; none if nothing fits.
+    """Find the explanations that fit a change, the best one first, and the number of logs behind the scatter.
 
-    Parameters
-    ----------
-    before, after : ndarray
-        (logs, k) charts of the logs before and after the change, the newest last; NaN where a log does not show one.
-    log : LogStatistics
-        Statistics of the newest log, whose motion determines the signature of each change.
-    uneven : mapping
-        Joint to the largest unevenness of its residual in healthy logs.
-
-    Returns
-    -------
-    explanations : tuple of Explanation
-        Those that cannot be distinguished.
-    logs : int
-        Number of logs behind the scatter.
+    ``before`` and ``after`` (logs, k) are charts of the logs before and after the change, NaN where a log does not
+    show one; the motion of the newest, ``log``, determines the signature of each change. Returned are those that
+    cannot be distinguished, none if nothing fits.
     """
     enough = (np.isfinite(before).sum(axis=0) >= FEWEST) & np.isfinite(after).any(axis=0) & log.shown
     kept = np.flatnonzero(enough)
@@ -248,14 +226,9 @@ def _stated(each: Explanation, model: Result, factor: float) -> Explained:
 def covariance_between(values: np.ndarray, formula: np.ndarray, least: np.ndarray) -> np.ndarray:
     """Estimate the covariance (k, k) between healthy logs, positive definite however few they are.
 
-    Parameters
-    ----------
-    values : ndarray
-        (logs, k) of charts that every log shows.
-    formula : ndarray
-        (k, k) covariance of one log for independent residuals, whose correlations it is shrunk to.
-    least : ndarray
-        (k,) standard deviations of one log, below which logs do not scatter.
+    ``values`` (logs, k) are those of charts that every log shows; correlations are shrunk to those of ``formula`` (k,
+    k), the covariance of one log for independent residuals, below whose standard deviations ``least`` (k,) logs do not
+    scatter.
     """
     logs, k = values.shape
     deviations = values - values.mean(axis=0)

@@ -40,25 +40,9 @@ class Skipped:
 def follow(
     watch: Watch, source: Path, read: Read, seconds: float, ended: Callable[[], bool] = lambda: False
 ) -> Iterator[Status | Skipped]:
-    """Follow a folder of finished logs, or a growing text log, until it ends.
+    """Follow a folder of finished logs, or a growing text log in blocks of ``seconds``; raises GtauError.
 
-    Parameters
-    ----------
-    watch : Watch
-        Watch to be updated.
-    source : path
-        The folder, or the log.
-    read : callable
-        Reads the log at a path.
-    seconds : float
-        Length of the blocks of a growing log.
-    ended : callable
-        Called when there is nothing new; returns whether the source has ended.
-
-    Raises
-    ------
-    GtauError
-        The source does not exist, becomes shorter, or cannot be read.
+    ``read`` reads the log at a path. ``ended`` is called when there is nothing new: whether the source has ended.
     """
     if source.is_dir():
         yield from _folder(watch, source, read, ended)

@@ -28,6 +28,7 @@ from gtau.estimation.friction.law import transmitted
 from gtau.estimation.regression.column_blocks import payload_columns
 from gtau.estimation.regression.dataset import at_rate_of, prepare_runs
 from gtau.estimation.regression.equations import BLOCKS, delayed
+from gtau.estimation.regression.factors import add_products
 from gtau.estimation.regression.plausibility import check_wrenches
 from gtau.estimation.regression.rows import Labels, Rows, stream_rows
 from gtau.estimation.regression.run_blocks import block_edges, block_of
@@ -99,13 +100,7 @@ def quantities_of(model: Result, of_load: Iterable[str]) -> tuple[Quantity, ...]
 
 
 def normal_equations(model: Result, run: Run) -> NormalEquations:
-    """Reduce a log to the normal equations of the watched quantities.
-
-    Raises
-    ------
-    GtauError
-        The log does not fit the model, no joint moves in it, or the model refuses a sample.
-    """
+    """Reduce a log to the normal equations of the watched quantities; raises GtauError."""
     if model.robot.floating:
         raise GtauError(f"the base of robot '{model.robot.name}' floats; only robots with a fixed base are watched.")
     if run.kind != model.kind:
@@ -131,14 +126,11 @@ def normal_equations(model: Result, run: Run) -> NormalEquations:
     regressor = idm.columns(base.standard)
     for part in stream_rows(idm, regressor, prepared, decimator, load, friction=friction):
         A, tau = _columns(model, part, load, payload.columns, quantities, run.name)
-        block = blocks[part.outputs]
-        for s in range(block[0], block[-1] + 1):
-            for j in range(n):
-                kept = (block == s) & part.keep[j]
-                of = A[j, kept] / sigma[j]
-                G[s, j] += of.T @ of
-                rows[s, j] += len(of)
-                power[j] += float(np.sum(tau[j, kept] ** 2))
+        for j, kept in enumerate(part.keep[:n]):
+            block = blocks[part.outputs][kept]
+            add_products(G[:, j], A[j, kept] / sigma[j], block)
+            np.add.at(rows[:, j], block, 1)
+            power[j] += float(np.sum(tau[j, kept] ** 2))
     count = rows.sum(axis=0)
     if not (count >= FEWEST_ROWS).any():
         raise GtauError(
@@ -164,8 +156,7 @@ def _columns(
     """
     idm = model.idm
     n, regressor = len(idm.actuated), idm.columns(model.base.standard)
-    W = np.zeros((n, len(part.time), len(regressor.names)))
-    W[regressor.rows, :, regressor.columns] = part.entries
+    W = part.matrix(regressor, n)
     assert part.friction is not None
     tau = W @ load - part.external + part.friction
     delays = np.array([model.delays[joint].value or 0.0 for joint in idm.actuated])

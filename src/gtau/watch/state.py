@@ -99,13 +99,7 @@ class Entry(_Line):
 
 
 def logs_of(paths: Iterable[Path]) -> list[Path]:
-    """List logs in the order given, those of a folder in the order of their names.
-
-    Raises
-    ------
-    GtauError
-        Where a path does not exist, or a folder holds no log.
-    """
+    """List logs in the order given, those of a folder in the order of their names; raises GtauError."""
     found: list[Path] = []
     for path in paths:
         if not path.exists():
@@ -156,13 +150,7 @@ def digest_of(path: str | Path) -> str:
 
 
 def open_history(folder: Path, settings: Settings) -> Iterator[Entry]:
-    """Read the entries of a history, or create it.
-
-    Raises
-    ------
-    GtauError
-        The history is damaged, or belongs to another model or other settings.
-    """
+    """Read the entries of a history, or create it; raises GtauError."""
     path = folder / HISTORY
     if not path.exists():
         write_atomically(path, settings.model_dump_json() + "\n")

@@ -37,7 +37,7 @@ class LogStatistics:
         Name of the run.
     charts : tuple of Quantity
         The charts: quantities, then the residual of each joint (logarithm of its rms over that of the model).
-    values, std : ndarray
+    values : ndarray
         (k,) in the units of ``charts``; NaN where this motion does not show a change.
     covariance : ndarray
         (k, k) by the jackknife, 0 for charts that are not observable.
@@ -49,8 +49,6 @@ class LogStatistics:
         (k, k) covariance for independent residuals of unit variance, which has the full rank that the jackknife lacks.
     uneven : ndarray
         (n,) largest rms residual of a block over the median one, of each joint: contacts are brief.
-    joints : tuple of str
-        Names of the n joints.
     information : ndarray
         (p, p): the squared residual, friction free, that changes x of the quantities add is ``x^T information x``.
     rows : ndarray
@@ -60,15 +58,23 @@ class LogStatistics:
     name: str
     charts: tuple[Quantity, ...]
     values: np.ndarray
-    std: np.ndarray
     covariance: np.ndarray
     quantities: tuple[Quantity, ...]
     response: np.ndarray
     formula: np.ndarray
     uneven: np.ndarray
-    joints: tuple[str, ...]
     information: np.ndarray
     rows: np.ndarray
+
+    @property
+    def std(self) -> np.ndarray:
+        """Standard deviations (k,), NaN where this motion does not show a change."""
+        return np.where(self.shown, np.sqrt(np.diag(self.covariance)), np.nan)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the n joints, those of the residuals."""
+        return tuple(chart.joint for chart in self.charts if chart.kind == RESIDUAL)
 
     @property
     def shown(self) -> np.ndarray:
@@ -82,20 +88,7 @@ class LogStatistics:
 
 
 def statistics_of(model: Result, run: Run) -> LogStatistics:
-    """Compute the statistics of a finished log.
-
-    Parameters
-    ----------
-    model : Result
-        The robot as it was identified.
-    run : Run
-        From :func:`gtau.read_run`; its payload, if any, is part of what is expected.
-
-    Raises
-    ------
-    GtauError
-        The log does not fit the model, or contains too few usable rows.
-    """
+    """Compute the statistics of a finished log, whose payload is part of what is expected; raises GtauError."""
     normal = normal_equations(model, run)
     columns = _Columns.of(normal.quantities)
     total = normal.G.sum(axis=(0, 1))
@@ -129,13 +122,11 @@ def statistics_of(model: Result, run: Run) -> LogStatistics:
         run.name,
         charts,
         np.where(shown, every, np.nan),
-        np.where(shown, std, np.nan),
         seen,
         normal.quantities,
         response,
         formula,
         uneven,
-        joints,
         _beside_friction(total, columns),
         normal.rows.sum(axis=0),
     )

@@ -25,13 +25,7 @@ SWITCHING = 1.0  # and of every parameter: Coulomb friction of a passive joint s
 
 
 def along_simulated_motion(system: System, solve: Solve, progress: Progress) -> System:
-    """Iterate between simulated motion and the estimates of ``solve`` until they converge.
-
-    Raises
-    ------
-    GtauError
-        If the robot cannot be simulated with the estimates, or simulation and estimate do not converge.
-    """
+    """Iterate between simulated motion and the estimates of ``solve`` until they converge; raises GtauError."""
     measured, solution = system.dataset, solve(system.problem)
     for k in range(PASSES):
         progress("simulation", k, PASSES)

@@ -110,31 +110,14 @@ def prune_friction_terms(problem: Problem, terms: tuple[Parameter, ...], solve: 
 def essential_parameters(
     problem: Problem, candidates: tuple[str, ...], solve: Solve, ratio: float | None = None, correlated: bool = True
 ) -> tuple[Problem, Solution]:
-    """Cancel the parameter of largest relative standard deviation, repeatedly.
+    """Cancel the parameter of largest relative standard deviation among the ``candidates``, repeatedly.
 
-    With a ``ratio`` until the paper's rule ``max(rel) / min(rel) < ratio`` holds over ``candidates``. As
-    kept parameters absorb the cancelled ones, that over-prunes if the best parameter is
-    very accurate; so without one, until the Bayesian information criterion keeps every parameter: it
-    must be ``sqrt(log r)`` standard deviations (about 3) away from zero. (At two, groups of nearly
-    dependent parameters stay with absurd values that cancel each other.)
-
-    Parameters
-    ----------
-    problem : Problem
-        With all parameters.
-    candidates : tuple of str
-        Parameters that may be cancelled.
-    solve : callable
-        Estimator: with the gains fixed, or jointly with them as the paper does.
-    ratio : float, optional
-        The paper's r_sigma, 10 to 30.
-    correlated : bool
-        Allow for autocorrelated errors, by the initial ratio of the jackknife to the formula.
-
-    Returns
-    -------
-    Problem, Solution
-        Of the remaining parameters.
+    With a ``ratio`` (the paper's r_sigma, 10 to 30) until the paper's rule ``max(rel) / min(rel) < ratio`` holds. As
+    kept parameters absorb the cancelled ones, that over-prunes if the best parameter is very accurate; so without one,
+    until the Bayesian information criterion keeps every parameter: it must be ``sqrt(log r)`` standard deviations
+    (about 3) away from zero. (At two, groups of nearly dependent parameters stay with absurd values that cancel each
+    other.) ``solve`` keeps the gains, or estimates them again as the paper does; ``correlated`` allows for
+    autocorrelated errors, by the initial ratio of the jackknife to the formula.
     """
     solution = solve(problem)
     formula = np.maximum(np.diag(solution.covariance), 1e-300)
@@ -155,23 +138,10 @@ def essential_parameters(
 
 
 def essential_fit(fit: Fit, ratio: float | None, correlated: bool, joint: bool) -> tuple[Problem, Solution, float]:
-    """Cancel base parameters until the essential ones are left.
+    """Cancel base parameters until the essential ones are left; see :func:`essential_parameters`.
 
-    Parameters
-    ----------
-    fit : Fit
-        With all base parameters.
-    ratio, correlated : float, bool
-        See :func:`essential_parameters`.
-    joint : bool
-        Estimate the gains again at each step, as the paper does, or keep them.
-
-    Returns
-    -------
-    Problem, Solution
-        Of the essential parameters.
-    loss : float
-        Growth of the worst joint's residual without the cancelled ones, per cent.
+    ``joint``: estimate the gains again at each step. Returns the problem and its solution, and by how much the
+    residual of the worst joint grows without the cancelled ones, per cent.
     """
     problem = fit.system.problem
     candidates = tuple(name for name in fit.dataset.base.names if name in problem.parameters)

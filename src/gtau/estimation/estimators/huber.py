@@ -53,20 +53,10 @@ def _medians(factors: Sequence[Factors]) -> np.ndarray:
 
 
 def sandwich_factor(factors: Sequence[Factors]) -> float:
-    """Compute the ratio of the jackknife's steps to those with fixed weights.
+    """Compute the ratio of the jackknife's steps to those with fixed weights, ``E[w] / E[psi']``, at least 1.
 
     Leaving out a row changes the weights of the others as well: the curvature of Huber's loss is 1 for the rows below
-    the limit and 0 above it, on average ``E[psi'] < E[w]``.
-
-    Parameters
-    ----------
-    factors : sequence of Factors
-        Of all runs, with the residuals (rows, c) of the last pass, A, of torque sensors N m or N.
-
-    Returns
-    -------
-    float
-        ``E[w] / E[psi']`` over all rows, at least 1.
+    the limit and 0 above it, on average ``E[psi'] < E[w]``. The factors have the residuals of the last pass.
     """
     limit = TUNING * MAD * _medians(factors)
     weights, curvature = 0.0, 0

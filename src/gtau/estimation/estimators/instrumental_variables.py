@@ -24,7 +24,7 @@ from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.estimators.newton import jacobian, one_step, residuals, to_gains
 from gtau.estimation.estimators.simulated_motion import resimulated_runs
 from gtau.estimation.regression.dataset import System
-from gtau.estimation.regression.equations import BLOCKS, SIGNALS, triangle
+from gtau.estimation.regression.equations import SIGNALS, triangle
 from gtau.estimation.regression.factors import EXTRA, Factors, Triangles
 from gtau.estimation.regression.friction import TERMS
 from gtau.estimation.regression.problem import Problem
@@ -62,19 +62,9 @@ class Pair:
 
 
 def instrumental(system: System, solution: Solution, free_gains: bool, progress: Progress) -> tuple[Pair, Solution]:
-    """Estimate by instrumental variables, and return the equations with their instruments.
+    """Estimate by instrumental variables from a ``solution`` without; return the equations with their instruments too.
 
-    Parameters
-    ----------
-    system, solution : System, Solution
-        The identification without instruments, where the simulations begin.
-    free_gains : bool
-        Estimate the gains, or take those of ``solution``.
-
-    Raises
-    ------
-    GtauError
-        If the robot cannot be simulated with the estimates, or the iteration does not converge.
+    Without ``free_gains`` those of ``solution`` stay. Raises GtauError.
     """
     for k in range(PASSES):
         progress("simulation", k, PASSES)
@@ -90,10 +80,7 @@ def instrumental(system: System, solution: Solution, free_gains: bool, progress:
 def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
     """Solve the measured equations with the Jacobian of the simulated ones, from the gains and delays of ``start``.
 
-    Raises
-    ------
-    GtauError
-        Where the iteration does not converge.
+    Raises GtauError.
     """
     problem, n = pair.measured, len(pair.measured.joints)
     state = Iterate(np.zeros(len(problem.parameters)), 1 / start.gains, start.delays)
@@ -185,12 +172,10 @@ def _reduced(
         A[:, :, b + dry] = A[:, :, dry]
         A[:, :, SIGNALS] = other.currents.transpose(1, 2, 0)
         collected.add(A, part.keep & other.keep, blocks[part.outputs])
-    R = np.zeros((2, BLOCKS, n, 2 * b + 3, b + 3))
-    for s, of_stretch in enumerate(collected.merged()):
-        for j, of in enumerate(of_stretch):
-            for k in range(2):
-                R[k, s, j, : len(of)] = np.hstack([of[:, (1 - k) * b : (2 - k) * b], of[:, SIGNALS]])
-    return Factors(R[0], collected.rows), Factors(R[1], collected.rows)
+    R, signals = collected.factors(2 * b + 3), np.arange(2 * b, 2 * b + 3)
+    pair = (R[..., np.append(np.arange(begin, begin + b), signals)] for begin in (b, 0))
+    along, instruments = (Factors(columns, collected.rows) for columns in pair)
+    return along, instruments
 
 
 def _fit(system: System, gains: np.ndarray | None = None, progress: Progress = silent) -> Fit:

@@ -26,16 +26,8 @@ from gtau.estimation.thresholds.estimates import HIDDEN_KNOWN, MISFIT
 def ml(problem: Problem) -> Solution:
     """Maximise the likelihood of parameters, drive gains and delays, started from 2SLS.
 
-    Parameters
-    ----------
-    problem : Problem
-        All equations.
-
-    Raises
-    ------
-    GtauError
-        Where the iteration does not converge though the model explains the currents (where it does not explain them,
-        the verdicts say so), or if only known parameters with little effect fix the scale.
+    Raises GtauError where the iteration does not converge though the model explains the currents (where it does not
+    explain them, the verdicts say so), or if only known parameters with little effect fix the scale.
     """
     first = two_stage(problem)
     start = Iterate(first.theta, 1 / first.gains, first.delays)

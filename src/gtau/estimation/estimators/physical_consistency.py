@@ -81,20 +81,8 @@ class Consistency:
 def consistent(system: System, solution: Solution, priors: Mapping[str, Prior], free_gains: bool) -> Consistency:
     """Find physically consistent standard parameters, alone (gains given) or together with the gains.
 
-    Parameters
-    ----------
-    system, solution : System, Solution
-        The identification without constraints.
-    priors : mapping
-        Standard parameter to its prior.
-    free_gains : bool
-        Estimate the gains again, under the constraints.
-
-    Raises
-    ------
-    GtauError
-        Where no rigid bodies agree with the priors and payloads, the programme does not converge, or
-        its solver is not installed.
+    ``solution`` is without constraints; ``priors`` are those of standard parameters. Raises GtauError where no rigid
+    bodies agree with the priors and payloads, the programme does not converge, or its solver is not installed.
     """
     problem, n, base = system.whole, len(system.whole.joints), system.dataset.base
     of_base = of_theta(base, system.dataset.model.parameter_names, problem.parameters, priors)

@@ -38,7 +38,7 @@ GROUP = "gtau.estimators"
 def estimator_of(name: str) -> Estimator:
     """Find an estimator by name; raises GtauError for one that does not exist."""
     if name in PLACES:
-        return _all()[name]
+        return _built_in(name)
     if name not in registered(GROUP):
         raise GtauError(f"there is no method '{name}'; choose from {', '.join((*NAMES, *registered(GROUP)))}.")
     from gtau.estimation.estimators.estimator import Estimator
@@ -47,16 +47,13 @@ def estimator_of(name: str) -> Estimator:
 
 
 @cache
-def _all() -> dict[str, Estimator]:
-    found = {}
-    for name, place in PLACES.items():
-        module, constant = place.split(".")
-        found[name] = getattr(import_module(f"gtau.estimation.estimators.{module}"), constant)
-    return found
+def _built_in(name: str) -> Any:
+    module, constant = PLACES[name].split(".")
+    return getattr(import_module(f"gtau.estimation.estimators.{module}"), constant)
 
 
 def __getattr__(name: str) -> Any:
     """Import the estimators at the first access to ``ESTIMATORS``."""
     if name == "ESTIMATORS":
-        return _all()
+        return {name: _built_in(name) for name in PLACES}
     raise AttributeError(name)

@@ -69,17 +69,7 @@ def resimulated(
 ) -> SampleWindow:
     """Replace a run's motion by that of the simulated loop; rows in the reference's ends are left out too.
 
-    Parameters
-    ----------
-    idm, regressor, values : InverseDynamics, Regressor, ndarray
-        The model, and its columns with their values (columns,): inertia, payload and friction of the run.
-    prepared, preparation : PreparedRun, Preparation
-        The run as measured, the bandwidth of the motion, and the filters of positions and rows.
-
-    Raises
-    ------
-    GtauError
-        If the estimated inertia is not positive definite, or the simulated loop does not converge.
+    ``values`` (columns,) of the regressor are inertia, payload and friction of the run. Raises GtauError.
     """
     run, kept, (samples, n) = prepared.run, prepared.kept, (len(prepared), len(prepared.run.joints))
     rate = run.rate

@@ -115,10 +115,7 @@ def unbounded(bodies: Sequence[Body], unit: np.ndarray, mass: float, length: flo
 def constrained_least_squares(R: np.ndarray, y: np.ndarray, rigid: RigidBodies) -> np.ndarray:
     """Minimise ``|R x - y|``, R (r, c), over unknowns (c,) that are consistent with rigid bodies; all must enter R.
 
-    Raises
-    ------
-    GtauError
-        If no unknowns satisfy bounds and known values, or the solver is not installed.
+    Raises GtauError.
     """
     try:
         import clarabel

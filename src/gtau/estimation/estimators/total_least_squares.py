@@ -21,10 +21,7 @@ from gtau.estimation.regression.problem import Problem
 def tls(problem: Problem) -> Solution:
     """Solve by the paper's total least squares (eqs. 33 to 39), rows weighted by each joint's sigma_W.
 
-    Raises
-    ------
-    GtauError
-        If the known payload has no effect on the currents, so that nothing fixes the scale.
+    Raises GtauError.
     """
     r, joints = problem.total_rows.sum(), range(len(problem.joints))
     own_sigma_W = [_own_sigma_W(problem, j) for j in joints]

@@ -23,15 +23,9 @@ EXPLAINED = 1e-10  # of the largest singular value: directions of the parameters
 def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
     """Solve two-stage least squares (2SLS).
 
-    The currents are first projected on their own joint's regressor columns, which removes noise
-    uncorrelated with the motion; the known payload is then alone on the right-hand side.
-
-    Parameters
-    ----------
-    problem : Problem
-        All equations.
-    delays : ndarray, optional
-        Of the channels, (c,), s; if left out, those that each joint's own model explains best.
+    The currents are first projected on their own joint's regressor columns, which removes noise uncorrelated with the
+    motion; the known payload is then alone on the right-hand side. ``delays`` (c,), s, are those that each joint's own
+    model explains best if left out.
     """
     delays = problem.own_delays if delays is None else delays
     n, of_theta, of_gains = len(problem.channels), problem.unknowns.theta, problem.unknowns.gains
@@ -78,23 +72,16 @@ def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
 def first_stage(problem: Problem, solution: Solution, lack: float) -> tuple[float, np.ndarray]:
     """Measure the strength of the instruments of two-stage least squares, and the remaining bias.
 
-    The projected currents keep the part of their noise in the span of the instruments, which biases gains low,
-    and the standard deviation does not show it: with weak instruments most of the bias of least squares (Stock and
-    Yogo 2005).
-
-    Parameters
-    ----------
-    problem, solution : Problem, Solution
-        The equations; the gains and delays at which they are weighed.
-    lack : float
-        Standard deviations over those for independent residuals, 1 at least, see
-        :func:`gtau.estimation.diagnostics.log_checks.lack_of_fit`: it reduces the number of independent rows.
+    The projected currents keep the part of their noise in the span of the instruments, which biases gains low, and the
+    standard deviation does not show it: with weak instruments most of the bias of least squares (Stock and Yogo 2005).
+    The equations are weighed at the gains and delays of ``solution``; ``lack`` are standard deviations over those for
+    independent residuals, 1 at least, which reduces the number of independent rows.
 
     Returns
     -------
     strength : float
-        Cragg-Donald statistic: the F of the combination of gains explained least; infinite where no gain is free or
-        the equations leave no instrument to spare.
+        Cragg-Donald statistic: the F of the combination of gains explained least; infinite where no gain is free or the
+        equations leave no instrument to spare.
     bias : ndarray
         (n,) Relative bias of the joints' gains to first order (Nagar 1959).
     """

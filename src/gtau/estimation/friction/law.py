@@ -48,26 +48,14 @@ SPEEDS = 200  # at which a straight line is fitted
 def stop(q: np.ndarray, widths: np.ndarray, start: np.ndarray) -> np.ndarray:
     """Follow positions by elements of some widths: friction before sliding (Prandtl and Ishlinskii; Maxwell slip).
 
-    An element of width ``w`` holds ``z``, between -1 and 1: ``z <- clip(z + dq / w, -1, 1)``. It is a spring as long as
-    the joint stays within ``w`` of where it stopped, and slips beyond, where ``z = sign(dq)``. It does not depend on
-    time, so that neither rate nor noise of the speed matters; a position rounded by an encoder is a path like any
-    other.
+    An element of width ``w`` holds ``z``, between -1 and 1: ``z <- clip(z + dq / w, -1, 1)``. It is a spring as long
+    as the joint stays within ``w`` of where it stopped, and slips beyond, where ``z = sign(dq)``. It does not depend
+    on time, so that neither rate nor noise of the speed matters; a position rounded by an encoder is a path like any
+    other. Between its turning points a path is monotone, and ``z`` has a closed form there: only those are visited one
+    by one.
 
-    Between its turning points a path is monotone, and ``z`` has a closed form there: only those are visited one by one.
-
-    Parameters
-    ----------
-    q : ndarray (N,)
-        Positions, rad or m.
-    widths : ndarray (w,)
-        Widths, in the same unit.
-    start : ndarray (w,)
-        States at the first position.
-
-    Returns
-    -------
-    ndarray (w, N)
-        States at every position; the first are ``start``.
+    Positions ``q`` (N,) and ``widths`` (w,) have the same unit, rad or m; ``start`` (w,) are the states at the first
+    position. Returns the states (w, N) at every position.
     """
     step = np.sign(np.diff(q))
     turns = np.flatnonzero(step[1:] * step[:-1] < 0) + 1 if step.all() else _turns(step)
@@ -192,16 +180,10 @@ class FrictionLaw:
     ) -> tuple[list[Any], list[Any]]:
         """Compute friction torques and the speeds that they oppose: of all joints, then the f3 of actuated ones.
 
-        Parameters
-        ----------
-        math : module
-            numpy for arrays, casadi for expressions.
-        values : mapping
-            ``fv``, ``fs``, ``fb``, ``fl`` and ``f3`` by name of the parameter, SI units; what is missing is zero.
-        yd, load : array or SX
-            Velocities of the tree, and torques (n,) that the actuated joints transmit; the first axis is theirs.
-        z : sequence of arrays or SX, optional
-            Of each joint, see :meth:`directions`; without them all joints slide.
+        ``math`` is numpy for arrays, casadi for expressions. ``values`` are ``fv``, ``fs``, ``fb``, ``fl`` and ``f3``
+        by name, SI units; what is missing is zero. ``yd`` are velocities of the tree, ``load`` torques (n,) that the
+        actuated joints transmit, ``z`` the directions of each joint (see :meth:`directions`); without them all joints
+        slide.
         """
         joints = self.model.robot.joints
         forces, speeds = [], [yd[row] for row in range(len(joints))]
@@ -274,18 +256,10 @@ class FrictionLaw:
     def torques(
         self, motion: Motion, values: Mapping[str, Any], load: np.ndarray, z: np.ndarray | None = None
     ) -> np.ndarray:
-        """Compute torques (n, N) of friction and offsets along a motion.
+        """Compute torques (n, N) of friction and offsets along a motion of N samples.
 
-        Parameters
-        ----------
-        motion : Motion
-            Of N samples.
-        values : mapping
-            Those of :meth:`forces`, and ``off``, by name, numbers or (N,).
-        load : ndarray
-            Torques (n, N) that the actuated joints transmit.
-        z : ndarray, optional
-            States (s, N) of presliding; without them all joints slide.
+        ``values`` are those of :meth:`forces`, and ``off``, by name, numbers or (N,); ``load`` (n, N) are torques that
+        the actuated joints transmit, ``z`` (s, N) states of presliding; without them all joints slide.
         """
         joints = self.model.robot.joints
         forces, speeds = (np.stack(each) for each in self.forces(np, values, motion.yd, load))

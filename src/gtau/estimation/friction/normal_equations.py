@@ -169,12 +169,7 @@ def normal_equations(
     """Stream all runs and reduce the torque that friction has to explain, to ``finer`` rows for one of identification.
 
     Rows count where speeds rest on good samples and some joint of the group moves: at rest, anything within the band of
-    friction holds it.
-
-    Raises
-    ------
-    GtauError
-        Where the closures refuse a sample.
+    friction holds it. Raises GtauError.
     """
     dataset, n, runs = fit.dataset, len(fit.gains), len(fit.dataset.prepared)
     count = max(min(BLOCKS, MOST_BLOCKS // runs), 1)

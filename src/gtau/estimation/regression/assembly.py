@@ -34,7 +34,7 @@ def assemble_problem(
     temperatures: Sequence[np.ndarray] | None = None,
     motions: Sequence[int] | None = None,
 ) -> Problem:
-    """Stack the factors of unloaded and loaded runs into one problem (eqs. 29 to 33).
+    """Stack the factors of unloaded and loaded runs into one problem (eqs. 29 to 33); raises GtauError.
 
     A payload is a further body on the robot's tool (eq. 18), so its columns are combinations of the base columns, and
     each run's factor becomes a block of the problem by one product with a small matrix.
@@ -53,11 +53,6 @@ def assemble_problem(
         Differences (blocks, n) of the joints' temperatures from their means, for each run.
     motions : sequence of int, optional
         A number for each run, the same for runs that repeat a motion, whose blocks are left out together.
-
-    Raises
-    ------
-    GtauError
-        Where some joint has no usable row in any run.
     """
     blocks: list[np.ndarray] = []
     merged: list[list[np.ndarray]] = []

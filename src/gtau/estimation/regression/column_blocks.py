@@ -182,21 +182,9 @@ def unknown_names(blocks: Sequence[ColumnBlock]) -> tuple[Parameter, ...]:
 def column_map(
     blocks: Sequence[ColumnBlock], run: int, channel: Channel, above: np.ndarray | float = 0.0
 ) -> np.ndarray:
-    """Map the columns of the factors of a run to those of the problem, for a channel.
+    """Map the columns of the factors of a run to those of the problem, for a channel: (..., p, n_theta + 4).
 
-    Parameters
-    ----------
-    blocks : sequence of ColumnBlock
-        All effects.
-    run, channel : int, Channel
-        Which equations.
-    above : ndarray, optional
-        Temperatures of the channel above the mean, (...,).
-
-    Returns
-    -------
-    ndarray
-        (..., p, n_theta + 4).
+    ``above`` (...,) are temperatures of the channel above the mean.
     """
     parts = [block.columns(run, channel, np.asarray(above)) for block in blocks]
     p = parts[0].shape[-2]

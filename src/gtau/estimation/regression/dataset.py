@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Literal
@@ -18,13 +18,14 @@ from gtau.estimation.regression.column_blocks import (
     column_map,
     payload_columns,
 )
-from gtau.estimation.regression.equations import KNOWN
-from gtau.estimation.regression.factors import Factors, reduce_run
+from gtau.estimation.regression.equations import BLOCKS, KNOWN
+from gtau.estimation.regression.factors import Factors, reduce_rows
 from gtau.estimation.regression.friction import Temperatures, is_transmitted, temperatures_of
 from gtau.estimation.regression.plausibility import check_wrenches, sensors_of, within_limits
 from gtau.estimation.regression.priors import inertia_priors, known_equations
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.run_blocks import Place, aligned_edges, find_places
+from gtau.estimation.regression.rows import Rows, stream_rows
+from gtau.estimation.regression.run_blocks import Place, aligned_edges, block_of, find_places
 from gtau.estimation.regression.windows import Windows, central_windows
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
@@ -146,7 +147,7 @@ class Dataset:
         delays: bool = True,
         payloads: Sequence[Payload | None] | None = None,
     ) -> System:
-        """Assemble the estimation problem.
+        """Assemble the estimation problem; raises GtauError.
 
         Parameters
         ----------
@@ -158,12 +159,6 @@ class Dataset:
             Whether currents may be delayed.
         payloads : sequence, optional
             Other than those of the runs, None for a run without.
-
-        Raises
-        ------
-        GtauError
-            Where some joint has no usable row in any run, nothing measured acts on a floating base, or a prior names no
-            parameter.
         """
         measured = self.runs[0].channels
         channels = [channel for channel in measured if channel.kind.modelled]
@@ -188,26 +183,31 @@ class Dataset:
     ) -> Dataset:
         """Reduce the same runs with the torques of ``loads`` (one a run) in load-dependent friction.
 
-        ``weigh`` (one a run) reweights the rows; see :func:`reduce_run`. The motions are those of ``along``, if
+        ``weigh`` (one a run) reweights the rows; see :func:`reduce_rows`. The motions are those of ``along``, if
         given, but distances to singularities stay those of the measured ones.
         """
         factors: list[Factors] = []
-        begun, total = 0, sum(map(len, self.prepared))
+        begun, total, columns = 0, sum(map(len, self.prepared)), self.base.standard
         runs: Sequence[PreparedRun | SampleWindow] = self.prepared if along is None else along
 
-        def advance(samples: int) -> None:
-            progress("model along the runs", begun + samples, total)
+        def counted(rows: Iterator[Rows], blocks: np.ndarray, samples: int) -> Iterator[Rows]:
+            now = -1
+            for part in rows:
+                if (last := int(blocks[part.outputs.stop - 1])) > now:
+                    now = last
+                    progress("model along the runs", begun + samples * now // BLOCKS, total)
+                yield part
 
         for k, run in enumerate(runs):
-            advance(0)
             decimator = self.preparation.at(run.run.rate).decimator
-            load, weights = None if loads is None else loads[k], None if weigh is None else weigh[k]
-            factor = reduce_run(
-                self.model, self.base.standard, run, decimator, load, weights, advance, edges=self.edges[k]
-            )
+            blocks = block_of(self.edges[k], decimator.outputs(len(run)))
+            regressor, load = self.model.columns(columns), None if loads is None else loads[k]
+            rows = counted(stream_rows(self.model, regressor, run, decimator, load), blocks, len(run))
+            weights = None if weigh is None else weigh[k]
+            factor = reduce_rows(self.model, columns, run.run.channels, rows, blocks, weights)
             factors.append(factor if along is None else replace(factor, distances=self.factors[k].distances))
             begun += len(run)
-        advance(0)
+        progress("model along the runs", total, total)
         return self.with_factors(factors)
 
     def with_factors(self, factors: Sequence[Factors]) -> Dataset:
@@ -327,15 +327,9 @@ def reduce_runs(
     priors: Mapping[str, Prior] | None = None,
     prior_inertias: float = 0.0,
 ) -> Dataset:
-    """Prepare all runs and reduce them to triangular factors.
+    """Prepare all runs and reduce them to triangular factors; raises GtauError.
 
     ``priors`` are those of parameters; see :class:`Dataset`.
-
-    Raises
-    ------
-    GtauError
-        Where a run does not suit the robot, or the robot's loops cannot be closed along it; where runs have wrenches on
-        different bodies, or one that the robot lacks, or a payload beyond a sensor that already measures it.
     """
     model = model_of(robot)
     runs = tuple(run.ordered(model.actuated) for run in runs)
@@ -354,13 +348,7 @@ def reduce_runs(
 
 
 def prepare_runs(model: InverseDynamics, runs: Sequence[Run], preparation: Preparation) -> tuple[PreparedRun, ...]:
-    """Prepare runs with joints in the model's order.
-
-    Raises
-    ------
-    GtauError
-        Where nothing moves in a run, or its log is shorter than its filters.
-    """
+    """Prepare runs with joints in the model's order; raises GtauError."""
     ratios = motor_to_joint_speed(model)
     return tuple(within_limits(model.robot, prepare(run, preparation.at(run.rate), ratios)) for run in runs)
 

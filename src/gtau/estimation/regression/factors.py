@@ -7,7 +7,7 @@ for each of the blocks that the jackknife leaves out in turn. Factors of more ru
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -107,6 +107,14 @@ class Triangles:
         self._held = 0
         return self._factors
 
+    def factors(self, p: int) -> np.ndarray:
+        """Return the factors in ``p`` columns, (blocks, c, p, p): rows still begin at the diagonal or right of it."""
+        R = np.zeros((BLOCKS, len(self._columns), p, p))
+        for s, of_block in enumerate(self.merged()):
+            for j, small in enumerate(of_block):
+                R[s, j, : len(small), self._columns[j]] = small.T
+        return R
+
 
 def add_products(G: np.ndarray, rows: np.ndarray, block: np.ndarray) -> None:
     """Add the products of ``rows`` (K, p) to those of their blocks, G (blocks, p, p); ``block`` (K,) are numbers."""
@@ -115,41 +123,27 @@ def add_products(G: np.ndarray, rows: np.ndarray, block: np.ndarray) -> None:
         G[b] += part.T @ part
 
 
-def reduce_run(
+def reduce_rows(
     idm: InverseDynamics,
     columns: tuple[Parameter, ...],
-    prepared: PreparedRun | SampleWindow,
-    decimator: Decimator,
-    load: np.ndarray | None = None,
+    channels: Sequence[Channel],
+    rows: Iterable[Rows],
+    blocks: np.ndarray,
     weigh: tuple[np.ndarray, np.ndarray] | None = None,
-    progress: Callable[[int], None] = lambda samples: None,
-    fast: int = FAST_SAMPLES,
-    edges: np.ndarray | None = None,
 ) -> Factors:
-    """Reduce a prepared run to its triangular factors over the standard ``columns``; see :func:`stream_rows`.
+    """Reduce the rows of a run to its triangular factors over the standard ``columns``; ``blocks`` (K,) number them.
 
     With ``weigh``, coefficients (c, p) and limits (c,), rows have the weights ``min(1, limit / |residual|)`` in the sum
-    of squares; the product of a row and the coefficients of its channel is its residual. The run is streamed in blocks
-    of ``fast`` samples. ``progress`` gets the samples done at each block.
-    ``edges`` (BLOCKS + 1,) of the blocks are shares of its samples, those of :func:`block_edges` if left out.
-
-    Raises
-    ------
-    GtauError
-        Where the closures refuse a sample.
+    of squares; the product of a row and the coefficients of its channel is its residual.
     """
     regressor, near = idm.columns(columns), singularities(idm)
-    blocks = block_of(block_edges(prepared) if edges is None else edges, decimator.outputs(len(prepared)))
-    channels = [channel for channel in prepared.run.channels if channel.kind.modelled]
-    c, p = len(channels), len(columns) + EXTRA
+    channels = [channel for channel in channels if channel.kind.modelled]
+    c, p, n = len(channels), len(columns) + EXTRA, len(idm.actuated)
     rows_of = (regressor.columns[regressor.rows == channel.row] for channel in channels)
-    own = [np.append(np.unique(each), np.arange(p - EXTRA, p)) for each in rows_of]
-    collected = Triangles(own)
-    distances = Store((2,), np.float32)
-    residuals = Store((c,))
-    speeds = np.zeros((BLOCKS, len(idm.actuated)))
-    now = 0
-    for part in stream_rows(idm, regressor, prepared, decimator, load, fast):
+    own = [np.append(np.unique(entries), np.arange(p - EXTRA, p)) for entries in rows_of]
+    collected, distances, residuals = Triangles(own), Store((2,), np.float32), Store((c,))
+    speeds = np.zeros((BLOCKS, n))
+    for part in rows:
         distances.append(near.distances(part.motion).T)
         block = blocks[part.outputs]
         A = equations(regressor, channels, part)
@@ -158,16 +152,20 @@ def reduce_run(
             e = np.einsum("jkp,jp->jk", A, coefficients)
             residuals.append(np.where(part.keep, e, np.nan).T)
             A *= np.sqrt(np.minimum(1.0, limit[:, None] / np.maximum(np.abs(e), 1e-300)))[:, :, None]
-        if block[-1] > now:
-            now = int(block[-1])
-            progress(len(prepared) * now // BLOCKS)
-        for s in range(block[0], block[-1] + 1):
-            moving = np.abs(part.motion.yd[idm.layout.actuated]) * (part.keep[: len(idm.actuated)] & (block == s))
-            speeds[s] = np.maximum(speeds[s], moving.max(axis=1))
+        moving = np.abs(part.motion.yd[idm.layout.actuated]) * part.keep[:n]
+        np.maximum.at(speeds, block, moving.T)
         collected.add(A, part.keep, block)
-    R = np.zeros((BLOCKS, c, p, p))
-    for s, of_stretch in enumerate(collected.merged()):
-        for j, small in enumerate(of_stretch):
-            # in the columns of all joints a triangle's rows still begin at the diagonal or right of it
-            R[s, j, : len(small), own[j]] = small.T
-    return Factors(R, collected.rows, distances.array(), residuals.array(), speeds)
+    return Factors(collected.factors(p), collected.rows, distances.array(), residuals.array(), speeds)
+
+
+def reduce_run(
+    idm: InverseDynamics,
+    columns: tuple[Parameter, ...],
+    prepared: PreparedRun | SampleWindow,
+    decimator: Decimator,
+    fast: int = FAST_SAMPLES,
+) -> Factors:
+    """Reduce a prepared run by itself, streamed in blocks of ``fast`` samples; raises GtauError."""
+    rows = stream_rows(idm, idm.columns(columns), prepared, decimator, fast=fast)
+    blocks = block_of(block_edges(prepared), decimator.outputs(len(prepared)))
+    return reduce_rows(idm, columns, prepared.run.channels, rows, blocks)

@@ -84,10 +84,7 @@ class Temperatures:
 def temperatures_of(prepared: Sequence[PreparedRun], edges: Sequence[np.ndarray]) -> Temperatures | None:
     """Compute the differences in all runs, with the ``edges`` of their blocks; None without temperatures.
 
-    Raises
-    ------
-    GtauError
-        Where some runs have temperatures and others have none.
+    Raises GtauError.
     """
     found = [each.run.temperature for each in prepared]
     logged = [each for each in found if each is not None]

@@ -36,13 +36,7 @@ UNITS = {"revolute": ("rad", "deg"), "prismatic": ("m", "mm")}
 
 
 def within_limits(robot: Robot, prepared: PreparedRun) -> PreparedRun:
-    """Note every joint that leaves its limits in a run.
-
-    Raises
-    ------
-    GtauError
-        Where a joint leaves its positions by more than their whole range, or is faster than any robot.
-    """
+    """Note every joint that leaves its limits in a run; raises GtauError."""
     position = prepared.run.position
     extremes = [
         (each.min(axis=0), each.max(axis=0)) for each in (block(position, *span) for span in spans(len(position)))
@@ -120,12 +114,7 @@ def sensors_of(robot: Robot, runs: Sequence[Run]) -> tuple[str, ...]:
 
     The sensor of joint j measures the torque of row j of the model without the terms of its drive: rotor
     inertia, friction of motor and gear, and the offset of the current. It has an offset of its own. The parameters of
-    the links are the same, so they carry the scale of the sensor to all drive gains.
-
-    Raises
-    ------
-    GtauError
-        Where runs differ in their sensors, or a motor drives a sensor's joint through a coupling.
+    the links are the same, so they carry the scale of the sensor to all drive gains. Raises GtauError.
     """
     behind = [[each for each in run.channels if each.kind.link_side] for run in runs]
     for run, own in zip(runs, behind, strict=True):
@@ -152,13 +141,7 @@ def sensors_of(robot: Robot, runs: Sequence[Run]) -> tuple[str, ...]:
 
 
 def check_wrenches(robot: Robot, run: Run) -> None:
-    """Check that the wrenches of a run act on bodies of the robot, and include no stated payload.
-
-    Raises
-    ------
-    GtauError
-        A body is unknown, or the payload sits on a body whose wrench is measured.
-    """
+    """Check that the wrenches of a run act on bodies of the robot, and include no stated payload; raises GtauError."""
     if run.payload is not None and robot.tool in [frame.body for frame in run.wrenches]:
         raise GtauError(
             f"run '{run.name}': the payload '{run.payload.name}' is on '{robot.tool}', whose wrench is measured: "

@@ -49,16 +49,8 @@ def sizes_of(stated: dict[str, float], body: str) -> dict[str, float] | None:
 def inertia_priors(robot: Robot, std: float) -> dict[str, Prior]:
     """Take the file's inertias as priors with a relative standard deviation, each parameter by its own.
 
-    Parameters
-    ----------
-    robot : Robot
-    std : float
-        Share of m, m r and m r^2 of each body (see :func:`sizes_of`), and of the rotor inertias.
-
-    Raises
-    ------
-    GtauError
-        Where the file states no inertias, or the share is not positive.
+    ``std`` is a share of m, m r and m r^2 of each body (see :func:`sizes_of`), and of the rotor inertias. Raises
+    GtauError where the file states no inertias, or the share is not positive.
     """
     if not 0 < std < np.inf:
         raise GtauError(f"a relative standard deviation of {std:g} is impossible for inertias; write 0.3 for 30 %.")
@@ -86,24 +78,10 @@ def known_equations(
 ) -> np.ndarray:
     """Write normal priors as equations ``[P | y]`` (k, n_theta + 1) for ``P theta = y`` with errors of unit variance.
 
-    A base parameter is a sum of standard ones, ``chi = S x``. Some of these have priors, with standard deviations,
-    the others have none: so the equations are those of base-parameter combinations free of the latter.
-
-    Parameters
-    ----------
-    base : BaseParameters
-        The first of theta.
-    standard : sequence of str
-        Names of the standard parameters, the columns of ``base.matrix``.
-    parameters : sequence of str
-        Names of theta, (n_theta,).
-    priors : mapping
-        Standard or base parameter, or another of theta, to its prior; bounds are not used here.
-
-    Raises
-    ------
-    GtauError
-        Where a prior names no parameter.
+    A base parameter is a sum of ``standard`` ones, the columns of ``base.matrix``: ``chi = S x``. Some of these have
+    priors, with standard deviations, the others have none: so the equations are those of base-parameter combinations
+    free of the latter. ``parameters`` are theta, the base parameters first; bounds are not used here. Raises GtauError
+    where a prior names no parameter.
     """
     return np.vstack(
         [_of_standard(base, standard, len(parameters), priors), of_theta(base, standard, parameters, priors)]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -64,24 +65,10 @@ def stream_rows(
 ) -> Iterator[Rows]:
     """Evaluate ``regressor`` along a run and decimate it in parallel with the currents (eqs. 19 and 20).
 
-    Parameters
-    ----------
-    idm, regressor : InverseDynamics, Regressor
-        The model, and its required columns.
-    prepared, decimator : PreparedRun or SampleWindow, Decimator
-        The run, and its filter.
-    load : ndarray, optional
-        Values of the columns (columns,) that give the torques transmitted by the joints, for friction
-        that depends on them; without it the command replaces the torque, up to the drive gain.
-    fast : int
-        Samples of a block before decimation.
-    friction : callable, optional
-        Torques outside the linear model, to be decimated too.
-
-    Raises
-    ------
-    GtauError
-        Where the loops cannot be closed at a sample, or a pose is too close to a singularity.
+    ``load`` (columns,) gives the torques transmitted by the joints, for friction that depends on them; without it the
+    command replaces the torque, up to the drive gain. ``fast`` samples make a block before decimation; ``friction``
+    are torques outside the linear model, to be decimated too. Raises GtauError where the loops cannot be closed at a
+    sample, or a pose is too close to a singularity.
     """
     n = len(prepared)
     size = max(fast, 8 * decimator.warm_up) // decimator.factor
@@ -118,12 +105,7 @@ def stream_torques(
     """Compute the torques of columns with ``values``, and of ``friction``, at every sample of a run.
 
     Behind no low-pass but that of the positions. Blocks (3, n, K) hold the torques of the model, with friction and
-    measured wrenches; friction alone; and the commands.
-
-    Raises
-    ------
-    GtauError
-        Where the loops cannot be closed at a sample, or a pose is too close to a singularity.
+    measured wrenches; friction alone; and the commands. Raises GtauError.
     """
     joints = len(idm.actuated)
     for _, of, c in _along(idm, prepared, _every_sample(prepared)):
@@ -173,21 +155,24 @@ def external_torques(idm: InverseDynamics, run: Run, motion: Motion, measured: n
 
 
 def configurations(idm: InverseDynamics, window: SampleWindow) -> np.ndarray:
-    """Compute the configurations (n_c, N) of a model along a window.
-
-    Raises
-    ------
-    GtauError
-        Where the loops cannot be closed at a sample, or a pose is too close to a singularity.
-    """
+    """Compute the configurations (n_c, N) of a model along a window; raises GtauError."""
     whole, first = window.of or (window, 0)
     return _along_whole(idm, whole)[1][:, first : first + len(window)]
 
 
-@lru_cache(maxsize=16)  # of few runs: factors, friction, and windows of hypotheses are streamed along the same ones
-def _along_whole(idm: InverseDynamics, prepared: PreparedRun | SampleWindow) -> tuple[SampleWindow, np.ndarray]:
-    of = prepared.samples()
-    return of, idm.path(of.q.T.copy(), Labels(prepared.run.name, of.time))
+# Factors, friction, and windows of hypotheses are streamed along the same paths: they live as long as their runs.
+_PATHS: WeakKeyDictionary[Any, WeakKeyDictionary[InverseDynamics, tuple[SampleWindow | None, np.ndarray]]]
+_PATHS = WeakKeyDictionary()
+
+
+def _along_whole(idm: InverseDynamics, prepared: PreparedRun | SampleWindow) -> tuple[SampleWindow | None, np.ndarray]:
+    """Compute the configurations along a whole run, and keep them with the samples of a prepared one."""
+    known = _PATHS.setdefault(prepared, WeakKeyDictionary())
+    if idm not in known:
+        of = prepared.samples()
+        path = idm.path(of.q.T.copy(), Labels(prepared.run.name, of.time))
+        known[idm] = of if isinstance(prepared, PreparedRun) else None, path
+    return known[idm]
 
 
 def _along(
@@ -197,7 +182,9 @@ def _along(
     begin, end = 0, 0  # the stretch that ``of`` and ``c`` are for
     c = np.zeros((idm.layout.n_c, 0))
     if isinstance(prepared, PreparedRun) and len(prepared) <= SHORT:
-        end, (of, c) = len(prepared), _along_whole(idm, prepared)
+        end, (kept, c) = len(prepared), _along_whole(idm, prepared)
+        assert kept is not None
+        of = kept
     for block in blocks:
         at = block.samples
         if at.stop > end:

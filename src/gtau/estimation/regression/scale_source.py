@@ -17,15 +17,9 @@ from gtau.signals.reading.statements import Payload
 
 
 def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | None], method: str) -> None:
-    """Check that something fixes the scale of the drive gains of a ``robot`` (section 3.3).
+    """Check that something fixes the scale of the drive gains of a ``robot`` (section 3.3); raises GtauError.
 
     A payload of known mass in some runs, torque sensors, or known parameters.
-
-    Raises
-    ------
-    GtauError
-        Without any of them, with one payload in all runs, or if the effect of the known quantities is linearly
-        dependent on unknown parameters, as with the wrench of one tool in all runs.
     """
     problem = system.problem
     other = "or use --method wls with prior_gains"

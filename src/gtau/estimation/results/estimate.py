@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from numbers import Integral
 from pathlib import Path
 from typing import Generic, Literal, TypeVar
@@ -132,7 +132,7 @@ class FrictionCurve:
     evidence: Mapping[str, float]
     error: NonNegativeFloat
     plain_error: NonNegativeFloat
-    parameters: tuple[Parameter, ...] = ()
+    parameters: tuple[Parameter, ...] = field(default=(), compare=False)
 
 
 @dataclass(frozen=True)

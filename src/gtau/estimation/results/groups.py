@@ -145,7 +145,7 @@ class Evidence:
 
     Attributes
     ----------
-    notes : tuple of Note
+    notes : tuple of Finding
         What was repaired, left out, or is not to be trusted; each has its ``severity``.
     alternatives : tuple of Alternative
         What the model may lack, and by how much that would move the gains.

@@ -3,25 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from gtau import display
 from gtau.documents.validation import PATH, takes
-from gtau.estimation.diagnostics.verdict import GOOD, Verdict, parameter_verdict, verdict_of
-from gtau.estimation.regression.column_blocks import PayloadColumns, known_values
-from gtau.estimation.regression.dataset import System
-from gtau.estimation.regression.unknowns import Estimates
+from gtau.estimation.diagnostics.verdict import GOOD, Verdict
 from gtau.estimation.results.estimate import Estimate
-from gtau.findings import Finding
-from gtau.findings import FindingKind as F
-from gtau.robots.geometry import longest_placement
-from gtau.robots.parameter import Parameter, unit_of
 from gtau.robots.rigid_body import RigidBody
-from gtau.robots.robot import INERTIAL, Pose, Robot
-from gtau.signals.reading.statements import FIRST_MOMENTS, PAYLOAD_KINDS
+from gtau.robots.robot import Pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,86 +100,3 @@ class PayloadEstimate:
         """
         body: PayloadBody = display.late("uses.payload_body").payload_body(self, frame, file)
         return body
-
-
-def payload_estimates(system: System, vector: Estimates, masses: Mapping[str, Verdict]) -> tuple[PayloadEstimate, ...]:
-    """Collect the payload of every loaded run, known and unknown parameters together.
-
-    ``vector`` are the estimates by the equations, ``masses`` verdicts on known payloads, by name.
-    """
-    dataset, payloads = system.dataset, []
-    for carried in system.payloads:
-        known, name = known_values(carried.payload), carried.payload.name
-        sums = _sums(carried, vector, dataset.robot)
-        estimates = {kind: sums[kind] for kind in PAYLOAD_KINDS if kind in sums}
-        if "m" in estimates and carried.payload.center is not None:
-            unit = unit_of("mx", dataset.robot, dataset.robot.tool)
-            moments = zip(FIRST_MOMENTS, carried.payload.center, strict=True)
-            estimates |= {kind: _of_mass(kind, estimates["m"], at, unit) for kind, at in moments}
-        weighed = None if "m" in known else _weighed(dataset.robot, carried, vector)
-        verdict = masses.get(name) or _possible(estimates.get("m"))
-        run = dataset.runs[carried.run].name
-        payloads.append(PayloadEstimate(name, run, estimates, frozenset(known), verdict, weighed))
-    return tuple(payloads)
-
-
-def _sums(carried: PayloadColumns, vector: Estimates, robot: Robot) -> dict[str, Estimate]:
-    """Collect the parameters of a payload by kind: what is stated, and the identified sums."""
-    estimates = {}
-    for kind, known in known_values(carried.payload).items():
-        stated = carried.payload.mass_std or None if kind == "m" else None
-        estimates[kind] = Estimate(kind, known, stated, unit_of(kind, robot, robot.tool), kind)
-    for name in carried.unknown:
-        if (kind := name.kind) not in estimates:
-            value, std, freedom = _estimated(vector, name)
-            verdict, unit = parameter_verdict(value, std), unit_of(kind, robot, robot.tool)
-            estimates[kind] = Estimate(
-                kind, value, std, unit, carried.regrouping(name), verdict=verdict, freedom=freedom
-            )
-    return estimates
-
-
-def _estimated(vector: Estimates, name: Parameter) -> tuple[float | None, float | None, float | None]:
-    """Return value, standard deviation and degrees of freedom of a sum, None where it is not identifiable."""
-    if name not in vector.unknowns.places:
-        return None, None, None
-    k = vector.unknowns.places[name]
-    freedom = None if vector.effective_freedom is None else float(vector.effective_freedom[k])
-    return float(vector.values[k]), float(np.sqrt(vector.covariance[k, k])), freedom
-
-
-def _possible(mass: Estimate | None) -> Verdict:
-    """Judge a mass that was estimated: contradictory where its 95 % interval lies below zero."""
-    ends = None if mass is None else mass.interval()
-    if mass is None or mass.value is None or ends is None or ends[1] >= 0:
-        return GOOD
-    return verdict_of(Finding(F.NEGATIVE_PAYLOAD, values={"mass": mass.value, "std": mass.std}))
-
-
-def _weighed(robot: Robot, carried: PayloadColumns, vector: Estimates) -> Weighed:
-    """Collect the identified sums of parameters, and the stated values of the others."""
-    seen = [name for name in carried.unknown if name in vector.unknowns.places]
-    sums = np.zeros((len(seen), len(INERTIAL)))
-    rows = [carried.unknown.index(name) for name in seen]
-    sums[:, [INERTIAL.index(kind) for kind in carried.summed]] = carried.sums[rows]
-    estimates = vector.select(seen)
-    unit = dict(zip(INERTIAL, np.eye(len(INERTIAL)), strict=True))
-    stated = [(unit[kind], value) for kind, value in known_values(carried.payload).items()]
-    center = zip(FIRST_MOMENTS, carried.payload.center or (), strict=False)
-    stated += [(unit[kind] - at * unit["m"], 0.0) for kind, at in center]
-    return Weighed(
-        robot.tool,
-        sums,
-        estimates.values,
-        estimates.covariance,
-        np.reshape([row for row, _ in stated], (len(stated), len(INERTIAL))),
-        np.array([value for _, value in stated]),
-        None if estimates.effective_freedom is None or not seen else float(estimates.effective_freedom.min()),
-        longest_placement(robot),
-    )
-
-
-def _of_mass(kind: str, mass: Estimate, at: float, unit: str) -> Estimate:
-    """Derive a first moment from a mass whose centre is known."""
-    value, std = None if mass.value is None else at * mass.value, None if mass.std is None else abs(at) * mass.std
-    return replace(mass, name=kind, value=value, std=std, unit=unit, regrouping=f"{at:.5g} m")

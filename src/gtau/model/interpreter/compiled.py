@@ -110,23 +110,23 @@ def _made() -> bytes:
     from gtau.model.interpreter import kernel
 
     # what Numba frees arrays with: nothing is allocated, but the compiler does not see that everywhere
-    whole = llvm.parse_assembly("define void @NRT_MemInfo_call_dtor(ptr %0) {\n  ret void\n}\n")
+    library = llvm.parse_assembly("define void @NRT_MemInfo_call_dtor(ptr %0) {\n  ret void\n}\n")
     for name, count in _ARGUMENTS.items():
         signature = types.void(*[types.int64] * count)
         function = cfunc(signature, error_model="numpy")(getattr(kernel, name))
         module = llvm.parse_assembly(function.inspect_llvm())
         # Numba's entry for C reports errors by Python, which none of these functions raises: a bare one replaces it
         module.link_in(llvm.parse_assembly(_entry(name, function.native_name.removeprefix("cfunc."), count)))
-        whole.link_in(module)
-    for each in (*whole.functions, *whole.global_variables):
-        if not each.is_declaration and each.name not in _ARGUMENTS:
-            each.linkage = "internal"
+        library.link_in(module)
+    for symbol in (*library.functions, *library.global_variables):
+        if not symbol.is_declaration and symbol.name not in _ARGUMENTS:
+            symbol.linkage = "internal"
     processor = _processor()
     builder = llvm.create_pass_builder(processor, llvm.create_pipeline_tuning_options(speed_level=0))
     passes = llvm.create_new_module_pass_manager()
     passes.add_global_dead_code_eliminate_pass()
-    passes.run(whole, builder)
-    code: bytes = processor.emit_object(whole)
+    passes.run(library, builder)
+    code: bytes = processor.emit_object(library)
     if _sources() == _LOADED:
         _keep(code)
     return code

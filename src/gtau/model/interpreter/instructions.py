@@ -75,9 +75,9 @@ def instructions(
     listing, constants, outputs = _read(function)
     listing = _fused(_multiplied(listing, constants), outputs)
     fixed = [k for k, value in enumerate(outputs) if value in constants]
-    used = {value for each in listing for value in each.operands} & constants.keys()
+    used = {value for instruction in listing for value in instruction.operands} & constants.keys()
     place = {value: k for k, value in enumerate(sorted(used))}
-    made = {value for each in listing for value in each.results}
+    made = {value for instruction in listing for value in instruction.results}
     # A value that is an output is in the output's row from the first; other outputs are copies.
     home: dict[int, int] = {}
     for k, value in enumerate(outputs):
@@ -94,10 +94,13 @@ def instructions(
     row |= {value: first + registers + value for value in range(inputs)}
     row |= {value: first + registers + inputs + k for value, k in home.items()}
     code = np.zeros((len(listing), 5), dtype=np.uint32)
-    for line, each in zip(code, listing, strict=True):
+    for line, instruction in zip(code, listing, strict=True):
         # the second result of SINE_COSINE takes the place of a second operand
-        rows = [row.get(value, NOWHERE) for value in (each.results[0], *each.operands, *each.results[1:])]
-        line[: len(rows) + 1] = CODE[each.operation], *rows
+        rows = [
+            row.get(value, NOWHERE)
+            for value in (instruction.results[0], *instruction.operands, *instruction.results[1:])
+        ]
+        line[: len(rows) + 1] = CODE[instruction.operation], *rows
     values = np.array([constants[value] for value in sorted(used)])
     constant_outputs = np.array(fixed, dtype=int), np.array([constants[outputs[k]] for k in fixed])
     return code, values, registers, constant_outputs
@@ -161,17 +164,17 @@ def _read(function: ca.Function) -> tuple[list[Instruction], dict[int, float], l
 def _multiplied(listing: list[Instruction], constants: dict[int, float]) -> list[Instruction]:
     """Replace division by constants, and by values that divide more than once, by far cheaper multiplication."""
     divides: dict[int, int] = {}
-    for each in listing:
-        if each.operation == "DIV":
-            divides[each.operands[1]] = divides.get(each.operands[1], 0) + 1
-    named = [*constants, *(value for each in listing for value in each.results)]
+    for instruction in listing:
+        if instruction.operation == "DIV":
+            divides[instruction.operands[1]] = divides.get(instruction.operands[1], 0) + 1
+    named = [*constants, *(value for instruction in listing for value in instruction.results)]
     fresh = iter(range(1 + max(named, default=0), 2**31))
     reciprocal: dict[int, int] = {}
     one = next((value for value, x in constants.items() if x == 1.0), None)
-    found = []
-    for each in listing:
-        if each.operation == "DIV":
-            by = each.operands[1]
+    multiplied = []
+    for instruction in listing:
+        if instruction.operation == "DIV":
+            by = instruction.operands[1]
             if by in constants and by not in reciprocal:
                 reciprocal[by] = next(fresh)
                 constants[reciprocal[by]] = 1.0 / constants[by]
@@ -180,43 +183,43 @@ def _multiplied(listing: list[Instruction], constants: dict[int, float]) -> list
                     one = next(fresh)
                     constants[one] = 1.0
                 reciprocal[by] = next(fresh)
-                found.append(Instruction("DIV", [reciprocal[by]], [one, by]))
+                multiplied.append(Instruction("DIV", [reciprocal[by]], [one, by]))
             if by in reciprocal:
-                each = Instruction("MUL", each.results, [each.operands[0], reciprocal[by]])
-        found.append(each)
-    return found
+                instruction = Instruction("MUL", instruction.results, [instruction.operands[0], reciprocal[by]])
+        multiplied.append(instruction)
+    return multiplied
 
 
 def _fused(listing: list[Instruction], outputs: list[int]) -> list[Instruction]:
     """Fuse products and negations used only once, in a sum, with that sum."""
     uses: dict[int, int] = {}
-    for value in outputs + [operand for each in listing for operand in each.operands]:
+    for value in outputs + [operand for instruction in listing for operand in instruction.operands]:
         uses[value] = uses.get(value, 0) + 1
-    maker = {value: each for each in listing for value in each.results}
+    maker = {value: instruction for instruction in listing for value in instruction.results}
     gone: set[int] = set()
 
     def once(value: int, operation: str) -> Instruction | None:
         made = maker.get(value)
         return made if made and made.operation == operation and uses[value] == 1 else None
 
-    for each in listing:
-        if each.operation not in ("ADD", "SUB"):
+    for instruction in listing:
+        if instruction.operation not in ("ADD", "SUB"):
             continue
         for place in (1, 0):
-            negated = once(each.operands[place], "NEG")
-            if negated and (each.operation == "ADD" or place == 1):
+            negated = once(instruction.operands[place], "NEG")
+            if negated and (instruction.operation == "ADD" or place == 1):
                 # x + (-y) = x - y,  (-x) + y = y - x,  x - (-y) = x + y
-                each.operands = [each.operands[1 - place], negated.operands[0]]
-                each.operation = "SUB" if each.operation == "ADD" else "ADD"
+                instruction.operands = [instruction.operands[1 - place], negated.operands[0]]
+                instruction.operation = "SUB" if instruction.operation == "ADD" else "ADD"
                 gone.add(negated.results[0])
         for place in (1, 0):
-            product = once(each.operands[place], "MUL")
+            product = once(instruction.operands[place], "MUL")
             if product:
                 gone.add(product.results[0])
-                each.operation = _FUSED[each.operation, place]
-                each.operands = [*product.operands, each.operands[1 - place]]
+                instruction.operation = _FUSED[instruction.operation, place]
+                instruction.operands = [*product.operands, instruction.operands[1 - place]]
                 break
-    return [each for each in listing if each.results[0] not in gone]
+    return [instruction for instruction in listing if instruction.results[0] not in gone]
 
 
 def _chained(listing: list[Instruction], kept: Collection[int]) -> set[int]:
@@ -227,15 +230,15 @@ def _chained(listing: list[Instruction], kept: Collection[int]) -> set[int]:
     made: set[int] = set()
     read = set(kept)
     before: int | None = None
-    for each in listing:
-        places = [place for place, value in enumerate(each.operands) if value == before]
-        if len(places) == 1 and (each.operation, places[0]) in _LAST:
-            each.operation = _LAST[each.operation, places[0]]
-            del each.operands[places[0]]
-        read.update(each.operands)
+    for instruction in listing:
+        places = [place for place, value in enumerate(instruction.operands) if value == before]
+        if len(places) == 1 and (instruction.operation, places[0]) in _LAST:
+            instruction.operation = _LAST[instruction.operation, places[0]]
+            del instruction.operands[places[0]]
+        read.update(instruction.operands)
         before = None
-        if each.operation != "SINE_COSINE":
-            before = each.results[0]
+        if instruction.operation != "SINE_COSINE":
+            before = instruction.results[0]
             made.add(before)
     return made - read
 
@@ -243,22 +246,22 @@ def _chained(listing: list[Instruction], kept: Collection[int]) -> set[int]:
 def _allocated(listing: list[Instruction], values: set[int]) -> tuple[int, dict[int, int]]:
     """Allocate registers: their number, and the register of each of ``values``, the one that became free last."""
     last: dict[int, int] = {}
-    for k, each in enumerate(listing):
-        last.update(dict.fromkeys(each.operands + each.results, k))
+    for k, instruction in enumerate(listing):
+        last.update(dict.fromkeys(instruction.operands + instruction.results, k))
     free: list[int] = []
     stands: dict[int, int] = {}
     registers = 0
-    for k, each in enumerate(listing):
-        ended = [value for value in dict.fromkeys(each.operands) if last[value] == k and value in values]
-        if each.operation != "SINE_COSINE":  # which must not write where it reads
+    for k, instruction in enumerate(listing):
+        ended = [value for value in dict.fromkeys(instruction.operands) if last[value] == k and value in values]
+        if instruction.operation != "SINE_COSINE":  # which must not write where it reads
             free += [stands[value] for value in ended]
-        for value in each.results:
+        for value in instruction.results:
             if value in values:
                 if not free:
                     free.append(registers)
                     registers += 1
                 stands[value] = free.pop()
-        if each.operation == "SINE_COSINE":
+        if instruction.operation == "SINE_COSINE":
             free += [stands[value] for value in ended]
-        free += [stands[value] for value in each.results if last[value] == k and value in values]
+        free += [stands[value] for value in instruction.results if last[value] == k and value in values]
     return registers, stands

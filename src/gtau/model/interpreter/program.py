@@ -70,7 +70,7 @@ class Program:
         ``table`` is (N, columns), and the places rise.
         """
         sources, samples = self._sources(inputs)
-        whole = table if samples >= LANES else np.zeros((LANES, table.shape[1]))
+        filled = table if samples >= LANES else np.zeros((LANES, table.shape[1]))
         order, places = np.ascontiguousarray(order, np.int64), np.ascontiguousarray(places, np.int64)
 
         def run(start: int, stop: int) -> None:
@@ -79,22 +79,22 @@ class Program:
             made[outputs] = values[:, None]
             bound = Bound(self, _rows(sources), addresses(made))
             moved = np.empty(bound.rows.size + 2 * WIDE, dtype=np.int64)
-            where = address(made), address(order), address(places), order.size, address(whole), whole.strides[0]
+            where = address(made), address(order), address(places), order.size, address(filled), filled.strides[0]
             long = bound.own + self.inputs
             loops().scatter(*bound.run(), bound.own, long, address(moved), start, stop, *where)
 
-        share(run, len(whole))
-        if whole is not table:
-            table[:, places] = whole[:samples, places]
+        share(run, len(filled))
+        if filled is not table:
+            table[:, places] = filled[:samples, places]
 
     def _sources(self, inputs: tuple[np.ndarray, ...]) -> tuple[list[np.ndarray], int]:
         """Return the inputs, padded to a lane, and the number of samples."""
-        shapes = [np.shape(each) for each in inputs]
+        shapes = [np.shape(array) for array in inputs]
         samples = shapes[0][-1] if shapes[0] else 0
         if any(len(shape) != 2 or shape[1] != samples for shape in shapes) or sum(s[0] for s in shapes) != self.inputs:
             raise ValueError(f"expected inputs of shape ({self.inputs}, N), got {', '.join(map(str, shapes))}")
         if samples >= LANES:
-            return [_contiguous(each) for each in inputs], samples
+            return [_contiguous(array) for array in inputs], samples
         filled = np.zeros((self.inputs, LANES))
         filled[:, :samples] = np.concatenate(inputs)
         if samples:
@@ -142,7 +142,7 @@ def addresses(array: np.ndarray) -> np.ndarray:
 
 
 def _rows(arrays: list[np.ndarray]) -> np.ndarray:
-    return np.concatenate([addresses(each) for each in arrays])
+    return np.concatenate([addresses(array) for array in arrays])
 
 
 def _contiguous(array: np.ndarray) -> np.ndarray:

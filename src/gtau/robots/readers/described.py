@@ -22,9 +22,9 @@ Value = Path | str | None
 def described_file(name: str) -> Path | None:
     """Find the file of a robot by its name there, such as ``panda_description`` or ``panda``; None if unknown."""
     spec = find_spec(PACKAGE) if name.isidentifier() else None
-    folders = [Path(each) for each in (spec.submodule_search_locations or ())] if spec else []
-    modules = [folder / f"{each}.py" for folder in folders for each in (name, f"{name}_description")]
-    module = next((each for each in modules if each.stem.endswith("_description") and each.is_file()), None)
+    folders = [Path(place) for place in (spec.submodule_search_locations or ())] if spec else []
+    modules = [folder / f"{stem}.py" for folder in folders for stem in (name, f"{name}_description")]
+    module = next((path for path in modules if path.stem.endswith("_description") and path.is_file()), None)
     if module is None:
         return None
     known: dict[str, Value] = {}
@@ -32,7 +32,7 @@ def described_file(name: str) -> Path | None:
     for statement in _parsed(module).body:
         if isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name) and statement.value:
             known[statement.target.id] = _value(statement.value, known, repositories)
-    file = next((known[each] for each in FILES if known.get(each)), None)
+    file = next((known[variable] for variable in FILES if known.get(variable)), None)
     if file is None:
         raise GtauError(
             f"the URDF of '{module.stem}' of the package {PACKAGE} is made by xacro; write it to a file, and give that "
@@ -55,13 +55,15 @@ def _parsed(module: Path) -> ast.Module:
 
 def _repositories(module: Path) -> dict[str, str]:
     """Find the folder of each repository, below that of all."""
-    found: dict[str, str] = {}
-    for each in ast.walk(_parsed(module)):
-        for key, value in zip(each.keys, each.values, strict=True) if isinstance(each, ast.Dict) else ():
+    repositories: dict[str, str] = {}
+    for node in ast.walk(_parsed(module)):
+        for key, value in zip(node.keys, node.values, strict=True) if isinstance(node, ast.Dict) else ():
             if isinstance(key, ast.Constant) and isinstance(value, ast.Call):
                 folders = [word.value for word in value.keywords if word.arg == "cache_path"]
-                found |= {str(key.value): str(each.value) for each in folders if isinstance(each, ast.Constant)}
-    return found
+                repositories |= {
+                    str(key.value): str(folder.value) for folder in folders if isinstance(folder, ast.Constant)
+                }
+    return repositories
 
 
 def _value(node: ast.expr, known: Mapping[str, Value], repositories: Mapping[str, str]) -> Value:
@@ -73,7 +75,7 @@ def _value(node: ast.expr, known: Mapping[str, Value], repositories: Mapping[str
     if not isinstance(node, ast.Call) or not node.args:
         return None
     called = ast.unparse(node.func).lstrip("_")
-    parts = [_value(each, known, repositories) for each in node.args]
+    parts = [_value(argument, known, repositories) for argument in node.args]
     if called == "path.join" and None not in parts:
         return Path(*(part for part in parts if part is not None))
     if called == "clone_to_cache" and parts[0] in repositories:

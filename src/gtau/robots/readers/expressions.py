@@ -105,8 +105,8 @@ def _named(name: str, names: Mapping[str, float]) -> AffineInQ:
     return 0.0, names[name]
 
 
-def _operation(operator: ast.operator, left: AffineInQ, right: AffineInQ) -> AffineInQ:
-    (p, a), (q, b) = left, right
+def _operation(operator: ast.operator, first: AffineInQ, right: AffineInQ) -> AffineInQ:
+    (p, a), (q, b) = first, right
     match operator:
         case ast.Add():
             return p + q, a + b

@@ -75,13 +75,13 @@ def mjcf_inertias(
     bodies: Mapping[int, RigidBody], carried: Mapping[int, Attachment], armatures: Mapping[str, float]
 ) -> tuple[tuple[str, float], ...]:
     """Sum the bodies of an MJCF file by their carriers, with armatures of joints as rotor inertias."""
-    found = _stated(lumped((carried[number], body) for number, body in bodies.items() if number in carried))
+    stated = _stated(lumped((carried[number], body) for number, body in bodies.items() if number in carried))
     rotors = ((Parameter("ia", joint), armature) for joint, armature in armatures.items() if armature)
-    return (*found, *rotors) if found else ()
+    return (*stated, *rotors) if stated else ()
 
 
-def _stated(found: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
-    return tuple(found.items()) if any(found.values()) else ()
+def _stated(parameters: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
+    return tuple(parameters.items()) if any(parameters.values()) else ()
 
 
 def urdf_masses(root: Element, carried: Mapping[str, str]) -> Iterator[str]:
@@ -119,7 +119,7 @@ def urdf_masses(root: Element, carried: Mapping[str, str]) -> Iterator[str]:
 def mjcf_masses(roots: Iterable[Element]) -> Iterator[str]:
     """Note implausible explicit masses and inertias of an MJCF file."""
     odd = []
-    for body in (each for root in roots for each in root.iter("body")):
+    for body in (element for root in roots for element in root.iter("body")):
         if (inertial := body.find("inertial")) is None:
             continue
         name = f"body '{body.get('name', '')}'"
@@ -158,5 +158,5 @@ def _note(odd: list[str]) -> Iterator[str]:
 
 
 def _number(element: Element, key: str) -> float | None:
-    found = decimals(element.get(key, "")) or []
-    return found[0] if len(found) == 1 else None
+    values = decimals(element.get(key, "")) or []
+    return values[0] if len(values) == 1 else None

@@ -154,15 +154,15 @@ def _row(number: int, cells: list[str], header: list[str], constants: dict[str, 
         except ValueError as error:
             raise GtauError(f"line {number}, {column} of joint '{name}': {error}.") from None
 
-    found = {column: read(column) for column in COLUMNS[2:]}
-    moving = _at_line(number, moving_parameter, name, found["sigma"][1])
-    for column, (factor, _) in found.items():
+    numbers = {column: read(column) for column in COLUMNS[2:]}
+    moving = _at_line(number, moving_parameter, name, numbers["sigma"][1])
+    for column, (factor, _) in numbers.items():
         if factor not in ((0.0, 1.0) if column == moving else (0.0,)):
             raise GtauError(
                 f"line {number}, {column} of joint '{name}': write the coordinate q plainly, and only in theta "
                 "(sigma 0) or r (sigma 1)."
             )
-    mu, sigma, *parameters = (constant for _, constant in found.values())
+    mu, sigma, *parameters = (constant for _, constant in numbers.values())
     antecedent = GROUND if values["a"] == "0" else values["a"]
     return _at_line(number, table_row, name, antecedent, mu, sigma, parameters)
 

@@ -70,7 +70,9 @@ def _robot(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
     _check_motors(joints, driven - rows, bool(closures and not file.actuators))
     tied = {end.body for closure in closures for end in (closure.a, closure.b)}
     loose = [platform.name for platform in bodies.platforms if platform.name not in tied]
-    springs = (each for each in site_springs(file, bodies.carried) if {each.a.body, each.b.body}.isdisjoint(loose))
+    springs = (
+        spring for spring in site_springs(file, bodies.carried) if {spring.a.body, spring.b.body}.isdisjoint(loose)
+    )
     notes += [*bodies.notes, *_left_out(loose), *ties_notes, *motors.notes, *_simulated_alone(file, bodies.floating)]
     robot = Robot(
         path.stem,
@@ -166,7 +168,7 @@ def _braked(model: mujoco.MjModel, free: int) -> bool:
     """Decide whether damping and similar effects act on a free joint, as set by the defaults of its class."""
     six = slice(int(model.jnt_dofadr[free]), int(model.jnt_dofadr[free]) + 6)
     acting = (model.dof_damping[six], model.dof_frictionloss[six], model.dof_armature[six], model.jnt_stiffness[free])
-    return any(np.any(each) for each in acting)
+    return any(np.any(effect) for effect in acting)
 
 
 Kind = Literal["revolute", "prismatic"]
@@ -257,29 +259,29 @@ def _tendon_motors(
 def scenery(robot: Robot) -> set[str]:
     """List the joints of doors, targets and the like: of trees from the ground in which no motor moves anything."""
     moved = _moved(robot)
-    found: set[str] = set()
+    idle: set[str] = set()
     for tree in _trees(robot):
         if tree.isdisjoint(moved):
-            found |= tree
-    return found
+            idle |= tree
+    return idle
 
 
 def moving_base(robot: Robot) -> set[str]:
     """List unactuated joints that carry all actuated ones of their tree: those of a base that rolls or slides."""
-    before, moved, found = _carrying(robot), _moved(robot), set()
+    before, moved, carrying = _carrying(robot), _moved(robot), set()
     for tree in _trees(robot):
         if carried := [before[name] for name in tree & moved]:
-            found |= set.intersection(*carried) - moved - {GROUND}
-    return found
+            carrying |= set.intersection(*carried) - moved - {GROUND}
+    return carrying
 
 
 def with_linkages(robot: Robot, pulled: AbstractSet[str]) -> set[str]:
     """List the joints that tendons pull, and those of their loops, where no motor moves them."""
-    found = set(pulled)
+    linked = set(pulled)
     for group in _groups(robot):
         if not group.isdisjoint(pulled) and group.isdisjoint(robot.actuated):
-            found |= group
-    return found & {joint.name for joint in robot.joints}
+            linked |= group
+    return linked & {joint.name for joint in robot.joints}
 
 
 def _carrying(robot: Robot) -> dict[str, set[str]]:
@@ -299,11 +301,11 @@ def _trees(robot: Robot) -> Iterator[set[str]]:
 
 def _moved(robot: Robot) -> set[str]:
     """List the joints with motors, and those that loops and couplings tie to them."""
-    found = set(robot.actuated)
+    driven = set(robot.actuated)
     for group in _groups(robot):
         if not group.isdisjoint(robot.actuated):
-            found |= group
-    return found
+            driven |= group
+    return driven
 
 
 def _groups(robot: Robot) -> list[set[str]]:

@@ -56,48 +56,48 @@ def read_bodies(model: mujoco.MjModel, qpos: np.ndarray, base: BaseChoice) -> Bo
     """Walk the tree of a compiled model, whose joints are at home at ``qpos``."""
     import mujoco
 
-    found, carriers = Bodies(), _carriers(model)
+    bodies, carriers = Bodies(), _carriers(model)
     for body in range(1, model.nbody):
-        before = found.carried[int(model.body_parentid[body])]
+        before = bodies.carried[int(model.body_parentid[body])]
         at = Attachment(before.body, compose(before.placement, pose_in(model.body_pos[body], model.body_quat[body])))
-        own = range(int(model.body_jntadr[body]), int(model.body_jntadr[body]) + int(model.body_jntnum[body]))
-        for number in own:
+        numbers = range(int(model.body_jntadr[body]), int(model.body_jntadr[body]) + int(model.body_jntnum[body]))
+        for number in numbers:
             if mujoco.mjtJoint(int(model.jnt_type[number])) == mujoco.mjtJoint.mjJNT_FREE:
                 start = int(model.jnt_qposadr[number])
                 pose = pose_in(qpos[start : start + 3], qpos[start + 3 : start + 7])
-                at = _freed(found, name_in(model, "body", body), pose, body in carriers, base)
+                at = _freed(bodies, name_in(model, "body", body), pose, body in carriers, base)
             else:
-                made, at = _joints(model, number, at, qpos, number == own[-1])
-                found.joints += made
-        found.carried[body] = at
-    found.joints.sort(key=lambda joint: joint.name not in base_rows(found.floating))
-    return found
+                made, at = _joints(model, number, at, qpos, number == numbers[-1])
+                bodies.joints += made
+        bodies.carried[body] = at
+    bodies.joints.sort(key=lambda joint: joint.name not in base_rows(bodies.floating))
+    return bodies
 
 
 def _carriers(model: mujoco.MjModel) -> set[int]:
     """Find the bodies that carry joints, their own not counted."""
-    found = set()
+    carriers = set()
     for body in range(1, model.nbody):
         if model.body_jntnum[body]:
             while body := int(model.body_parentid[body]):
-                found.add(body)
-    return found
+                carriers.add(body)
+    return carriers
 
 
-def _freed(found: Bodies, name: str, pose: Pose, carries: bool, base: BaseChoice) -> Attachment:
+def _freed(bodies: Bodies, name: str, pose: Pose, carries: bool, base: BaseChoice) -> Attachment:
     """Make a free body a platform, a floating base or a part of the ground; return the attachment of its frame."""
     if not carries:
-        found.platforms.append(Platform(name, TRANSLATIONS + ROTATIONS, pose))
+        bodies.platforms.append(Platform(name, TRANSLATIONS + ROTATIONS, pose))
         return Attachment(name)
     if base is None:
         raise GtauError(f"body '{name}' floats and carries joints; {BASE_ADVICE}.")
     if base == FLOATING:
-        if found.floating:
-            raise GtauError(f"the bodies '{found.floating}' and '{name}' float; give the file of one robot.")
-        found.floating = name
-        found.joints += base_joints(name)
+        if bodies.floating:
+            raise GtauError(f"the bodies '{bodies.floating}' and '{name}' float; give the file of one robot.")
+        bodies.floating = name
+        bodies.joints += base_joints(name)
         return Attachment(name)
-    found.notes.append(f"body '{name}' floats in the file and was fixed")
+    bodies.notes.append(f"body '{name}' floats in the file and was fixed")
     return Attachment(GROUND, pose if base.rpy is None else Pose())
 
 
@@ -156,14 +156,16 @@ def read_ties(
     """
     closures, couplings, held = _equalities(file.model, carried)
     tendons = fixed_tendons(file)
-    for each in file.tied_tendons:
-        coupling = _tendon_coupling(file.model, tendons, each)
+    for tied in file.tied_tendons:
+        coupling = _tendon_coupling(file.model, tendons, tied)
         if coupling.ratios:
             couplings.append(coupling)
         else:
             held[coupling.joint] = coupling.offset
     notes = []
-    for coupling, note in _within_limits(file, tendons, kinds, {each.joint for each in couplings} | held.keys()):
+    for coupling, note in _within_limits(
+        file, tendons, kinds, {coupling.joint for coupling in couplings} | held.keys()
+    ):
         couplings.append(coupling)
         notes.append(note)
     return closures, couplings, held, notes
@@ -214,14 +216,14 @@ def _equalities(
 
 def site_springs(file: MjcfFile, carried: Mapping[int, Attachment]) -> list[Spring]:
     """Read the springs between sites of different bodies."""
-    model, found = file.model, []
+    model, springs = file.model, []
     joints = {name_in(model, "joint", k) for k in range(model.njnt)} | {end.body for end in carried.values()}
-    for each in file.springs:
-        a, b = (_attached_site(model, model.site(name).id, carried) for name in each.sites)
+    for tendon in file.springs:
+        a, b = (_attached_site(model, model.site(name).id, carried) for name in tendon.sites)
         if a.body != b.body:
-            name = f"tendon {each.name}" if each.name in joints else each.name
-            found.append(Spring(name, a, b, each.parameters))
-    return found
+            name = f"tendon {tendon.name}" if tendon.name in joints else tendon.name
+            springs.append(Spring(name, a, b, tendon.parameters))
+    return springs
 
 
 def _attached_site(model: mujoco.MjModel, site: int, carried: Mapping[int, Attachment]) -> Attachment:
@@ -260,9 +262,9 @@ def _tendon_coupling(model: mujoco.MjModel, tendons: Mapping[str, Mapping[str, f
 
 def _solved(terms: Mapping[str, float], joint: str, length: float) -> Coupling:
     """Make the coupling that gives a joint from the others whose sum, each by its factor, is a length."""
-    own = terms[joint]
-    ratios = tuple((name, -value / own) for name, value in terms.items() if value and name != joint)
-    return Coupling(joint, ratios, length / own)
+    factor = terms[joint]
+    ratios = tuple((name, -value / factor) for name, value in terms.items() if value and name != joint)
+    return Coupling(joint, ratios, length / factor)
 
 
 def _within_limits(

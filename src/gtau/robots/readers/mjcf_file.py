@@ -44,25 +44,25 @@ NESTED = ("worldbody", "body", "frame", "replicate", "composite", "flexcomp")
 
 def _with_included(root: Element, path: Path, outer: tuple[Path, ...]) -> list[Element]:
     """Collect the outermost elements of a file and of those that it includes."""
-    found = [root]
+    roots = [root]
     for include in root.iter("include"):
         other = path.parent / include.get("file", "")
         if other.is_file() and other not in outer:
-            found += _with_included(read_xml(other), other, (*outer, path))
-    return found
+            roots += _with_included(read_xml(other), other, (*outer, path))
+    return roots
 
 
 def _check_copies(roots: Iterable[Element]) -> None:
     """Refuse files that ask for more copies of a body than a robot can have."""
 
     def copies(element: Element) -> float:
-        own = 1.0
+        count = 1.0
         if element.tag in ("replicate", "composite", "flexcomp"):
             try:
-                own = float(np.prod([float(word) for word in element.get("count", "1").split()]))
+                count = float(np.prod([float(word) for word in element.get("count", "1").split()]))
             except ValueError:
                 return 0.0  # MuJoCo reports the error
-        return own * max([1.0, sum(copies(child) for child in element if child.tag in NESTED)])
+        return count * max([1.0, sum(copies(child) for child in element if child.tag in NESTED)])
 
     for root in roots:
         if (most := copies(root)) > MOST_COPIES:
@@ -80,7 +80,7 @@ NUMBERS = (*GEOMETRY, *FORCES, *MASSES, "range", "qpos", "gravity", "polycoef", 
 
 def _check_numbers(roots: Iterable[Element]) -> None:
     """Refuse implausible numbers before MuJoCo accepts some of them and warns of others."""
-    for element in (each for root in roots for each in root.iter() if each.tag != "flag"):  # its gravity is a word
+    for element in (part for root in roots for part in root.iter() if part.tag != "flag"):  # its gravity is a word
         for key in NUMBERS:
             if decimals(element.get(key, ""), endless=key == "range") is None:
                 text = element.get(key, "")
@@ -134,9 +134,9 @@ class MjcfFile:
 
 def _name_tendons(spec: mujoco.MjSpec, elements: list[Element]) -> None:
     """Give the tendons without a name numbers, in the specification and in the file, where one file has them all."""
-    files = [[each for root in file.iter("tendon") for each in root if not each.get("name")] for file in elements]
+    files = [[tendon for root in file.iter("tendon") for tendon in root if not tendon.get("name")] for file in elements]
     unnamed, names = [tendon for tendon in spec.tendons if not tendon.name], {tendon.name for tendon in spec.tendons}
-    written = [each for file in files for each in file]
+    written = [tendon for file in files for tendon in file]
     if sum(map(bool, files)) == 1 and len(written) == len(unnamed):  # files may be included in any order
         free = (name for number in range(1, len(names) + len(unnamed) + 1) if (name := f"tendon {number}") not in names)
         for tendon, element, name in zip(unnamed, written, free, strict=False):
@@ -146,12 +146,12 @@ def _name_tendons(spec: mujoco.MjSpec, elements: list[Element]) -> None:
 
 def _straight(elements: list[Element]) -> dict[str, tuple[str, str]]:
     """Find the two sites of each tendon that runs straight from one to the other."""
-    found = {}
-    for tendon in (each for root in elements for each in root.iter("spatial")):
+    sites = {}
+    for tendon in (element for root in elements for element in root.iter("spatial")):
         if [point.tag for point in tendon] == ["site", "site"]:
             first, second = (point.get("site", "") for point in tendon)
-            found[tendon.get("name", "")] = (first, second)
-    return found
+            sites[tendon.get("name", "")] = (first, second)
+    return sites
 
 
 def _biased(spec: mujoco.MjSpec, elements: list[Element]) -> tuple[list[int], dict[str, np.ndarray]]:
@@ -211,12 +211,12 @@ def _with_exact_orientations(spec: mujoco.MjSpec) -> tuple[str, ...]:
         kind, radian = element.alt.type, not spec.compiler.degree
         if kind == mujoco.mjtOrientation.mjORIENTATION_EULER and radian:
             given = np.array(element.alt.euler)
-            element.alt.euler = taken = np.array([exact_angle(angle) for angle in given])
-            return largest_change(given, taken)
+            element.alt.euler = angles = np.array([exact_angle(angle) for angle in given])
+            return largest_change(given, angles)
         if kind == mujoco.mjtOrientation.mjORIENTATION_AXISANGLE and radian:
             given = np.array(element.alt.axisangle)
-            element.alt.axisangle = taken = np.array([*given[:3], exact_angle(given[3])])
-            return largest_change(given, taken)
+            element.alt.axisangle = meant = np.array([*given[:3], exact_angle(given[3])])
+            return largest_change(given, meant)
         written = np.array(element.quat)
         if kind != mujoco.mjtOrientation.mjORIENTATION_QUAT or (unit := smallest_unit(written)) > MEANT:
             return 0.0
@@ -230,7 +230,9 @@ def _with_exact_orientations(spec: mujoco.MjSpec) -> tuple[str, ...]:
         return largest_change([np.linalg.norm(rotation - turned) / np.sqrt(2)], [0.0])
 
     placed = (*spec.bodies[1:], *spec.frames, *spec.sites)
-    return short_angles_note({each.name or f"unnamed {k}": exact(each) for k, each in enumerate(placed, start=1)})
+    return short_angles_note(
+        {element.name or f"unnamed {k}": exact(element) for k, element in enumerate(placed, start=1)}
+    )
 
 
 def _tied_tendons(spec: mujoco.MjSpec, notes: list[str]) -> list[TiedTendons]:
@@ -282,8 +284,8 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
         springs, notes = _springs(spec, elements, biased)
         notes += _with_exact_orientations(spec)
         actuators = [
-            (each.name, each.trntype, each.target, float(each.gear[0]))
-            for k, each in enumerate(spec.actuators)
+            (actuator.name, actuator.trntype, actuator.target, float(actuator.gear[0]))
+            for k, actuator in enumerate(spec.actuators)
             if k not in parts
         ]
         tied = _tied_tendons(spec, notes)
@@ -294,7 +296,7 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
             body.explicitinertial, body.mass, body.inertia = True, 1.0, (1.0, 1.0, 1.0)
             body.iquat, body.fullinertia[0] = (1.0, 0.0, 0.0, 0.0), np.nan
         model = spec.compile()
-        inertias = {body.id: found for body, found in stated}
+        inertias = {body.id: inertia for body, inertia in stated}
         armatures = {joint.name: float(joint.armature) for joint in spec.joints}
         return MjcfFile(model, elements, keys, actuators, tied, limits, springs, notes, inertias, armatures)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
@@ -369,7 +371,7 @@ def _in_radians(angle: float) -> bool:
 
 def _angles(roots: Iterable[Element], tags: tuple[str, ...]) -> Iterator[tuple[Element, str, float]]:
     """Iterate over the angles of orientations and of hinge limits, with their element and a description."""
-    for element in (each for root in roots for tag in tags for each in root.iter(tag)):
+    for element in (part for root in roots for tag in tags for part in root.iter(tag)):
         name = f"{element.tag} '{element.get('name', element.get('class', ''))}'"
         key = "range" if element.tag == "joint" else "euler"
         if element.tag == "joint" and element.get("type", "hinge") != "hinge":

@@ -60,8 +60,8 @@ def read_robot(source: str | Path | RobotSource) -> Robot:
             )
             robot = robot.noted(note)
         elif source.base == FLOATING and not robot.floating:
-            taken = any(joint.name == "base" for joint in robot.joints)
-            robot = float_base(robot, "floating_base" if taken else "base")
+            in_use = any(joint.name == "base" for joint in robot.joints)
+            robot = float_base(robot, "floating_base" if in_use else "base")
         elif isinstance(source.base, Base):
             if held := six or robot.base:
                 robot = hold_joints(robot, dict.fromkeys(held, 0.0), "with the base")
@@ -173,11 +173,11 @@ def frame_on(body: str, frame: str | Pose, file: str | Path | None) -> tuple[str
     Empty for the body's own frame; a link of the URDF ``file``, or the six numbers ``x y z roll pitch yaw`` (m, rad)
     from the body's frame, or these as a pose.
     """
-    own = f"the frame of '{body}'"
+    of_body = f"the frame of '{body}'"
     if isinstance(frame, Pose):
         return f"a frame on '{body}'", frame
     if not frame:
-        return own, Pose()
+        return of_body, Pose()
     words = frame.replace(",", " ").split()
     try:
         numbers = [float(word) for word in words]
@@ -185,10 +185,10 @@ def frame_on(body: str, frame: str | Pose, file: str | Path | None) -> tuple[str
         return frame, _link(body, frame, file)
     if len(numbers) != 6:
         raise GtauError(
-            f"frame '{frame}' has {len(numbers)} numbers; write 'x y z roll pitch yaw' (m, rad) from {own}."
+            f"frame '{frame}' has {len(numbers)} numbers; write 'x y z roll pitch yaw' (m, rad) from {of_body}."
         )
     x, y, z, roll, pitch, yaw = numbers
-    return f"{x:g} {y:g} {z:g} m, {roll:g} {pitch:g} {yaw:g} rad from {own}", Pose((x, y, z), (roll, pitch, yaw))
+    return f"{x:g} {y:g} {z:g} m, {roll:g} {pitch:g} {yaw:g} rad from {of_body}", Pose((x, y, z), (roll, pitch, yaw))
 
 
 def links_on(body: str, file: str | Path) -> list[str]:
@@ -211,7 +211,7 @@ def _link(body: str, link: str, file: str | Path | None) -> Placement:
     from gtau.robots.readers.urdf_tree import read_urdf_tree
 
     tree = read_urdf_tree(Path(file), {}, Base())
-    on_body = [name for name, each in tree.frames.items() if each.body == body]
+    on_body = [name for name, frame in tree.frames.items() if frame.body == body]
     if link not in tree.frames:
         raise GtauError(f"{file} has no link '{link}'; on '{body}' are {', '.join(on_body) or 'none'}.")
     if link not in on_body:

@@ -39,7 +39,7 @@ def urdf_shapes(path: Path) -> tuple[dict[str, list[Blob]], dict[str, list[np.nd
         ends.setdefault(at.body, []).append(at.placement.position)
         for collision in link.findall("collision"):
             geometry = collision.find("geometry")
-            blob = None if geometry is None else next(filter(None, (_blob(each, path) for each in geometry)), None)
+            blob = None if geometry is None else next(filter(None, (_blob(shape, path) for shape in geometry)), None)
             if blob is not None:
                 placement = compose(at.placement, _origin(collision))
                 shapes.setdefault(at.body, []).append((_placed(blob[0], placement), blob[1]))

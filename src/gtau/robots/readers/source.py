@@ -29,10 +29,10 @@ def _base(value: Any) -> Any:
 
 def angle(value: Any) -> Any:
     """Evaluate an angle, rad, written as a number or an expression; refuse what looks like degrees."""
-    found = evaluate(value) if isinstance(value, str) else value
-    if isinstance(found, int | float) and isfinite(found) and in_degrees(found):
+    number = evaluate(value) if isinstance(value, str) else value
+    if isinstance(number, int | float) and isfinite(number) and in_degrees(number):
         raise ValueError(f"{value} rad is more than a turn; {DEGREES_ADVICE}, such as deg({value})")
-    return found
+    return number
 
 
 Angle = Annotated[FiniteFloat, BeforeValidator(angle)]

@@ -88,14 +88,14 @@ def _without_comments(text: str) -> str:
 
 def _entries(text: str) -> dict[str, str]:
     """Read values by lower-case key, since versions of the program differ in case; lists are without their braces."""
-    found: dict[str, str] = {}
+    entries: dict[str, str] = {}
     for key, braces, plain in re.findall(
         r"^[ \t]*(\w+)[ \t]*=[ \t]*(?:\{([^{}]*)\}|([^{}\n]*))", text, flags=re.MULTILINE
     ):
-        if key.lower() in found and key.lower() in (*LISTS, "nl", "nj", "nf", "g"):
+        if key.lower() in entries and key.lower() in (*LISTS, "nl", "nj", "nf", "g"):
             raise GtauError(f"{key} is written twice; keep one of them.")
-        found[key.lower()] = (braces or plain).strip()
-    return found
+        entries[key.lower()] = (braces or plain).strip()
+    return entries
 
 
 def _integer(entries: Mapping[str, str], key: str) -> int:
@@ -137,16 +137,16 @@ def _list(entries: Mapping[str, str], key: str, count: int) -> list[str]:
 
 def _check_symbols(lists: Mapping[str, Sequence[str]], constants: Mapping[str, float]) -> None:
     """Refuse symbols without values, all of them at once and as the file spells them."""
-    found: dict[str, tuple[str, str]] = {}
+    missing: dict[str, tuple[str, str]] = {}
     for key, texts in lists.items():
         for k, text in enumerate(texts, start=1):
             for symbol in re.findall(r"(?<![\w.])[A-Za-z_]\w*\b(?!\s*\()", text):
-                own = key in ("theta", "r") and re.fullmatch(COORDINATES.format(k), symbol, re.IGNORECASE)
-                if not own and symbol.lower() not in RESERVED - {COORDINATE} | constants.keys():
-                    found.setdefault(symbol.lower(), (symbol, f"{key} of joint {k}"))
-    if found:
-        named = ", ".join(f"{symbol} ({where})" for symbol, where in found.values())
-        first = next(symbol for symbol, _ in found.values())
+                is_coordinate = key in ("theta", "r") and re.fullmatch(COORDINATES.format(k), symbol, re.IGNORECASE)
+                if not is_coordinate and symbol.lower() not in RESERVED - {COORDINATE} | constants.keys():
+                    missing.setdefault(symbol.lower(), (symbol, f"{key} of joint {k}"))
+    if missing:
+        named = ", ".join(f"{symbol} ({where})" for symbol, where in missing.values())
+        first = next(symbol for symbol, _ in missing.values())
         raise GtauError(f"these symbols have no value: {named}; write one for each on a line such as '{first} = 0.45'.")
 
 

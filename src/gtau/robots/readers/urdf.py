@@ -63,15 +63,18 @@ def _without_motors_of_base(robot: Robot, root: Element, carried: Mapping[str, s
     if len(robot.joints) <= 6:
         return robot
     six = drawn_base(
-        replace(robot, joints=tuple(replace(each, actuated=k >= 6) for k, each in enumerate(robot.joints)))
+        replace(robot, joints=tuple(replace(joint, actuated=k >= 6) for k, joint in enumerate(robot.joints)))
     )
     rest = set(robot.actuated).difference(six)
     if not six or not rest:
         return robot
     driven = {
-        joint.get("name", "") for parent in ("transmission", "ros2_control") for of in root.iter(parent) for joint in of
+        joint.get("name", "")
+        for parent in ("transmission", "ros2_control")
+        for drive in root.iter(parent)
+        for joint in drive
     }
-    strong = {each.name for each in robot.joints if each.limits.effort}
+    strong = {joint.name for joint in robot.joints if joint.limits.effort}
     heavy = {carried[link.get("name", "")] for link in root.iter("link") if link.get("name") in carried and _mass(link)}
     if rest <= driven:
         drawn = driven.isdisjoint(six)
@@ -79,7 +82,7 @@ def _without_motors_of_base(robot: Robot, root: Element, carried: Mapping[str, s
         drawn = (rest <= strong and strong.isdisjoint(six)) or (rest <= heavy and heavy.isdisjoint(six[:-1]))
     if not drawn:
         return robot
-    joints = (replace(each, actuated=each.actuated and each.name not in six) for each in robot.joints)
+    joints = (replace(joint, actuated=joint.actuated and joint.name not in six) for joint in robot.joints)
     return replace(robot, joints=tuple(joints))
 
 

@@ -238,13 +238,13 @@ def turning(name: str, antecedent: str, placement: Placement, axes: str) -> list
 
 def _carried(ordered: list[_Edge]) -> dict[str, str]:
     """Map each moving link to the moving joint that carries it."""
-    found: dict[str, str] = {}
+    carriers: dict[str, str] = {}
     for edge in ordered:
         if edge.kind is not None:
-            found[edge.child] = edge.name
-        elif edge.parent in found:
-            found[edge.child] = found[edge.parent]
-    return found
+            carriers[edge.child] = edge.name
+        elif edge.parent in carriers:
+            carriers[edge.child] = carriers[edge.parent]
+    return carriers
 
 
 def _mimic(edge: _Edge) -> Coupling | None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from gtau.documents.files import system_refusals
 from gtau.errors import GtauError
-from gtau.extensions import added, built_in
+from gtau.extensions import find
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.signals.reading.body_columns import at_origins
@@ -35,7 +35,7 @@ GROUP = "gtau.log_formats"
 
 def reader_of(ending: str) -> Callable[[Path], Table] | None:
     """Find the reader of files whose name has an ending (``.npz``); None where it has none of its own."""
-    found = built_in(GROUP, "gtau.signals.reading.formats").get(ending) or added(GROUP, ending, Callable)
+    found = find(GROUP, "gtau.signals.reading.formats", ending, Callable)
     return cast("Callable[[Path], Table] | None", found)
 
 

@@ -151,4 +151,4 @@ def _seconds(stamp: Any) -> float:
     return float(stamp.sec + stamp.nanosec * 1e-9)
 
 
-LOG_FORMATS = dict.fromkeys((".db3", ".mcap", ".bag"), open_rosbag)
+LOG_FORMATS = {".db3": open_rosbag, ".mcap": open_rosbag, ".bag": open_rosbag}

@@ -1,0 +1,370 @@
+"""A result as a JSON document with a schema version, written and read by one description.
+
+The description's fields are the keys of the file. Pydantic writes the records of a result as they say, and checks and
+reads them again; what follows from other values is written beside them, and not read.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    NonNegativeFloat,
+    PlainSerializer,
+    PositiveInt,
+    TypeAdapter,
+    model_validator,
+)
+
+from gtau.documents.validation import Positive, unknown
+from gtau.estimation.diagnostics.alternatives import Alternative
+from gtau.estimation.diagnostics.geometry_findings import GeometryTest, from_document
+from gtau.estimation.diagnostics.geometry_findings import to_document as geometry_document
+from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
+from gtau.estimation.diagnostics.verdict import Outcome, Verdict
+from gtau.estimation.estimators.physical_consistency import Consistency, Move
+from gtau.estimation.estimators.registry import GROUP, NAMES
+from gtau.estimation.results.estimate import (
+    Estimate,
+    FrictionCurve,
+    NearestPose,
+    ReferenceTemperatures,
+    Requirement,
+    SensorEstimate,
+    TorqueError,
+)
+from gtau.estimation.results.groups import Evidence, FitRecord, Model, ModelEstimates
+from gtau.estimation.results.payload import PayloadEstimate
+from gtau.estimation.results.result import Result
+from gtau.extensions import registered
+from gtau.findings import Finding, FindingKind
+from gtau.findings.finding import finding_document, note_document, read_note
+from gtau.robots.parameter import Parameter, parameter_of, unit_of
+from gtau.robots.readers.native import parse_native
+from gtau.robots.readers.native_text import native_text
+from gtau.signals.channel import SENSOR, ChannelKind, link_side_kind
+from gtau.signals.preparation.filters import Decimator
+from gtau.signals.preparation.prepared_run import Preparation
+
+SCHEMA = "gtau-model/4"
+WRITTEN = {"between_run_std": "spread"}
+"""Keys of fields with other names."""
+OLDER = ("gtau-model/2", "gtau-model/3")
+"""Schemas that are read too: 2 is without friction on all samples, and 3 has it apart from ``parameters``."""
+
+
+def _with(*properties: str) -> PlainSerializer:
+    """Write a record with what follows from its fields."""
+    return PlainSerializer(lambda record: asdict(record) | {name: getattr(record, name) for name in properties})
+
+
+def _gathered(entry: Any) -> Any:
+    """Give the entry of an estimate the keys of :class:`Estimate`: its name, as of a joint, and its verdict."""
+    if not isinstance(entry, dict):
+        return entry
+    for key in ("value", "std", "freedom", "model_std", "outcome", "finding"):
+        if key not in entry:
+            raise ValueError(f"the key '{key}' is missing; add it")
+    return {"name": entry.get("joint"), **entry, "between_run_std": entry.get("spread"), "verdict": entry}
+
+
+def _estimate(estimate: Estimate, *more: str, key: str = "name") -> dict[str, Any]:
+    """Describe an estimate, by its name or joint, with ``more`` of its fields; ``rel_std`` in per cent."""
+    return {
+        key: estimate.name,
+        "value": estimate.value,
+        "std": estimate.std,
+        "rel_std": estimate.rel_std,
+        "interval": estimate.interval(),
+        "freedom": None if estimate.std is None else estimate.freedom,
+        "model_std": estimate.model_std,
+        "unit": estimate.unit,
+        **_verdict(estimate.verdict),
+        **{WRITTEN.get(name, name): getattr(estimate, name) for name in more},
+    }
+
+
+def _verdict(verdict: Verdict) -> dict[str, Any]:
+    finding = None if verdict.finding is None else finding_document(verdict.finding)
+    return {"outcome": verdict.outcome.value, "finding": finding, "why": verdict.why, "advice": verdict.advice}
+
+
+def _listed(*more: str, key: str = "name") -> PlainSerializer:
+    """Write estimates as a list of entries."""
+    return PlainSerializer(lambda named: [_estimate(estimate, *more, key=key) for estimate in named.values()])
+
+
+def _by_name(estimates: tuple[Estimate, ...]) -> dict[str, Estimate]:
+    named = {estimate.name: estimate for estimate in estimates}
+    if len(named) < len(estimates):
+        raise ValueError("a name is used twice; remove one entry")
+    return named
+
+
+def _by_parameter(estimates: dict[str, Estimate]) -> dict[Parameter, Estimate]:
+    return {
+        parameter_of(name, regrouped=len(estimate.regrouping.split()) > 1): estimate
+        for name, estimate in estimates.items()
+    }
+
+
+def _alternative(alternative: Alternative) -> dict[str, Any]:
+    causes = [finding_document(cause) for cause in alternative.causes]
+    held = {key: value for key, value in asdict(alternative).items() if key not in ("shifts", "plausible")}
+    return held | {"subject": alternative.subject, "causes": causes}
+
+
+def _curve(curve: FrictionCurve | Any) -> Any:
+    """Leave out a curve's parameters, which stand with the others; schema 3 has them."""
+    entries = asdict(curve) if isinstance(curve, FrictionCurve) else curve
+    return {key: entries[key] for key in entries if key != "parameters"} if isinstance(entries, dict) else entries
+
+
+def _method(name: str) -> str:
+    if name not in NAMES and name not in registered(GROUP):
+        raise ValueError(unknown(f"method '{name}'", name, NAMES))
+    return name
+
+
+def _statistics(figures: dict[str, float]) -> dict[str, float]:
+    if "lack_of_fit" not in figures:
+        raise ValueError("'lack_of_fit' is missing")
+    return figures
+
+
+_Estimate = Annotated[Estimate, BeforeValidator(_gathered), PlainSerializer(_estimate)]
+_Joint = Annotated[
+    Estimate, BeforeValidator(_gathered), PlainSerializer(lambda estimate: _estimate(estimate, key="joint"))
+]
+_ByName = Annotated[tuple[_Estimate, ...], AfterValidator(_by_name)]
+_ByParameter = Annotated[_ByName, AfterValidator(_by_parameter)]
+_TorqueError = Annotated[TorqueError, _with("relative", "relative_all", "relative_raw")]
+NoteEntry = Annotated[
+    Finding,
+    BeforeValidator(read_note),
+    AfterValidator(lambda finding: replace(finding, kind=FindingKind(finding.kind))),
+    PlainSerializer(note_document),
+]
+
+
+class _Group(BaseModel):
+    """A group of keys, of which what follows from other values is not read."""
+
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True, defer_build=True)
+
+
+class _Scale(_Group):
+    joint: str
+    scale: dict[str, float] = {}
+
+
+class _Known(_Group):
+    known: bool
+
+
+class _Payload(_Group):
+    name: str
+    run: str
+    outcome: Outcome
+    finding: Finding | None
+    parameters: dict[str, _Estimate]
+    known: dict[str, _Known] = Field(validation_alias="parameters")
+
+    def made(self) -> PayloadEstimate:
+        known = frozenset(kind for kind, entry in self.known.items() if entry.known)
+        return PayloadEstimate(self.name, self.run, self.parameters, known, Verdict(self.outcome, self.finding))
+
+
+def payload_documents(payloads: tuple[PayloadEstimate, ...]) -> list[dict[str, Any]]:
+    """Describe payloads as in ``model.json`` and in what ``gtau payload --json`` prints."""
+    return [
+        {
+            "name": payload.name,
+            "run": payload.run,
+            **_verdict(payload.verdict),
+            "parameters": {
+                kind: _estimate(estimate, "regrouping") | {"known": kind in payload.known}
+                for kind, estimate in payload.parameters.items()
+            },
+        }
+        for payload in payloads
+    ]
+
+
+class _Sensor(_Group):
+    joint: str
+    parameters: Annotated[_ByParameter, _listed()]
+    delay: _Joint
+    residual: _TorqueError
+    ratio: _Joint | None
+    kind: Annotated[ChannelKind, BeforeValidator(link_side_kind), PlainSerializer(lambda kind: kind.name)] = SENSOR
+
+
+class _Preparation(_Group):
+    bandwidth: Positive
+    cutoff: Positive | None
+    decimation: PositiveInt
+    decimator: Literal["fir", "chebyshev"]
+    speed_fraction: NonNegativeFloat
+    rate: NonNegativeFloat
+    given: tuple[str, ...]
+    prediction_cutoffs: tuple[Positive | None, ...] = ()
+    position_noise: tuple[NonNegativeFloat, ...] = ()
+
+    def made(self) -> Preparation:
+        rest = {name: value for name, value in self if name != "decimation"}
+        return Preparation(**rest | {"decimator": Decimator(self.decimation, self.decimator)})
+
+
+class _Parameter(_Group):
+    name: str
+    value: float
+    unit: str = ""
+    open: bool
+
+
+class _PayloadParameters(_Group):
+    name: str
+    parameters: dict[str, float]
+
+
+class _Gain(_Group):
+    joint: str
+    value: float
+    std: float
+
+
+class _Standard(_Group):
+    parameters: tuple[_Parameter, ...]
+    payloads: tuple[_PayloadParameters, ...]
+    drive_gains: tuple[_Gain, ...]
+    moves: tuple[Move, ...]
+    smallest_eigenvalues: dict[str, float]
+    loss: dict[str, float]
+
+    def made(self) -> Consistency:
+        return Consistency(
+            standard={parameter.name: parameter.value for parameter in self.parameters},
+            payloads={payload.name: payload.parameters for payload in self.payloads},
+            gains={gain.joint: (gain.value, gain.std) for gain in self.drive_gains},
+            moves=self.moves,
+            eigenvalues=self.smallest_eigenvalues,
+            loss=self.loss,
+            open=tuple(parameter.name for parameter in self.parameters if parameter.open),
+        )
+
+
+def _standard(result: Result) -> dict[str, Any] | None:
+    """Describe physically consistent parameters by the keys of :class:`_Standard`."""
+    bodies, robot = result.consistency, result.robot
+    if bodies is None:
+        return None
+    units = {name: unit_of(parameter_of(name).kind, robot, parameter_of(name).body) for name in bodies.standard}
+    return {
+        "parameters": [
+            {"name": name, "value": value, "unit": units[name], "open": name in bodies.open}
+            for name, value in bodies.standard.items()
+        ],
+        "payloads": [{"name": name, "parameters": dict(values)} for name, values in bodies.payloads.items()],
+        "drive_gains": [{"joint": joint, "value": g, "std": std} for joint, (g, std) in bodies.gains.items()],
+        "moves": bodies.moves,
+        "smallest_eigenvalues": bodies.eigenvalues,
+        "loss": bodies.loss,
+    }
+
+
+class _Covariance(_Group):
+    names: tuple[str, ...]
+    matrix: Annotated[tuple[tuple[float, ...], ...], PlainSerializer(np.ndarray.tolist)]
+
+    @model_validator(mode="after")
+    def _is_square(self) -> Self:
+        if {len(self.names), *map(len, self.matrix)} != {len(self.matrix)}:
+            raise ValueError("the covariance does not have the size of its names; write a row and a column a name")
+        return self
+
+
+class ModelDocument(_Group):
+    """The keys of the document: how each is written, and read."""
+
+    robot_file: str
+    stated_inertias: dict[str, FiniteFloat] = {}
+    method: Annotated[str, AfterValidator(_method)]
+    kind: Literal["current", "torque"]
+    runs: tuple[str, ...]
+    drive_gains: Annotated[_ByName, _listed(key="joint")]
+    scale: tuple[_Scale, ...] = Field(validation_alias="drive_gains", exclude=True)
+    delays: Annotated[_ByName, _listed(key="joint")]
+    parameters: Annotated[_ByParameter, _listed("regrouping", "between_run_std", "essential")]
+    friction: Annotated[_ByParameter, _listed()]
+    equation_friction: Annotated[_ByParameter, _listed()] = Field(default=(), validate_default=True)
+    curves: tuple[Annotated[FrictionCurve, BeforeValidator(_curve), PlainSerializer(_curve)], ...] = ()
+    sensors: tuple[_Sensor, ...] = ()
+    payloads: Annotated[tuple[_Payload, ...], PlainSerializer(payload_documents)]
+    residuals: tuple[_TorqueError, ...]
+    preparation: _Preparation
+    logged_speeds: dict[str, NonNegativeFloat]
+    statistics: Annotated[dict[str, FiniteFloat], AfterValidator(_statistics)]
+    requirements: tuple[Annotated[Requirement, _with("met")], ...] = ()
+    alternatives: tuple[Annotated[Alternative, PlainSerializer(_alternative)], ...]
+    singularities: tuple[NearestPose, ...]
+    temperatures: ReferenceTemperatures | None = None
+    geometry: Annotated[GeometryTest, BeforeValidator(from_document), PlainSerializer(geometry_document)] | None = None
+    audit: Annotated[InertiaAudit, _with("stated_error", "identified_error")] | None = None
+    notes: tuple[NoteEntry, ...]
+    covariance: _Covariance
+    standard: Annotated[_Standard | None, PlainSerializer(lambda document: document)]
+
+    def made(self, path: Path) -> Result:
+        """Assemble the result."""
+        robot = parse_native(self.robot_file, path).with_file(inertias=tuple(self.stated_inertias.items()))
+        values = dict(self) | {
+            "scale": {gain.joint: gain.scale for gain in self.scale if gain.scale},
+            "curves": {curve.joint: curve for curve in self.curves},
+            "sensors": tuple(SensorEstimate(**dict(sensor)) for sensor in self.sensors),
+            "payloads": tuple(payload.made() for payload in self.payloads),
+            "covariance_names": tuple(map(parameter_of, self.covariance.names)),
+            "covariance": np.array(self.covariance.matrix),
+            "preparation": self.preparation.made(),
+            "consistency": None if self.standard is None else self.standard.made(),
+        }
+        estimates, fit, evidence = (
+            {field.name: values[field.name] for field in fields(group) if field.name in values}
+            for group in (ModelEstimates, FitRecord, Evidence)
+        )
+        model = Model(robot, tuple(sensor.joint for sensor in self.sensors))
+        return Result(model, ModelEstimates(**estimates), FitRecord(**fit), Evidence(**evidence))
+
+
+def to_document(result: Result) -> dict[str, Any]:
+    """Describe a result as a JSON document; ``rel_std`` in per cent, null where a value is known."""
+    decimator = result.preparation.decimator
+    prepared = vars(result.preparation) | {"decimation": decimator.factor, "decimator": decimator.kind}
+    values = {name: getattr(result, name, None) for name in ModelDocument.model_fields} | {
+        "robot_file": native_text(result.robot),
+        "stated_inertias": dict(result.robot.inertias),
+        "curves": tuple(result.curves.values()),
+        "sensors": tuple(_Sensor.model_construct(**vars(sensor)) for sensor in result.sensors),
+        "preparation": _Preparation.model_construct(**prepared),
+        "covariance": _Covariance.model_construct(names=result.covariance_names, matrix=result.covariance),
+        "standard": _standard(result),
+    }
+    document = ModelDocument.model_construct(**values).model_dump(mode="json")
+    for entry in document["drive_gains"]:
+        entry["scale"] = dict(result.scale.get(entry["joint"], {}))
+    return {"schema": SCHEMA, "robot": result.robot.name, **document}
+
+
+def torque_error(error: TorqueError) -> dict[str, Any]:
+    """Describe a torque error as in ``model.json``: ``relative`` in per cent."""
+    document: dict[str, Any] = TypeAdapter(_TorqueError).dump_python(error, mode="json")
+    return document
