@@ -14,7 +14,7 @@ from gtau import display
 from gtau.documents.validation import FUNCTION, NUMBER, TEXT, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
-from gtau.estimation.diagnostics.log_checks import command_lag, doubtful_commands, require_felt_payload
+from gtau.estimation.diagnostics.log_checks import command_lag, doubtful_commands, require_payload_excitation
 from gtau.estimation.diagnostics.unit_checks import doubtful_currents, doubtful_payloads
 from gtau.estimation.experiment_runs import Subject, describe, geometry_of, options_of, read_runs
 from gtau.estimation.preconditions import estimator_for, plan, reduced, require_inputs
@@ -258,7 +258,7 @@ def _together(subject: Subject, dataset: Dataset) -> list[Finding]:
         return [*notes, Finding(F.WEIGHING, (), payloads[0].name)]
     if planned.gains is None:
         with _noted(notes, F.MODEL):
-            require_felt_payload(system)
+            require_payload_excitation(system)
     return notes
 
 

@@ -112,8 +112,8 @@ def compare(
         try:
             estimator = require_inputs(replace(subject, options=options))
             planned = plan(replace(subject, options=options), dataset, system)
-            taken = dataset if estimator.takes_priors else replace(dataset, priors={})
-            result = estimate(taken, planned, options, progress)
+            usable = dataset if estimator.takes_priors else replace(dataset, priors={})
+            result = estimate(usable, planned, options, progress)
         except GtauError as refusal:
             return Row(method, refusal=str(refusal))
         seconds, gains = perf_counter() - start, list(result.drive_gains.values())
@@ -140,14 +140,14 @@ def compare(
     return EstimatorComparison(robot.motors, tuple(rows), units, robot.name)
 
 
-def to_document(found: EstimatorComparison) -> dict[str, Any]:
+def to_document(comparison: EstimatorComparison) -> dict[str, Any]:
     """Describe the comparison as a JSON document."""
 
     def numbers(values: Sequence[float] | np.ndarray | None) -> list[float] | None:
         return None if values is None else [float(value) for value in values]
 
     return {
-        "joints": list(found.joints),
+        "joints": list(comparison.joints),
         "estimators": [
             {
                 "method": row.method,
@@ -158,6 +158,6 @@ def to_document(found: EstimatorComparison) -> dict[str, Any]:
                 "outcome": None if row.outcome is None else row.outcome.value,
                 "refusal": row.refusal,
             }
-            for row in found.rows
+            for row in comparison.rows
         ],
     }

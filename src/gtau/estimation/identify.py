@@ -15,7 +15,7 @@ from gtau.errors import GtauError
 from gtau.estimation.diagnostics.diagnose import diagnose
 from gtau.estimation.diagnostics.examine import estimates_of, examine
 from gtau.estimation.diagnostics.inertia_audit import audit_inertias, without_file_inertias
-from gtau.estimation.diagnostics.log_checks import command_lag, require_felt_payload
+from gtau.estimation.diagnostics.log_checks import command_lag, require_payload_excitation
 from gtau.estimation.diagnostics.other_robots import TOOL_BODIES
 from gtau.estimation.diagnostics.stated_constants import weigh_known
 from gtau.estimation.diagnostics.verdict import Outcome
@@ -145,10 +145,10 @@ def _identified(subject: Subject, dataset: Dataset, system: System, progress: Pr
         try:
             result = estimate(dataset, by, subject.options, progress)
         except GtauError:
-            require_felt_payload(system)
+            require_payload_excitation(system)
             raise
         if {gain.verdict.outcome for gain in result.drive_gains.values()} <= NO_GAIN:
-            require_felt_payload(system)
+            require_payload_excitation(system)
         return result
 
     planned = plan(subject, dataset, system)
@@ -252,7 +252,7 @@ def _requirements(result: Result, require: Requirements, validation: Sequence[Ru
 
 
 def _of_torques(limit: float, errors: Iterable[TorqueError], run: str = "") -> Requirement:
-    worst = max(errors, key=lambda each: each.relative, default=None)
+    worst = max(errors, key=lambda error: error.relative, default=None)
     if worst is None:
         return Requirement("torque_error", limit, None, run=run)
     return Requirement("torque_error", limit, worst.relative, worst.joint, run)

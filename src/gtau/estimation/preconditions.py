@@ -102,8 +102,8 @@ def without_scale(subject: Subject, dataset: Dataset) -> Plan:
 
 def tests_torques(system: System) -> bool:
     """Decide whether a known payload, a torque sensor or a wrench tests the scale of logged torques."""
-    problem, known = system.problem, (each for each in system.payloads if each.payload.mass is not None)
-    return any(each.acts for each in known) or bool(problem.wrenches) or not problem.unknown_gains.all()
+    problem, known = system.problem, (carried for carried in system.payloads if carried.payload.mass is not None)
+    return any(carried.acts for carried in known) or bool(problem.wrenches) or not problem.unknown_gains.all()
 
 
 def _refuse_priors(estimator: Estimator, subject: Subject) -> None:

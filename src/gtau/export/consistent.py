@@ -187,8 +187,8 @@ def serial_equivalent(model: ConsistentModel) -> dict[str, Any]:
     return described
 
 
-def what_is_lost(robot: Robot, target: str, name: str) -> str:
-    """Say that the files of a ``target`` have no loops; empty where the robot has none."""
+def what_is_lost(robot: Robot, target: str, name: str, loops: str = "") -> str:
+    """Say that the files of a ``target`` have no loops but in ``NAME.yaml``, or in ``loops``; empty without loops."""
     if not robot.closures:
         return ""
     count = len(robot.closures)
@@ -197,6 +197,7 @@ def what_is_lost(robot: Robot, target: str, name: str) -> str:
     tied = "; ".join(f"'{closure.a.body}' to '{closure.b.body}'" for closure in robot.closures)
     return (
         f"OPEN TREE: {target} has no closed loops, so the files lack {count} closure{'s' * (count > 1)} ({tied}), and "
-        f"{', '.join(passive)} swing freely: without the closures in {name}.yaml this is another robot; the inertia at "
-        f"each motor with loops closed, at home and its range, is under 'serial_equivalent' in {name}_drives.yaml"
+        f"{', '.join(passive)} swing freely: without the closures in {loops or f'{name}.yaml'} this is another "
+        "robot; the inertia at each motor with loops closed, at home and its range, is under 'serial_equivalent' in "
+        f"{name}_drives.yaml"
     )

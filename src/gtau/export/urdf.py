@@ -25,8 +25,7 @@ from gtau.export.consistent import (
 from gtau.export.exported import Export, Exported, digits, written, xml_text
 from gtau.export.input_file import InputFile, input_file
 from gtau.robots.geometry import compose, pose_of, turn
-from gtau.robots.parameter import gain_unit, torque_unit, unit_of
-from gtau.robots.rigid_body import RigidBody, rigid_body
+from gtau.robots.parameter import RigidBody, gain_unit, rigid_body, torque_unit, unit_of
 from gtau.robots.robot import (
     DAMPING,
     GROUND,
@@ -61,7 +60,7 @@ def export(result: Result, out: Path) -> Exported:
     texts = {f"{name}.urdf": head + xml_text(robot_element(model)), f"{name}_drives.yaml": drives_text(model)}
     if robot.closures:
         texts[f"{name}.yaml"] = _loops_text(robot)
-    return _exported(model, written(out, texts), [], name)
+    return _exported(model, written(out, texts))
 
 
 def export_into(result: Result, source: Path, out: Path) -> Exported:
@@ -95,13 +94,13 @@ def export_into(result: Result, source: Path, out: Path) -> Exported:
         more = [f"links on fixed joints are part of those that carry them, and have no inertia: {', '.join(lumped)}"]
     files = file.save(out)
     drives = written(out, {f"{identifier(result.robot.name)}_drives.yaml": drives_text(model)})
-    return _exported(model, (*files, *drives), more, "the robot's own")
+    return _exported(model, (*files, *drives), more, "the robot's own YAML file")
 
 
-def _exported(model: ConsistentModel, files: tuple[Path, ...], more: Sequence[str], loops: str) -> Exported:
+def _exported(model: ConsistentModel, files: tuple[Path, ...], more: Sequence[str] = (), loops: str = "") -> Exported:
     """Return the files with notes: what is lost without the file of ``loops``, and what the URDF has no place for."""
     robot, name = model.result.robot, identifier(model.result.robot.name)
-    (figures, difference), lost = differences(model, model.standard), what_is_lost(robot, "a URDF", loops)
+    (figures, difference), lost = differences(model, model.standard), what_is_lost(robot, "a URDF", name, loops)
     sprung = bool(robot.springs) or any(joint.spring is not None for joint in robot.joints)
     springs = " and springs" if sprung else ""
     notes = [f"a URDF has no place for drive gains, rotor inertias, offsets{springs}: they are in {name}_drives.yaml"]

@@ -105,7 +105,7 @@ def torques_along_log(
     """
     raw = predict_under_load(result, run)
     prediction = raw.in_band
-    residual = {each.joint: each.rms for each in result.residuals}
+    residual = {error.joint: error.rms for error in result.residuals}
     joints = [
         _summary(prediction.of([joint]), torque_unit(result.robot, joint), residual.get(joint))
         for j, joint in enumerate(prediction.joints)
@@ -114,7 +114,7 @@ def torques_along_log(
     table, wrench = prediction.table(), None
     if bandwidth is not None:
         observed = momentum_observer(result, run, bandwidth)
-        table = table.with_columns(**{f"observed_{each}": observed[:, j] for j, each in enumerate(prediction.joints)})
+        table = table.with_columns(**{f"observed_{joint}": observed[:, j] for j, joint in enumerate(prediction.joints)})
     if frame is not None:
         wrench = wrench_along_log(result, run, prediction, frame, force_only)
         table = table.with_columns(**wrench.columns).fill_nan(None)
@@ -183,27 +183,30 @@ def observed(
     motion = result.idm.motion(path, 0 * path, 0 * path)
     states = np.vstack([motion.c, result.friction_law.followers(lambda _: path)(time)])
     given = ca.DM(states[:, 1:]), ca.DM(qd.T), ca.DM.zeros(*qd.T.shape), ca.DM(values)
-    momentum, drift = (np.array(made[each](*given)).reshape(-1, len(qd), order="F").T for each in OBSERVED)
+    momentum, drift = (np.array(made[output](*given)).reshape(-1, len(qd), order="F").T for output in OBSERVED)
     push = (torque[1:] + torque[:-1]) / 2 + drift
     apart = (h[1:] + h[:-1]) / 2
-    found = np.diff(momentum, axis=0) / apart[:, None] - (push[1:] + push[:-1]) / 2
+    unfiltered = np.diff(momentum, axis=0) / apart[:, None] - (push[1:] + push[:-1]) / 2
     kept = np.exp(-2 * np.pi * bandwidth * apart)
     external = np.zeros_like(q)
     for k in range(2, len(q)):
-        external[k] = kept[k - 2] * external[k - 1] + (1.0 - kept[k - 2]) * found[k - 2]
+        external[k] = kept[k - 2] * external[k - 1] + (1.0 - kept[k - 2]) * unfiltered[k - 2]
     return external
 
 
-def _summary(of: Prediction, unit: str, residual: float | None) -> External:
-    external, keep, valid = (each[:, 0] for each in (of.predicted - of.measured, of.keep, of.valid))
+def _summary(torque: Prediction, unit: str, residual: float | None) -> External:
+    external, keep, valid = (
+        columns[:, 0] for columns in (torque.predicted - torque.measured, torque.keep, torque.valid)
+    )
     kept = external[keep]
     worst = int(np.argmax(np.abs(kept)))
     beyond = None if residual is None else float(np.mean(np.abs(kept) > USABLE * residual))
-    rms, rms_all = (float(np.sqrt(np.mean(each**2))) for each in (kept, external[valid]))
-    return External(of.joints[0], unit, residual, rms, rms_all, float(kept[worst]), float(of.time[keep][worst]), beyond)
+    rms, rms_all = (float(np.sqrt(np.mean(values**2))) for values in (kept, external[valid]))
+    largest, time = float(kept[worst]), float(torque.time[keep][worst])
+    return External(torque.joints[0], unit, residual, rms, rms_all, largest, time, beyond)
 
 
-def write_table(found: TorquesAlongLog, path: Path) -> None:
+def write_table(torques: TorquesAlongLog, path: Path) -> None:
     """Write the table as Parquet or CSV, by the ending of ``path``.
 
     Raises
@@ -213,22 +216,22 @@ def write_table(found: TorquesAlongLog, path: Path) -> None:
     """
     if path.suffix.lower() not in (".csv", ".parquet"):
         raise GtauError(f"{path} ends in neither .csv nor .parquet; give the table one of these endings.")
-    files.write_table(found.table, path)
+    files.write_table(torques.table, path)
 
 
-def summary_text(found: TorquesAlongLog) -> str:
+def summary_text(torques: TorquesAlongLog) -> str:
     """Print the summary as a table."""
     lines = [
         f"{'External torque':<20}{'rms':>10}{'rms, all':>10}{'residual':>11}{'largest':>11}{'at, s':>10}"
         f"{'beyond 4':>11}   unit",
     ]
-    for each in found.joints:
-        residual = "-" if each.residual is None else f"{each.residual:.4g}"
-        share = "-" if each.share is None else f"{100 * each.share:.2f} %"
+    for joint in torques.joints:
+        residual = "-" if joint.residual is None else f"{joint.residual:.4g}"
+        share = "-" if joint.share is None else f"{100 * joint.share:.2f} %"
         lines.append(
-            f"  {each.joint:<18}{each.rms:>10.4g}{each.rms_all:>10.4g}{residual:>11}{each.largest:>11.4g}"
-            f"{each.time:>10.4g}{share:>11}"
-            f"   {each.unit}"
+            f"  {joint.joint:<18}{joint.rms:>10.4g}{joint.rms_all:>10.4g}{residual:>11}{joint.largest:>11.4g}"
+            f"{joint.time:>10.4g}{share:>11}"
+            f"   {joint.unit}"
         )
     return "\n".join(
         [
@@ -238,25 +241,25 @@ def summary_text(found: TorquesAlongLog) -> str:
             "residual: rms torque residual of the identification; beyond 4: share of samples",
             "whose external torque exceeds four of them, by chance 0.006 %. A contact, a",
             "collision or an unknown payload shows there.",
-            *(() if found.wrench is None else _wrench_lines(found.wrench)),
+            *(() if torques.wrench is None else _wrench_lines(torques.wrench)),
         ]
     )
 
 
-def _wrench_lines(found: WrenchAlongLog) -> Iterator[str]:
+def _wrench_lines(wrench: WrenchAlongLog) -> Iterator[str]:
     yield ""
     yield f"{'External wrench':<20}{'rms':>10}{'+-':>10}{'largest':>11}{'at, s':>10}{'beyond 4':>11}{'seen':>9}   unit"
-    for each in found.components:
-        numbers = (each.rms, each.interval, each.largest, each.time)
+    for component in wrench.components:
+        numbers = (component.rms, component.interval, component.largest, component.time)
         rms, interval, largest, time = ("-" if number is None else f"{number:.4g}" for number in numbers)
-        share = "-" if each.share is None else f"{100 * each.share:.2f} %"
+        share = "-" if component.share is None else f"{100 * component.share:.2f} %"
         yield (
-            f"  {each.name:<18}{rms:>10}{interval:>10}{largest:>11}{time:>10}{share:>11}{100 * each.seen:>7.0f} %"
-            f"   {each.unit}"
+            f"  {component.name:<18}{rms:>10}{interval:>10}{largest:>11}{time:>10}{share:>11}"
+            f"{100 * component.seen:>7.0f} %   {component.unit}"
         )
-    yield from wrap(f"At {found.frame}, in its axes. +-: half the 95 % interval, the median.", 80)
-    if not found.seen.all():
-        few = int(np.median(found.directions))
+    yield from wrap(f"At {wrench.frame}, in its axes. +-: half the 95 % interval, the median.", 80)
+    if not wrench.seen.all():
+        few = int(np.median(wrench.directions))
         yield from wrap(
             f"seen: share of samples whose pose shows the component; there the joints feel {few} of 6 directions, the "
             "median. Elsewhere it has no value: it is empty in the table.",

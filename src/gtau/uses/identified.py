@@ -80,7 +80,7 @@ class Identified:
     @property
     def values(self) -> np.ndarray:
         """Values (n_p,) of the parameters, zero for those not identifiable."""
-        return np.array([each.value or 0.0 for each in self.parameters])
+        return np.array([parameter.value or 0.0 for parameter in self.parameters])
 
     @property
     def friction(self) -> tuple[Parameter, ...]:
@@ -91,7 +91,7 @@ class Identified:
     @property
     def terms(self) -> tuple[Parameter, ...]:
         """Names of the friction terms among the parameters (``fl_11``)."""
-        return tuple(parameter_of(each.name) for each in self.parameters[self.result.base.count :])
+        return tuple(parameter_of(parameter.name) for parameter in self.parameters[self.result.base.count :])
 
 
 def identified(result: Result) -> Identified:
@@ -106,10 +106,10 @@ def identified(result: Result) -> Identified:
     missing = [name for name in base.names if name not in result.parameters]
     if missing:
         raise GtauError(f"the model lacks the base parameter '{missing[0]}'; identify it again.")
-    terms = [each for name, each in result.friction.items() if name.kind not in (*TEMPERATURE_TERMS, *SHAPES)]
+    terms = [term for name, term in result.friction.items() if name.kind not in (*TEMPERATURE_TERMS, *SHAPES)]
     parameters = [*(result.parameters[name] for name in base.names), *terms]
     gains = np.array([result.drive_gains[joint].value for joint in robot.actuated], dtype=float)
-    values = np.array([each.value or 0.0 for each in parameters])
+    values = np.array([parameter.value or 0.0 for parameter in parameters])
     units = tuple(torque_unit(robot, joint) for joint in robot.actuated)
     return Identified(result, identifier(robot.name), tuple(parameters), _payloads(result, values), gains, units)
 
@@ -148,13 +148,13 @@ def torques_of(model: Identified, motion: Motion, values: np.ndarray, z: np.ndar
 def _payloads(result: Result, values: np.ndarray) -> dict[str, np.ndarray]:
     base, place = result.base, {name: k for k, name in enumerate(result.idm.parameter_names)}
     loaded = {}
-    for name in dict.fromkeys(each.name for each in result.payloads):
-        found = result.payload(name)
-        if "m" in found:
+    for name in dict.fromkeys(payload.name for payload in result.payloads):
+        weighed = result.payload(name)
+        if "m" in weighed:
             with_it = values.copy()
             for kind in INERTIAL:
                 with_it[: base.count] += (
-                    found.get(kind, 0.0) * base.matrix[:, place[Parameter(kind, result.robot.tool)]]
+                    weighed.get(kind, 0.0) * base.matrix[:, place[Parameter(kind, result.robot.tool)]]
                 )
             loaded[name] = with_it
     return loaded
@@ -163,7 +163,7 @@ def _payloads(result: Result, values: np.ndarray) -> dict[str, np.ndarray]:
 def notes_on(model: Identified) -> tuple[str, ...]:
     """Note parameters without a value, and friction extrapolated beyond the logged speeds."""
     result = model.result
-    lost = [name for name, each in result.parameters.items() if each.value is None]
+    lost = [name for name, estimate in result.parameters.items() if estimate.value is None]
     notes = [f"not identifiable from the logs and exported as zero: {', '.join(lost)}"] if lost else []
     bent = [name for name in model.terms if name.kind == "f3"]
     values = dict(zip((*result.base.names, *model.terms), model.values, strict=True))
@@ -251,7 +251,7 @@ def functions(model: Identified) -> Functions:
 
 
 def _function(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.Function:
-    return ca.Function(name, inputs, [ca.densify(each) for each in outputs], {"cse": True})
+    return ca.Function(name, inputs, [ca.densify(output) for output in outputs], {"cse": True})
 
 
 def _standard(model: Identified, chi: list[ca.SX]) -> dict[Parameter, ca.SX]:
@@ -288,7 +288,7 @@ class _Friction:
 
     def _scaled(self, load: ca.SX) -> tuple[ca.SX, ca.SX]:
         law = self.model.result.friction_law
-        forces, speeds = (ca.densify(ca.vertcat(*each)) for each in law.forces(ca, self._values, self.yd, load))
+        forces, speeds = (ca.densify(ca.vertcat(*rows)) for rows in law.forces(ca, self._values, self.yd, load))
         scales = law.scales(ca, forces, speeds)
         if law.states:
             slides = self.z > 1.0

@@ -18,8 +18,8 @@ from gtau.errors import GtauError
 from gtau.estimation.estimators.standard_parameters import Body, constrained_least_squares, unbounded
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.payload import PayloadBody, PayloadEstimate, Weighed
+from gtau.robots.parameter import RigidBody, inertial_parameters
 from gtau.robots.readers.read import frame_on
-from gtau.robots.rigid_body import RigidBody, inertial_parameters
 from gtau.robots.robot import INERTIAL, Pose
 
 QUANTITIES = ("m", "cx", "cy", "cz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
@@ -44,11 +44,11 @@ def payload_body(payload: PayloadEstimate, frame: str | Pose = "", file: str | P
     if (weighed := payload.weighed) is None:
         raise GtauError(f"payload '{payload.name}' was not weighed here; take it from gtau.weigh.")
     called, placement = frame_on(weighed.body, frame, file)
-    found = partial(PayloadBody, payload.name, payload.run, called, named=bool(frame))
+    body = partial(PayloadBody, payload.name, payload.run, called, named=bool(frame))
     R, p = placement.rotation, placement.position
     (seen,), (mass,), (std_of_mass,) = _seen(weighed, np.eye(10)[9:])
     if not seen or mass < SEEN * std_of_mass:
-        return found({key: Estimate(key, None, None, unit) for key, unit in zip(QUANTITIES, UNITS, strict=True)}, None)
+        return body({key: Estimate(key, None, None, unit) for key, unit in zip(QUANTITIES, UNITS, strict=True)}, None)
     chi = _consistent(weighed, float(mass))
     values = quantities(chi, R, p)
     J = np.stack([quantities(chi + 1j * STEP * unit, R, p).imag / STEP for unit in np.eye(10)], axis=1)
@@ -62,7 +62,7 @@ def payload_body(payload: PayloadEstimate, frame: str | Pose = "", file: str | P
         estimate = Estimate(key, float(values[k]), std, unit, freedom=weighed.freedom)
         shown = seen_of[k] and (estimate.half_interval() or 0.0) <= widest[k]
         estimates[key] = estimate if shown else replace(estimate, value=None, std=None)
-    return found(estimates, rigid)
+    return body(estimates, rigid)
 
 
 def quantities(chi: np.ndarray, rotation: np.ndarray, position: np.ndarray) -> np.ndarray:

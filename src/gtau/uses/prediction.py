@@ -53,7 +53,7 @@ def predict(result: Result, run: Run, external: np.ndarray | None = None) -> Pre
     # at rest before and after the motion anything within the band of friction holds the robot
     resting = np.ones((len(valid), 1), dtype=bool)
     resting[moving.start : moving.stop] = False
-    keep, valid = (decimator.near(each & ~resting) for each in (keep, valid))
+    keep, valid = (decimator.near(mask & ~resting) for mask in (keep, valid))
     if not keep.any():
         raise GtauError(f"run '{run.name}' has no usable rows, away from its reversals and gaps; give a longer run.")
     return Prediction(result.idm.actuated, time, made.T, measured.T, keep, valid, friction_torque.T, decimator)
@@ -70,14 +70,14 @@ def joint_torques(
     """
     model, standard, time = result.idm, result.base.standard, np.asarray(prepared.time)
     load, friction = np.array(transmitted(np, standard, chi)), friction_along(result, prepared, chi, external)
-    found = np.concatenate([*stream_torques(model, model.columns(standard), prepared, load, friction)], axis=2)
-    for torque in found[:2]:
+    torques = np.concatenate([*stream_torques(model, model.columns(standard), prepared, load, friction)], axis=2)
+    for torque in torques[:2]:
         for row, joint in zip(torque, model.actuated, strict=True):
             delay = result.delays[joint]
             if delay.value and delay.verdict.outcome != Outcome.NOT_IDENTIFIABLE:
                 row[:] = np.interp(time + delay.value, time, row)
-    found[2] *= result.gains[:, None]
-    return found
+    torques[2] *= result.gains[:, None]
+    return torques
 
 
 def friction_along(result: Result, prepared: PreparedRun, chi: np.ndarray, external: np.ndarray | None = None) -> Law:
@@ -112,7 +112,7 @@ def friction_values(
     At the temperatures that a run has at ``time`` (N,), else at those of reference.
     """
     values: dict[str, Any] = dict(zip(result.base.standard, chi, strict=True))
-    terms = {name: each.value or 0.0 for name, each in result.friction.items() if name.kind not in SHAPES}
+    terms = {name: estimate.value or 0.0 for name, estimate in result.friction.items() if name.kind not in SHAPES}
     values |= {name: value for name, value in terms.items() if name.kind not in TEMPERATURE_TERMS}
     if result.temperatures is None or run is None or run.temperature is None or time is None:
         return values
@@ -201,21 +201,21 @@ def with_prediction_cutoffs(result: Result, runs: Sequence[Run]) -> Result:
         With ``prediction_cutoffs`` and ``position_noise`` in its preparation.
     """
     preparation = result.preparation
-    stretches = [found for run in runs if (found := _stretch(result, run, SAMPLES // len(runs))) is not None]
-    if "position_filter" in preparation.given or not stretches:
+    blocks = [block for run in runs if (block := _stretch(result, run, SAMPLES // len(runs))) is not None]
+    if "position_filter" in preparation.given or not blocks:
         return result
     highest, tried = HIGHEST_CUTOFF * min(run.rate for run in runs), [preparation.bandwidth]
     while tried[-1] * STEP < highest:
         tried.append(tried[-1] * STEP)
     errors: list[np.ndarray] = []
     for cutoff in tried:
-        errors.append(np.sqrt(np.sum([_squares(result, cutoff, *each) for each in stretches], axis=0)))
+        errors.append(np.sqrt(np.sum([_squares(result, cutoff, *block) for block in blocks], axis=0)))
         if (errors[-1] > NOISY * np.min(errors, axis=0)).all():
             break
     allowed = np.array(errors) <= (1 + RAISED) * np.min(errors, axis=0)
     last = len(errors) - 1 - np.argmax(allowed[::-1], axis=0)
     cutoffs = tuple(float(tried[k]) if tried[k] < highest else None for k in last)
-    noise = np.max([position_noise(each.run, cutoffs) for each, _ in stretches], axis=0)
+    noise = np.max([position_noise(prepared.run, cutoffs) for prepared, _ in blocks], axis=0)
     preparation = replace(preparation, prediction_cutoffs=cutoffs, position_noise=tuple(noise.tolist()))
     return result.replaced(preparation=preparation)
 

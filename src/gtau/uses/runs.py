@@ -83,7 +83,7 @@ def read_log(model: Result, log: str | Path, experiment: str | Path | None = Non
 
 def carrying(model: Result, run: Run, payload: str) -> Run:
     """Return the run with one of the model's payloads; raises GtauError where the model does not know its mass."""
-    known = [name for name in dict.fromkeys(each.name for each in model.payloads) if "m" in model.payload(name)]
+    known = [name for name in dict.fromkeys(payload.name for payload in model.payloads) if "m" in model.payload(name)]
     if payload not in known:
         raise GtauError(f"the model knows no payload '{payload}'; choose from {', '.join(known) or 'none'}.")
     return replace(run, payload=Payload(name=payload))

@@ -103,7 +103,7 @@ def weigh(
         return wls(problem, g_tau)
 
     system = select_friction(dataset, solve, progress)
-    lost = [name for each in system.payloads for name in each.unknown if name in system.unexcited]
+    lost = [name for carried in system.payloads for name in carried.unknown if name in system.unexcited]
     if lost:
         raise GtauError(
             f"{where}the runs cannot separate the payload from the robot itself; add a run without payload, or "

@@ -73,14 +73,14 @@ class WrenchAlongLog:
     @property
     def columns(self) -> dict[str, np.ndarray]:
         """Columns of a table: of each component its value, half its 95 % interval, and whether the pose shows it."""
-        found: dict[str, np.ndarray] = {}
+        columns: dict[str, np.ndarray] = {}
         for k, name in enumerate(WRENCH):
-            found |= {
+            columns |= {
                 name: self.wrench[:, k],
                 f"{name}_interval": self.interval[:, k],
                 f"{name}_seen": self.seen[:, k],
             }
-        return found | {"wrench_directions": self.directions, "wrench_usable": self.usable}
+        return columns | {"wrench_directions": self.directions, "wrench_usable": self.usable}
 
     @property
     def components(self) -> tuple[Component, ...]:
@@ -127,7 +127,7 @@ def wrench_along_log(
         Where the base floats, or the model lacks a joint's residual.
     """
     refuse_floating(result.robot, "the external wrench is")
-    errors = {each.joint: each for each in result.residuals}
+    errors = {error.joint: error for error in result.residuals}
     if lacking := [joint for joint in prediction.joints if joint not in errors]:
         raise GtauError(
             f"the model has no residual of joint '{lacking[0]}', which did not move in its logs, so that the wrench "
@@ -149,8 +149,8 @@ def wrench_along_log(
         covariance += spread[part, :, None] * np.eye(len(residual))
         parts.append(_solve(J_t @ at_frame / rows[:, None], covariance / np.outer(rows, rows), external[part] / rows))
         first = part.stop
-    value, std, own, directions = (np.concatenate(each) for each in zip(*parts, strict=True))
-    seen = (own >= SEEN) & (scale > 0)
+    value, std, shares, directions = (np.concatenate(blocks) for blocks in zip(*parts, strict=True))
+    seen = (shares >= SEEN) & (scale > 0)
     wrench, half = np.where(seen, value * scale, np.nan), np.where(seen, _normal() * std * scale, np.nan)
     return WrenchAlongLog(called, prediction.time, wrench, half, seen, directions, np.all(prediction.keep, axis=1))
 
@@ -188,9 +188,9 @@ def _along(result: Result, run: Run) -> Iterator[tuple[np.ndarray, np.ndarray]]:
 
 
 def _dense(model: InverseDynamics, columns: Regressor, motion: Motion) -> np.ndarray:
-    found = np.zeros((motion.c.shape[1], len(model.actuated), len(columns.names)))
-    columns.fill(model.layout, motion, found)
-    return found
+    dense = np.zeros((motion.c.shape[1], len(model.actuated), len(columns.names)))
+    columns.fill(model.layout, motion, dense)
+    return dense
 
 
 def _solve(A: np.ndarray, covariance: np.ndarray, torque: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -211,7 +211,8 @@ def _solve(A: np.ndarray, covariance: np.ndarray, torque: np.ndarray) -> tuple[n
     whitened = np.linalg.solve(root, torque[:, :, None])[:, :, 0]
     along = np.einsum("ikj,ik->ij", U, whitened)
     value = np.einsum("ij,ijw->iw", inverse * along, V_t)
-    own = np.einsum("ij,ijw->iw", shown, directions**2)
-    unseen = (1.0 - own) * np.sum(value**2, axis=1, keepdims=True)  # if as much acts along directions that are left out
+    shares = np.einsum("ij,ijw->iw", shown, directions**2)
+    # if as much acts along directions that are left out
+    unseen = (1.0 - shares) * np.sum(value**2, axis=1, keepdims=True)
     std = np.sqrt(np.einsum("ij,ijw->iw", inverse**2, V_t**2) + np.maximum(unseen, 0.0))
-    return value, std, own, np.sum(shown, axis=1)
+    return value, std, shares, np.sum(shown, axis=1)

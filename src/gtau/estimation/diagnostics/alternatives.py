@@ -117,17 +117,19 @@ def compete(
 ) -> tuple[Alternative, ...]:
     """Assign probabilities to the alternatives of each group: one of them holds, or none; without one (None) alone."""
     groups: dict[Hashable, list[Alternative]] = {}
-    for k, each in enumerate(alternatives):
-        group = group_of(each)
-        groups.setdefault(k if group is None else group, []).append(each)
+    for k, effect in enumerate(alternatives):
+        group = group_of(effect)
+        groups.setdefault(k if group is None else group, []).append(effect)
     weighed: list[Alternative] = []
     for members in groups.values():
-        prior = [np.log(each.probability / len(members) / (1 - ALTERNATIVE_PRIOR)) for each in members]
+        prior = [np.log(effect.probability / len(members) / (1 - ALTERNATIVE_PRIOR)) for effect in members]
         # log odds over none, of which certain ones are beyond all others; the largest is taken off against overflow
-        factors = [min(support(each.size, each.std, each.plausible)[0], CERTAIN) for each in members]
+        factors = [min(support(effect.size, effect.std, effect.plausible)[0], CERTAIN) for effect in members]
         odds = np.append(np.add(prior, factors), 0.0)
         odds = np.exp(odds - odds.max())
-        weighed += [replace(each, probability=float(p)) for each, p in zip(members, odds / odds.sum(), strict=False)]
+        weighed += [
+            replace(effect, probability=float(p)) for effect, p in zip(members, odds / odds.sum(), strict=False)
+        ]
     return tuple(weighed)
 
 
@@ -174,8 +176,8 @@ def of_refit(fit: Fit, hypothesis: str, cause: Finding, other: Fit, own: Fit) ->
 def model_covariance(alternatives: Sequence[Alternative], size: int) -> np.ndarray:
     """Compute the covariance of (theta, gains, delays) that all alternatives together add, (k, k)."""
     total = np.zeros((size, size))
-    for each in alternatives:
-        total += each.probability * np.outer(each.shifts, each.shifts)
+    for effect in alternatives:
+        total += effect.probability * np.outer(effect.shifts, effect.shifts)
     return total
 
 
@@ -242,7 +244,7 @@ class Hypothesis:
     def offered(self, fit: Fit) -> list[Alternative]:
         """List what its columns are, none where it does not apply to the robot."""
         columns = [cause.column() for cause in self.causes] if self.columns is None else self.columns(fit)
-        return [replace(each, hypothesis=self.name) for each in columns]
+        return [replace(column, hypothesis=self.name) for column in columns]
 
 
 def friction_levels(fit: Fit) -> tuple[np.ndarray, np.ndarray]:

@@ -100,14 +100,14 @@ def rank_meanings(dataset: Dataset, slowest: float) -> tuple[Meaning, ...]:
         return Meaning(kind, shares, likelihood, tuple(altered), values)
 
     stated, none = made(AS_STATED, left), made(NONE, np.full(len(left), float(MISFIT)))
-    factors, found = triangles(joints), [none]
-    found += _late(joints, left, made)
-    found += _permuted(joints, left, counts, made)
-    found += _magnitudes(joints, left, made)
+    factors, meanings = triangles(joints), [none]
+    meanings += _late(joints, left, made)
+    meanings += _permuted(joints, left, counts, made)
+    meanings += _magnitudes(joints, left, made)
     alone = not dataset.robot.floating and not any(run.wrenches for run in dataset.runs)
     torques = alone and dataset.runs[0].kind == "torque"
     if torques and stated.likelihood > none.likelihood:
-        found += _among_joints(joints, factors, stated, counts)
+        meanings += _among_joints(joints, factors, stated, counts)
     profile = _gravity_profile(joints, factors, made)
     likely = np.array([meaning.likelihood for meaning in profile])
     held = np.array(SHARES)[likely > likely.max() - LIKELY_SHARES]
@@ -124,19 +124,21 @@ def rank_meanings(dataset: Dataset, slowest: float) -> tuple[Meaning, ...]:
     if scale is not None and (turned := scale[0] / scale[1]) < -SIGN_STD:
         likelihood = stated.likelihood + 2 * turned**2  # of the coefficient, at its size with either sign
         values = {"after": float(left.max()), "before": 1.0}
-        found.append(Meaning(F.REVERSED, left, likelihood, tuple(range(len(left))), values))
+        meanings.append(Meaning(F.REVERSED, left, likelihood, tuple(range(len(left))), values))
     if alone and without and gain > MEANING_CLOSE:
-        found.append(replace(profile[0], likelihood=stated.likelihood + gain))
+        meanings.append(replace(profile[0], likelihood=stated.likelihood + gain))
     is_open = as_well and low <= NO_GRAVITY and coefficients is None
     stated = replace(stated, values={"gravity": (low, high), "scale": scale, "open": is_open})
-    return tuple(sorted([stated, *found], key=lambda meaning: -meaning.likelihood))
+    return tuple(sorted([stated, *meanings], key=lambda meaning: -meaning.likelihood))
 
 
 def _late(joints: Sequence[JointRows], left: np.ndarray, made: Maker) -> Iterator[Meaning]:
     """Shift the columns that fit much better at a lag, of either sign, than at any delay that the model describes."""
-    shifted = np.array([float(each.left(each.shifted)) for each in joints])
+    shifted = np.array([float(joint.left(joint.shifted)) for joint in joints])
     late = [
-        each.index for each in joints if each.lags[0] != each.lags[1] and shifted[each.index] < LATE * left[each.index]
+        joint.index
+        for joint in joints
+        if joint.lags[0] != joint.lags[1] and shifted[joint.index] < LATE * left[joint.index]
     ]
     if late:
         shares = np.where(np.isin(range(len(left)), late), shifted, left)
@@ -147,26 +149,26 @@ def _permuted(joints: Sequence[JointRows], left: np.ndarray, counts: np.ndarray,
     """Assign each joint the column that fits its equations best, every column once."""
     from scipy.optimize import linear_sum_assignment
 
-    shares = np.array([each.left(each.effort) for each in joints])
+    shares = np.array([joint.left(joint.effort) for joint in joints])
     _, order = linear_sum_assignment(counts[:, None] * np.log(np.maximum(shares, TINY)))
     altered = np.flatnonzero(order != np.arange(len(joints)))
-    found = shares[range(len(joints)), order]
-    if len(altered) and np.all(found[altered] < SWAPPED * left[altered]):
-        after, before = float(found[altered].max()), float(left[altered].min())
-        yield made(F.SWAPPED, found, altered.tolist(), after=after, before=before)
+    assigned = shares[range(len(joints)), order]
+    if len(altered) and np.all(assigned[altered] < SWAPPED * left[altered]):
+        after, before = float(assigned[altered].max()), float(left[altered].min())
+        yield made(F.SWAPPED, assigned, altered.tolist(), after=after, before=before)
 
 
 def _magnitudes(joints: Sequence[JointRows], left: np.ndarray, made: Maker) -> Iterator[Meaning]:
     """Give columns without negative values the signs with which the equations explain most of them."""
-    found = left.copy()
+    shares = left.copy()
     for joint in joints:
         effort = joint.mine
         if effort.size and effort.min() > -HARDLY_NEGATIVE * effort.max():
-            found[joint.index] = float(joint.left(_signed(joint, effort)))
-    altered = np.flatnonzero(found < SWAPPED * left).tolist()
+            shares[joint.index] = float(joint.left(_signed(joint, effort)))
+    altered = np.flatnonzero(shares < SWAPPED * left).tolist()
     if altered:
-        after, before = float(found[altered].max()), float(left[altered].min())
-        yield made(F.MAGNITUDES, found, altered, len(altered), after=after, before=before)
+        after, before = float(shares[altered].max()), float(left[altered].min())
+        yield made(F.MAGNITUDES, shares, altered, len(altered), after=after, before=before)
 
 
 def _signed(joint: JointRows, effort: np.ndarray) -> np.ndarray:
@@ -223,19 +225,19 @@ def _together(
     joints: Sequence[JointRows], factors: Sequence[np.ndarray], order: np.ndarray, signs: np.ndarray
 ) -> np.ndarray:
     """Fit the columns, in some ``order`` and with ``signs``, by common parameters: the shares that they leave (n,)."""
-    size = 1 + max(int(each.names.max()) for each in joints)
+    size = 1 + max(int(part.names.max()) for part in joints)
     rows, efforts = [], []
     for joint, R, column, sign in zip(joints, factors, order, signs, strict=True):
         p = len(joint.names)
         rows.append(np.zeros((len(R), size)))
         rows[-1][:, joint.names] = R[:, :p]
         efforts.append(sign * R[:, 2 * p + column])
-    norms = np.array([max(float(np.linalg.norm(each)), 1e-300) for each in efforts])
+    norms = np.array([max(float(np.linalg.norm(part)), 1e-300) for part in efforts])
     left = np.ones(len(joints))
     for _ in range(REWEIGHTED):
         weights = 1 / (norms * np.maximum(left, TINY))
-        J = np.concatenate([weight * each for weight, each in zip(weights, rows, strict=True)])
-        e = np.concatenate([weight * each for weight, each in zip(weights, efforts, strict=True)])
+        J = np.concatenate([weight * part for weight, part in zip(weights, rows, strict=True)])
+        e = np.concatenate([weight * part for weight, part in zip(weights, efforts, strict=True)])
         theta = least_squares_step(J, -e)
         left = np.array([np.linalg.norm(v - A @ theta) for v, A in zip(efforts, rows, strict=True)]) / norms
     return left
@@ -243,15 +245,15 @@ def _together(
 
 def _gravity_profile(joints: Sequence[JointRows], factors: Sequence[np.ndarray], made: Maker) -> list[Meaning]:
     """Fit the columns with each of the ``SHARES`` of gravity, that of inertia being one."""
-    found = []
+    profile = []
     for share in SHARES:
         left = []
         for joint, R in zip(joints, factors, strict=True):
             p = len(joint.names)
             basis = basis_of(R[:, :p] - (1 - share) * R[:, p : 2 * p])
             left.append(float(unexplained(basis, R[:, 2 * p + joint.index])))
-        found.append(made(F.WITHOUT_GRAVITY, np.array(left)))
-    return found
+        profile.append(made(F.WITHOUT_GRAVITY, np.array(left)))
+    return profile
 
 
 def _by_file(
@@ -259,39 +261,38 @@ def _by_file(
 ) -> tuple[list[tuple[float, float]] | None, float]:
     """Regress the torques of the runs without payload on those that the file's inertias give, and friction.
 
-    Returns
-    -------
-    tuple
-        Coefficients of the file's gravity, and of its whole torque, each with standard deviation, None without them;
-        and how much more likely the rows are without the file's gravity than with it, a logarithm.
+    Coefficients of the file's gravity, and of its whole torque, have standard deviations, and are None without them;
+    the number is how much more likely the rows are without the file's gravity than with it, a logarithm.
     """
     stated, base = stated_inertias(dataset.robot), dataset.base
     if not any(stated.values()) or not all(joint.free.any() for joint in joints):
         return None, 0.0
     values = base.matrix @ np.array([stated.get(name, 0.0) for name in dataset.model.parameter_names])
-    found, gain = np.zeros((2, len(joints), 3)), 0.0  # coefficient, variance and weight, (N m)^2
+    estimates, gain = np.zeros((2, len(joints), 3)), 0.0  # coefficient, variance and weight, (N m)^2
     for joint, count in zip(joints, counts, strict=True):
         name = dataset.model.actuated[joint.index]
         drive = [k for k, parameter in enumerate(base.standard) if of_drive(parameter, name)]
         first = joint.names < base.count
         first &= np.any(joint.own[joint.free], axis=0)
         W, G = joint.own[joint.free][:, first], joint.weight[joint.free][:, first]
-        own = [k for k, number in enumerate(joint.names[first] % base.count) if number in drive]
+        driven = [k for k, number in enumerate(joint.names[first] % base.count) if number in drive]
         chi = values[joint.names[first] % base.count]
         gravity, total, effort = G @ chi, W @ chi, joint.mine[joint.free]
         for row, columns in enumerate(([gravity, total - gravity], [total])):
-            others = basis_of(np.column_stack([*columns[1:], W[:, own]])) if len(own) or len(columns) > 1 else W[:, :0]
-            x, y = (each - others @ (others.T @ each) for each in (columns[0], effort))
+            others = (
+                basis_of(np.column_stack([*columns[1:], W[:, driven]])) if len(driven) or len(columns) > 1 else W[:, :0]
+            )
+            x, y = (part - others @ (others.T @ part) for part in (columns[0], effort))
             size, rounding = float(x @ x), TINY * max(float(columns[0] @ columns[0]), 1e-300)
             if size > rounding:
                 coefficient = float(x @ y) / size
                 rest = y - coefficient * x
-                found[row, joint.index] = coefficient, float(rest @ rest) / count / size, size
+                estimates[row, joint.index] = coefficient, float(rest @ rest) / count / size, size
             if row == 0 and size:
                 gain += count / 2 * float(np.log(max((y - x) @ (y - x), 1e-300) / max(y @ y, 1e-300)))
     pooled = []
-    for coefficient, variance, weight in (each.T for each in found):
+    for coefficient, variance, weight in (part.T for part in estimates):
         mean = float(weight @ coefficient) / max(float(weight.sum()), 1e-300)
         spread = np.sqrt(weight**2 @ ((coefficient - mean) ** 2 + variance)) / max(float(weight.sum()), 1e-300)
         pooled.append((mean, float(spread)))
-    return (pooled, gain) if np.any(found[0, :, 2]) else (None, 0.0)
+    return (pooled, gain) if np.any(estimates[0, :, 2]) else (None, 0.0)

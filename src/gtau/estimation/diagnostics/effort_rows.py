@@ -130,16 +130,16 @@ def _rows(
         kept.append(inner[rows.keep[j, inner]])
 
     def stacked(parts: Iterable[np.ndarray]) -> np.ndarray:
-        each = zip(apart, parts, kept, strict=True)
-        return np.concatenate([np.kron(one, part[mine][:, at].T) for one, part, at in each])
+        windows_of = zip(apart, parts, kept, strict=True)
+        return np.concatenate([np.kron(one, part[mine][:, at].T) for one, part, at in windows_of])
 
     def shifted(lags: np.ndarray, column: int = j) -> np.ndarray:
         """Compute a column of effort at the joint's rows ``lags`` later (K, lags)."""
         parts = []
         for (rows, _), at, step in zip(windows, kept, steps, strict=True):
-            whole = np.round(lags / step).astype(int)
-            rest = (lags - whole * step)[:, None]
-            v, v_d, v_dd = rows.currents[:, column][:, at + whole[:, None]]
+            steps_late = np.round(lags / step).astype(int)
+            rest = (lags - steps_late * step)[:, None]
+            v, v_d, v_dd = rows.currents[:, column][:, at + steps_late[:, None]]
             parts.append((v + rest * v_d + rest**2 / 2 * v_dd).T)
         return np.concatenate(parts)
 
@@ -180,4 +180,4 @@ def _lags(left: Callable[[np.ndarray], np.ndarray], reach: float, slowest: float
 
 def triangles(joints: list[JointRows]) -> list[np.ndarray]:
     """Reduce the rows of each joint to a triangle: its own columns, gravity's part of them, and all efforts."""
-    return [triangle(np.hstack([each.own, each.weight, each.effort])) for each in joints]
+    return [triangle(np.hstack([joint.own, joint.weight, joint.effort])) for joint in joints]

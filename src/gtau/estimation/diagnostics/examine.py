@@ -12,13 +12,12 @@ from gtau.estimation.diagnostics.effort import UNRANKED, Meaning, effort_finding
 from gtau.estimation.diagnostics.hypotheses import HYPOTHESES, find_alternatives, ranked
 from gtau.estimation.diagnostics.hypotheses.description import GRAVITY, WRENCH_OFFSETS, WRENCH_POINTS
 from gtau.estimation.diagnostics.hypotheses.drives import GAIN_CHANGE, gain_changes
-from gtau.estimation.diagnostics.log_checks import frozen_encoders, lack_of_fit
+from gtau.estimation.diagnostics.log_checks import frozen_encoders, gravity_not_shown, lack_of_fit
 from gtau.estimation.diagnostics.other_estimators import ESTIMATORS, other_estimators, two_stage_difference
 from gtau.estimation.diagnostics.other_robots import (
     LENGTHS,
     TOOL_BODIES,
     gravity_asked_for,
-    gravity_not_shown,
     likelier_gravity,
     missing_gravity,
     other_gravity,
@@ -92,16 +91,16 @@ class Examination:
         currents that change: none of these refutes the description unless it explains more than the lag of all joints.
         So does what repeats at the same positions, cables or ripple: a wrong description would explain most of that.
         """
-        held = [each for each in self.alternatives if each.probability > PROBABLE and each.significant]
+        held = [effect for effect in self.alternatives if effect.probability > PROBABLE and effect.significant]
         of_physics: dict[str, float] = {}
-        for each in held:
-            if each.hypothesis not in DESCRIPTION:
-                of_physics[each.hypothesis] = of_physics.get(each.hypothesis, 0.0) + each.share
-        stated = [each for each in held if each.hypothesis in DESCRIPTION]
-        of_stated = OF_BEST * max((each.share for each in stated), default=0.0)
+        for effect in held:
+            if effect.hypothesis not in DESCRIPTION:
+                of_physics[effect.hypothesis] = of_physics.get(effect.hypothesis, 0.0) + effect.share
+        stated = [effect for effect in held if effect.hypothesis in DESCRIPTION]
+        of_stated = OF_BEST * max((effect.share for effect in stated), default=0.0)
         of_ripple = OF_REPEATING * (0.0 if self.ripple is None else self.ripple.share)
         least = max([REFUTED_SHARE, of_ripple, of_stated, *of_physics.values()])
-        return tuple(sorted((each for each in stated if each.share > least), key=lambda each: -each.share))
+        return tuple(sorted((effect for effect in stated if effect.share > least), key=lambda effect: -effect.share))
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,50 +200,44 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
     for check in CHECKS:
         if check.name not in silenced:
             evidence = list(check.test(fit, seen, progress))
-            findings = [each for each in evidence if isinstance(each, Finding)]
-            alternatives = [each for each in evidence if isinstance(each, Alternative)]
-            if findings or any(each.share > check.least for each in alternatives):
+            findings = [item for item in evidence if isinstance(item, Finding)]
+            alternatives = [item for item in evidence if isinstance(item, Alternative)]
+            if findings or any(item.share > check.least for item in alternatives):
                 silenced |= check.silences
                 seen = replace(
                     seen,
-                    findings=tuple(each for each in seen.findings if each.kind not in check.silences),
-                    alternatives=tuple(each for each in seen.alternatives if each.hypothesis not in check.silences),
+                    findings=tuple(item for item in seen.findings if item.kind not in check.silences),
+                    alternatives=tuple(item for item in seen.alternatives if item.hypothesis not in check.silences),
                 )
-            seen = replace(
-                seen,
-                findings=(*seen.findings, *findings),
-                alternatives=(*seen.alternatives, *alternatives),
-            )
+            seen = replace(seen, findings=(*seen.findings, *findings), alternatives=(*seen.alternatives, *alternatives))
     return _weighed(seen)
 
 
 def _weighed(seen: Examination) -> Examination:
     """Assign probabilities to all alternatives together; other estimators compete for each estimate, and come last."""
-    of_wrenches = [each.share for each in seen.alternatives if each.hypothesis in WRENCHES and each.significant]
+    of_wrenches = [effect.share for effect in seen.alternatives if effect.hypothesis in WRENCHES and effect.significant]
     least = OF_BEST * max(of_wrenches, default=0.0)  # lengths and single currents look wrong too
     models = [
-        each
-        for each in seen.alternatives
-        if each.hypothesis not in {*ESTIMATORS, RIPPLE} and (each.hypothesis not in LIKE_WRENCHES or each.share > least)
+        effect
+        for effect in seen.alternatives
+        if effect.hypothesis not in {*ESTIMATORS, RIPPLE}
+        and (effect.hypothesis not in LIKE_WRENCHES or effect.share > least)
     ]
     estimators = compete(
-        [each for each in seen.alternatives if each.hypothesis in ESTIMATORS],
-        lambda each: (each.causes[0].joints, each.causes[0].subject),
+        [effect for effect in seen.alternatives if effect.hypothesis in ESTIMATORS],
+        lambda effect: (effect.causes[0].joints, effect.causes[0].subject),
     )
-    listed = [each for each in estimators if any(each.moves.values()) or each.probability > DIFFERENT_PROBABILITY]
-    ripple = next((each for each in seen.alternatives if each.hypothesis == RIPPLE), None)
+    listed = [
+        effect for effect in estimators if any(effect.moves.values()) or effect.probability > DIFFERENT_PROBABILITY
+    ]
+    ripple = next((effect for effect in seen.alternatives if effect.hypothesis == RIPPLE), None)
     return replace(seen, alternatives=(*ranked(models), *listed), ripple=ripple)
 
 
 def estimates_of(fit: Fit, examined: Examination, correlated: bool) -> Estimates:
     """Collect the estimates of a fit with their covariance.
 
-    Parameters
-    ----------
-    fit, examined : Fit, Examination
-        What was estimated, and what the model may lack.
-    correlated : bool
-        By the block jackknife and with the model part, or by the method's formula alone, as the paper does.
+    That is by the block jackknife and with the model part, or by the method's formula alone, as the paper does.
     """
     problem, solution = fit.system.problem, fit.solution
     of_scale = scale_uncertainty(fit.system, fit.solve)

@@ -106,7 +106,7 @@ class InertiaAudit:
 
     def of(self, standing: Standing) -> tuple[AuditedParameter, ...]:
         """Return the parameters of this standing."""
-        return tuple(each for each in self.parameters if each.standing == standing)
+        return tuple(parameter for parameter in self.parameters if parameter.standing == standing)
 
 
 def _rms(errors: Mapping[str, float]) -> float:
@@ -116,13 +116,9 @@ def _rms(errors: Mapping[str, float]) -> float:
 def without_file_inertias(
     fit: Fit, covariance: np.ndarray, freedom: np.ndarray | None
 ) -> tuple[Fit, np.ndarray, np.ndarray | None] | None:
-    """Refit without the robot file's inertias where they were priors, for estimates from the data alone.
+    """Refit without the robot file's inertias where they were priors, with covariance and freedom of that fit.
 
-    Returns
-    -------
-    tuple or None
-        The fit, its covariance by the jackknife and its degrees of freedom; those given where the file's inertias were
-        no priors, None where nothing else gives the scale.
+    Those given are returned where the file's inertias were no priors, None where nothing else gives the scale.
     """
     if not fit.dataset.prior_inertias:
         return fit, covariance, freedom
@@ -138,14 +134,8 @@ def audit_inertias(
 ) -> InertiaAudit | None:
     """Compare the robot file's inertias with a fit without them; None where the file states none.
 
-    Parameters
-    ----------
-    fit : Fit
-        What was estimated.
-    covariance, freedom : ndarray
-        Of (theta, gains, delays), (k, k) and (k,).
-    prior : float
-        Relative standard deviation with which the file's inertias are taken; 0 where they are taken as written.
+    ``covariance`` (k, k) and ``freedom`` (k,) are those of the fit, ``prior`` is the relative standard deviation with
+    which the file's inertias are taken, 0 where they are taken as written.
     """
     stated = stated_inertias(fit.dataset.robot)
     if not stated:
@@ -299,8 +289,8 @@ def prior_findings(audit: InertiaAudit | None) -> list[Finding]:
         return []
     wrong = audit.of("contradicted")
     listed = {
-        link: [[each.name, each.value, each.std, each.stated, each.unit] for each in wrong if each.link == link]
-        for link in dict.fromkeys(each.link for each in wrong)
+        link: [[entry.name, entry.value, entry.std, entry.stated, entry.unit] for entry in wrong if entry.link == link]
+        for link in dict.fromkeys(entry.link for entry in wrong)
     }
     return [
         Finding(F.PRIOR_INERTIA, (), link, {"std": audit.prior, "parameters": parameters})

@@ -29,23 +29,11 @@ SPANNED = 1e-6  # of the square of a column: less is left by the other unknowns,
 CandidateColumns = Callable[[Rows], np.ndarray]
 """Gives torques (n, K, m), or (c, K, m) of all channels, in N m or N at each block of a window's rows, in order."""
 
-Offer = Callable[[SampleWindow, Callable[[], Motion], np.ndarray], CandidateColumns]
+Moving = Callable[[], Motion]
+"""Makes the motion along a window, once."""
+
+Offer = Callable[[SampleWindow, Moving, np.ndarray], CandidateColumns]
 """Makes the candidate columns along a window: from its motion, and the values (n_b,) of the base columns in its run."""
-
-
-@dataclass(frozen=True, eq=False)
-class ScoreTests:
-    """Of each candidate column m in each joint's equations, (m, n); n is 1 for columns that act on all joints.
-
-    Its ``size``, the standard deviation ``std`` of that (infinite where the other unknowns span the column), the
-    ``share`` of the residual variance that goes with it, and by how much the other unknowns move for a unit of it,
-    ``slopes`` (m, n, k), in the order of :func:`gtau.estimation.estimators.newton.jacobian`.
-    """
-
-    size: np.ndarray
-    std: np.ndarray
-    share: np.ndarray
-    slopes: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,11 +79,18 @@ class Linearised:
         left = self.errors - W @ W_e
         return W, W_e, left, np.einsum("wipk,wip->wk", W, left), np.einsum("wipk,wipl->wkl", W, W, optimize=True)
 
-    def score_tests(self, columns: slice, shared: bool) -> ScoreTests:
+    def score_tests(self, columns: slice, shared: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Test each candidate column alone, in each channel's equations alone or ``shared`` by all channels.
 
         All other unknowns adapt to it. Standard deviations follow from the scatter over clusters of windows (a sandwich
         estimate).
+
+        Returns
+        -------
+        tuple of ndarray
+            Of each column in the equations of each channel, (m, n), of one for all if shared: its size, the standard
+            deviation of that, infinite where the other unknowns span the column, the share of the residual variance
+            that goes with it, and by how much the other unknowns move for a unit of it, (m, n, k).
         """
         W, W_e, left, W_left, W_W = self._white
         offered = self.offered[..., columns].swapaxes(2, 3)  # (W, c, m, p)
@@ -122,29 +117,15 @@ class Linearised:
         std = np.sqrt(np.sum(scores**2, axis=0) * count / max(count - 1, 1)) / rest
         least = max(float(np.sum(self.errors**2)) - float(W_e @ W_e), 1e-300)
         share = np.where(spanned, 0.0, size**2 * rest / least)
-        return ScoreTests(size, np.where(spanned, np.inf, std), share, -along @ self.back.T)
+        return size, np.where(spanned, np.inf, std), share, -along @ self.back.T
 
 
 def linearise(
     fit: Fit, windows: Windows, offer: Offer | None = None, model: InverseDynamics | None = None
 ) -> Linearised:
-    """Linearise the residuals of a fit along windows of its runs.
+    """Linearise the residuals of a fit along windows of its runs, with candidate columns of all channels.
 
-    Parameters
-    ----------
-    fit : Fit
-        What was estimated.
-    windows : sequence
-        From :meth:`gtau.estimation.regression.dataset.Dataset.windows`.
-    offer : callable, optional
-        Makes candidate columns of all channels; see :func:`on_channels`.
-    model : InverseDynamics, optional
-        Another model of the robot, with the same base columns.
-
-    Raises
-    ------
-    GtauError
-        Where the model refuses a sample.
+    Another ``model`` of the robot has the same base columns. Raises GtauError where the model refuses a sample.
     """
     model = fit.dataset.model if model is None else model
     reduced = []
@@ -206,21 +187,15 @@ def weighted(fit: Fit, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def window_motion(model: InverseDynamics, window: SampleWindow) -> Motion:
-    """Compute configurations, velocities and accelerations of a ``model`` along a window.
-
-    Raises
-    ------
-    GtauError
-        Where the loops cannot be closed at a sample, or a pose is too close to a singularity.
-    """
+    """Compute configurations, velocities and accelerations along a window; raises GtauError at a singularity."""
     return motion_along(model, window, configurations(model, window))
 
 
 def motion_along(model: InverseDynamics, window: SampleWindow, c: np.ndarray) -> Motion:
     """Compute the motion with configurations ``c`` (n_c, N) along a window."""
-    of = window.samples()
-    qd, qdd = (np.ascontiguousarray(each.T) for each in (of.qd, of.qdd))
-    return model.rates(np.ascontiguousarray(c), qd, qdd, Labels(window.run.name, of.time))
+    samples = window.samples()
+    qd, qdd = (np.ascontiguousarray(rates.T) for rates in (samples.qd, samples.qdd))
+    return model.rates(np.ascontiguousarray(c), qd, qdd, Labels(window.run.name, samples.time))
 
 
 def least_squares_step(J: np.ndarray, e: np.ndarray) -> np.ndarray:
@@ -252,9 +227,9 @@ def at_full_rate(window: SampleWindow, fit: Fit, torques: np.ndarray) -> Candida
 def on_channels(offer: Offer, felt: bool) -> Offer:
     """Add a joint's torque to its torque sensor's rows where the sensor has ``felt`` it, otherwise zeros."""
 
-    def with_sensors(window: SampleWindow, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+    def with_sensors(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
         columns = offer(window, motion, values)
-        behind = [each.row for each in window.run.channels if each.kind.link_side]
+        behind = [channel.row for channel in window.run.channels if channel.kind.link_side]
 
         def of_channels(rows: Rows) -> np.ndarray:
             torques = columns(rows)
@@ -268,8 +243,8 @@ def on_channels(offer: Offer, felt: bool) -> Offer:
 def side_by_side(offers: Sequence[Offer]) -> Offer:
     """Build the columns of several hypotheses in one pass over the windows."""
 
-    def offer(window: SampleWindow, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
-        each = [make(window, motion, values) for make in offers]
-        return lambda rows: np.concatenate([columns(rows) for columns in each], axis=-1)
+    def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
+        made = [make(window, motion, values) for make in offers]
+        return lambda rows: np.concatenate([columns(rows) for columns in made], axis=-1)
 
     return offer

@@ -17,6 +17,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.alternatives import rms_torques
+from gtau.estimation.diagnostics.linearisation import window_motion
 from gtau.estimation.estimators.estimator import Fit, Solution
 from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.equations import SIGNAL, SIGNALS
@@ -24,12 +26,14 @@ from gtau.estimation.regression.problem import Problem
 from gtau.estimation.thresholds.estimates import MISFIT, UNFELT_PAYLOAD
 from gtau.estimation.thresholds.logs import (
     DELAY_MOTION,
+    GRAVITY_FELT,
     LAG_LEAST,
     LAG_LOSS,
     LAG_SAMPLES,
     LAG_STD,
     LIMIT_SHARE,
     STEPS,
+    UNFELT,
     UNSEEN_MISFIT,
     UNSEEN_RATIO,
     WHOLE,
@@ -56,10 +60,10 @@ def command_lags(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
         model = np.linalg.lstsq(R[:, columns], R[:, SIGNALS], rcond=None)[0]
         rest = problem.blocks[:, j, :, SIGNALS] - problem.blocks[:, j][:, :, columns] @ model
         r, rate, change = np.moveaxis(rest, -1, 0)  # (U, p) each
-        along, whole = np.einsum("up,up->u", r, rate), np.einsum("up,up->u", rate, rate)
-        of_motion = whole + np.einsum("up,up->u", r, change)
-        share = of_motion.sum() / max(whole.sum(), 1e-300)
-        if share * whole.sum() > DELAY_MOTION * np.linalg.norm(of_motion - share * whole):
+        along, of_rate = np.einsum("up,up->u", r, rate), np.einsum("up,up->u", rate, rate)
+        of_motion = of_rate + np.einsum("up,up->u", r, change)
+        share = of_motion.sum() / max(of_rate.sum(), 1e-300)
+        if share * of_rate.sum() > DELAY_MOTION * np.linalg.norm(of_motion - share * of_rate):
             lag[j] = -along.sum() / of_motion.sum()
             error[j] = np.linalg.norm(along + lag[j] * of_motion) / of_motion.sum()
     return lag, error
@@ -91,12 +95,14 @@ def doubtful_commands(runs: Sequence[Run], robot: Robot) -> Iterator[Finding]:
     for run in runs:
         for span in spans(len(run.time)):
             peaks = np.maximum(peaks, np.abs(block(run.command, *span)[:, :n]).max(axis=0))
-    whole = min(whole_numbers(run.command, n) if run.log.whole_share is None else run.log.whole_share for run in runs)
-    if whole > WHOLE and peaks.max() >= STEPS:
+    integers = min(
+        whole_numbers(run.command, n) if run.log.whole_share is None else run.log.whole_share for run in runs
+    )
+    if integers > WHOLE and peaks.max() >= STEPS:
         yield Finding(F.WHOLE_NUMBERS, values={"kind": kind, "largest": float(peaks.max())})
         return
     limits = {
-        each.name: each.limits.effort for each in robot.joints if each.limits.effort and each.name in robot.motors
+        joint.name: joint.limits.effort for joint in robot.joints if joint.limits.effort and joint.name in robot.motors
     }
     shares = {joint: peak / limits[joint] for joint, peak in zip(runs[0].joints, peaks, strict=True) if joint in limits}
     if kind != "torque" or len(set(limits.values())) < 2:  # the same for all joints is a placeholder
@@ -106,7 +112,7 @@ def doubtful_commands(runs: Sequence[Run], robot: Robot) -> Iterator[Finding]:
         yield Finding(F.MOTOR_SIDE, (joint,), values={"share": float(shares[joint]), "limit": limits[joint]})
 
 
-def require_felt_payload(system: System) -> None:
+def require_payload_excitation(system: System) -> None:
     """Refuse logs whose currents are explained as well without the payload as with it.
 
     Each joint's current is fitted by its own equations, once with the columns of all payloads and once with none.
@@ -177,11 +183,34 @@ def _frozen(fit: Fit, moving: np.ndarray, acting: np.ndarray) -> Iterator[Findin
 def unexplained_by_run(fit: Fit) -> np.ndarray:
     """Compute the share of each joint's current that its own equations leave unexplained in each run, (runs, n)."""
     problem, unit_runs = fit.system.problem, fit.system.block_positions[:, 0]
-    found = np.zeros((len(fit.dataset.runs), len(problem.joints)))
-    for run, joint in np.ndindex(*found.shape):
+    shares = np.zeros((len(fit.dataset.runs), len(problem.joints)))
+    for run, joint in np.ndindex(*shares.shape):
         rows = problem.blocks[unit_runs == run, joint].reshape(-1, problem.blocks.shape[-1])
         W, v = rows[:, problem.own_columns[joint]], rows[:, SIGNAL]
         W = W / np.maximum(np.linalg.norm(W, axis=0), 1e-300)
         rest = v - W @ np.linalg.lstsq(W, v, rcond=1e-9)[0]
-        found[run, joint] = np.linalg.norm(rest) / max(float(np.linalg.norm(v)), 1e-300)
-    return found
+        shares[run, joint] = np.linalg.norm(rest) / max(float(np.linalg.norm(v)), 1e-300)
+    return shares
+
+
+def gravity_not_shown(fit: Fit) -> Iterator[Finding]:
+    """Find that hardly any torque of a robot that gravity could move is due to it."""
+    felt = float(gravity_shares(fit).max(initial=0.0))
+    if UNFELT <= felt < GRAVITY_FELT:
+        yield Finding(F.NO_GRAVITY_SHOWN, values={"felt": felt})
+
+
+def gravity_shares(fit: Fit) -> np.ndarray:
+    """Compute the ratio of rms gravity torque (about its mean) to rms total torque of each joint, (n,)."""
+    dataset, n = fit.dataset, len(fit.gains)
+    gravity = np.array(dataset.robot.gravity)
+    if not gravity.any():
+        return np.zeros(n)
+    regressor, shares = dataset.model.gravity_torques(dataset.base.standard), np.zeros(n)
+    for run, window in dataset.windows():
+        entries = regressor(
+            dataset.model.layout, window_motion(dataset.model, window), fit.system.motion(run, fit.solution.theta)
+        )
+        torques = np.reshape(regressor.torques(entries, gravity, n), (n, -1))
+        shares = np.maximum(shares, torques.std(axis=1))
+    return np.asarray(shares / np.maximum(rms_torques(fit), 1e-300))

@@ -82,13 +82,13 @@ def _alternatives(fit: Fit, estimator: Finding, moves: np.ndarray, stds: np.ndar
 def position_noise(fit: Fit, alternatives: Sequence[Alternative]) -> list[Finding]:
     """Find the bias from position noise, where Hausman's test against instrumental variables shows it."""
     biased = [
-        each
-        for each in alternatives
-        if each.causes[0].kind == F.INSTRUMENTS and abs(each.t) > NOISE_STD and abs(each.size) > each.plausible
+        effect
+        for effect in alternatives
+        if effect.causes[0].kind == F.INSTRUMENTS and abs(effect.t) > NOISE_STD and abs(effect.size) > effect.plausible
     ]
     if not biased:
         return []
-    worst = max(biased, key=lambda each: abs(each.size) / each.plausible)
+    worst = max(biased, key=lambda effect: abs(effect.size) / effect.plausible)
     estimate = worst.causes[0]
     values = {
         "count": len(biased),
@@ -125,8 +125,8 @@ def two_stage_difference(fit: Fit) -> Iterator[Alternative | Finding]:
 
 def other_estimators(fit: Fit) -> Iterator[Alternative | Finding]:
     """Compare estimates with other preparations and instrumental variables, and find the estimators that refuse."""
-    for each in differences(fit):
-        yield from (each,) if isinstance(each, Finding) else _alternatives(fit, *each)
+    for difference in differences(fit):
+        yield from (difference,) if isinstance(difference, Finding) else _alternatives(fit, *difference)
 
 
 def differences(fit: Fit) -> Iterator[tuple[Finding, np.ndarray, np.ndarray] | Finding]:
@@ -172,17 +172,17 @@ def _untested(refusal: GtauError, *estimators: Finding) -> Finding:
 
 def _preparations(chosen: Preparation) -> list[tuple[Finding, Preparation]]:
     """List the preparations to try, each with its change."""
-    found = []
+    others = []
     for factor in (0.7, 1.4):
         cutoff = None if chosen.cutoff is None else below_nyquist(factor * chosen.cutoff, chosen.rate)
         decimator = replace(chosen.decimator, factor=max(1, round(chosen.decimator.factor / factor)))
         other = replace(chosen, cutoff=cutoff, decimator=decimator)
         if other != chosen:
-            found.append((Finding(F.BANDWIDTH, values={"factor": factor}), other))
+            others.append((Finding(F.BANDWIDTH, values={"factor": factor}), other))
     for factor in (0.5, 2.0):
         fraction = factor * chosen.speed_fraction
-        found.append((Finding(F.SLOW_ROWS, values={"fraction": fraction}), replace(chosen, speed_fraction=fraction)))
-    return found
+        others.append((Finding(F.SLOW_ROWS, values={"fraction": fraction}), replace(chosen, speed_fraction=fraction)))
+    return others
 
 
 def _filtered_further(chosen: Preparation) -> Preparation | None:
@@ -194,7 +194,7 @@ def _filtered_further(chosen: Preparation) -> Preparation | None:
 
 def _prepared_as(dataset: Dataset, preparation: Preparation) -> Dataset:
     """Prepare the same samples of the same runs with another preparation."""
-    prepared = tuple(replace(each, preparation=preparation.at(each.run.rate)) for each in dataset.prepared)
+    prepared = tuple(replace(run, preparation=preparation.at(run.run.rate)) for run in dataset.prepared)
     return replace(dataset, preparation=preparation, prepared=prepared)
 
 
@@ -204,7 +204,7 @@ def _pairs(fit: Fit, usual: Windows, further: Windows) -> list[tuple[np.ndarray,
     Rows of a joint are reduced together, so that products of their columns remain. The sign of a speed that is filtered
     further changes at other samples, which is no noise: columns of Coulomb friction are the usual ones in both.
     """
-    model, found = fit.dataset.model, []
+    model, pairs = fit.dataset.model, []
     dry = [k for k, name in enumerate(fit.dataset.base.standard) if name.kind == "fs"]
     dry.append(fit.dataset.base.count + TERMS.index("fl"))
     for (run, window), (_, filtered) in zip(usual, further, strict=True):
@@ -217,8 +217,8 @@ def _pairs(fit: Fit, usual: Windows, further: Windows) -> list[tuple[np.ndarray,
         R = stacked_triangles([factors])[0]
         e, J = errors_and_jacobian(fit, run, window, R[..., b:])
         _, J_filtered = errors_and_jacobian(fit, run, window, np.concatenate([R[..., :b], R[..., SIGNALS]], axis=-1))
-        found.append((J_filtered.reshape(-1, J.shape[-1]), J.reshape(-1, J.shape[-1]), e.ravel()))
-    return found
+        pairs.append((J_filtered.reshape(-1, J.shape[-1]), J.reshape(-1, J.shape[-1]), e.ravel()))
+    return pairs
 
 
 def _difference(
@@ -234,11 +234,11 @@ def _difference(
     The solution counts as where the first estimator ends; the share of a cluster of windows in the difference is its
     influence on one estimator less that on the other.
     """
-    whole, white = np.eye(back.shape[1]), known @ back
+    identity, white = np.eye(back.shape[1]), known @ back
     curvatures = [back.T @ A @ back for A, _ in weighed]
     rest = white.T @ white
     inverse = np.linalg.pinv(np.sum(curvatures, axis=0) + rest, rcond=SPANNED)
-    scale = np.trace(np.sum(curvatures, axis=0)) / max(np.trace(whole - rest), 1.0)  # as there are other rows
+    scale = np.trace(np.sum(curvatures, axis=0)) / max(np.trace(identity - rest), 1.0)  # as there are other rows
     gradients = [back.T @ g - scale * (back.T @ g_usual) for (_, g), (_, g_usual) in zip(weighed, usual, strict=True)]
     step = -inverse @ np.sum(gradients, axis=0)
     count = int(clusters.max()) + 1

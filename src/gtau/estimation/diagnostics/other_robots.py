@@ -19,21 +19,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.alternatives import (
-    Alternative,
-    established,
-    of_refit,
-    refitted,
-    residual_ratio,
-    rms_torques,
-)
+from gtau.estimation.diagnostics.alternatives import Alternative, established, of_refit, refitted, residual_ratio
 from gtau.estimation.diagnostics.hypotheses.description import DEGREE, GRAVITY, OTHER_GRAVITY
-from gtau.estimation.diagnostics.linearisation import linearise, on_channels, window_motion
+from gtau.estimation.diagnostics.linearisation import linearise, on_channels
 from gtau.estimation.diagnostics.verdict import unexplained_shares
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.least_squares import fit_by
@@ -51,15 +45,7 @@ from gtau.estimation.thresholds.estimates import (
     REFUTED_SHARE,
     REFUTED_STD,
 )
-from gtau.estimation.thresholds.logs import (
-    GRAVITY_FELT,
-    LENGTH_ALIKE,
-    LENGTH_CHANGE,
-    LENGTH_MOST,
-    LENGTH_SHARE,
-    LENGTH_TRIED,
-    UNFELT,
-)
+from gtau.estimation.thresholds.logs import LENGTH_ALIKE, LENGTH_CHANGE, LENGTH_MOST, LENGTH_SHARE, LENGTH_TRIED
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.findings.words import RELATIVE
@@ -67,7 +53,8 @@ from gtau.model.base_parameters import base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.lengths import SAME, models_alike
 from gtau.progress import Progress, silent
-from gtau.robots.robot import Attachment, Closure, Mdh, Placement, Robot, Spring
+from gtau.robots.geometry import moved_ends
+from gtau.robots.robot import Attachment, Joint, Mdh, Placement, Robot
 from gtau.signals.preparation.prepared_run import SampleWindow
 from gtau.signals.reading.statements import Payload
 
@@ -147,7 +134,7 @@ def _of_bodies(fit: Fit, other: Fit, own: Fit, carried: Sequence[int]) -> Altern
     return of_refit(fit, TOOL_BODIES, cause, other, own)
 
 
-Tie = TypeVar("Tie", Closure, Spring)
+Placed = TypeVar("Placed", Joint, Attachment)
 
 STEP = 0.01  # relative change of a length
 MOST = 12  # lengths that are tried, the longest first: the effort of the search
@@ -155,10 +142,10 @@ MOST = 12  # lengths that are tried, the longest first: the effort of the search
 
 def other_length(fit: Fit, progress: Progress = silent) -> Alternative | None:
     """Find the length that explains most of the residuals, of similar ones that with the smallest change; or None."""
-    found = list(_explaining(fit, progress))
-    most = max((each.share for each in found), default=0.0)
-    likely = (each for each in found if each.share > LENGTH_ALIKE * most)
-    return min(likely, key=lambda each: abs(each.size), default=None)
+    lengths = list(_explaining(fit, progress))
+    most = max((length.share for length in lengths), default=0.0)
+    likely = (length for length in lengths if length.share > LENGTH_ALIKE * most)
+    return min(likely, key=lambda length: abs(length.size), default=None)
 
 
 def _explaining(fit: Fit, progress: Progress) -> Iterator[Alternative]:
@@ -207,41 +194,33 @@ def _longer(robot: Robot, step: float) -> Iterator[tuple[Finding, Robot]]:
                 lengths[same].append(name)
     longest = sorted((length for length in lengths if length > LENGTH_TRIED * max(lengths)), reverse=True)[:MOST]
     for length in longest:
-        joints = tuple(replace(joint, placement=_scaled(joint.placement, length, step)) for joint in robot.joints)
-        closures, springs = _moved(robot.closures, length, step), _moved(robot.springs, length, step)
+        scaled = partial(_scaled, length=length, step=step)
+        joints = tuple(map(scaled, robot.joints))
+        closures, springs = moved_ends(robot, scaled)
         longer = replace(robot, joints=joints, closures=closures, springs=springs)
         yield Finding(F.LENGTH, values={"length": length, "bodies": lengths[length]}), longer
 
 
 def _lengths(placement: Placement) -> list[float]:
-    found = (
+    values = (
         [abs(placement.d), abs(placement.r), abs(placement.b)]
         if isinstance(placement, Mdh)
         else [float(np.linalg.norm(placement.xyz))]
     )
-    return [length for length in found if length > 0]
+    return [length for length in values if length > 0]
 
 
-def _moved(ties: tuple[Tie, ...], length: float, step: float) -> tuple[Tie, ...]:
-    """Place the ends of closures or springs at lengths longer by a share ``step``."""
-
-    def moved(end: Attachment) -> Attachment:
-        return replace(end, placement=_scaled(end.placement, length, step))
-
-    return tuple(replace(tie, a=moved(tie.a), b=moved(tie.b)) for tie in ties)
-
-
-def _scaled(placement: Placement, length: float, step: float) -> Placement:
-    """Lengthen the lengths of this size in a placement by a share ``step``."""
+def _scaled(placed: Placed, length: float, step: float) -> Placed:
+    """Lengthen the lengths of this size in the placement of a joint or an end by a share ``step``."""
+    placement = placed.placement
     if isinstance(placement, Mdh):
         values = {name: getattr(placement, name) for name in ("d", "r", "b")}
-        return replace(
-            placement, **{k: v * (1 + step) for k, v in values.items() if abs(abs(v) - length) < SAME * length}
-        )
+        longer = {k: v * (1 + step) for k, v in values.items() if abs(abs(v) - length) < SAME * length}
+        return replace(placed, placement=replace(placement, **longer))
     if abs(float(np.linalg.norm(placement.xyz)) - length) < SAME * length:
         x, y, z = placement.xyz
-        return replace(placement, xyz=(x * (1 + step), y * (1 + step), z * (1 + step)))
-    return placement
+        return replace(placed, placement=replace(placement, xyz=(x * (1 + step), y * (1 + step), z * (1 + step))))
+    return placed
 
 
 STEPS = 4  # of Gauss-Newton, from an axis at most 55 degrees off
@@ -249,7 +228,7 @@ STEPS = 4  # of Gauss-Newton, from an axis at most 55 degrees off
 
 def gravity_asked_for(fit: Fit, alternatives: Sequence[Alternative]) -> bool:
     """Decide whether another gravity is worth fitting (seconds per fit): a tilt helps, or the residual is large."""
-    of_gravity = [each.share for each in alternatives if each.hypothesis == GRAVITY.name]
+    of_gravity = [effect.share for effect in alternatives if effect.hypothesis == GRAVITY.name]
     misfit = float(unexplained_shares(fit.system.problem, fit.solution).max())
     return max(of_gravity, default=0.0) > REFUTED_SHARE or misfit > GRAVITY_MISFIT
 
@@ -266,15 +245,15 @@ def other_gravity(fit: Fit, progress: Progress = silent) -> Alternative | None:
     own = fitted(fit, middle, declared) if size and windows else None
     if own is None:
         return None
-    found = []
+    tried = []
     for k, axis in enumerate(np.vstack([np.eye(3), -np.eye(3)])):
         progress("gravity along other axes", k, 6)
         other = own if _degrees(axis, declared) < GRAVITY_LEAST else fitted(fit, own.dataset, size * axis)
         if other is not None:
-            found.append((residual_ratio(other, own), other))
+            tried.append((residual_ratio(other, own), other))
     progress("gravity along other axes", 6, 6)
-    left, best = min([(1.0, own), *found], key=lambda each: each[0])
-    alike = [other for rest, other in found if rest <= GRAVITY_ALIKE * left]
+    left, best = min([(1.0, own), *tried], key=lambda other: other[0])
+    alike = [other for rest, other in tried if rest <= GRAVITY_ALIKE * left]
     for better in _freely(fit, best, list(enumerate(windows))):
         if residual_ratio(better, own) < (1 - REFUTED_SHARE) * left:
             left, best, alike = residual_ratio(better, own), better, []
@@ -287,7 +266,7 @@ def other_gravity(fit: Fit, progress: Progress = silent) -> Alternative | None:
     joints = tuple(fit.system.problem.joints[j] for j in helped)
     values = {
         "gravity": gravity.tolist(),
-        "also": [list(each.dataset.robot.gravity) for each in alike if each is not best],
+        "also": [list(other.dataset.robot.gravity) for other in alike if other is not best],
         "left": {
             joint: [float(shares[j]), float(shares[j] * after[j] / before[j])]
             for joint, j in zip(joints, helped, strict=True)
@@ -323,7 +302,7 @@ def _freely(fit: Fit, start: Fit, windows: Sequence[tuple[int, SampleWindow]]) -
         tilt = DEGREE * linear.fitted(slice(2))[0][-2:]
         gravity = np.array(at.dataset.robot.gravity)
         size = float(np.linalg.norm(gravity))
-        turned = gravity + size * tilt @ [each.causes[0].values["towards"] for each in columns[:2]]
+        turned = gravity + size * tilt @ [column.causes[0].values["towards"] for column in columns[:2]]
         if not np.isfinite(turned).all() or np.allclose(turned, gravity, rtol=0, atol=1e-4 * size):
             return
         at = fitted(fit, at.dataset, size * turned / np.linalg.norm(turned))
@@ -352,33 +331,10 @@ def missing_gravity(fit: Fit) -> Alternative | None:
     return of_refit(fit, GRAVITY.name, cause, other, own)
 
 
-def gravity_not_shown(fit: Fit) -> Iterator[Finding]:
-    """Find that hardly any torque of a robot that gravity could move is due to it."""
-    felt = float(gravity_shares(fit).max(initial=0.0))
-    if UNFELT <= felt < GRAVITY_FELT:
-        yield Finding(F.NO_GRAVITY_SHOWN, values={"felt": felt})
-
-
 def likelier_gravity(fit: Fit, missing: Alternative | None, other: Alternative | None) -> Alternative | None:
     """Choose between no gravity and another one by residual variance; if similar, only logged torques lack it."""
     if missing is None or other is None:
         return missing or other
     alike = 1 / GRAVITY_ALIKE if fit.dataset.runs[0].kind == "torque" else GRAVITY_ALIKE
-    left, without = (each.causes[0].values["remains"] for each in (other, missing))
+    left, without = (effect.causes[0].values["remains"] for effect in (other, missing))
     return other if left < alike * without else missing
-
-
-def gravity_shares(fit: Fit) -> np.ndarray:
-    """Compute the ratio of rms gravity torque (about its mean) to rms total torque of each joint, (n,)."""
-    dataset, n = fit.dataset, len(fit.gains)
-    gravity = np.array(dataset.robot.gravity)
-    if not gravity.any():
-        return np.zeros(n)
-    regressor, found = dataset.model.gravity_torques(dataset.base.standard), np.zeros(n)
-    for run, window in dataset.windows():
-        entries = regressor(
-            dataset.model.layout, window_motion(dataset.model, window), fit.system.motion(run, fit.solution.theta)
-        )
-        torques = np.reshape(regressor.torques(entries, gravity, n), (n, -1))
-        found = np.maximum(found, torques.std(axis=1))
-    return np.asarray(found / np.maximum(rms_torques(fit), 1e-300))

@@ -15,12 +15,8 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gtau.errors import GtauError
-from gtau.estimation.regression.rows import Labels
-from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.lengths import BodyPose, VariableGeometry, variable_geometry
+from gtau.model.lengths import BodyPose, VariableGeometry
 from gtau.signals.reading.body_columns import PoseColumns
-from gtau.signals.reading.side_signals import LoggedPoses
 
 STEP = 1e-6  # rad: of the differences that turn angular velocities into rates of angles
 OWN = 7  # entries of a step that are the delay's and the marker's; six of the tracker's follow for each run
@@ -168,11 +164,6 @@ def _cross_matrices(vectors: np.ndarray) -> np.ndarray:
     return np.moveaxis(np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]), 2, 0)
 
 
-SAMPLES = 400  # of all runs together: residuals are smooth, so that more hardly add anything
-STRETCHES = 8  # of a run, whose residuals are taken for independent of each other
-LONGEST = 0.1  # s: delays of poses beyond it are none
-SHORTEST = 1e-3  # s: a smaller delay needs no positions of its own
-APART = 5  # rows on either side, over which speeds are taken from positions
 STEPS = 25
 SETTLED = 1e-5  # relative change of the squares by a last step,
 DAMPED = 1e-2  # if it was damped less than this
@@ -323,69 +314,3 @@ def _moved(fit: PoseFit, step: np.ndarray) -> PoseFit | None:
     change[constants] += step[len(step) - len(constants) :]
     c = geometry.close(fit.c, fit.change, change)
     return None if c is None else replace(fit, change=change, c=c, body=geometry.pose(c, change))
-
-
-def fit_frames(
-    model: InverseDynamics, columns: PoseColumns, joints: Sequence[str], logged: Sequence[LoggedPoses]
-) -> PoseFit:
-    """Fit the unknown frames alone, components weighted by the residual that no constant explains to first order.
-
-    Parameters
-    ----------
-    model, columns : InverseDynamics, PoseColumns
-        Of the robot, and what is logged.
-    joints : sequence of str
-        Order of the logged positions.
-    logged : sequence of LoggedPoses
-        One for each run.
-
-    Raises
-    ------
-    GtauError
-        Where the loops cannot be closed along the logged positions, or a run's time does not rise.
-    """
-    geometry = variable_geometry(model.robot, columns.body or model.robot.tool)
-    fit = _fit_delayed(model, geometry, columns, joints, logged, 0.0)
-    delay = float(np.clip(fit.frames.delay, -LONGEST, LONGEST))
-    # a delay by velocities alone is wrong by half the acceleration times its square, 0.4 mm at 20 ms of a quick arm
-    return _fit_delayed(model, geometry, columns, joints, logged, delay) if abs(delay) > SHORTEST else fit
-
-
-def _fit_delayed(
-    model: InverseDynamics,
-    geometry: VariableGeometry,
-    columns: PoseColumns,
-    joints: Sequence[str],
-    logged: Sequence[LoggedPoses],
-    delay: float,
-) -> PoseFit:
-    """Fit the frames, with the positions of the joints taken by a ``delay`` earlier than the poses."""
-    order = [list(joints).index(joint) for joint in model.actuated]
-    turning = [model.robot.joint(joint).turns for joint in model.actuated]
-    parts: list[tuple[np.ndarray, ...]] = []
-    for k, each in enumerate(logged):
-        q, time = np.array(each.q[:, order]), np.asarray(each.time)
-        q[:, turning] = np.unwrap(q[:, turning], axis=0)
-        count = min(max(SAMPLES // len(logged), 2 * STRETCHES), len(q) - 2 * APART)
-        at = np.unique(np.linspace(APART, len(q) - 1 - APART, count).round().astype(int))
-        step = time[at + APART] - time[at - APART]
-        if not (step > 0).all():
-            raise GtauError(f"run '{each.run}': its time does not rise at the logged poses; correct the time column.")
-        qd = (q[at + APART] - q[at - APART]) / step[:, None]
-        stretch = STRETCHES * k + np.arange(len(at)) * STRETCHES // len(at)
-        earlier = np.stack([np.interp(time[at] - delay, time, column) for column in q.T])
-        c = model.path(earlier, Labels(each.run, time[at]))
-        parts.append((np.asarray(each.values[at]), qd, time[at] - time[0], np.full(len(at), k), stretch, c.T))
-    values, qd, time, run, stretch, c = (np.concatenate(each) for each in zip(*parts, strict=True))
-    weights = np.ones(len(component_names(columns)))
-    poses = Poses(geometry, columns, values, qd, time, run, stretch, weights, delay)
-    c, change = c.T.copy(), np.zeros(len(geometry.constants))
-    body = geometry.pose(c, change)
-    fit = fit_poses(PoseFit(poses, first_frames(poses, body), change, c, body, ()), ())
-    assert fit is not None  # without other constants the loops stay closed
-    seen = np.flatnonzero(np.isfinite(fit.compared[2]).all(axis=(0, 1)))
-    left = replace(fit, chosen=tuple(seen.tolist())).beyond(fit.residual).reshape(len(values), -1)
-    weights = 1 / np.maximum(np.sqrt(np.mean(left**2, axis=0)), FLOOR)
-    weighed = fit_poses(replace(fit, poses=replace(poses, weights=weights)), ())
-    assert weighed is not None
-    return weighed

@@ -12,7 +12,7 @@ opposite sign depend on the load, and bias the gains as a wrong payload does.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -23,6 +23,7 @@ from gtau.estimation.diagnostics.hypotheses.drives import FALLING_CONSTANT, LOAD
 from gtau.estimation.diagnostics.linearisation import (
     CandidateColumns,
     Linearised,
+    Moving,
     at_full_rate,
     errors_and_jacobian,
     least_squares_step,
@@ -37,7 +38,6 @@ from gtau.estimation.regression.windows import SAMPLES
 from gtau.estimation.thresholds.estimates import CORRELATED, CORRELATED_STD, PROBABLE, RIPPLE_SHARE
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
-from gtau.model.loops import Motion
 from gtau.signals.preparation.prepared_run import SampleWindow
 
 KNOTS = 24  # of the piecewise linear function, over a joint's range in all runs
@@ -59,7 +59,7 @@ def position_ripple(fit: Fit) -> Alternative:
     knots = np.linspace(low, high, KNOTS)  # (KNOTS, n)
     width = np.maximum(knots[1] - knots[0], 1e-300)
 
-    def offer(window: SampleWindow, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+    def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
         q = window.samples().q.T
         hats = np.maximum(0.0, 1 - np.abs(q[:, None, :] - knots.T[:, :, None]) / width[:, None, None])
         return at_full_rate(window, fit, hats.swapaxes(0, 1))
@@ -96,7 +96,7 @@ def _fit(linear: Linearised, pieces: Sequence[np.ndarray], heights: np.ndarray) 
         for j, height in enumerate(heights):
             rows = [all_rows[piece, j] for piece in of_run]
             if np.isinf(height):
-                height, rows = 1.0, [np.pad(each[:, KNOTS:], ((0, 0), (KNOTS, 0))) for each in rows]
+                height, rows = 1.0, [np.pad(part[:, KNOTS:], ((0, 0), (KNOTS, 0))) for part in rows]
             R = triangle(np.eye(KNOTS, all_rows.shape[-1]) * height, *rows)
             tops.append(R[:KNOTS])
             rests.append(R[KNOTS:, KNOTS:])
@@ -127,10 +127,7 @@ def _ripple(fit: Fit, shares: np.ndarray, shifts: np.ndarray) -> Finding:
 def residual_correlations(fit: Fit) -> tuple[np.ndarray, np.ndarray] | None:
     """Correlate residuals of runs that repeat a motion with different loads, by joint; None where there are none.
 
-    Returns
-    -------
-    tuple of ndarray
-        The correlations (n,) and their standard deviations (n,), from the scatter over stretches.
+    The correlations (n,) have standard deviations (n,) from the scatter over blocks.
     """
     places, runs, n = fit.dataset.places, fit.dataset.runs, len(fit.system.problem.joints)
     loads = [None if run.payload is None else run.payload.name for run in runs]
@@ -178,17 +175,12 @@ def _residuals(fit: Fit, run: int) -> tuple[np.ndarray, np.ndarray]:
 def repeated_motion_findings(fit: Fit, alternatives: Sequence[Alternative]) -> list[Finding]:
     """Find joints whose residuals are correlated, or anticorrelated, between runs with different loads.
 
-    Parameters
-    ----------
-    fit : Fit
-        What was estimated.
-    alternatives : sequence of Alternative
-        What was tried; of those that act otherwise with another load the likeliest are the causes.
+    Of the ``alternatives`` that act otherwise with another load the likeliest are the causes.
     """
-    found, joints = residual_correlations(fit), fit.system.problem.joints
-    if found is None:
+    correlated, joints = residual_correlations(fit), fit.system.problem.joints
+    if correlated is None:
         return []
-    correlations, std = found
+    correlations, std = correlated
     significant = (np.abs(correlations) > CORRELATED) & (np.abs(correlations) > CORRELATED_STD * std)
     findings = []
     for kind, sign in ((F.COMMON_RESIDUALS, 1), (F.OPPOSED_RESIDUALS, -1)):
@@ -197,13 +189,13 @@ def repeated_motion_findings(fit: Fit, alternatives: Sequence[Alternative]) -> l
             continue
         names = tuple(joints[j] for j in mine)
         likely = [
-            each
-            for each in alternatives
-            if each.causes[0].kind in OF_LOAD
-            and each.probability > PROBABLE
-            and set(each.causes[0].joints) <= set(names)
+            effect
+            for effect in alternatives
+            if effect.causes[0].kind in OF_LOAD
+            and effect.probability > PROBABLE
+            and set(effect.causes[0].joints) <= set(names)
         ]
-        causes = tuple(each.causes[0] for each in sorted(likely, key=lambda each: -each.share))
+        causes = tuple(effect.causes[0] for effect in sorted(likely, key=lambda effect: -effect.share))
         causes = causes or (Finding(LOAD_FRICTION.kind, names[:1]),)
         values = {"correlations": [[joints[j], float(correlations[j])] for j in mine]}
         findings.append(Finding(kind, names, "", values, causes if sign < 0 else ()))

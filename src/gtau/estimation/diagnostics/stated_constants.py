@@ -71,32 +71,33 @@ def stated_constants(system: System) -> list[StatedConstant]:
     """
     problem = system.problem
     torques, readings, known = np.zeros(problem.blocks.shape[:3]), np.zeros(len(problem.channels)), problem.known[:, -1]
-    found = []
-    for name in dict.fromkeys(each.payload.name for each in system.payloads if each.acts):
-        payload = next(each.payload for each in system.payloads if each.payload.name == name)
+    constants = []
+    for name in dict.fromkeys(load.payload.name for load in system.payloads if load.acts):
+        payload = next(load.payload for load in system.payloads if load.payload.name == name)
         for kind, value in known_values(payload).items():
             std, of_unit = payload.mass_std if kind == "m" else 0.0, _torques_of_unit(system, name, kind)
-            found.append(StatedConstant(f"payload '{name}'", value, std, of_unit, readings, 0.0 * known))
+            constants.append(StatedConstant(f"payload '{name}'", value, std, of_unit, readings, 0.0 * known))
     for k in problem.sensor_channels:
         channel, of_sensor = problem.channels[k], np.eye(len(readings))[k]
         source, std = f"{channel.kind.name} of '{channel.joint}'", channel.std
-        found.append(StatedConstant(source, 1.0, std, torques, of_sensor, 0.0 * known))
+        constants.append(StatedConstant(source, 1.0, std, torques, of_sensor, 0.0 * known))
     if problem.base or system.of_wrenches is not None:
         of_bodies = torques if system.of_wrenches is None else system.of_wrenches
-        std = max((each.std for each in system.dataset.runs[0].channels if not each.kind.of_joint), default=0.0)
+        channels = system.dataset.runs[0].channels
+        std = max((channel.std for channel in channels if not channel.kind.of_joint), default=0.0)
         of_base = np.eye(len(readings))[problem.base].sum(axis=0)
-        found.append(StatedConstant(_wrenches(problem), 1.0, std, of_bodies, of_base, 0.0 * known))
+        constants.append(StatedConstant(_wrenches(problem), 1.0, std, of_bodies, of_base, 0.0 * known))
     if len(known):
-        found.append(StatedConstant("known parameters", 1.0, 0.0, torques, readings, -known))
-    return found
+        constants.append(StatedConstant("known parameters", 1.0, 0.0, torques, readings, -known))
+    return constants
 
 
 def _torques_of_unit(system: System, name: str, kind: str) -> np.ndarray:
     """Compute the torques (U, c, p) of a unit of a payload's parameter, in the rows of the problem."""
     dataset = system.dataset
     parts, channels = [np.zeros(factor.R.shape[:3]) for factor in dataset.factors], system.problem.channels
-    for run in (each.run for each in system.payloads if each.payload.name == name):
-        block = next(each for each in system.effects if f"{kind}_L{run + 1}" in each.stated)
+    for run in (item.run for item in system.payloads if item.payload.name == name):
+        block = next(item for item in system.effects if f"{kind}_L{run + 1}" in item.stated)
         k, R = block.names.index(f"{kind}_L{run + 1}"), dataset.factors[run].R
         of_channels = [block.columns(run, channel, np.zeros(()))[:, k] for channel in channels]
         parts[run] = np.stack([R[:, j] @ column for j, column in enumerate(of_channels)], axis=1)
@@ -124,26 +125,20 @@ def estimate_slopes(fit: Fit, constants: Sequence[StatedConstant]) -> np.ndarray
     of_blocks = jacobian(problem.blocks, state, problem, fit.free_gains)
     read = delayed_signal(problem.blocks, state.delays)
     sides = np.zeros((len(constants), J.shape[-1]))
-    for side, each in zip(sides, constants, strict=True):
-        change = each.readings[:, None] * read - state.b[:, None] * each.torques
-        side[:] = np.einsum("ujpk,ujp,j->k", of_blocks, change, weights**2) + known.T @ each.known
+    for side, constant in zip(sides, constants, strict=True):
+        change = constant.readings[:, None] * read - state.b[:, None] * constant.torques
+        side[:] = np.einsum("ujpk,ujp,j->k", of_blocks, change, weights**2) + known.T @ constant.known
     T = to_gains(state, fit.free_gains)
     return np.asarray(-(T @ back) @ (back.T @ sides.T))
 
 
 def scale_shares(fit: Fit) -> dict[str, np.ndarray]:
-    """Find the share of each source in the scale of the joints' gains, source to (n,); the shares add up to one.
-
-    Parameters
-    ----------
-    fit : Fit
-        With gains that were estimated.
-    """
+    """Find the share of each source in the scale of the joints' estimated gains, source to (n,); they add up to one."""
     constants = stated_constants(fit.system)
     slopes = estimate_slopes(fit, constants)[fit.system.problem.gain_rows]
     shares: dict[str, np.ndarray] = {}
-    for each, slope in zip(constants, slopes.T, strict=True):
-        shares[each.source] = shares.get(each.source, np.zeros(len(slope))) + each.value * slope / fit.gains
+    for constant, slope in zip(constants, slopes.T, strict=True):
+        shares[constant.source] = shares.get(constant.source, np.zeros(len(slope))) + constant.value * slope / fit.gains
     total = np.sum(list(shares.values()), axis=0)  # one, up to the curvature that the linear equations lack
     total = np.where(total == 0.0, 1.0, total)  # of a base, whose gain is known
     return {source: share / total for source, share in shares.items()}
@@ -158,9 +153,9 @@ def scale_uncertainty(system: System, solve: Solve) -> np.ndarray:
     """
     problem = system.problem
     extra = np.zeros((len(problem.unknowns),) * 2)
-    for each in stated_constants(system):
-        if each.std:
-            above, below = (solve(each.changed(problem, by)).values for by in (each.std, -each.std))
+    for constant in stated_constants(system):
+        if constant.std:
+            above, below = (solve(constant.changed(problem, by)).values for by in (constant.std, -constant.std))
             extra += np.outer(above - below, above - below) / 4
     return extra
 
@@ -169,13 +164,13 @@ def scale_uncertainty(system: System, solve: Solve) -> np.ndarray:
 class SensorScale:
     """Ratio of a joint's torque from the other stated constants to that of its sensor, with its standard deviation.
 
-    ``moves`` (n,) is by what share of itself each gain moves where the sensor's scale is found instead of taken for 1.
+    By ``gain_shift`` (n,), a share of itself, each gain moves where the scale of the sensor is found, not taken for 1.
     """
 
     channel: Channel
     value: float
     std: float
-    moves: np.ndarray
+    gain_shift: np.ndarray
 
 
 def sensor_verdict(scale: SensorScale, accuracy: float) -> Verdict:
@@ -189,23 +184,18 @@ def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
     """Estimate the scale of each sensor from the other stated constants, to first order, where there are any.
 
     Each sensor is offered the torque of its model once more, with an unknown factor; all other unknowns adapt to it.
-
-    Parameters
-    ----------
-    fit : Fit
-        With gains that were estimated.
     """
     problem, solution, sensors = fit.system.problem, fit.solution, fit.system.problem.sensor_channels
     if not sensors:
         return ()
-    whole, *units = (_with_sensors(fit, blocks) for blocks in (stacked(problem), *problem.units))
-    size = whole.shape[1] - len(sensors) - 1
-    of_known = np.zeros((len(problem.known), whole.shape[1]))
+    rows, *units = (_with_sensors(fit, blocks) for blocks in (stacked(problem), *problem.units))
+    size = rows.shape[1] - len(sensors) - 1
+    of_known = np.zeros((len(problem.known), rows.shape[1]))
     of_known[:, :size] = jacobian_of_known(problem, True)
     of_known[:, -1] = problem.known[:, :-1] @ solution.theta - problem.known[:, -1]
-    R = triangle(whole, of_known)
+    R = triangle(rows, of_known)
     T = to_gains(solution.iterate, True)[problem.gain_rows] / fit.gains[:, None]
-    found = []
+    scales = []
     for k, sensor in enumerate(sensors):
         columns = [*range(size), size + k]
         J, e = R[:, columns], R[:, -1]
@@ -220,8 +210,8 @@ def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
         of_known_part = back[-1] @ (of_known[:, columns] @ back).T  # what no unit of the data shows
         variance = jackknife(one_step(sides) @ back[-1:].T)[0, 0] + of_known_part @ of_known_part
         std = float(np.hypot(np.sqrt(variance), problem.channels[sensor].std))
-        found.append(SensorScale(problem.channels[sensor], 1 - float(step[-1]), std, T @ step[:-1]))
-    return tuple(found)
+        scales.append(SensorScale(problem.channels[sensor], 1 - float(step[-1]), std, T @ step[:-1]))
+    return tuple(scales)
 
 
 def _with_sensors(fit: Fit, blocks: np.ndarray) -> np.ndarray:
@@ -236,29 +226,22 @@ def _with_sensors(fit: Fit, blocks: np.ndarray) -> np.ndarray:
     return np.asarray(rows.reshape(-1, rows.shape[-1]))
 
 
-def sensor_contradictions(found: Sequence[SensorScale], joints: Sequence[str], accuracy: float) -> Iterator[Finding]:
+def sensor_contradictions(scales: Sequence[SensorScale], joints: Sequence[str], accuracy: float) -> Iterator[Finding]:
     """Find the gains of ``joints`` (n,) that rest on a sensor contradicting the other stated constants."""
-    for each in found:
-        moves = np.abs(each.moves)
+    for scale in scales:
+        moves = np.abs(scale.gain_shift)
         moved = tuple(joint for joint, move in zip(joints, moves, strict=True) if move > accuracy)
-        if sensor_verdict(each, accuracy).outcome == Outcome.CONTRADICTORY and moved:
-            what = {"sensor": each.channel.kind.name}
-            yield Finding(F.SENSOR, moved, each.channel.joint, what, size=float(moves.max()))
+        if sensor_verdict(scale, accuracy).outcome == Outcome.CONTRADICTORY and moved:
+            what = {"sensor": scale.channel.kind.name}
+            yield Finding(F.SENSOR, moved, scale.channel.joint, what, size=float(moves.max()))
 
 
 def prior_contradictions(fit: Fit, covariance: np.ndarray, accuracy: float) -> list[Finding]:
-    """Find base parameters whose estimates from the data differ from their priors by more than the ``accuracy``.
+    """Find base parameters whose estimates differ from their priors by more than the ``accuracy`` (relative).
 
-    Parameters
-    ----------
-    fit : Fit
-        What was estimated, with the priors.
-    covariance : ndarray
-        Of (theta, gains, delays), (k, k).
-    accuracy : float
-        Relative difference that does not matter.
+    ``covariance`` (k, k) is that of (theta, gains, delays).
     """
-    parameters, base, found = fit.system.problem.parameters, fit.dataset.base.names, []
+    parameters, base, wrong = fit.system.problem.parameters, fit.dataset.base.names, []
     priors = {name: prior for name, prior in fit.dataset.stated_priors.items() if name in base and name in parameters}
     limit = -ndtri(ndtr(-APART) / max(len(priors), 1))  # of many priors some are further off
     for name, prior in priors.items():
@@ -269,8 +252,8 @@ def prior_contradictions(fit: Fit, covariance: np.ndarray, accuracy: float) -> l
         apart = prior.std * np.sqrt(max(1 - (std / prior.std) ** 2, 0.0))  # as the estimate has the prior in it
         if abs(value - prior.value) > max(limit * apart, accuracy * abs(prior.value)):
             values = {"found": value, "std": std, "prior": prior.value, "prior_std": prior.std}
-            found.append(Finding(F.PRIOR, (), name, values))
-    return found
+            wrong.append(Finding(F.PRIOR, (), name, values))
+    return wrong
 
 
 def weigh_known(fit: Fit, method: str, accuracy: float) -> dict[str, Verdict]:
@@ -278,12 +261,7 @@ def weigh_known(fit: Fit, method: str, accuracy: float) -> dict[str, Verdict]:
 
     Of several values of a payload that the data contradict, the one is named that leaves least when it alone is freed.
     A single payload's mass is not among them where it sets the scale alone. Gains that are given are taken for exact
-    to the ``accuracy`` (relative).
-
-    Returns
-    -------
-    dict
-        Verdicts by name, of payloads with a value that the others can be tested against.
+    to the ``accuracy`` (relative). Verdicts are those of payloads, by name, with a value that can be tested.
     """
     runs = fit.dataset.runs
     known = {run.payload.name: run.payload for run in runs if run.payload and run.payload.mass is not None}
@@ -292,9 +270,9 @@ def weigh_known(fit: Fit, method: str, accuracy: float) -> dict[str, Verdict]:
         of_mass = not fit.free_gains or len(known) > 1 or fit.system.problem.scaled
         tested = (*(("m",) if of_mass else ()), *payload.parameters)
         freed = [_freed(fit, method, payload, kind, accuracy) for kind in tested]
-        found = [each for each in freed if each is not None]
-        if found:
-            verdicts[name] = min(found, key=lambda each: each[0])[1]
+        weighed = [result for result in freed if result is not None]
+        if weighed:
+            verdicts[name] = min(weighed, key=lambda result: result[0])[1]
     return verdicts
 
 
@@ -340,6 +318,6 @@ def _freed(fit: Fit, method: str, payload: Payload, kind: str, accuracy: float) 
 
 def _explained(fit: Fit, other: Fit) -> tuple[str, ...]:
     """List the joints whose torque only the fit leaves unexplained, not the other one."""
-    before, after = (unexplained_shares(each.system.problem, each.solution) for each in (fit, other))
+    before, after = (unexplained_shares(either.system.problem, either.solution) for either in (fit, other))
     joints = zip(fit.system.problem.joints, before, after, strict=False)
     return tuple(joint for joint, share, less in joints if share > MISFIT_GIVEN >= less)

@@ -194,18 +194,18 @@ def _gains(fit: Fit, vector: Estimates, diagnosis: Diagnosis) -> dict[str, Estim
 def _parameters(fit: Fit, vector: Estimates, essential: Problem) -> dict[Parameter, Estimate]:
     """Collect the base parameters, those without a value included."""
     base, robot, between_runs = fit.dataset.base, fit.dataset.robot, _between_runs(fit.system, fit.solution.theta)
-    found = {}
+    parameters = {}
     for name, terms in regrouped(base, fit.dataset.model.parameter_names).items():
         unit = unit_of(name.kind, robot, name.body)
         made = _estimate(vector, name, unit) if name in vector.unknowns.places else Estimate(name, None, None, unit)
-        found[name] = replace(
+        parameters[name] = replace(
             made,
             regrouping=base.regroupings[name],
             between_run_std=between_runs.get(name),
             verdict=judge_parameter(made.value, made.std, terms),
             essential=name in essential.parameters,
         )
-    return found
+    return parameters
 
 
 def _condition_number(total: np.ndarray) -> float:
@@ -228,8 +228,8 @@ def _total(problem: Problem, sigma: np.ndarray) -> np.ndarray:
 
 def _logged_speeds(fit: Fit) -> dict[str, float]:
     """Find the largest speed of each actuated joint among the rows of all runs."""
-    found = [factors.speeds.max(axis=0) for factors in fit.dataset.factors if factors.speeds is not None]
-    largest = np.max(found, axis=0) if found else np.zeros(len(fit.dataset.model.actuated))
+    speeds = [factors.speeds.max(axis=0) for factors in fit.dataset.factors if factors.speeds is not None]
+    largest = np.max(speeds, axis=0) if speeds else np.zeros(len(fit.dataset.model.actuated))
     return dict(zip(fit.dataset.model.actuated, map(float, largest), strict=True))
 
 
@@ -237,7 +237,9 @@ def _levels(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
     """Compute rms residual and rms signal of each channel, (c,), over rows that all count alike."""
     sigma, state, problem = fit.solution.sigma, fit.solution.iterate, fit.unweighted or fit.system.problem
     if fit.unweighted is not None:
-        squares = [np.sum(residuals(stacked(each), state) ** 2, axis=-1) for each in (fit.system.problem, problem)]
+        squares = [
+            np.sum(residuals(stacked(equations), state) ** 2, axis=-1) for equations in (fit.system.problem, problem)
+        ]
         sigma = sigma * np.sqrt(squares[1] / np.maximum(squares[0], 1e-300))
     return sigma, problem.balance(state.theta)
 
@@ -249,17 +251,17 @@ def _sensors(
     robot, problem, sensors, (sigma, signal) = fit.dataset.robot, fit.system.problem, [], _levels(fit)
     for k in problem.sensor_channels:
         channel, joint = problem.channels[k], problem.channels[k].joint
-        own = {
+        parameters = {
             name: _estimate(vector, name, unit_of(kind, robot, joint))
             for kind in ("off", *BEARING)
             if (name := Parameter(kind, channel.name)) in vector.unknowns.places
         }
         residual = TorqueError(joint, float(sigma[k]), float(signal[k]), torque_unit(robot, joint))
-        scale = next((each for each in diagnosis.sensors if each.channel == channel), None)
+        scale = next((sensor for sensor in diagnosis.sensors if sensor.channel == channel), None)
         ratio = None
         if scale is not None:
             ratio = Estimate(joint, scale.value, scale.std, "1", verdict=sensor_verdict(scale, diagnosis.accuracy))
-        sensors.append(SensorEstimate(joint, own, delays[k], residual, ratio, channel.kind))
+        sensors.append(SensorEstimate(joint, parameters, delays[k], residual, ratio, channel.kind))
     return tuple(sensors)
 
 
@@ -270,7 +272,7 @@ def _between_runs(system: System, theta: np.ndarray) -> dict[str, float]:
         if name.run is not None:
             differences.setdefault(Parameter(name.kind, name.body), []).append(float(value))
     # the differences of all runs add up to zero, and the last is not listed
-    return {name: float(np.std([*each, -sum(each)], ddof=1)) for name, each in differences.items()}
+    return {name: float(np.std([*values, -sum(values)], ddof=1)) for name, values in differences.items()}
 
 
 def payload_estimates(system: System, vector: Estimates, masses: Mapping[str, Verdict]) -> tuple[PayloadEstimate, ...]:

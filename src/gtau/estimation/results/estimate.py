@@ -294,8 +294,8 @@ def write_distances(runs: Sequence[Distances], path: str | Path) -> None:
     import polars
 
     tables = []
-    for each in runs:
-        values = {f"type_{kind}": distances for kind, distances in zip(TYPES, each.values.T, strict=True)}
-        table = polars.DataFrame({"time": each.time} | values)
-        tables.append(table.select(polars.lit(each.run).alias("run"), polars.all()))
+    for run in runs:
+        values = {f"type_{kind}": distances for kind, distances in zip(TYPES, run.values.T, strict=True)}
+        table = polars.DataFrame({"time": run.time} | values)
+        tables.append(table.select(polars.lit(run.run).alias("run"), polars.all()))
     write_table(polars.concat(tables).fill_nan(None), path)

@@ -111,11 +111,11 @@ def _fixed(fit: Fit, estimates: Estimates, joints: Collection[str]) -> np.ndarra
     gains = (Parameter("gain", joint) for joint in dataset.model.actuated)
     subtracted = (name.kind not in PLAIN_FRICTION or name.body not in joints for name in dataset.base.names)
     names = [*gains, *(name if kept else None for name, kept in zip(dataset.base.names, subtracted, strict=True))]
-    found = np.zeros((len(names), len(estimates.unknowns)))
-    for row, name in zip(found, names, strict=True):
+    selection = np.zeros((len(names), len(estimates.unknowns)))
+    for row, name in zip(selection, names, strict=True):
         if name is not None and name in estimates.unknowns.places:
             row[estimates.unknowns.places[name]] = 1.0
-    return found
+    return selection
 
 
 def _widened(slopes: np.ndarray, estimates: Estimates) -> np.ndarray:
@@ -123,21 +123,21 @@ def _widened(slopes: np.ndarray, estimates: Estimates) -> np.ndarray:
     return np.pad(slopes, ((0, 0), (0, len(estimates.unknowns) - slopes.shape[1])))
 
 
-def _between_values(group: FrictionGroup, whole: Candidate, A: np.ndarray) -> np.ndarray:
+def _between_values(group: FrictionGroup, shaped: Candidate, A: np.ndarray) -> np.ndarray:
     """Compute the covariance (k, k) due to the grid of widths and speeds, to which other parameters adapt.
 
     One that is tried stands for all up to half the way to the next.
     """
-    found = np.zeros_like(A)
-    for k, (s, kind) in enumerate(whole.names):
+    covariance = np.zeros_like(A)
+    for k, (s, kind) in enumerate(shaped.names):
         if kind in BETWEEN:
-            tried, number = shape_values(group, s, kind), whole.structures[s][kind]
+            tried, number = shape_values(group, s, kind), shaped.structures[s][kind]
             std = np.log(tried[1] / tried[0]) / np.sqrt(12) if number == round(number) else BETWEEN[kind]
             others = np.arange(len(A)) != k
             change = np.ones(len(A))
             change[others] = -np.linalg.lstsq(A[np.ix_(others, others)], A[others, k], rcond=1e-12)[0]
-            found += std**2 * np.outer(change, change)
-    return found
+            covariance += std**2 * np.outer(change, change)
+    return covariance
 
 
 def group_estimates(
@@ -157,18 +157,18 @@ def group_estimates(
     scatter : ndarray
         (m, m) covariance at given gains and base parameters.
     """
-    whole = with_shapes(group, candidate)
-    A = np.einsum("pa,pq,qc->ac", whole.M, group.G.sum(axis=(0, 1))[:-1, :-1], whole.M)
+    shaped = with_shapes(group, candidate)
+    A = np.einsum("pa,pq,qc->ac", shaped.M, group.G.sum(axis=(0, 1))[:-1, :-1], shaped.M)
     size = np.sqrt(np.maximum(np.diag(A), 1e-300))[:, None]
-    S = np.linalg.pinv(A / size / size.T, rcond=1e-9, hermitian=True) @ (whole.M.T @ group.cross / size) / size
-    covariance = jackknife(whole.left) + _between_values(group, whole, A)
-    place = {name: k for k, name in enumerate(whole.names)}
+    S = np.linalg.pinv(A / size / size.T, rcond=1e-9, hermitian=True) @ (shaped.M.T @ group.cross / size) / size
+    covariance = jackknife(shaped.left) + _between_values(group, shaped, A)
+    place = {name: k for k, name in enumerate(shaped.names)}
     names: list[Parameter] = []
     values: list[float] = []
     rows: list[np.ndarray] = []
 
     def add(name: Parameter, value: float, factors: Mapping[tuple[int, str], float]) -> None:
-        row = np.zeros(len(whole.names))
+        row = np.zeros(len(shaped.names))
         for unknown, factor in factors.items():
             if unknown in place:
                 row[place[unknown]] = factor
@@ -189,7 +189,7 @@ def group_estimates(
                 tried = shape_values(group, s, kind)
                 value = float(tried[0] * (tried[1] / tried[0]) ** number)
                 add(Parameter(shape, joint.name), value, {(s, kind): value})  # its logarithm is estimated
-    T = np.array(rows).reshape(len(names), len(whole.names))
+    T = np.array(rows).reshape(len(names), len(shaped.names))
     return names, np.array(values), T @ S, T @ covariance @ T.T
 
 

@@ -67,14 +67,14 @@ def _one_friction(document: dict[str, Any]) -> dict[str, Any]:
     """Rewrite a document of schema 3, whose curves have the friction that predicts, as one of schema 4."""
     try:
         curves = document["curves"]
-        predicted = {each["name"]: each for curve in curves for each in curve["parameters"]}
+        predicted = {entry["name"]: entry for curve in curves for entry in curve["parameters"]}
         shapes = [curve[key] for curve in curves for key in ("width", "speed") if curve[key] is not None]
-        parameters = {each["name"]: each for each in document["parameters"]}
+        parameters = {entry["name"]: entry for entry in document["parameters"]}
         of_base = {
-            name: name.removesuffix("R") if len(each["regrouping"].split()) > 1 else name
-            for name, each in parameters.items()
+            name: name.removesuffix("R") if len(entry["regrouping"].split()) > 1 else name
+            for name, entry in parameters.items()
         }
-        replaced = {name: predicted.pop(own) for name, own in of_base.items() if own in predicted}
+        replaced = {name: predicted.pop(plain) for name, plain in of_base.items() if plain in predicted}
     except (KeyError, TypeError, AttributeError):
         return document  # which the schema then refuses
     if not curves:
@@ -100,21 +100,22 @@ def _problems(result: Result) -> Iterator[str]:
     ):
         if tuple(estimates) != joints:
             yield f"the {what} are not those of the joints {', '.join(joints)}"
-        if any(each.value is None for each in estimates.values()):
+        if any(estimate.value is None for estimate in estimates.values()):
             yield f"one of the {what} is null"
     strange = set(result.curves) - {joint.name for joint in robot.joints}
     if strange:
         yield f"'curves' has the friction of '{sorted(strange)[0]}', which is no joint"
-    for name, each in result.friction.items():
-        if name.kind in SHAPES and not (each.value or 0.0) > 0:
+    for name, estimate in result.friction.items():
+        if name.kind in SHAPES and not (estimate.value or 0.0) > 0:
             yield f"'{name}' is not positive"
-    if any(each.value == 0 for each in result.drive_gains.values()):
+    if any(gain.value == 0 for gain in result.drive_gains.values()):
         yield "a drive gain is zero"
     if not {Parameter("gain", joint) for joint in robot.motors} <= set(result.covariance_names):
         yield "the covariance lacks the drive gains"
-    verdicts = [each.verdict for each in _estimates(result)] + [each.verdict for each in result.payloads]
-    causes = (cause for each in result.alternatives for cause in each.causes)
-    for finding in (*(each.finding for each in verdicts if each.finding), *causes):
+    verdicts = [estimate.verdict for estimate in _estimates(result)]
+    verdicts += [payload.verdict for payload in result.payloads]
+    causes = (cause for alternative in result.alternatives for cause in alternative.causes)
+    for finding in (*(verdict.finding for verdict in verdicts if verdict.finding), *causes):
         try:
             finding.sentence  # noqa: B018
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError):  # of a template and its values

@@ -12,7 +12,7 @@ from gtau import display
 from gtau.documents.validation import PATH, takes
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict
 from gtau.estimation.results.estimate import Estimate
-from gtau.robots.rigid_body import RigidBody
+from gtau.robots.parameter import RigidBody
 from gtau.robots.robot import Pose
 
 
@@ -55,7 +55,7 @@ class PayloadBody:
     @property
     def unseen(self) -> tuple[str, ...]:
         """Names of the quantities that are not identifiable from the motion."""
-        return tuple(name for name, each in self.parameters.items() if each.value is None)
+        return tuple(name for name, estimate in self.parameters.items() if estimate.value is None)
 
 
 @dataclass(frozen=True, repr=False)

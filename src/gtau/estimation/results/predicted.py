@@ -44,8 +44,8 @@ class Prediction:
     def in_band(self) -> Prediction:
         """Predicted and measured torques behind the low-pass of identification, as its residuals are."""
         predicted, measured, friction = (
-            self.decimator.smooth(each.T, 0, len(self.time)).T
-            for each in (self.predicted, self.measured, self.friction)
+            self.decimator.smooth(torque.T, 0, len(self.time)).T
+            for torque in (self.predicted, self.measured, self.friction)
         )
         return replace(self, predicted=predicted, measured=measured, friction=friction, decimator=Decimator(1))
 
@@ -126,7 +126,8 @@ def torque_errors(prediction: Prediction, robot: Robot, bandwidth: float) -> tup
         if not kept.any() or not prediction.measured[:, j].any():  # nothing may act on a base in some direction
             continue
         smooth, raw = (
-            np.stack([each.measured[:, j] - each.predicted[:, j], each.measured[:, j]]) for each in (behind, prediction)
+            np.stack([torques.measured[:, j] - torques.predicted[:, j], torques.measured[:, j]])
+            for torques in (behind, prediction)
         )
         (rms, signal), (rms_all, signal_all), (rms_raw, signal_raw) = (
             np.sqrt(np.mean(pair[:, rows] ** 2, axis=1)).tolist()

@@ -169,7 +169,7 @@ class Result:
     @cached_property
     def friction_law(self) -> FrictionLaw:
         """Friction of the robot at any speed, for these and other parameters."""
-        values = {name: each.value for name, each in self.friction.items()}
+        values = {name: estimate.value for name, estimate in self.friction.items()}
         shapes = {
             joint: Shape(values.get(Parameter("width", joint)), values.get(Parameter("vs", joint)))
             for joint in self.curves
@@ -185,7 +185,7 @@ class Result:
     @property
     def essential(self) -> Named[Parameter]:
         """The base parameters that the reduction keeps (paper, section 5.2), with their values in ``parameters``."""
-        return Named({name: each for name, each in self.parameters.items() if each.essential})
+        return Named({name: estimate for name, estimate in self.parameters.items() if estimate.essential})
 
     @property
     def params(self) -> dict[Parameter, float]:
@@ -198,17 +198,17 @@ class Result:
         pairs = zip(self.base.standard, self.base.names, strict=True)
         listed = self.parameters
         plain = {name: listed[base] for name, base in pairs if name.kind in PLAIN_FRICTION and base in listed}
-        return plain | {name: each for name, each in self.friction.items() if name.kind not in SHAPES}
+        return plain | {name: estimate for name, estimate in self.friction.items() if name.kind not in SHAPES}
 
     def payload(self, name: str) -> dict[str, float]:
         """Return a payload's identified parameters by kind, the mean over its runs; empty for an unknown name."""
-        found: dict[str, list[float]] = {}
-        for each in self.payloads:
-            if each.name == name:
-                for kind, estimate in each.parameters.items():
+        values_of: dict[str, list[float]] = {}
+        for payload in self.payloads:
+            if payload.name == name:
+                for kind, estimate in payload.parameters.items():
                     if estimate.value is not None:
-                        found.setdefault(kind, []).append(estimate.value)
-        return {kind: float(np.mean(values)) for kind, values in found.items()}
+                        values_of.setdefault(kind, []).append(estimate.value)
+        return {kind: float(np.mean(values)) for kind, values in values_of.items()}
 
     def summary(self, verbose: bool = True) -> str:
         """Summarise the result as text: one screen, or with ``verbose`` all of it."""
@@ -278,7 +278,7 @@ class Result:
     @property
     def accepted(self) -> bool:
         """Whether the result is :attr:`believable` and meets all requirements of the experiment file."""
-        return self.believable and all(each.met for each in self.requirements)
+        return self.believable and all(requirement.met for requirement in self.requirements)
 
     @property
     def plot(self) -> Any:

@@ -35,14 +35,14 @@ def estimates_table(result: Result) -> Iterator[Row]:
     groups: list[tuple[str, Iterable[Estimate]]] = [
         ("drive gain", result.drive_gains.values()),
         ("delay", result.delays.values()),
-        ("base parameter", [each for name, each in result.parameters.items() if not friction[name]]),
-        ("friction", [each for name, each in result.parameters.items() if friction[name]]),
+        ("base parameter", [estimate for name, estimate in result.parameters.items() if not friction[name]]),
+        ("friction", [estimate for name, estimate in result.parameters.items() if friction[name]]),
         ("friction", result.friction.values()),
         ("logged speed", speeds),
-        *((f"{each.kind.name} {each.joint}", each.parameters.values()) for each in result.sensors),
-        *((f"payload {each.name} of {each.run}", each.parameters.values()) for each in result.payloads),
+        *((f"{sensor.kind.name} {sensor.joint}", sensor.parameters.values()) for sensor in result.sensors),
+        *((f"payload {payload.name} of {payload.run}", payload.parameters.values()) for payload in result.payloads),
     ]
-    return (Row(group, each) for group, estimates in groups for each in estimates)
+    return (Row(group, estimate) for group, estimates in groups for estimate in estimates)
 
 
 def estimates_frame(result: Result) -> pl.DataFrame:
@@ -58,8 +58,8 @@ def estimates_frame(result: Result) -> pl.DataFrame:
     texts = dict.fromkeys(("group", "name"), pl.String)
     rest = {"unit": pl.String, "verdict": pl.String, "essential": pl.Boolean, "regrouping": pl.String}
     rows = []
-    for group, each in estimates_table(result):
-        interval, verdict = each.interval() or (None, None), each.verdict.outcome.value
-        numbered = (each.value, each.std, each.rel_std, *interval)
-        rows.append((group, each.name, *numbered, each.unit, verdict, each.essential, each.regrouping))
+    for group, estimate in estimates_table(result):
+        interval, verdict = estimate.interval() or (None, None), estimate.verdict.outcome.value
+        numbered = (estimate.value, estimate.std, estimate.rel_std, *interval)
+        rows.append((group, estimate.name, *numbered, estimate.unit, verdict, estimate.essential, estimate.regrouping))
     return pl.DataFrame(rows, schema={**texts, **numbers, **rest}, orient="row")

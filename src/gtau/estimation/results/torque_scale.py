@@ -86,18 +86,18 @@ def torque_headline(result: Result) -> str:
 
 
 def _sentences(scales: Sequence[TorqueScale]) -> Iterator[str]:
-    wrong = [each for each in scales if each.state == "wrong"]
+    wrong = [scale for scale in scales if scale.state == "wrong"]
     if wrong:
-        parts = [f"{_reported(each)}{' of the torque' * (k == 0)} at '{each.joint}'" for k, each in enumerate(wrong)]
+        parts = [f"{_reported(scale)}{' of the torque' * (k == 0)} at '{scale.joint}'" for k, scale in enumerate(wrong)]
         yield f"The arm reports {listed(parts)} (95 % intervals)."
-    right = [each for each in scales if each.state == "consistent with 1"]
+    right = [scale for scale in scales if scale.state == "consistent with 1"]
     if right:
-        widest = percent_text(max(each.gain.half_width or 0.0 for each in right))
+        widest = percent_text(max(scale.gain.half_width or 0.0 for scale in right))
         known = f"consistent with 1, known to within {widest} %{'' if wrong else ' (95 % intervals)'}"
         names = "all joints" if len(right) == len(scales) > 1 else _names(right)
         yield _scale_of(right, names, f"is {known}", f"are {known}")
     for state in ("in doubt", Outcome.NOT_IDENTIFIABLE.value):
-        if members := [each for each in scales if each.state == state]:
+        if members := [scale for scale in scales if scale.state == state]:
             yield _scale_of(members, _names(members), f"is {state}", f"are {state}")
 
 
@@ -105,14 +105,14 @@ def _scale_of(members: Sequence[TorqueScale], names: str, one: str, several: str
     return f"The torque scales of {names} {several}." if len(members) > 1 else f"The torque scale of {names} {one}."
 
 
-def _reported(each: TorqueScale) -> str:
-    low, high = each.reported_interval
-    shown = ".2f" if 0.1 <= abs(each.reported) < 10 else ".3g"
-    return f"{each.reported:{shown}} ({low:{shown}} to {high:{shown}})"
+def _reported(scale: TorqueScale) -> str:
+    low, high = scale.reported_interval
+    shown = ".2f" if 0.1 <= abs(scale.reported) < 10 else ".3g"
+    return f"{scale.reported:{shown}} ({low:{shown}} to {high:{shown}})"
 
 
 def _names(members: Sequence[TorqueScale]) -> str:
-    return listed([f"'{each.joint}'" for each in members])
+    return listed([f"'{scale.joint}'" for scale in members])
 
 
 def listed(parts: Sequence[str]) -> str:
@@ -123,13 +123,13 @@ def listed(parts: Sequence[str]) -> str:
 def torque_scale_text(result: Result) -> str:
     """Write the correction of the torques as YAML: a factor for each joint, with its interval and state."""
     joints: dict[str, dict[str, object]] = {}
-    for each in torque_scales(result):
-        value, interval = each.gain.value, each.gain.interval()
-        known = each.gain.verdict.outcome in KNOWN and value is not None and interval is not None
-        joints[each.joint] = {
+    for scale in torque_scales(result):
+        value, interval = scale.gain.value, scale.gain.interval()
+        known = scale.gain.verdict.outcome in KNOWN and value is not None and interval is not None
+        joints[scale.joint] = {
             "factor": _rounded(value) if known and value is not None else None,
             "interval": [_rounded(end) for end in interval] if known and interval is not None else None,
-            "state": each.state,
+            "state": scale.state,
         }
     head = HEAD.format(robot=" ".join(result.robot.name.split()), runs=", ".join(result.runs))
     return head + str(yaml.safe_dump({"torque_scale": joints}, sort_keys=False, default_flow_style=None, width=120))

@@ -45,20 +45,19 @@ def find_alternatives(fit: Fit, hypotheses: Sequence[Hypothesis] = HYPOTHESES) -
     T = to_gains(fit.solution.iterate, fit.free_gains)
     alternatives: list[Alternative] = []
     for (hypothesis, columns), (start, stop) in zip(tried, pairwise(ends), strict=True):
-        tests = linear.score_tests(slice(start, stop), hypothesis.shared)
+        sizes, stds, shares, slopes = linear.score_tests(slice(start, stop), hypothesis.shared)
         alone = []
-        for m, joint in np.ndindex(*tests.size.shape):
+        for m, joint in np.ndindex(*sizes.shape):
             if (start + m, joint) not in others:
                 continue
-            std = float(tests.std[m, joint])
-            found = replace(
+            tested = replace(
                 columns[m],
                 causes=others[start + m, joint],
-                size=float(tests.size[m, joint]),
-                std=std if np.isfinite(std) else None,
-                share=float(tests.share[m, joint]),
+                size=float(sizes[m, joint]),
+                std=float(stds[m, joint]) if np.isfinite(stds[m, joint]) else None,
+                share=float(shares[m, joint]),
             )
-            alone.append(found.moving(fit, T @ tests.slopes[m, joint]))
+            alone.append(tested.moving(fit, T @ slopes[m, joint]))
         together = _together(fit, hypothesis, linear, range(start, stop)) if hypothesis.describe and alone else []
         alternatives += together or alone  # what they explain together counts once
     return alternatives
@@ -69,7 +68,7 @@ def ranked(
 ) -> tuple[Alternative, ...]:
     """Weigh alternatives: those of one joint's drive would explain the same residuals and compete."""
     of_drives = {hypothesis.name for hypothesis in hypotheses if not hypothesis.shared}
-    return compete(alternatives, lambda each: each.causes[0].joints if each.hypothesis in of_drives else None)
+    return compete(alternatives, lambda effect: effect.causes[0].joints if effect.hypothesis in of_drives else None)
 
 
 def _other_causes(
@@ -127,8 +126,8 @@ def _together(fit: Fit, hypothesis: Hypothesis, linear: Linearised, columns: ran
     alone = np.array([1 - left_alone @ left_alone / (rest @ rest) for left_alone in each_left])
     T = to_gains(fit.solution.iterate, fit.free_gains)
     cause = hypothesis.describe(fit, step[len(before) :], alone / share)
-    found = Alternative(hypothesis.name, (cause,), 1.0, None, "", share=float(share))
-    return [found.moving(fit, T @ (step[: len(before)] - before))]
+    together = Alternative(hypothesis.name, (cause,), 1.0, None, "", share=float(share))
+    return [together.moving(fit, T @ (step[: len(before)] - before))]
 
 
 WORDS.update({cause.kind: cause.words for hypothesis in HYPOTHESES for cause in hypothesis.causes})

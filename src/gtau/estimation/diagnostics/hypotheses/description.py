@@ -16,14 +16,13 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.alternatives import Alternative, Cause, Hypothesis
-from gtau.estimation.diagnostics.linearisation import CandidateColumns, Offer, at_full_rate, motion_along
+from gtau.estimation.diagnostics.linearisation import CandidateColumns, Moving, Offer, at_full_rate, motion_along
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.plausibility import stated_rate
 from gtau.estimation.regression.rows import Labels, external_torques
 from gtau.estimation.thresholds import Threshold
 from gtau.findings import Finding
 from gtau.findings.words import Sentence, Values, which_payload
-from gtau.model.loops import Motion
 from gtau.robots.floating import WRENCH
 from gtau.signals.preparation.prepared_run import SampleWindow
 
@@ -73,7 +72,7 @@ def _with_positions(fit: Fit, steps: Sequence[tuple[np.ndarray, np.ndarray]]) ->
     model = fit.dataset.model
     regressor = model.columns(fit.dataset.base.standard)
 
-    def offer(window: SampleWindow, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+    def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
         before = regressor.torques_along(model.layout, motion(), values)
         columns = np.zeros((len(steps), *before.shape))
         for k, (factor, shift) in enumerate(steps):
@@ -90,25 +89,17 @@ def _with_positions(fit: Fit, steps: Sequence[tuple[np.ndarray, np.ndarray]]) ->
     return offer
 
 
-ENCODER_ZEROS = Hypothesis(
-    "encoder zeros",
-    True,
-    _encoder_zeros,
-    (ZERO,),
-    lambda fit: [
-        replace(ZERO.column(joint), unit=unit)
-        for joint, unit in zip(fit.dataset.model.actuated, _units(fit), strict=True)
-    ],
-    description=True,
-)
-POSITION_SCALES = Hypothesis(
-    "position scales",
-    True,
-    _position_scales,
-    (SCALE,),
-    lambda fit: [SCALE.column(joint) for joint in fit.dataset.model.actuated],
-    description=True,
-)
+def _zeros_of(fit: Fit) -> list[Alternative]:
+    joints = zip(fit.dataset.model.actuated, _units(fit), strict=True)
+    return [replace(ZERO.column(joint), unit=unit) for joint, unit in joints]
+
+
+def _scales_of(fit: Fit) -> list[Alternative]:
+    return [SCALE.column(joint) for joint in fit.dataset.model.actuated]
+
+
+ENCODER_ZEROS = Hypothesis("encoder zeros", True, _encoder_zeros, (ZERO,), _zeros_of, description=True)
+POSITION_SCALES = Hypothesis("position scales", True, _position_scales, (SCALE,), _scales_of, description=True)
 
 
 def _of_gravity(what: str) -> Callable[[Values], Sentence]:
@@ -121,10 +112,10 @@ def _other_gravity(values: Values) -> Sentence:
     x, y, z = values["gravity"]
     if "left" not in values:  # an estimate to first order
         return _of_gravity(f"a different gravity vector, about ({x:.1f}, {y:.1f}, {z:.1f}) m/s2")(values)
-    listed = ", ".join(f"{round(each, 3) + 0.0:.4g}" for each in (x, y, z))
-    joint, (before, after) = max(values["left"].items(), key=lambda each: each[1][0])
+    listed = ", ".join(f"{round(item, 3) + 0.0:.4g}" for item in (x, y, z))
+    joint, (before, after) = max(values["left"].items(), key=lambda item: item[1][0])
     where, file = "base", f"'gravity: [{listed}]' in the robot file"
-    also = " or ".join(_direction(each) for each in values["also"])
+    also = " or ".join(_direction(item) for item in values["also"])
     if values["floating"]:
         where = "world"
         file += ", in axes of the logged poses, or turn the poses so that their z axis points up"
@@ -141,7 +132,7 @@ def _other_gravity(values: Values) -> Sentence:
 def _direction(gravity: Sequence[float]) -> str:
     """Name an axis, or write a direction of unit length."""
     size = hypot(*gravity)
-    unit = [round(each / size, 2) + 0.0 for each in gravity]
+    unit = [round(component / size, 2) + 0.0 for component in gravity]
     along = [k for k in range(3) if unit[k]]
     if len(along) == 1:
         return f"{'-' if unit[along[0]] < 0 else '+'}{'xyz'[along[0]]}"
@@ -198,31 +189,30 @@ CLOCK_REVERSED = Threshold(
 def _gravity(fit: Fit) -> Offer:
     """Add a tilt of the base, or another strength of gravity (a wrong clock)."""
     model, n = fit.dataset.model, len(fit.dataset.model.actuated)
-    regressor, changes = model.gravity_torques(fit.dataset.base.standard), _changes(fit)
+    regressor, changes = model.gravity_torques(fit.dataset.base.standard), _changes_of_gravity(fit)
 
-    def offer(window: SampleWindow, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+    def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
         entries = regressor(model.layout, motion(), values)
-        return at_full_rate(window, fit, np.stack([regressor.torques(entries, each, n) for each in changes]))
+        return at_full_rate(window, fit, np.stack([regressor.torques(entries, change, n) for change in changes]))
 
     return offer
 
 
-def _directions(gravity: Sequence[float]) -> np.ndarray:
+def _across(gravity: np.ndarray) -> np.ndarray:
     """Find two directions (2, 3) across gravity, towards which it may be tilted."""
-    return np.asarray(np.linalg.svd(np.array(gravity)[None, :])[2][1:])
+    return np.asarray(np.linalg.svd(gravity[None, :])[2][1:])
 
 
-def _changes(fit: Fit) -> np.ndarray:
+def _changes_of_gravity(fit: Fit) -> np.ndarray:
     """Compute changes (3, 3) of gravity: by a degree towards either direction, and by a per cent, m/s2."""
     gravity = np.array(fit.dataset.robot.gravity)
-    tilts = _directions(fit.dataset.robot.gravity) * float(np.linalg.norm(gravity)) * DEGREE
-    return np.vstack([tilts, gravity / 100])
+    return np.vstack([_across(gravity) * float(np.linalg.norm(gravity)) * DEGREE, gravity / 100])
 
 
 def _gravity_columns(fit: Fit) -> list[Alternative]:
-    gravity = fit.dataset.robot.gravity
-    tilts = [TILT.column(towards=direction.tolist()) for direction in _directions(gravity)]
-    return [*tilts, STRENGTH.column()] if any(gravity) else []
+    gravity = np.array(fit.dataset.robot.gravity)
+    tilts = [TILT.column(towards=direction.tolist()) for direction in _across(gravity)]
+    return [*tilts, STRENGTH.column()] if gravity.any() else []
 
 
 def _gravity_found(fit: Fit, sizes: np.ndarray, shares: np.ndarray) -> Finding:
@@ -231,18 +221,13 @@ def _gravity_found(fit: Fit, sizes: np.ndarray, shares: np.ndarray) -> Finding:
     reversed_ = factor < CLOCK_REVERSED or bool(np.any(fit.gains < 0))
     if shares[-1] > CLOCK_SIZE and not reversed_:
         return Finding(CLOCK.kind, values={"factor": float(factor), "rate": stated_rate(fit.dataset.runs[0])})
-    return Finding(OTHER_GRAVITY.kind, values={"gravity": (fit.dataset.robot.gravity + sizes @ _changes(fit)).tolist()})
+    return Finding(
+        OTHER_GRAVITY.kind, values={"gravity": (fit.dataset.robot.gravity + sizes @ _changes_of_gravity(fit)).tolist()}
+    )
 
 
-GRAVITY = Hypothesis(
-    "gravity",
-    True,
-    _gravity,
-    (TILT, STRENGTH, OTHER_GRAVITY, CLOCK),
-    _gravity_columns,
-    _gravity_found,
-    description=True,
-)
+CAUSES = TILT, STRENGTH, OTHER_GRAVITY, CLOCK
+GRAVITY = Hypothesis("gravity", True, _gravity, CAUSES, _gravity_columns, _gravity_found, description=True)
 
 Reading = Callable[[np.ndarray], np.ndarray]
 """From what the wrenches read (6 k, M) to by how much too large that may be, (m, 6 k, M)."""
@@ -364,22 +349,18 @@ def _point_found(fit: Fit, sizes: np.ndarray, shares: np.ndarray) -> Finding:
     return Finding(POINT.kind, (), _sensed_bodies(fit)[worst], {"shift": shift})
 
 
-WRENCH_POINTS = Hypothesis(
-    "wrench points",
-    True,
-    _points,
-    (POINT,),
-    lambda fit: [POINT.column(subject=body, axis=axis) for body in _sensed_bodies(fit) for axis in "xyz"],
-    _point_found,
-    description=True,
-)
+def _point_columns(fit: Fit) -> list[Alternative]:
+    return [POINT.column(subject=body, axis=axis) for body in _sensed_bodies(fit) for axis in "xyz"]
+
+
+WRENCH_POINTS = Hypothesis("wrench points", True, _points, (POINT,), _point_columns, _point_found, description=True)
 
 
 def _felt(fit: Fit, read: Reading) -> Offer:
     """Compute the joint torques that errors of the wrench readings cause."""
     model = fit.dataset.model
 
-    def offer(window: SampleWindow, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+    def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
         run = window.run
         extra = read(window.samples().command.T[run.given])
         padded = np.zeros((len(extra), len(run.channels), extra.shape[-1]))

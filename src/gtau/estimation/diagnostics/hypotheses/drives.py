@@ -29,7 +29,14 @@ from gtau.estimation.diagnostics.alternatives import (
     rms_speeds,
     rms_torques,
 )
-from gtau.estimation.diagnostics.linearisation import CandidateColumns, Linearised, Offer, at_full_rate, weighted
+from gtau.estimation.diagnostics.linearisation import (
+    CandidateColumns,
+    Linearised,
+    Moving,
+    Offer,
+    at_full_rate,
+    weighted,
+)
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import jacobian_of_known, to_gains
 from gtau.estimation.regression.equations import KNOWN, modelled
@@ -40,7 +47,6 @@ from gtau.estimation.thresholds.estimates import ALTERNATIVE_PRIOR, DOMINANT, PL
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.findings.words import RELATIVE
-from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter
 from gtau.signals.preparation.filters import differentiate
 from gtau.signals.preparation.prepared_run import SampleWindow
@@ -78,9 +84,9 @@ def _friction_shape(fit: Fit) -> Offer:
     regressor, acting = model.columns(base.standard), is_transmitted(base.names)
     absent = {term: np.array([Parameter(term, j) not in fit.system.terms for j in joints]) for term in ("f3", "fl")}
 
-    def offer(window: SampleWindow, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
-        of = window.samples()
-        ratio, sign = of.qd / np.where(speeds > 0, speeds, 1.0), np.sign(of.qd)
+    def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
+        samples = window.samples()
+        ratio, sign = samples.qd / np.where(speeds > 0, speeds, 1.0), np.sign(samples.qd)
         cubic = level * ratio**3 / 3 * absent["f3"]
         torques = regressor.torques_along(model.layout, motion(), values * acting)
         load = np.abs(torques.T) * sign * absent["fl"]
@@ -90,9 +96,8 @@ def _friction_shape(fit: Fit) -> Offer:
     return offer
 
 
-FRICTION_SHAPE = Hypothesis(
-    "friction shape", False, _friction_shape, (CUBIC_FRICTION, LOAD_FRICTION, STRIBECK_FRICTION)
-)
+FRICTION = CUBIC_FRICTION, LOAD_FRICTION, STRIBECK_FRICTION
+FRICTION_SHAPE = Hypothesis("friction shape", False, _friction_shape, FRICTION)
 
 DRIFTING_FRICTION = "let the robot warm up before the runs, or split long runs"
 FRICTION_CHANGE = Threshold(0.1, "relative change of friction along a run", evidence="experience")
@@ -119,17 +124,19 @@ def _friction_drift(fit: Fit) -> Offer:
     )
     along = _along_runs(fit)
 
-    def offer(window: SampleWindow, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
-        of = window.samples()
-        change = along(window, of.time)
-        return at_full_rate(window, fit, np.stack([(fv * of.qd).T * change, (fs * np.sign(of.qd)).T * change]))
+    def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
+        samples = window.samples()
+        change = along(window, samples.time)
+        return at_full_rate(
+            window, fit, np.stack([(fv * samples.qd).T * change, (fs * np.sign(samples.qd)).T * change])
+        )
 
     return offer
 
 
 def _along_runs(fit: Fit) -> Callable[[SampleWindow, np.ndarray], np.ndarray]:
     """Return a function that takes instants in a window's run to -0.5 at its beginning, 0.5 at its end."""
-    spans = {id(each.run): (each.time[0], each.time[-1]) for each in fit.dataset.prepared}
+    spans = {id(run.run): (run.time[0], run.time[-1]) for run in fit.dataset.prepared}
 
     def along(window: SampleWindow, time: np.ndarray) -> np.ndarray:
         begin, end = spans[id(window.run)]
@@ -163,7 +170,7 @@ def _saturation(fit: Fit) -> Offer:
     regressor, n = fit.dataset.model.columns(fit.dataset.base.standard), len(fit.gains)
     scale = LARGE * rms_torques(fit)
 
-    def offer(window: SampleWindow, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+    def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
         def columns(rows: Rows) -> np.ndarray:
             tau = regressor.torques(rows.entries, values, n)
             return (np.abs(tau) * tau / scale[:, None])[:, :, None]
@@ -193,7 +200,7 @@ def _gain_drift(fit: Fit) -> Offer:
     regressor, n = fit.dataset.model.columns(fit.dataset.base.standard), len(fit.gains)
     along = _along_runs(fit)
 
-    def offer(window: SampleWindow, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+    def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
         return lambda rows: (regressor.torques(rows.entries, values, n) * along(window, rows.time))[:, :, None]
 
     return offer
@@ -222,7 +229,7 @@ def _current_lag(fit: Fit) -> Offer:
     model = fit.dataset.model
     regressor = model.columns(fit.dataset.base.standard)
 
-    def offer(window: SampleWindow, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
+    def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
         torques = regressor.torques_along(model.layout, motion(), values)
         _, change = differentiate(torques.T, window.run.rate)
         return at_full_rate(window, fit, change.T[None])
@@ -256,20 +263,21 @@ def gain_changes(fit: Fit) -> Iterator[Alternative]:
     offered = -current[..., None] * groups[:, of_block].T[:, None, None, :]
     known = np.zeros(len(problem.known)), jacobian_of_known(problem, True)
     clusters = np.unique(problem.block_numbers, return_inverse=True)[1]
-    tests = Linearised(errors, J, offered, known, clusters).score_tests(slice(None), shared=False)
-    t, shares = tests.size / np.maximum(tests.std, 1e-300), tests.share.sum(axis=1)
+    linear = Linearised(errors, J, offered, known, clusters)
+    sizes, stds, of_joints, slopes = linear.score_tests(slice(None), shared=False)
+    t, shares = sizes / np.maximum(stds, 1e-300), of_joints.sum(axis=1)
     worst = _first_largest(np.abs(t[:, : len(gains)]))
     if shares.max() > DOMINANT:  # the same runs for all joints
         worst[:] = _first_largest(shares)
     T = to_gains(state, True)
     for j, k in enumerate(worst):
-        change, std = float(tests.size[k, j]), float(tests.std[k, j])
+        change, std = float(sizes[k, j]), float(stds[k, j])
         if not t[k, j] or abs(change) > SCALED:
             continue  # reversed, or in another unit: other checks name these better
         names = [fit.dataset.runs[run].name for run in runs[groups[k]]]
         cause = Finding(F.GAIN_CHANGE, (problem.joints[j],), "", {"runs": names, "change": change})
-        slopes = np.zeros(len(fit.solution.values))
-        slopes[problem.gain_rows] = (T @ tests.slopes[k, j])[problem.gain_rows]
+        of_gains = np.zeros(len(T))
+        of_gains[problem.gain_rows] = (T @ slopes[k, j])[problem.gain_rows]
         yield Alternative(
             GAIN_CHANGE,
             (cause,),
@@ -279,7 +287,7 @@ def gain_changes(fit: Fit) -> Iterator[Alternative]:
             float(ALTERNATIVE_PRIOR) / tried,  # the largest of several changes is larger by chance
             float(shares[k]),
             plausible=float(PLAUSIBLE_GAIN_CHANGE),
-        ).moving(fit, slopes)
+        ).moving(fit, of_gains)
 
 
 def _first_largest(values: np.ndarray) -> np.ndarray:
