@@ -73,8 +73,8 @@ def baseline_of(values: np.ndarray) -> Baseline:
 class Chart:
     """A chart: its last logs, and sums over those before them.
 
-    ``x`` and ``w`` (m,) are values and relative variances of the last logs, after ``count`` others with the sums
-    ``hh``, ``hy`` and ``yy`` of whitened constants and values; ``before`` are value and weight of the last of these.
+    ``x`` and ``w`` (m,) are values and relative variances of the last logs, after ``count`` others with the ``sums`` of
+    products of whitened constants h and values y, hh, hy and yy; ``before`` are value and weight of the last of these.
     ``cusum`` are the upper and the lower sum, and ``learning`` how many of the first logs are the baseline. Of a chart
     that is ``rising`` only growth counts: a decreasing residual is not a fault. ``memory`` is the
     correlation from log to log of a healthy robot.
@@ -86,9 +86,7 @@ class Chart:
     x: np.ndarray = field(default_factory=lambda: np.zeros(0))
     w: np.ndarray = field(default_factory=lambda: np.zeros(0))
     count: int = 0
-    hh: float = 0.0
-    hy: float = 0.0
-    yy: float = 0.0
+    sums: tuple[float, float, float] = (0.0, 0.0, 0.0)
     before: tuple[float, float] | None = None
     cusum: tuple[float, float] = (0.0, 0.0)
 
@@ -96,6 +94,11 @@ class Chart:
     def total(self) -> int:
         """Number of logs."""
         return self.count + len(self.x)
+
+    def summed(self, h: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:
+        """Add the products of further whitened constants and values (m,) to the sums."""
+        hh, hy, yy = self.sums
+        return hh + float(h @ h), hy + float(h @ y), yy + float(y @ y)
 
 
 @dataclass(frozen=True)
@@ -116,7 +119,7 @@ def add(chart: Chart, x: float, weight: float = 1.0) -> Chart:
     added = replace(chart, x=np.append(chart.x, x), w=np.append(chart.w, weight))
     if added.total > max(chart.learning, 2):
         h, y = _whitened(added)
-        hh, hy, yy = chart.hh + h[:-1] @ h[:-1], chart.hy + h[:-1] @ y[:-1], chart.yy + y[:-1] @ y[:-1]
+        hh, hy, yy = chart.summed(h[:-1], y[:-1])
         freedom = added.total - 2
         scale = np.sqrt(max((yy - hy**2 / hh) / freedom, 1e-300) * (1 + h[-1] ** 2 / hh))
         score = float(np.clip(ndtri(stdtr(freedom, (y[-1] - h[-1] * hy / hh) / scale)), -8.0, 8.0))
@@ -133,7 +136,7 @@ def evidence(chart: Chart) -> Evidence:
     if m <= first or n < 4:
         return Evidence()
     h, y = _whitened(chart)
-    hh, hy, yy = chart.hh + h @ h, chart.hy + h @ y, chart.yy + y @ y
+    hh, hy, yy = chart.summed(h, y)
     S0 = yy - hy**2 / hh
     if 1e-12 * yy >= S0 or S0 <= 0:
         return Evidence()  # a chart that never moves has no scale
@@ -221,8 +224,6 @@ def _condensed(chart: Chart) -> Chart:
         x=chart.x[old:],
         w=chart.w[old:],
         count=chart.count + old,
-        hh=chart.hh + float(h @ h),
-        hy=chart.hy + float(h @ y),
-        yy=chart.yy + float(y @ y),
+        sums=chart.summed(h, y),
         before=(float(chart.x[old - 1]), float(chart.w[old - 1])),
     )

@@ -115,24 +115,12 @@ class Gains(Enum):
 class Fit:
     """A fit of an estimator to the data.
 
-    Attributes
-    ----------
-    system : System
-        The equations solved: those given, or the same reweighted or along simulated motion.
-    solution : Solution
-        The estimates.
-    solve : callable
-        Solves the same equations with other known payload values, for sensitivities.
-    unrefined : Solution
-        The result of ``solve`` for ``system``; it differs from ``solution`` if the estimator refines it.
-    solve_fixed : callable
-        Solves for fewer parameters with the gains of ``solution``.
-    free_gains : bool
-        Whether the gains were estimated.
-    noise_free : bool
-        Whether the estimates are free of bias from position noise.
-    unweighted : Problem, optional
-        The equations solved, but with every row at full weight, if the estimator weighted rows.
+    ``system`` are the equations solved: those given, or the same reweighted or along simulated motion. ``solve``
+    solves the same equations with other known payload values, for sensitivities; its result for ``system`` is
+    ``unrefined``, which differs from ``solution`` if the estimator refines it. ``solve_fixed`` solves for fewer
+    parameters with the gains of ``solution``, which were estimated if ``free_gains``. ``noise_free`` estimates are
+    free of bias from position noise. ``unweighted`` are the equations with every row at full weight, if the estimator
+    weighted rows.
     """
 
     system: System

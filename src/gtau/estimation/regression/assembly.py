@@ -37,22 +37,10 @@ def assemble_problem(
     """Stack the factors of unloaded and loaded runs into one problem (eqs. 29 to 33); raises GtauError.
 
     A payload is a further body on the robot's tool (eq. 18), so its columns are combinations of the base columns, and
-    each run's factor becomes a block of the problem by one product with a small matrix.
-
-    Parameters
-    ----------
-    effects : sequence of ColumnBlock
-        Of the model, see :func:`column_blocks`.
-    channels : sequence of Channel
-        Those of the factors, (c,).
-    factors : sequence of Factors
-        One a run.
-    slowest : float
-        Longest delay that can be described, s; 0 for none.
-    temperatures : sequence of ndarray, optional
-        Differences (blocks, n) of the joints' temperatures from their means, for each run.
-    motions : sequence of int, optional
-        A number for each run, the same for runs that repeat a motion, whose blocks are left out together.
+    each run's factor becomes a block of the problem by one product with a small matrix. Factors are one a run, of
+    ``channels``; ``slowest`` is the longest delay that can be described, s, 0 for none. ``temperatures`` are
+    differences (blocks, n) of the joints' temperatures from their means in each run; ``motions`` a number for each
+    run, the same for runs that repeat a motion, whose blocks are left out together.
     """
     blocks: list[np.ndarray] = []
     merged: list[list[np.ndarray]] = []

@@ -149,16 +149,9 @@ class Dataset:
     ) -> System:
         """Assemble the estimation problem; raises GtauError.
 
-        Parameters
-        ----------
-        terms : tuple of Parameter
-            Of friction beyond the paper's, viscous and Coulomb friction and an offset.
-        per_run : bool
-            Whether friction may drift between runs.
-        delays : bool
-            Whether currents may be delayed.
-        payloads : sequence, optional
-            Other than those of the runs, None for a run without.
+        ``terms`` are those of friction beyond the paper's (viscous and Coulomb friction and an offset), which may
+        drift between runs if ``per_run``. Currents are not delayed without ``delays``. ``payloads`` replace those of
+        the runs.
         """
         measured = self.runs[0].channels
         channels = [channel for channel in measured if channel.kind.modelled]

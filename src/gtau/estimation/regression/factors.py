@@ -33,20 +33,12 @@ EXTRA = len(TERMS) + FIXED  # columns behind those of standard parameters
 class Factors:
     """A run, reduced.
 
-    Attributes
-    ----------
-    R : ndarray
-        (blocks, c, p, p) triangles of ``[W_j terms_j known_j v_j v_j' v_j'']``, p = columns + 6, of the joints and
-        then of the torque sensors: these have the regressor's row of their joint, and no further friction. Known is
-        minus the contribution of measured wrenches to the torque of the joint.
-    rows : ndarray
-        (blocks, c) number of rows behind each.
-    distances : ndarray
-        (K, 2) to singularities of type 1 and 2 at the decimated samples, in single precision; of logs only.
-    residuals : ndarray
-        (K, c) of weighted runs, before weighting, NaN where the row is not kept; (0, c) of others.
-    speeds : ndarray
-        (blocks, n) largest speed of each actuated joint among its rows, rad/s or m/s; of logs only.
+    ``R`` (blocks, c, p, p) are triangles of ``[W_j terms_j known_j v_j v_j' v_j'']``, p = columns + 6, of the joints
+    and then of the torque sensors: these have the regressor's row of their joint, and no further friction. Known is
+    minus the contribution of measured wrenches to the torque of the joint. ``rows`` (blocks, c) count those behind
+    each. Of logs only, ``distances`` (K, 2) are those to singularities of type 1 and 2 at the decimated samples, in
+    single precision, and ``speeds`` (blocks, n) the largest of each actuated joint among its rows, rad/s or m/s.
+    ``residuals`` (K, c) are those of weighted runs, before weighting, NaN where the row is not kept; (0, c) of others.
     """
 
     R: np.ndarray

@@ -44,33 +44,39 @@ def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | Non
             raise GtauError(_always_carried(problem.wrenches, other))
     if len(problem.parameters) in independent_columns(_with_scale(problem))[0]:
         return
+    raise _without_effect(robot, system, other)
+
+
+def _without_effect(robot: Robot, system: System, other: str) -> GtauError:
+    """Say of the known quantities that they have no effect of their own on the motors."""
+    problem = system.problem
     if problem.sensor_channels:
         sensors = [problem.channels[k] for k in problem.sensor_channels]
         named = " and the ".join(
             f"{kind.group} of {', '.join(each.joint for each in sensors if each.kind == kind)}"
             for kind in dict.fromkeys(each.kind for each in sensors)
         )
-        raise GtauError(
+        return GtauError(
             f"the {named} measure no load that the motors carry too, so they "
             "cannot give the scale of the drive gains; add sensors of other joints, runs that move them against "
             f"gravity, {other}."
         )
     if len(problem.known):
-        raise _hidden(system.stated, other)
+        return _hidden(system.stated, other)
     if problem.wrenches:
-        raise GtauError(
+        return GtauError(
             f"the wrenches on {', '.join(problem.wrenches)} have no effect of their own on any actuated joint, so they "
             "cannot give the scale of the drive gains; check their columns, their 'body' and 'at' under 'signals', "
             f"carry a payload of known mass in some runs, {other}."
         )
     if robot.floating:
-        raise GtauError(
+        return GtauError(
             f"the wrench on the base '{robot.floating}' has no effect of its own on the motors, so it cannot give the "
             "scale of the drive gains; check its columns and 'at' under 'base' of 'signals', carry a payload of known "
             f"mass in some runs, {other}."
         )
     on = f"'{robot.tool}'" + ("" if robot.named_tool else ", which was assumed")
-    raise GtauError(
+    return GtauError(
         f"the payload's known parameters have no effect of their own on any actuated joint where it sits, on {on}, "
         "so they cannot give the scale of the drive gains; check 'tool' in the robot file, give more known "
         f"'parameters' of the payload, {other}."
