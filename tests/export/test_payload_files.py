@@ -20,7 +20,7 @@ from gtau.errors import GtauError
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.payload import PayloadBody
 from gtau.export.payload import WRITERS
-from gtau.robots.rigid_body import RigidBody
+from gtau.robots.parameter import RigidBody
 from gtau.uses.payload_body import QUANTITIES, UNITS
 
 TURN = Rotation.from_euler("ZYX", [0.7, -0.4, 0.2]).as_matrix()

@@ -18,10 +18,9 @@ from gtau.export.exported import Export, Exported, digits
 from gtau.export.input_file import InputFile, input_file
 from gtau.export.mjcf import imported, notes
 from gtau.model.kinematics import frames
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import Parameter, RigidBody, rigid_body
 from gtau.robots.readers.mjcf_file import SHAPES, compile_mjcf
 from gtau.robots.readers.xml_document import read_xml
-from gtau.robots.rigid_body import RigidBody, rigid_body
 from gtau.robots.robot import SPRING, STIFFNESS
 from gtau.simulation.mujoco_plant import spring_attributes
 

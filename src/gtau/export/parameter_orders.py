@@ -1,7 +1,7 @@
 """Parameters of bodies in the orders of Pinocchio, MuJoCo, Drake, MATLAB and SYMORO, with their names, and back.
 
 All are given in the frame of the link as gtau places it; a program that places the body's frame elsewhere wants them
-moved with :meth:`gtau.robots.rigid_body.RigidBody.seen_from`. Products of inertia are entries of the inertia tensor
+moved with :meth:`gtau.robots.parameter.RigidBody.seen_from`. Products of inertia are entries of the inertia tensor
 (``xy = -int x y dm``) in all five.
 """
 
@@ -19,8 +19,7 @@ from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
 from gtau.export.consistent import consistent_model
 from gtau.export.exported import Export, Exported, written
-from gtau.robots.parameter import Parameter
-from gtau.robots.rigid_body import RigidBody, inertial_parameters, rigid_body
+from gtau.robots.parameter import Parameter, RigidBody, inertial_parameters, rigid_body
 from gtau.robots.robot import INERTIAL
 
 ENTRIES = {"xx": (0, 0), "xy": (0, 1), "xz": (0, 2), "yy": (1, 1), "yz": (1, 2), "zz": (2, 2)}

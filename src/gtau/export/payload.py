@@ -19,7 +19,7 @@ from gtau.errors import GtauError
 from gtau.estimation.results.payload import PayloadBody
 from gtau.export.exported import Exported, refuse_unknown, written
 from gtau.robots.geometry import angles_of
-from gtau.robots.rigid_body import RigidBody
+from gtau.robots.parameter import RigidBody
 
 MILLI = 1e3  # mm in a m
 

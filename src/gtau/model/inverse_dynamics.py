@@ -141,6 +141,11 @@ class InverseDynamics:
         layout = self.layout
         return close_loops(self.robot) if self.robot.closures or self.robot.couplings or layout.passive.size else None
 
+    @property
+    def home(self) -> np.ndarray:
+        """Home configuration (n_c,), with the loops closed."""
+        return self.layout.home if self.loops is None else self.loops.home
+
     def with_gravity(self, gravity: np.ndarray) -> InverseDynamics:
         """Return the model of the same robot with another gravity (3,), m/s2; its loops are not solved again."""
         other = InverseDynamics(replace(self.robot, gravity=tuple(gravity.tolist())), self._kind)

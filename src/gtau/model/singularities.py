@@ -58,7 +58,7 @@ def random_motion(idm: InverseDynamics, samples: int, rng: np.random.Generator, 
     joints = [idm.robot.joint(name) for name in idm.actuated]
     length = idm.loops.length if idm.loops else 1.0
     bounds = np.array([_range(joint, length) for joint in joints])
-    home = np.clip((idm.loops.home if idm.loops else idm.layout.home)[idm.layout.actuated], *bounds.T)[:, None]
+    home = np.clip(idm.home[idm.layout.actuated], *bounds.T)[:, None]
     speed = np.array([joint.limits.velocity or 3.0 for joint in joints]) / 3
     push = np.array([joint.limits.acceleration or 30.0 for joint in joints]) / 3
     parts: list[Motion] = []

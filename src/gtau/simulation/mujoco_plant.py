@@ -17,9 +17,7 @@ from scipy.spatial.transform import Rotation
 from gtau.errors import GtauError, missing_extra
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import Coordinates, PlatformSlots
-from gtau.model.loop_paths import follow
-from gtau.robots.parameter import Parameter, parameter_of
-from gtau.robots.rigid_body import rigid_body
+from gtau.robots.parameter import Parameter, parameter_of, rigid_body
 from gtau.robots.robot import (
     DAMPING,
     GROUND,
@@ -88,9 +86,8 @@ class MujocoPlant:
 
     def start(self, q: np.ndarray) -> PlantState:
         """Return the state at rest at actuated positions ``q`` (n,); raises GtauError where they cannot be reached."""
-        loops, layout = self.model.loops, self.model.layout
-        c = follow(loops, q[:, None])[:, 0] if loops else np.array(q, dtype=float)
-        qpos = mujoco_positions(self._model, layout, c)
+        c = self.model.path(np.array(q, dtype=float)[:, None])[:, 0]
+        qpos = mujoco_positions(self._model, self.model.layout, c)
         rest = np.zeros(len(self.friction.law.states))
         return PlantState(np.array(q, dtype=float), np.zeros(len(q)), qpos, np.zeros(self._model.nv), rest)
 

@@ -25,7 +25,6 @@ from gtau.model.closures import closure_expressions
 from gtau.model.dynamics import spring_length, torques
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import configuration_rates, frames
-from gtau.model.loop_paths import follow
 from gtau.model.loops import Loops, pose_words
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import PLAIN_FRICTION, PRELOAD, STIFFNESS
@@ -111,8 +110,8 @@ class Plant:
         self.friction = friction or plain_friction(model, self.chi)
         self._dynamics, self._effort = self._symbolic_dynamics(), self._symbolic_effort()
         self._step = Compiled(self._symbolic_step())
-        self._side = self._mode(self.home)
-        mass = self.mass_matrix(self.home)
+        self._side = self._mode(model.home)
+        mass = self.mass_matrix(model.home)
         if np.linalg.eigvalsh((mass + mass.T) / 2).min() <= 1e-12 * np.abs(mass).max():
             raise GtauError(
                 f"robot '{model.robot.name}': at home its inertia is not positive, so that forces give no "
@@ -127,16 +126,10 @@ class Plant:
         (G,) = self._passive(c)
         return float(np.linalg.slogdet(G.reshape(n_passive, n_passive))[0])
 
-    @property
-    def home(self) -> np.ndarray:
-        """Home configuration with the loops closed, (n_c,)."""
-        return self.model.loops.home if self.model.loops else self.layout.home
-
     def start(self, q: np.ndarray) -> PlantState:
         """Return the state at rest at actuated positions ``q`` (n,); raises GtauError where they cannot be reached."""
-        c = follow(self.model.loops, q[:, None])[:, 0] if self.model.loops else np.array(q, dtype=float)
-        rest = np.zeros(len(self.friction.law.states))
-        return PlantState(np.array(q, dtype=float), np.zeros(len(q)), c, np.zeros(len(q)), rest)
+        c, still = self.model.path(np.array(q, dtype=float)[:, None])[:, 0], np.zeros(len(q))
+        return PlantState(np.array(q, dtype=float), still, c, still, np.zeros(len(self.friction.law.states)))
 
     def advance(self, state: PlantState, force: np.ndarray, duration: float) -> PlantState:
         """Advance the state by ``duration`` s under constant forces (n,) of the actuated joints, N m or N."""

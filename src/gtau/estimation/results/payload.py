@@ -12,7 +12,7 @@ from gtau import display
 from gtau.documents.validation import PATH, takes
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict
 from gtau.estimation.results.estimate import Estimate
-from gtau.robots.rigid_body import RigidBody
+from gtau.robots.parameter import RigidBody
 from gtau.robots.robot import Pose
 
 

@@ -9,9 +9,8 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from gtau.documents.validation import some_of
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import Parameter, RigidBody, lumped
 from gtau.robots.readers.xml_document import decimals, line_of, numbers
-from gtau.robots.rigid_body import RigidBody, lumped
 from gtau.robots.robot import Attachment, Pose
 
 if TYPE_CHECKING:

@@ -24,9 +24,9 @@ from gtau.robots.geometry import (
     short_angles_note,
     smallest_unit,
 )
+from gtau.robots.parameter import RigidBody
 from gtau.robots.readers.inertias import mjcf_bodies
 from gtau.robots.readers.xml_document import LARGEST, all_numbers, decimals, line_of, read_xml
-from gtau.robots.rigid_body import RigidBody
 from gtau.robots.robot import DAMPING, PRELOAD, SPRING, STIFFNESS, Pose
 
 if TYPE_CHECKING:

@@ -28,36 +28,28 @@ def native_text(robot: Robot) -> str:
 
     A joint with an MDH placement and an axis other than z cannot be expressed, and is refused.
     """
-    passive = bool(robot.closures or robot.couplings)
-    lines = [_flow({"robot": robot.name})]
-    if robot.source:
-        lines.append(_flow({"source": robot.source}))
-    if robot.notes:
-        lines.append("notes:")
-        lines += [f"  - {_flow_item(note)}" for note in robot.notes]
-    lines.append(_flow({"gravity": list(robot.gravity)}))
-    lines.append("joints:")
-    moving = robot.joints[len(robot.base) :]
-    lines += [f"  {_flow({joint.name: _joint_data(joint, passive)})}" for joint in moving]
-    if robot.platforms:
-        lines.append("platforms:")
-        lines += [
-            f"  {_flow({platform.name: {'dof': list(platform.dof), 'home': _pose_data(platform.home)}})}"
-            for platform in robot.platforms
-        ]
-    if robot.closures:
-        lines.append("closures:")
-        lines += [f"  - {_flow({c.kind: [_attachment_data(c.a), _attachment_data(c.b)]})}" for c in robot.closures]
-    if robot.couplings:
-        lines.append("couplings:")
-        lines += [f"  - {_flow_item(_coupling_data(coupling))}" for coupling in robot.couplings]
-    if robot.springs:
-        lines.append("springs:")
-        lines += [f"  {_flow({spring.name: _spring_data(spring)})}" for spring in robot.springs]
-    if robot.named_tool:
-        lines.append(_flow({"tool": robot.named_tool}))
-    if robot.floating:
-        lines.append(_flow({"floating": robot.floating}))
+    passive, moving = bool(robot.closures or robot.couplings), robot.joints[len(robot.base) :]
+    homes = {place.name: {"dof": list(place.dof), "home": _pose_data(place.home)} for place in robot.platforms}
+    ties = [{str(tie.kind): [_attachment_data(tie.a), _attachment_data(tie.b)]} for tie in robot.closures]
+    groups = {
+        "robot": robot.name,
+        "source": robot.source,
+        "notes": [f"  - {_flow_item(note)}" for note in robot.notes],
+        "gravity": robot.gravity,
+        "joints": [f"  {_flow({joint.name: _joint_data(joint, passive)})}" for joint in moving],
+        "platforms": [f"  {_flow({name: data})}" for name, data in homes.items()],
+        "closures": [f"  - {_flow(tie)}" for tie in ties],
+        "couplings": [f"  - {_flow_item(_coupling_data(coupling))}" for coupling in robot.couplings],
+        "springs": [f"  {_flow({spring.name: _spring_data(spring)})}" for spring in robot.springs],
+        "tool": robot.named_tool,
+        "floating": robot.floating,
+    }
+    lines: list[str] = []
+    for key, value in groups.items():
+        if isinstance(value, list) and value:
+            lines += [f"{key}:", *value]
+        elif value:
+            lines.append(_flow({key: list(value) if isinstance(value, tuple) else value}))
     return "\n".join(lines) + "\n"
 
 
