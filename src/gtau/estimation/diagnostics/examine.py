@@ -209,11 +209,7 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
                     findings=tuple(item for item in seen.findings if item.kind not in check.silences),
                     alternatives=tuple(item for item in seen.alternatives if item.hypothesis not in check.silences),
                 )
-            seen = replace(
-                seen,
-                findings=(*seen.findings, *findings),
-                alternatives=(*seen.alternatives, *alternatives),
-            )
+            seen = replace(seen, findings=(*seen.findings, *findings), alternatives=(*seen.alternatives, *alternatives))
     return _weighed(seen)
 
 

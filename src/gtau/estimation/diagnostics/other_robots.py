@@ -25,13 +25,7 @@ from typing import TypeVar
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.alternatives import (
-    Alternative,
-    established,
-    of_refit,
-    refitted,
-    residual_ratio,
-)
+from gtau.estimation.diagnostics.alternatives import Alternative, established, of_refit, refitted, residual_ratio
 from gtau.estimation.diagnostics.hypotheses.description import DEGREE, GRAVITY, OTHER_GRAVITY
 from gtau.estimation.diagnostics.linearisation import linearise, on_channels
 from gtau.estimation.diagnostics.verdict import unexplained_shares
@@ -51,13 +45,7 @@ from gtau.estimation.thresholds.estimates import (
     REFUTED_SHARE,
     REFUTED_STD,
 )
-from gtau.estimation.thresholds.logs import (
-    LENGTH_ALIKE,
-    LENGTH_CHANGE,
-    LENGTH_MOST,
-    LENGTH_SHARE,
-    LENGTH_TRIED,
-)
+from gtau.estimation.thresholds.logs import LENGTH_ALIKE, LENGTH_CHANGE, LENGTH_MOST, LENGTH_SHARE, LENGTH_TRIED
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.findings.words import RELATIVE
