@@ -96,8 +96,8 @@ def test_limits_and_rest_positions_are_in_radians(tmp_path: Path, monkeypatch: p
     robot = sprung()
     joints = [replace(joint, limits=replace(joint.limits, position=limits.get(joint.name))) for joint in robot.joints]
     robot, built = replace(robot, joints=tuple(joints)), []
-    compile_spec = mjcf.compile_spec
-    monkeypatch.setattr(mjcf, "compile_spec", lambda spec: built.append(compile_spec(spec)) or built[-1])
+    original = mjcf.compiled
+    monkeypatch.setattr(mjcf, "compiled", lambda make: built.append(original(make)) or built[-1])
     (path,) = export(model_of(robot), tmp_path).files
     for model in (*built, mujoco.MjModel.from_xml_path(str(path))):
         for joint in robot.joints:

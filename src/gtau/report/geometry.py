@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gtau.estimation.diagnostics.geometry_findings import GeometryTest, PoseResidual, percent
+from gtau.estimation.diagnostics.geometry_findings import GeometryTest, percent
 from gtau.estimation.thresholds.logs import POSE_DELAY_STD
 from gtau.report.chart import Axis, Chart, Panel, Series, colour
 from gtau.report.motion import TIME
@@ -70,14 +70,10 @@ def _residuals(test: GeometryTest) -> Table:
         (Column("run"), "run"),
         (Column("component"), "name"),
         (Column("rms", Kind.NUMBER, 3), lambda residual: 1e3 * residual.rms),
-        (Column("bias", Kind.NUMBER, 2), _bias),
+        (Column("bias", Kind.NUMBER, 2), lambda pose: 1e3 * pose.bias * (abs(pose.bias) > ROUNDING * pose.rms)),
         *([after] if test.explained_by else []),
         (Column("unit"), lambda residual: f"m{residual.unit}"),
     )
-
-
-def _bias(residual: PoseResidual) -> float:
-    return 1e3 * residual.bias if abs(residual.bias) > ROUNDING * residual.rms else 0.0
 
 
 def _constants(test: GeometryTest) -> Table:

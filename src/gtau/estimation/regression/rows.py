@@ -156,7 +156,7 @@ def external_torques(idm: InverseDynamics, run: Run, motion: Motion, measured: n
 
 def configurations(idm: InverseDynamics, window: SampleWindow) -> np.ndarray:
     """Compute the configurations (n_c, N) of a model along a window; raises GtauError."""
-    whole, first = window.of or (window, 0)
+    whole, first = window.part_of or (window, 0)
     return _along_whole(idm, whole)[1][:, first : first + len(window)]
 
 
@@ -191,7 +191,7 @@ def _along(
             known = max(end - at.start, 0) if c.size else 0
             stop = min(max(at.start + PATH, at.stop), len(prepared))
             of = prepared.samples(at.start, stop)
-            if isinstance(prepared, SampleWindow) and prepared.of is not None:
+            if isinstance(prepared, SampleWindow) and prepared.part_of is not None:
                 c = configurations(idm, prepared)[:, at.start : stop]
             else:
                 labels = Labels(prepared.run.name, of.time[known:])

@@ -37,7 +37,7 @@ def central_windows(prepared: Sequence[PreparedRun], pieces: int, cut: Sequence[
         kept = _middle(stretches, size * pieces)
         middle = joined([run.samples(each.start, each.stop) for each in kept])
         first = range(0, size * pieces, size)
-        windows += [(number, replace(middle[at : at + size], of=(middle, at))) for at in first]
+        windows += [(number, replace(middle[at : at + size], part_of=(middle, at))) for at in first]
     return windows
 
 

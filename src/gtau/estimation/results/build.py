@@ -50,16 +50,7 @@ def model_estimates(
 ) -> ModelEstimates:
     """Collect the estimates with which the model predicts.
 
-    Parameters
-    ----------
-    fit, equations : Fit, Estimates
-        Of all base parameters, by the equations of identification.
-    predicting, curves : Estimates, dict
-        After the step of friction.
-    diagnosis : Diagnosis
-        What can be believed.
-    essential : Problem
-        Of the essential parameters.
+    ``equations`` are those of the fit, ``predicting`` the same after the step of friction, with its ``curves``.
     """
     dataset, channels, terms = fit.dataset, fit.system.problem.channels, fit.system.terms
     temperatures, base_names = reference_temperatures(fit), set(dataset.base.names)

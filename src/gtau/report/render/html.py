@@ -82,7 +82,7 @@ def _environment() -> Any:
     environment = Environment(
         loader=FunctionLoader(load), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.globals.update(numeric=NUMERIC, badges=BADGES, svg=_svg, robot=_robot)
+    environment.globals.update(numeric=NUMERIC, badges=BADGES, svg=svg_of, robot=_robot)
     environment.filters.update(cell=_cell, key=Column.sort_key, sentence=sentence, minus=minus)
     environment.tests.update(kind=lambda item, name: type(item).__name__ == name)
     return environment
@@ -100,19 +100,10 @@ def minus(words: str) -> str:
     return re.sub(r"(?<![^\s(,])-(?=\d)|(?<=\d[eE])-(?=\d)", MINUS, words)
 
 
-def _svg(chart: Chart) -> list[tuple[str, Any]]:
-    """Draw the panels of a static chart, with their titles."""
-    from markupsafe import Markup
-
-    return [(panel.title, Markup(svg_of(panel, alone=chart.columns == 1))) for panel in chart.panels]
-
-
-def _robot(robot: Robot) -> Any:
-    from markupsafe import Markup
-
+def _robot(robot: Robot) -> str:
     from gtau.report.robot_figure import robot_figure
 
-    return Markup(svg(robot_figure(robot, variables())))
+    return svg(robot_figure(robot, variables()))
 
 
 def _style() -> str:

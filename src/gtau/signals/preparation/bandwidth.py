@@ -72,7 +72,9 @@ def spectra(run: Run) -> tuple[JointSpectrum, ...]:
     rounding = ROUNDING * np.maximum(np.abs(low), np.abs(most))
     density[:, most - low <= rounding] = 0.0
     moves = most - low > LEAST_RANGE * noise
-    return tuple(_judge(frequency, each, gain, moving) for each, moving in zip(density.T, moves.tolist(), strict=True))
+    return tuple(
+        _judge(frequency, column, gain, moving) for column, moving in zip(density.T, moves.tolist(), strict=True)
+    )
 
 
 def position_noise(run: Run, cutoffs: Sequence[float | None]) -> np.ndarray:
@@ -80,11 +82,11 @@ def position_noise(run: Run, cutoffs: Sequence[float | None]) -> np.ndarray:
 
     It is the largest density of a third of an octave above a joint's cut-off (Hz), where the torques show no motion.
     """
-    found = []
+    bounds = []
     for cutoff, (centre, density, gain) in zip(cutoffs, _banded(run), strict=True):
         above = centre > cutoff if cutoff is not None else np.zeros(len(centre), dtype=bool)
-        found.append(float(np.max(density / gain**2, where=above, initial=0.0)))
-    return np.array(found)
+        bounds.append(float(np.max(density / gain**2, where=above, initial=0.0)))
+    return np.array(bounds)
 
 
 def widened(run: Run, cutoffs: Sequence[float | None], noise: Sequence[float]) -> tuple[float | None, ...]:
@@ -92,10 +94,10 @@ def widened(run: Run, cutoffs: Sequence[float | None], noise: Sequence[float]) -
 
     The error of the accelerations, of lost motion above the cut-off and of noise that passes, is least.
     """
-    found: list[float | None] = []
+    cutoffs_of_joints: list[float | None] = []
     for cutoff, level, (centre, density, gain) in zip(cutoffs, noise, _banded(run), strict=True):
         if cutoff is None or cutoff >= HIGHEST_CUTOFF * run.rate:
-            found.append(None)
+            cutoffs_of_joints.append(None)
             continue
         above = centre > cutoff
         frequency, white = centre[above], (level * gain**2)[above]
@@ -103,16 +105,16 @@ def widened(run: Run, cutoffs: Sequence[float | None], noise: Sequence[float]) -
         tried = cutoff * 2 ** (np.arange(int(4 * np.log2(HIGHEST_CUTOFF * run.rate / cutoff)) + 1) / 4)
         passed = 1 / (1 + (frequency / tried[:, None]) ** 8)  # of filters.low_pass
         error = ((1 - passed) ** 2 * motion + passed**2 * white) @ frequency
-        found.append(float(tried[np.argmin(error)]))
-    return tuple(found)
+        cutoffs_of_joints.append(float(tried[np.argmin(error)]))
+    return tuple(cutoffs_of_joints)
 
 
 def _banded(run: Run) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """List of each joint frequencies, density of the accelerations, and the gain of two differences, in bands."""
     frequency, density = _accelerations(run.position, run.rate)
     gain = (2 * run.rate * np.sin(np.pi * frequency / run.rate)) ** 2
-    bands = [_in_bands(frequency, each) for each in density.T]
-    return [(centre, each, np.interp(centre, frequency, gain)) for centre, each in bands]
+    bands = [_in_bands(frequency, column) for column in density.T]
+    return [(centre, means, np.interp(centre, frequency, gain)) for centre, means in bands]
 
 
 def _accelerations(position: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
@@ -156,7 +158,7 @@ def _judge(frequency: np.ndarray, density: np.ndarray, gain: np.ndarray, moves: 
         last -= 1
     end = int(valleys[last])
     of_signal = int(np.searchsorted(frequency, centre[end], side="right"))
-    found = int(np.searchsorted(held[:of_signal], SPEED_POWER * held[of_signal - 1]))
+    edge = int(np.searchsorted(held[:of_signal], SPEED_POWER * held[of_signal - 1]))
     noise = np.exp(-level[end]) / band_gain[end] ** 2 * gain[:of_signal].sum()  # white, of the level in the valley
     ratio = float(held[of_signal - 1] / noise)
     moves = moves or ratio > LEAST_SIGNAL
@@ -165,7 +167,7 @@ def _judge(frequency: np.ndarray, density: np.ndarray, gain: np.ndarray, moves: 
         speed=of_band / band_gain,
         acceleration=of_band,
         end=float(centre[end]) if moves else np.nan,
-        bandwidth=float(frequency[found]) if moves else np.nan,
+        bandwidth=float(frequency[edge]) if moves else np.nan,
         signal_to_noise=ratio,
     )
 

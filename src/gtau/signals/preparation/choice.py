@@ -36,13 +36,13 @@ def choose_preparation(runs: Sequence[Run], decimator: Literal["fir", "chebyshev
     """
     settings = runs[0].log.settings
     slowest = min(run.rate for run in runs)
-    found = [moving_spectra(run) for run in runs]
-    moving = [each for of_run in found for each in of_run if each.moves]
-    bandwidth = settings.bandwidth or max(each.bandwidth for each in moving)
+    of_runs = [moving_spectra(run) for run in runs]
+    moving = [spectrum for of_run in of_runs for spectrum in of_run if spectrum.moves]
+    bandwidth = settings.bandwidth or max(spectrum.bandwidth for spectrum in moving)
     if settings.position_filter is not None:
         cutoff = _given_cutoff(settings.position_filter, slowest)
     else:
-        end = max(each.end for each in moving) if settings.bandwidth is None else np.inf
+        end = max(spectrum.end for spectrum in moving) if settings.bandwidth is None else np.inf
         seconds = float(np.mean([len(run.time) / run.rate for run in runs]))
         cutoff = cutoff_frequency(bandwidth, end, slowest, seconds)
     fraction = SPEED_FRACTION if settings.least_speed is None else settings.least_speed
@@ -52,7 +52,7 @@ def choose_preparation(runs: Sequence[Run], decimator: Literal["fir", "chebyshev
     elif decimator == "chebyshev":
         factor = decimation_factor(slowest, bandwidth)
     else:
-        factor = _affordable(runs, found, chosen, decimation_factor(slowest, bandwidth, LARGEST_FACTOR))
+        factor = _affordable(runs, of_runs, chosen, decimation_factor(slowest, bandwidth, LARGEST_FACTOR))
     return replace(chosen, decimator=Decimator(factor, decimator))
 
 
@@ -70,13 +70,13 @@ def _given_cutoff(given: float | Literal["none"], rate: float) -> float | None:
 
 def moving_spectra(run: Run) -> tuple[JointSpectrum, ...]:
     """Compute spectra of the joints of a run; raises GtauError where none moves."""
-    found = spectra(run)
-    if not any(each.moves for each in found):
+    joints = spectra(run)
+    if not any(spectrum.moves for spectrum in joints):
         raise GtauError(
             f"run '{run.name}': no joint's motion exceeds its position noise; leave the run out, or give a log of a "
             f"moving robot."
         )
-    return found
+    return joints
 
 
 def _affordable(
@@ -86,7 +86,7 @@ def _affordable(
     n = len(runs[0].joints)
     lengths: list[list[tuple[float, np.ndarray]]] = [[] for _ in range(n)]  # of usable stretches, and the run's rate
     for run, of_run in zip(runs, found, strict=True):
-        moves = np.array([each.moves for each in of_run])
+        moves = np.array([spectrum.moves for spectrum in of_run])
         for j, stretches in enumerate(_usable_stretches(run, preparation.at(run.rate))):
             if moves[j]:
                 lengths[j].append((run.rate / preparation.rate, stretches))
@@ -119,11 +119,11 @@ def _usable_stretches(run: Run, preparation: Preparation) -> list[np.ndarray]:
     parts = [parts[k] for k in sorted({round(k) for k in np.linspace(0, len(parts) - 1, STRETCHES)})]
     speeds = [np.abs(position_filter(run.position, run.rate, preparation.cutoff, *part)[1]) for part in parts]
     limit = preparation.speed_fraction * np.sqrt(np.mean([np.mean(speed**2, axis=0) for speed in speeds], axis=0))
-    found: list[list[np.ndarray]] = [[] for _ in run.joints]
+    lengths: list[list[np.ndarray]] = [[] for _ in run.joints]
     for speed, part in zip(speeds, parts, strict=True):
         usable = (speed >= limit) & valid_samples(run, preparation, *part)[:, : len(run.joints)]
-        for j, of_joint in enumerate(found):
+        for j, of_joint in enumerate(lengths):
             edges = np.flatnonzero(np.diff(np.r_[False, usable[:, j], False]))
             of_joint.append(edges[1::2] - edges[::2])
     scale = len(run.time) / sum(stop - start for start, stop in parts)
-    return [np.repeat(np.concatenate(of_joint), round(scale)) for of_joint in found]
+    return [np.repeat(np.concatenate(of_joint), round(scale)) for of_joint in lengths]

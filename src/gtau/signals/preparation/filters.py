@@ -78,7 +78,7 @@ def smooth_path(position: np.ndarray, rate: float, cutoff: Cutoff, start: int, s
     from scipy.ndimage import gaussian_filter1d
 
     if isinstance(cutoff, tuple):
-        columns = [smooth_path(position[:, [j]], rate, each, start, stop) for j, each in enumerate(cutoff)]
+        columns = [smooth_path(position[:, [j]], rate, frequency, start, stop) for j, frequency in enumerate(cutoff)]
         return np.hstack(columns)
     if cutoff is None:
         return block(position, start, stop)
@@ -91,7 +91,7 @@ def smooth_path(position: np.ndarray, rate: float, cutoff: Cutoff, start: int, s
 
 
 def _lowest(cutoff: Cutoff) -> float | None:
-    given = [each for each in (cutoff if isinstance(cutoff, tuple) else (cutoff,)) if each is not None]
+    given = [frequency for frequency in (cutoff if isinstance(cutoff, tuple) else (cutoff,)) if frequency is not None]
     return min(given, default=None)
 
 
@@ -135,7 +135,10 @@ def position_filter(
     x = block(position, begin, min(len(position), stop + margin))
     if isinstance(cutoff, tuple):
         columns = zip(x.T, cutoff, strict=True)
-        q = np.stack([column if each is None else low_pass(column, rate, each) for column, each in columns], axis=1)
+        q = np.stack(
+            [column if frequency is None else low_pass(column, rate, frequency) for column, frequency in columns],
+            axis=1,
+        )
     else:
         q = x if cutoff is None else low_pass(x, rate, cutoff)
     wanted = slice(start - begin, stop - begin)

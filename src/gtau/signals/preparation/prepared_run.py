@@ -72,7 +72,7 @@ class SampleWindow:
     ``q``, ``qd``, ``qdd`` (M, n) in rad or m, s; ``command`` (M, c + 6 k), of the joints, then of the torque sensors,
     then of k wrenches, and its time derivatives ``command_d``, ``command_dd``, the columns of a delay. ``usable``
     (M, c) is False where a row must not be used: around the joint's reversals and rests, at gaps, at the ends of the
-    filter, and always for a joint that does not move. ``time`` (M,) in s. It may be a part ``of`` another window, that
+    filter, and always for a joint that does not move. ``time`` (M,) in s. It may be ``part_of`` another window, that
     begins with the sample of this number.
     """
 
@@ -85,7 +85,7 @@ class SampleWindow:
     command_d: np.ndarray
     command_dd: np.ndarray
     usable: np.ndarray
-    of: tuple[SampleWindow, int] | None = field(default=None, kw_only=True)
+    part_of: tuple[SampleWindow, int] | None = field(default=None, kw_only=True)
 
     def __len__(self) -> int:
         return len(self.time)
@@ -174,15 +174,15 @@ class PreparedRun:
         modelled = [channel for channel in run.channels if channel.kind.modelled]
         rows, c = [channel.row for channel in modelled], len(modelled)
         mine = slice(at.start - begin, at.stop - begin)
-        command, command_d, command_dd = (each[mine] for each in (command, *differentiate(command, run.rate)))
+        command, command_d, command_dd = (array[mine] for array in (command, *differentiate(command, run.rate)))
         wrenches = [(frame, slice(c + 6 * k, c + 6 * k + 6)) for k, frame in enumerate(run.wrenches)]
         for frame, six in wrenches:
             if frame.body in run.base:
                 continue
             # noise of other wrenches is on the model's side of the equations, as that of the positions
             along = position_filter(run.command[:, six], run.rate, preparation.cutoff, at.start, at.stop)
-            for each, filtered in zip((command, command_d, command_dd), along, strict=True):
-                each[:, six] = filtered
+            for array, filtered in zip((command, command_d, command_dd), along, strict=True):
+                array[:, six] = filtered
         limit = preparation.speed_fraction * np.sqrt(
             np.einsum("yi,ij,yj->y", self.motor_to_joint_speed, self.speeds, self.motor_to_joint_speed)
         )
@@ -217,8 +217,8 @@ def prepare(run: Run, preparation: Preparation, motor_to_joint_speed: np.ndarray
     is shorter than its filters.
     """
     samples, n = len(run.time), len(run.joints)
-    found = spectra(run)
-    moves = np.array([each.moves for each in found])
+    of_joints = spectra(run)
+    moves = np.array([spectrum.moves for spectrum in of_joints])
 
     def speed(start: int, stop: int) -> np.ndarray:
         return position_filter(run.position, run.rate, preparation.cutoff, start, stop)[1]
@@ -240,8 +240,8 @@ def prepare(run: Run, preparation: Preparation, motor_to_joint_speed: np.ndarray
         moving = (np.abs(speed(start, stop)) >= limit) & moves & valid_samples(run, preparation, start, stop)[:, :n]
         return start + np.flatnonzero(moving.any(axis=1))
 
-    first = next((int(found[0]) for found in (awake(*piece) for piece in pieces) if found.size), None)
-    last = next((int(found[-1]) for found in (awake(*piece) for piece in reversed(pieces)) if found.size), None)
+    first = next((int(samples[0]) for samples in (awake(*piece) for piece in pieces) if samples.size), None)
+    last = next((int(samples[-1]) for samples in (awake(*piece) for piece in reversed(pieces)) if samples.size), None)
     if first is None or last is None:
         edge = filter_edge(run.rate, preparation.cutoff)
         raise GtauError(
@@ -265,7 +265,7 @@ def prepare(run: Run, preparation: Preparation, motor_to_joint_speed: np.ndarray
         speeds=np.sum(moved, axis=0) / len(kept),
         motor_to_joint_speed=ratios,
         peaks=peaks,
-        notes=tuple(_notes(run, found, preparation, np.any(ratios, axis=0))),
+        notes=tuple(_notes(run, of_joints, preparation, np.any(ratios, axis=0))),
     )
 
 
@@ -279,13 +279,13 @@ def _notes(
 ) -> Iterator[Finding]:
     """List notes on the motion and its noise."""
     noisy = []
-    for joint, each, rubs in zip(run.joints, found, rubbing, strict=True):
-        if not each.moves and not rubs:
+    for joint, spectrum, rubs in zip(run.joints, found, rubbing, strict=True):
+        if not spectrum.moves and not rubs:
             continue
-        if not each.moves:
+        if not spectrum.moves:
             yield Finding(F.REST, (joint,))
-        elif each.signal_to_noise < NOISY:
-            noisy.append((joint, float(1 / np.sqrt(max(each.signal_to_noise, 1)))))
+        elif spectrum.signal_to_noise < NOISY:
+            noisy.append((joint, float(1 / np.sqrt(max(spectrum.signal_to_noise, 1)))))
     if noisy:
         yield Finding(F.NOISY, tuple(joint for joint, _ in noisy), values={"shares": noisy})
     if preparation.bandwidth > CLOSE_TO_NYQUIST * run.rate:

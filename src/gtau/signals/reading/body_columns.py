@@ -69,14 +69,14 @@ def at_origins(wrenches: Sequence[BodyWrench], values: np.ndarray, yaw: float = 
 
     The world is turned by ``yaw`` (rad) about the vertical.
     """
-    turned, found, start = turn(VERTICAL, yaw), [], 0
-    for each in wrenches:
-        f, m = values[:, start : start + 3], np.cross(each.at, values[:, start : start + 3])
-        if each.moment:
+    turned, parts, start = turn(VERTICAL, yaw), [], 0
+    for wrench in wrenches:
+        f, m = values[:, start : start + 3], np.cross(wrench.at, values[:, start : start + 3])
+        if wrench.moment:
             m = m + values[:, start + 3 : start + 6]
-        start += len(each.columns)
-        found += [m @ turned.T, f @ turned.T] if each.axes == "world" else [m, f]
-    return np.hstack(found) if found else np.zeros((len(values), 0))
+        start += len(wrench.columns)
+        parts += [m @ turned.T, f @ turned.T] if wrench.axes == "world" else [m, f]
+    return np.hstack(parts) if parts else np.zeros((len(values), 0))
 
 
 STEEPEST = np.radians(80.0)  # pitch at which the angles' accelerations are 1 / cos = 6 times those of the base
@@ -120,14 +120,14 @@ class BaseColumns(Keys):
     def acting(self) -> tuple[BodyWrench, ...]:
         """Wrenches on the base, in the form used for any body."""
         return tuple(
-            BodyWrench(**{**dict(each), "body": self.body, "axes": each.axes.replace("base", "body")})
-            for each in self.wrenches
+            BodyWrench(**{**dict(wrench), "body": self.body, "axes": wrench.axes.replace("base", "body")})
+            for wrench in self.wrenches
         )
 
     @property
     def forces(self) -> tuple[str, ...]:
         """Columns of the wrenches, (w,)."""
-        return tuple(column for each in self.wrenches for column in each.columns)
+        return tuple(column for wrench in self.wrenches for column in wrench.columns)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -234,7 +234,7 @@ class PoseColumns(Keys):
 
     @model_validator(mode="after")
     def _something(self) -> PoseColumns:
-        if sum(each is not None for each in (self.angles, self.quaternion, self.rotation_vector)) > 1:
+        if sum(orientation is not None for orientation in (self.angles, self.quaternion, self.rotation_vector)) > 1:
             raise ValueError("give the orientation once, as 'angles', as a 'quaternion' or as a 'rotation_vector'")
         if not self.columns:
             raise ValueError("a pose needs columns; give a 'position', 'angles', a 'quaternion' or a 'rotation_vector'")

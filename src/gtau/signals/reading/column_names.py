@@ -83,25 +83,25 @@ def parse_column_name(name: str, joints: Sequence[str] = ()) -> ColumnName:
     label, stem = "", bare
     for joint in sorted(joints, key=len, reverse=True):
         before = r"(?<!\d)" if joint.isdigit() else r"(?<![A-Za-z0-9])[A-Za-z]{0,3}?"  # q11; qleft as well as q_left
-        found = re.search(rf"{before}({re.escape(joint)})(?![A-Za-z0-9])", bare, re.IGNORECASE)
-        if found:
-            label, stem = joint, bare[: found.start(1)] + "#" + bare[found.end(1) :]
+        match = re.search(rf"{before}({re.escape(joint)})(?![A-Za-z0-9])", bare, re.IGNORECASE)
+        if match:
+            label, stem = joint, bare[: match.start(1)] + "#" + bare[match.end(1) :]
             break
     if not label and bare.startswith("/") and re.search(r"/(stamp|received)$", bare):
         words = ["timestamp"]  # of a topic of a bag
-    elif not label and (found := re.fullmatch(r"(observation\.state\[)(\d+)\]", bare)):  # LeRobot's positions
-        label, stem, words = found[2], f"{found[1]}#]", ["position"]
+    elif not label and (match := re.fullmatch(r"(observation\.state\[)(\d+)\]", bare)):  # LeRobot's positions
+        label, stem, words = match[2], f"{match[1]}#]", ["position"]
     elif not label and re.fullmatch(r"/.*/[^/]+/[^/\]]+", bare):  # /joint_states/elbow/position
         *topic, label, field = bare.split("/")
         stem = "/".join([*topic, "#", field])
         words = _words(field)
-    elif not label and (found := re.search(r"^(.*?)(\d+)(\D*)$", bare)):
-        label, stem = found[2], f"{found[1]}#{found[3]}"
+    elif not label and (match := re.search(r"^(.*?)(\d+)(\D*)$", bare)):
+        label, stem = match[2], f"{match[1]}#{match[3]}"
         words = _words(stem)
     else:
         words = _words(stem)
     kinds = [kind for word in words for kind, known in WORDS.items() if word in known]
-    kind = next((each for each in PRECEDENCE if each in kinds), None)
+    kind = next((kind for kind in PRECEDENCE if kind in kinds), None)
     if kind == "current" and {"as", "torque"} <= set(words):  # of UR: actual_current_as_torque
         kind = "torque"
     elif kind == "torque" and any(word in SENSOR for word in words):
@@ -124,8 +124,8 @@ def parse_item(column: str, label: str, joints: Sequence[str] = ()) -> ColumnNam
     joint, _, quantity = name.rpartition(".")
     quantity = quantity if joint else feature.rpartition(".")[2]
     field = "position" if quantity == "state" else quantity
-    found = parse_column_name(f"/{feature}/{joint or name}/{field}", joints)
-    return replace(found, name=column, reference=found.reference or feature == "action")
+    column_name = parse_column_name(f"/{feature}/{joint or name}/{field}", joints)
+    return replace(column_name, name=column, reference=column_name.reference or feature == "action")
 
 
 def is_temperature(name: str) -> bool:
@@ -142,8 +142,8 @@ def base_like(names: Sequence[str]) -> tuple[str, ...]:
     """Select columns that may hold the motion of a base: orientation, accompanying position, and accelerations."""
     names = [name for name in names if TOOL.isdisjoint(_words(name))]
     quaternions, accelerations = _vectors(names, "quaternion"), _vectors(names, "acceleration")
-    places = [of for prefix, of in _vectors(names, "position").items() if prefix in quaternions]
-    return tuple(name for of in (*places, *quaternions.values(), *accelerations.values()) for name in of)
+    places = [columns for prefix, columns in _vectors(names, "position").items() if prefix in quaternions]
+    return tuple(name for columns in (*places, *quaternions.values(), *accelerations.values()) for name in columns)
 
 
 def wrench_like(names: Sequence[str]) -> tuple[str, ...]:
@@ -158,22 +158,26 @@ def _vectors(names: Sequence[str], kind: str) -> dict[str, tuple[str, ...]]:
     """Collect the columns of each complete vector of a kind in ``COMPONENTS``, by the prefix of its components."""
     words, axes = COMPONENTS[kind]
     pattern = re.compile(rf"(.*?)(?<![a-z])(?:{words})[^a-z0-9]*([{axes}])(?:\s*[\[(].*)?", re.IGNORECASE)
-    found: dict[str, dict[str, str]] = {}
+    components: dict[str, dict[str, str]] = {}
     for name in names:
         if component := pattern.fullmatch(name):
-            found.setdefault(component[1], {})[component[2].lower()] = name
-    return {prefix: tuple(of[axis] for axis in axes) for prefix, of in found.items() if len(of) == len(axes)}
+            components.setdefault(component[1], {})[component[2].lower()] = name
+    return {
+        prefix: tuple(columns[axis] for axis in axes)
+        for prefix, columns in components.items()
+        if len(columns) == len(axes)
+    }
 
 
 def _words(text: str) -> list[str]:
-    plain = "".join(each for each in unicodedata.normalize("NFD", text) if not unicodedata.combining(each))
+    plain = "".join(letter for letter in unicodedata.normalize("NFD", text) if not unicodedata.combining(letter))
     words = [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|°", plain)]
     return [part for word in words for part in COMPOUND.sub(r"\1 ", word).split()]
 
 
 def mass_in_name(name: str) -> float | None:
     """Read a mass in kg from the name of a file, as in ``loaded_1983g``."""
-    found = re.search(r"(?<![\d.])(\d+(?:[.]\d+)?)[_ ]?(kg|g|grams?)(?![a-z])", name, re.IGNORECASE)
-    if not found:
+    match = re.search(r"(?<![\d.])(\d+(?:[.]\d+)?)[_ ]?(kg|g|grams?)(?![a-z])", name, re.IGNORECASE)
+    if not match:
         return None
-    return round(float(found[1]) * (1.0 if found[2].lower() == "kg" else 1e-3), 6)
+    return round(float(match[1]) * (1.0 if match[2].lower() == "kg" else 1e-3), 6)

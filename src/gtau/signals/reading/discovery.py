@@ -124,30 +124,18 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
     unsure |= doubts | ({"gravity"} if compensated else set()) | ({"reference"} if commands.reference else set())
     if commands.unit in ("A", "mA", "N m", "N"):
         units[kind] = commands.unit
-    label = {
-        joint: next(label for label, name in positions.columns.items() if name == columns[joint]) for joint in joints
-    }
-    sensors, torques = (_beside(command_log.group(what), label) for what in ("sensor", "torque"))
+    label = {name: label for label, name in positions.columns.items()}
+    labels = {joint: label[column] for joint, column in columns.items()}
+    sensors, torques = (_beside(command_log.group(what), labels) for what in ("sensor", "torque"))
     torques = {} if sensors or kind != "current" else torques
     if _computed(command_log, currents, torques):
         reasons["torques"] = "a straight line of the currents, from which they may be computed"
     used = {*positions.columns.values(), *commands.columns.values()}
-    unused = [name for name in position_log.table.columns if name not in (*used, *position_log.time)]
-    motion, wrenches = base_like(unused) if base is None else (), wrench_like(unused)
-    if torques and (group := command_log.group("torque")):
-        used |= set(group.columns.values())
-    timeless = [name for name in position_log.table.columns if name not in position_log.time]
-    beside = {
-        "temperature": _temperature(timeless, columns),
-        "torques": torques,
-        "pose": tuple(name for name in unused if is_pose(name)),
-        "motion": motion,
-        "wrenches": wrenches,
-        "others": _others(position_log, command_log, {*used, *motion, *wrenches}),
-    }
+    beside = _unused(position_log, command_log, used, columns, torques, base is not None)
     masses = {run[0]: mass for run in runs if (mass := mass_in_name(run[0].name)) is not None}
     unsure |= {key for key, doubtful in beside.items() if doubtful and key in ("torques", "wrenches")}
-    unsure |= {key for key, doubtful in (("base", motion), ("mass", masses), ("robot", source is None)) if doubtful}
+    questions = (("base", beside["motion"]), ("mass", masses), ("robot", source is None))
+    unsure |= {key for key, doubtful in questions if doubtful}
     entries = {"file": source, "base": base, "gravity": [0, 0, 0] if compensated else None}
     return Draft(
         logs=tuple(runs),
@@ -205,12 +193,31 @@ def _kind(commands: Group, log: LogContents, columns: Mapping[str, str]) -> tupl
     return "current", set()
 
 
-def _others(log: LogContents, command_log: LogContents, used: set[str]) -> tuple[str, ...]:
-    """List the groups of columns that might be meant instead of those used."""
-    groups = {
-        group.listed: group for group in (*log.groups, *command_log.groups) if group.kind not in ("other", "sensor")
+def _unused(
+    log: LogContents,
+    command_log: LogContents,
+    used: set[str],
+    joints: Mapping[str, str],
+    torques: Mapping[str, str],
+    placed: bool,
+) -> dict[str, Any]:
+    """List the columns that are not used, by what they may hold; no motion of a base that is ``placed``."""
+    columns = [name for name in log.table.columns if name not in log.time]
+    unused = [name for name in columns if name not in used]
+    motion, wrenches = () if placed else base_like(unused), wrench_like(unused)
+    if torques and (group := command_log.group("torque")):
+        used = used | set(group.columns.values())
+    groups = {group.listed: group for group in (*log.groups, *command_log.groups)}
+    candidates = {listed: group for listed, group in groups.items() if group.kind not in ("other", "sensor")}
+    named = {*used, *motion, *wrenches}
+    return {
+        "temperature": _temperature(columns, joints),
+        "torques": torques,
+        "pose": tuple(name for name in unused if is_pose(name)),
+        "motion": motion,
+        "wrenches": wrenches,
+        "others": tuple(listed for listed, group in candidates.items() if not set(group.columns.values()) <= named),
     }
-    return tuple(listed for listed, group in groups.items() if not set(group.columns.values()) <= used)
 
 
 def _computed(log: LogContents, commands: Mapping[str, str], torques: Mapping[str, str]) -> bool:
@@ -218,15 +225,17 @@ def _computed(log: LogContents, commands: Mapping[str, str], torques: Mapping[st
     rests = []
     for joint, column in torques.items():
         x, y = log.values[commands[joint]], log.values[column]
-        whole = np.isfinite(x) & np.isfinite(y)
-        if whole.sum() > 2 and np.ptp(x[whole]) and np.ptp(y[whole]):
-            rests.append(np.sqrt(max(0.0, 1 - np.corrcoef(x[whole], y[whole])[0, 1] ** 2)))
+        finite = np.isfinite(x) & np.isfinite(y)
+        if finite.sum() > 2 and np.ptp(x[finite]) and np.ptp(y[finite]):
+            rests.append(np.sqrt(max(0.0, 1 - np.corrcoef(x[finite], y[finite])[0, 1] ** 2)))
     return bool(rests) and float(np.median(rests)) < COMPUTED
 
 
 def _beside(group: Group | None, label: Mapping[str, str]) -> dict[str, str]:
     """Map joints to the columns of a group, by the ``label`` that each joint has in the names of columns."""
-    return {} if group is None else {joint: group.columns[of] for joint, of in label.items() if of in group.columns}
+    return (
+        {} if group is None else {joint: group.columns[name] for joint, name in label.items() if name in group.columns}
+    )
 
 
 def _sources(paths: Sequence[Path], robot: Robot | None) -> tuple[LogContents, LogContents, list[tuple[Path, ...]]]:
@@ -266,14 +275,14 @@ def _joints(positions: Group, commands: Group, robot: Robot | None) -> tuple[dic
             f"the log has positions and commands of {len(pairs)} joints ({', '.join(pairs)}), but robot "
             f"'{robot.name}' has {len(joints)} actuated ones; give matching logs and robot."
         )
-    numbers = {joint: int(found[-1]) for joint in joints if (found := re.findall(r"\d+", joint))}
+    numbers = {joint: int(digits[-1]) for joint in joints if (digits := re.findall(r"\d+", joint))}
     how = "matched by column order"
     if len(set(numbers.values())) == len(joints):  # p4 p1 p2 p3 of the robot, 0 1 2 3 of the log
         by_number = tuple(sorted(joints, key=numbers.__getitem__))
         how = how if by_number == joints else "matched by the numbers in the joints' names"
         joints = by_number
-    taken = zip(joints, _ordered(pairs), strict=False)
-    return {joint: pairs[label] for joint, label in taken}, how, True
+    assigned = zip(joints, _ordered(pairs), strict=False)
+    return {joint: pairs[label] for joint, label in assigned}, how, True
 
 
 def _ordered(labels: Iterable[str]) -> list[str]:
@@ -302,7 +311,7 @@ def _position_unit(
 
 def _temperature(names: Sequence[str], joints: Mapping[str, str]) -> Mapping[str, str] | str | None:
     """Match temperature columns to joints, in the order of the joints, or the only one; None where ambiguous."""
-    found = [name for name in names if is_temperature(name)]
-    if len(found) == len(joints):
-        return dict(zip(joints, found, strict=True))
-    return found[0] if len(found) == 1 else None
+    columns = [name for name in names if is_temperature(name)]
+    if len(columns) == len(joints):
+        return dict(zip(joints, columns, strict=True))
+    return columns[0] if len(columns) == 1 else None

@@ -144,7 +144,7 @@ def _robot(log: Path, robot: str | None, urdf: str | None, base: Any) -> tuple[R
             known = load_robot(source, base=base)
             columns = find_columns(log).columns
             moving = tuple(
-                joint for joint in known.actuated if any(each.endswith(f"/{joint}/position") for each in columns)
+                joint for joint in known.actuated if any(column.endswith(f"/{joint}/position") for column in columns)
             )
             if not 0 < len(moving) < len(known.actuated):
                 return known, ()
@@ -157,7 +157,7 @@ def _robot(log: Path, robot: str | None, urdf: str | None, base: Any) -> tuple[R
 
 
 def _of_logs(draft: Draft, masses: Mapping[str, float]) -> dict[Path, float]:
-    found = {}
+    by_log = {}
     for name, mass in masses.items():
         logs = [run[0] for run in draft.logs if any(name in (str(log), log.name, log.stem) for log in run)]
         if len(logs) != 1:
@@ -167,8 +167,8 @@ def _of_logs(draft: Draft, masses: Mapping[str, float]) -> dict[Path, float]:
             )
         if not 0 <= mass < float("inf"):
             raise GtauError(f"the payload of '{name}' is {mass:g} kg; write its mass in kg, 0 for none.")
-        found[logs[0]] = mass
-    return found
+        by_log[logs[0]] = mass
+    return by_log
 
 
 CHECK = "CHECK: "

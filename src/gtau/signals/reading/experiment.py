@@ -144,14 +144,14 @@ class Experiment(Keys):
         """Priors of standard parameters: ``priors``, and rotor inertias of data sheets."""
         sheets = {Parameter("ia", joint): drive.inertia for joint, drive in self.drives.items()}
         return self.priors | {
-            name: Prior(value=each[0], std=each[1]) for name, each in sheets.items() if each is not None
+            name: Prior(value=stated[0], std=stated[1]) for name, stated in sheets.items() if stated is not None
         }
 
     @field_validator("runs", "validation")
     @classmethod
     def _each_log_once(cls, runs: tuple[LoggedRun, ...], info: ValidationInfo) -> tuple[LoggedRun, ...]:
         if info.context is not None:
-            runs = tuple(each for run in runs for each in run.each())
+            runs = tuple(entry for run in runs for entry in run.each())
         for k, run in enumerate(runs):
             if any(run.overlaps(other) for other in runs[:k]):
                 raise ValueError(

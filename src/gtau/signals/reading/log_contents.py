@@ -74,14 +74,14 @@ class LogContents:
         if table.numbered:
             return _numbered(path, table, len(joints))
         groups = _grouped(names)
-        wanted = [each for each in names if each.kind not in (None, "other")] or names
+        wanted = [name for name in names if name.kind not in (None, "other")] or names
         topics = _topics(table)
         if len(topics) > 1:
-            of_kind = (_topic(each.first, topics) for each in groups if each.kind in kinds)
-            main = next((each for each in of_kind if each != but), None)
-            wanted = [each for each in wanted if _topic(each.name, topics) == main] or wanted[:1]
-            groups = [each for each in groups if _topic(each.first, topics) == main]
-        values = _values(path, [each.name for each in wanted], table)
+            of_kind = (_topic(group.first, topics) for group in groups if group.kind in kinds)
+            main = next((topic for topic in of_kind if topic != but), None)
+            wanted = [name for name in wanted if _topic(name.name, topics) == main] or wanted[:1]
+            groups = [group for group in groups if _topic(group.first, topics) == main]
+        values = _values(path, [name.name for name in wanted], table)
         time = _time_columns(wanted, values)
         return cls(path, table, values, time, tuple(_classified(groups, values, path)), {})
 
@@ -97,19 +97,21 @@ class LogContents:
     @property
     def rows(self) -> int:
         """Number of rows that were read."""
-        return max((len(each) for each in self.values.values()), default=0)
+        return max((len(column) for column in self.values.values()), default=0)
 
     def group(self, kind: str) -> Group | None:
         """Return the columns of a kind, measured ones before references, the group with most joints first."""
-        found = [each for each in self.groups if each.kind == kind and set(each.columns.values()) <= set(self.values)]
-        return min(found, key=lambda each: (each.reference, -len(each.columns)), default=None)
+        of_kind = [
+            group for group in self.groups if group.kind == kind and set(group.columns.values()) <= set(self.values)
+        ]
+        return min(of_kind, key=lambda each: (each.reference, -len(each.columns)), default=None)
 
     def command_group(self) -> Group | None:
         """Select currents before torques, and torques of motors before those of joints, which sensors may give."""
         position = self.group("position")
-        found = [self.group(kind) for kind in COMMANDS]
-        groups = [each for each in found if each is not None]
-        alike = [each for each in groups if position is None or len(each.columns) >= len(position.columns)]
+        candidates = [self.group(kind) for kind in COMMANDS]
+        groups = [group for group in candidates if group is not None]
+        alike = [group for group in groups if position is None or len(group.columns) >= len(position.columns)]
         return next(iter(alike or groups), None)
 
     def other_clocks(self) -> list[str]:
@@ -163,8 +165,8 @@ def _rate(position: np.ndarray, velocity: np.ndarray) -> float | None:
     span = min(ADDED, len(position) // 4)
     total = np.concatenate([[0.0], np.cumsum(np.nan_to_num((velocity[1:] + velocity[:-1]) / 2))])
     moved, added = position[span:] - position[:-span], total[span:] - total[:-span]
-    whole = np.isfinite(moved)
-    moved, added = moved[whole], added[whole]
+    finite = np.isfinite(moved)
+    moved, added = moved[finite], added[finite]
     along = float(added @ moved)
     if along <= 0 or along**2 < DERIVATIVE**2 * float(added @ added) * float(moved @ moved):
         return None
@@ -173,8 +175,8 @@ def _rate(position: np.ndarray, velocity: np.ndarray) -> float | None:
 
 def _topics(table: Table) -> list[str]:
     """List the topics of a bag, each of which has its time stamps; nested ones first."""
-    found = [name.removesuffix("/received") for name in table.columns if re.fullmatch("/.*/received", name)]
-    return sorted(found, key=len, reverse=True)
+    topics = [name.removesuffix("/received") for name in table.columns if re.fullmatch("/.*/received", name)]
+    return sorted(topics, key=len, reverse=True)
 
 
 def _topic(name: str, topics: Sequence[str]) -> str:
@@ -186,24 +188,30 @@ def _values(path: Path, names: Sequence[str], table: Table) -> dict[str, np.ndar
     log = read_log(path, names)
     rows = next(iter(table.episodes.values()), range(ROWS))
     parts = [values for values, _ in log.blocks(rows[:ROWS])]
-    whole = np.vstack(parts) if parts else np.empty((0, len(log.columns)))
-    return {name: whole[:, k] for k, name in enumerate(log.columns)}
+    table_of_rows = np.vstack(parts) if parts else np.empty((0, len(log.columns)))
+    return {name: table_of_rows[:, k] for k, name in enumerate(log.columns)}
 
 
 def _grouped(names: Sequence[ColumnName]) -> list[Group]:
     groups: dict[str, list[ColumnName]] = {}
-    for each in names:
-        if each.kind != "time":
-            groups.setdefault(each.stem, []).append(each)
+    for name in names:
+        if name.kind != "time":
+            groups.setdefault(name.stem, []).append(name)
     return [
-        Group(of[0].kind, stem, {each.label: each.name for each in of}, of[0].reference, of[0].unit)
-        for stem, of in groups.items()
+        Group(
+            columns[0].kind,
+            stem,
+            {column.label: column.name for column in columns},
+            columns[0].reference,
+            columns[0].unit,
+        )
+        for stem, columns in groups.items()
     ]
 
 
 def _time_columns(names: Sequence[ColumnName], values: Mapping[str, np.ndarray]) -> tuple[str, ...]:
     """Find the increasing column among those named as time, or the two of seconds and nanoseconds."""
-    times = [each.name for each in names if each.kind == "time" and not each.label]
+    times = [name.name for name in names if name.kind == "time" and not name.label]
     parts = [name for name in times if re.search(r"nano|nsec", name, re.IGNORECASE)]
     if parts and len(times) > len(parts):
         return next(name for name in times if name not in parts), parts[0]
@@ -219,18 +227,18 @@ def _grows(column: np.ndarray) -> bool:
 
 def _classified(groups: Sequence[Group], values: Mapping[str, np.ndarray], path: Path) -> list[Group]:
     """Classify commands that are derivatives of the positions as velocities, and a lone group by the file's name."""
-    positions = next((each for each in groups if each.kind == "position" and not each.reference), None)
+    positions = next((group for group in groups if group.kind == "position" and not group.reference), None)
     of_file = parse_column_name(path.stem).kind
-    found = []
-    for each in groups:
-        if each.kind is None and of_file in ("position", "current", "torque") and len(groups) == 1:
-            each = replace(each, kind=of_file)
-        if each.kind == "command" and positions is not None and _derivative(positions, each, values) > DERIVATIVE:
-            each = replace(each, kind="velocity")
-        elif each.kind == "command" and positions is not None and _follows(positions, each, values) < FOLLOWED:
-            each = replace(each, kind="position", reference=True)
-        found.append(each)
-    return found
+    classified = []
+    for group in groups:
+        if group.kind is None and of_file in ("position", "current", "torque") and len(groups) == 1:
+            group = replace(group, kind=of_file)
+        if group.kind == "command" and positions is not None and _derivative(positions, group, values) > DERIVATIVE:
+            group = replace(group, kind="velocity")
+        elif group.kind == "command" and positions is not None and _follows(positions, group, values) < FOLLOWED:
+            group = replace(group, kind="position", reference=True)
+        classified.append(group)
+    return classified
 
 
 def _pairs(
@@ -244,27 +252,27 @@ def _pairs(
 
 def _follows(positions: Group, others: Group, values: Mapping[str, np.ndarray]) -> float:
     """Compute the median distance of positions from other columns, rms, over the positions' standard deviation."""
-    found = [
+    distances = [
         float(np.sqrt(np.nanmean((q - other) ** 2))) / spread
         for q, other in _pairs(positions, others, values)
         if (spread := float(np.nanstd(q))) > 0 and len(q) == len(other)
     ]
-    return float(np.median(found)) if found else np.inf
+    return float(np.median(distances)) if distances else np.inf
 
 
 def _derivative(positions: Group, others: Group, values: Mapping[str, np.ndarray]) -> float:
     """Compute the median correlation of other columns with the numerical derivatives of the positions."""
-    found = [correlation(q, other) for q, other in _pairs(positions, others, values)]
-    return float(np.median(found)) if found else 0.0
+    correlations = [correlation(q, other) for q, other in _pairs(positions, others, values)]
+    return float(np.median(correlations)) if correlations else 0.0
 
 
 def correlation(position: np.ndarray, other: np.ndarray) -> float:
     """Correlate a column (N,) with the numerical derivative of another; 0 where one of them never changes."""
     slope, value = (position[2:] - position[:-2]), other[1:-1]
-    whole = np.isfinite(slope) & np.isfinite(value)
-    if whole.sum() < 10 or not np.ptp(slope[whole]) or not np.ptp(value[whole]):
+    finite = np.isfinite(slope) & np.isfinite(value)
+    if finite.sum() < 10 or not np.ptp(slope[finite]) or not np.ptp(value[finite]):
         return 0.0
-    return float(np.corrcoef(slope[whole], value[whole])[0, 1])
+    return float(np.corrcoef(slope[finite], value[finite])[0, 1])
 
 
 def _numbered(path: Path, table: Table, joints: int) -> LogContents:

@@ -97,7 +97,7 @@ class LoggedRun(Keys):
         """Decide whether both runs share rows."""
         if self.log != other.log or (None not in (self.episode, other.episode) and self.episode != other.episode):
             return False
-        ends = (np.inf if each.to is None else each.to for each in (self, other))
+        ends = (np.inf if run.to is None else run.to for run in (self, other))
         return all(begin < end for begin, end in zip((other.begin, self.begin), ends, strict=True))
 
     @field_validator("log")
@@ -107,19 +107,19 @@ class LoggedRun(Keys):
             return log
         placed = tuple(_placed(info.context.logs, path) for path in log)
         matches = [_logs_at(path) for path in placed]
-        for written, found in zip(log, matches, strict=True):
+        for written, logs in zip(log, matches, strict=True):
             path = info.context.logs / written
-            if not found and has_magic(str(written)):
+            if not logs and has_magic(str(written)):
                 raise ValueError(f"no file matches '{path}'; paths are relative to the experiment file")
-            for each in found or [path]:
-                if not each.is_file() and not is_log_folder(each):
-                    if each.is_dir():
+            for existing in logs or [path]:
+                if not existing.is_file() and not is_log_folder(existing):
+                    if existing.is_dir():
                         raise ValueError(
-                            f"the folder '{each}' holds no .parquet files and is no rosbag2; give a file, or such a "
-                            "folder"
+                            f"the folder '{existing}' holds no .parquet files and is no rosbag2; give a file, or such "
+                            "a folder"
                         )
-                    raise ValueError(f"there is no file '{each}'{_close_file(each)}")
-        if len({len(found) for found in matches}) > 1:
+                    raise ValueError(f"there is no file '{existing}'{_close_file(existing)}")
+        if len({len(logs) for logs in matches}) > 1:
             raise ValueError(
                 f"'{log[0]}' matches {len(matches[0])} files and '{log[1]}' {len(matches[1])}; they are paired in "
                 f"order, so both must match the same number"
@@ -139,7 +139,7 @@ def _placed(folder: Path, path: Path) -> Path:
 
 def _logs_at(path: Path) -> list[Path]:
     """List the files that a path or a pattern matches; patterns skip YAML files such as the experiment file."""
-    return [each for each in matching(path) if each == path or each.suffix not in (".yaml", ".yml")]
+    return [match for match in matching(path) if match == path or match.suffix not in (".yaml", ".yml")]
 
 
 def _close_file(path: Path) -> str:
@@ -147,7 +147,7 @@ def _close_file(path: Path) -> str:
         return f"; it is a link to '{path.readlink()}', which does not exist"
     if path.exists():
         return "; it is a device or a pipe"
-    names = [each.name for each in path.parent.iterdir()] if path.parent.is_dir() else []
+    names = [file.name for file in path.parent.iterdir()] if path.parent.is_dir() else []
     close = get_close_matches(path.name, names, n=1)
     if close:
         return f"; did you mean '{close[0]}'?"

@@ -35,8 +35,8 @@ GROUP = "gtau.log_formats"
 
 def reader_of(ending: str) -> Callable[[Path], Table] | None:
     """Find the reader of files whose name has an ending (``.npz``); None where it has none of its own."""
-    found = find(GROUP, "gtau.signals.reading.formats", ending, Callable)
-    return cast("Callable[[Path], Table] | None", found)
+    reader = find(GROUP, "gtau.signals.reading.formats", ending, Callable)
+    return cast("Callable[[Path], Table] | None", reader)
 
 
 def read_log(path: str | Path, names: Iterable[str]) -> Table:
@@ -126,18 +126,13 @@ def read_logs(
         raise GtauError(f"a run has {len(paths)} logs; give one, or two with the positions and the {signals.kind}s.")
     times, stamps, base = signals.time_columns, signals.command_time_columns, signals.base
     positions, commands = [*signals.position.values(), *(base.pose if base else ())], list(signals.measured)
-    if len(paths) == 1 and (both := set(positions) & set(commands)):
-        raise GtauError(
-            f"the column '{min(both)}' is given both as a position and as a {signals.kind}; correct one of the two.",
-            source=paths[0],
-        )
+    if len(paths) == 1:
+        _refuse_both(paths[0], set(positions) & set(commands), signals.kind)
     position_scale, command_scale, time_scale = units.scale(signals)
     files = [read_log(paths[0], (*times, *positions, *(commands if len(paths) == 1 and not stamps else ())))]
     aligned = None
     if stamps:
-        log = _stamped(paths[-1], stamps, commands, time_scale, f"{signals.kind}s")
-        clock = store(seconds(values, time_scale) for values, _ in read_log(paths[0], times).blocks())
-        aligned = _aligned((paths[0], clock), (paths[-1], log), f"{signals.kind}s")
+        aligned = _aligned(paths[0], paths[-1], signals, time_scale)
     elif len(paths) == 2:
         files.append(read_log(paths[1], commands))
     first = files[0]
@@ -156,11 +151,8 @@ def read_logs(
     order, at_times = [columns.index(column) for column in wanted], [columns.index((0, name)) for name in times]
 
     def parts() -> Iterator[np.ndarray]:
-        row, located = rows.start, rows
-        if aligned is not None:
-            shift = aligned.rows.start
-            located = range(rows.start + shift, min(rows.stop + shift, aligned.rows.stop))
-        for values, done in _side_by_side(files, located):
+        row = rows.start
+        for values, done in _side_by_side(files, rows if aligned is None else aligned.located(rows)):
             progress(done)
             time = instants(signals, values[:, at_times], time_scale, row)
             logged = values[:, order]
@@ -172,6 +164,14 @@ def read_logs(
             yield np.column_stack([_converted(signals, logged * [*position_scale, *command_scale]), time])
 
     return source, parts()
+
+
+def _refuse_both(path: Path, columns: set[str], kind: str) -> None:
+    if columns:
+        raise GtauError(
+            f"the column '{min(columns)}' is given both as a position and as a {kind}; correct one of the two.",
+            source=path,
+        )
 
 
 def _converted(signals: Signals, values: np.ndarray) -> np.ndarray:
@@ -236,6 +236,10 @@ class Aligned:
     rows: range
     note: Finding | None
 
+    def located(self, rows: range) -> range:
+        """Return the numbers in the whole log of some of these rows."""
+        return range(rows.start + self.rows.start, min(rows.stop + self.rows.start, self.rows.stop))
+
     def at(self, time: np.ndarray) -> np.ndarray:
         """Interpolate commands (M, c) linearly between stamps at other instants (M,); nan where they are missing."""
         known = np.isfinite(time)
@@ -277,9 +281,11 @@ def _stamped(path: Path, stamps: Sequence[str], commands: Sequence[str], scale: 
     return store(parts, (1 + len(commands),))
 
 
-def _aligned(positions: tuple[Path, np.ndarray], commands: tuple[Path, np.ndarray], what: str) -> Aligned:
-    """Compare the instants (N,) in s of a log of positions with those of commands (K, 1 + c), called ``what``."""
-    (path, clock), (other_path, log) = positions, commands
+def _aligned(path: Path, other_path: Path, signals: Signals, scale: float) -> Aligned:
+    """Compare the instants of positions with those of commands in the other log; ``scale`` is that of their columns."""
+    what, columns = f"{signals.kind}s", list(signals.measured)
+    log = _stamped(other_path, signals.command_time_columns, columns, scale, what)
+    clock = store(seconds(values, scale) for values, _ in read_log(path, signals.time_columns).blocks())
     stamps = log[:, 0]
     inside = np.flatnonzero((clock >= stamps[0]) & (clock <= stamps[-1]))
     finite = clock[np.isfinite(clock)]

@@ -79,9 +79,9 @@ def read_temperature(paths: Sequence[Path], signals: Signals, units: Units, part
             source=paths[0],
         )
     parts = np.array_split(table, min(KEPT, len(table)))
-    means = np.array([each.mean(axis=0) for each in parts])
-    found = {joint: means[:, columns.index(column)] for joint, column in of_joint.items()}
-    return Temperature(means[:, -1], found, units.temperature)
+    means = np.array([rows.mean(axis=0) for rows in parts])
+    by_joint = {joint: means[:, columns.index(column)] for joint, column in of_joint.items()}
+    return Temperature(means[:, -1], by_joint, units.temperature)
 
 
 def _complete_rows(
@@ -99,4 +99,4 @@ def _complete_rows(
             yield np.column_stack([values[:, order] * scale, instants(signals, values[:, at], time_scale, row)])
             row += len(values)
 
-    return store((each[np.isfinite(each).all(axis=1)] for _, each in part.of(blocks())), (len(columns) + 1,))
+    return store((rows[np.isfinite(rows).all(axis=1)] for _, rows in part.of(blocks())), (len(columns) + 1,))

@@ -111,7 +111,7 @@ GainEntry = Annotated[StatedGain, BeforeValidator(_with_std)]
 def as_priors(priors: Mapping[str, Prior | Mapping[str, Any]]) -> dict[str, Prior]:
     """Read priors by parameter from mappings as in the experiment file; raises GtauError."""
     expect("'priors'", priors, MAPPING)
-    return {str(name): read_group(Prior, f"prior of {name}", each) for name, each in priors.items()}
+    return {str(name): read_group(Prior, f"prior of {name}", prior) for name, prior in priors.items()}
 
 
 TOLERANCE = 0.1  # standard deviation of a torque constant or rotor inertia: data sheets state tolerances of 10 %
@@ -234,10 +234,10 @@ CHOSEN = PreparationSettings()
 
 def _per_cent(value: Any) -> Any:
     """Read ``5 %`` as 5; a bare number could be a share."""
-    found = re.fullmatch(r"\s*([0-9.eE+-]+)\s*%\s*", value) if isinstance(value, str) else None
-    if found is None:
+    match = re.fullmatch(r"\s*([0-9.eE+-]+)\s*%\s*", value) if isinstance(value, str) else None
+    if match is None:
         raise ValueError(f"write per cent, such as '{value} %', if that is what '{value}' means")
-    return found[1]
+    return match[1]
 
 
 Percent = Annotated[FiniteFloat, Field(gt=0), BeforeValidator(_per_cent)]

@@ -205,9 +205,9 @@ def _roughness(time: np.ndarray, position: np.ndarray, clock: Clock) -> float:
     off, speeds = [], []
     for start, stop in parts_of(len(time)):
         instants = np.asarray(clock.instants(block(time, start, stop), start))
-        found = block(position, start, stop)
-        off.append(np.abs(cubic_residuals(instants, found, clock.period)))
-        speeds.append(np.abs(found[4:] - found[:-4]))
+        positions = block(position, start, stop)
+        off.append(np.abs(cubic_residuals(instants, positions, clock.period)))
+        speeds.append(np.abs(positions[4:] - positions[:-4]))
     distance, speed = np.concatenate(off), np.concatenate(speeds)
     roughness = []
     for j in range(position.shape[1]):
@@ -248,7 +248,7 @@ def find_gaps(
         # The median of as many stamps on either side is then known to a fifth of a step, three times in a hundred.
         around = int(min(max(np.ceil(150 * scatter**2), FEWEST_AROUND, 3 * size), MOST_AROUND))
     noise = _noise(position) if around > 1 and position is not None else None
-    found: list[tuple[int, int]] = []
+    gaps: list[tuple[int, int]] = []
     for start, stop in spans(len(time)):
         begin, end = max(start - around - 1, 0), min(stop + around, len(time))
         part, step = block(time, begin, end), np.diff(block(time, begin, end))
@@ -264,16 +264,16 @@ def find_gaps(
             part[k:] -= max(missing, 0) * usual  # later samples are evaluated with this gap closed
         changed = np.flatnonzero(np.nan_to_num(steps, nan=1.0) != 1) + 1
         changed = changed[(begin + changed >= start) & (begin + changed < stop)]
-        found += [(begin + int(k), int(steps[k - 1]) - 1) for k in changed]
-    return tuple(found)
+        gaps += [(begin + int(k), int(steps[k - 1]) - 1) for k in changed]
+    return tuple(gaps)
 
 
 def _noise(position: np.ndarray) -> np.ndarray:
     """Estimate the standard deviation (n,) of the positions' steps around their neighbours', and of their rounding."""
     parts = [np.diff(block(position, *part), axis=0) for part in parts_of(len(position))]
-    change = np.abs(np.concatenate([each - _usual_steps(each) for each in parts]))
+    change = np.abs(np.concatenate([steps - _usual_steps(steps) for steps in parts]))
     steps = np.abs(np.concatenate(parts))
-    rounding = [np.min(each[each > 0], initial=np.inf) for each in steps.T]
+    rounding = [np.min(column[column > 0], initial=np.inf) for column in steps.T]
     quantum = np.where(np.isfinite(rounding), rounding, 1.0)
     return np.asarray(np.median(change, axis=0) / 0.6745 + quantum / 3)
 
@@ -314,7 +314,7 @@ def cubic_residuals(instants: np.ndarray, position: np.ndarray, period: float) -
     ``instants`` (N,) and the usual step, the ``period``, are in s; the first and the last two samples have none.
     """
     around = [slice(k, len(position) - 2 * REACH + k) for k in (0, 1, 3, 4)]
-    apart = np.array([instants[each] for each in around]) - instants[REACH:-REACH]
+    apart = np.array([instants[neighbours] for neighbours in around]) - instants[REACH:-REACH]
     apart += 1e-9 * period * np.array([-2, -1, 1, 2])[:, None]  # equal stamps
     predicted = np.zeros_like(position[REACH:-REACH])
     for a, at in enumerate(around):

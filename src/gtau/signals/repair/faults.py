@@ -70,7 +70,7 @@ def find_glitches(samples: Samples, instants: np.ndarray, held: Held) -> tuple[G
         return ()
     period = float(np.median(np.concatenate(steps)))
     scale = np.maximum(np.quantile(np.concatenate(usual), SHARE, axis=0) / WHITE, held.quanta)
-    found: list[Glitch] = []
+    glitches: list[Glitch] = []
     for numbers, time, position, mine in _blocks(samples, instants, held):
         if len(numbers) < NEIGHBOURS + WIDEST:
             continue
@@ -80,8 +80,8 @@ def find_glitches(samples: Samples, instants: np.ndarray, held: Held) -> tuple[G
                 if mine[k]:
                     until = numbers[k + 1] if k + 1 < len(numbers) else numbers[k] + 1
                     # Samples that repeat a glitch are as wrong.
-                    found += [Glitch(number, j, value) for number in range(int(numbers[k]), int(until))]
-    return tuple(sorted(found, key=lambda each: (each.sample, each.joint)))
+                    glitches += [Glitch(number, j, value) for number in range(int(numbers[k]), int(until))]
+    return tuple(sorted(glitches, key=lambda each: (each.sample, each.joint)))
 
 
 def _blocks(
@@ -103,18 +103,18 @@ def _of_joint(
     """List the outliers of one joint (M,), by sample number, with the values expected there."""
     near = np.flatnonzero(off > SCALES / 2 * scale) + REACH  # of two and three samples every one is off by half
     ends = [*range(REACH), *range(len(time) - REACH, len(time))]
-    found: list[tuple[float, int, np.ndarray]] = []  # significance, first sample, values
+    outliers: list[tuple[float, int, np.ndarray]] = []  # significance, first sample, values
     for width in range(1, WIDEST + 1):
         first = np.unique((np.r_[near, ends][:, None] - np.arange(width)).ravel())
         first = first[(first >= 0) & (first <= len(time) - width)]
         excess, clarity, values = _judge(time, position, first, width, scale, period)
         for k in np.flatnonzero(excess >= SCALES).tolist():
-            found.append((float(clarity[k]), int(first[k]), values[k]))
+            outliers.append((float(clarity[k]), int(first[k]), values[k]))
     chosen: dict[int, float] = {}
-    for _, at, value in sorted(found, key=lambda each: -each[0]):
-        taken = range(at, at + len(value))
-        if not chosen.keys() & set(taken):
-            chosen |= dict(zip(taken, value.tolist(), strict=True))
+    for _, at, value in sorted(outliers, key=lambda each: -each[0]):
+        samples = range(at, at + len(value))
+        if not chosen.keys() & set(samples):
+            chosen |= dict(zip(samples, value.tolist(), strict=True))
     return sorted(chosen.items())
 
 
@@ -130,26 +130,26 @@ def _judge(
     lowest = np.clip(first - NEIGHBOURS // 2, 0, len(time) - count)
     window = lowest[:, None] + np.arange(count)
     inside = (window >= first[:, None]) & (window < first[:, None] + width)
-    others, own = window[~inside].reshape(-1, NEIGHBOURS), window[inside].reshape(-1, width)
-    centre = time[own].mean(axis=1, keepdims=True)
+    others, judged = window[~inside].reshape(-1, NEIGHBOURS), window[inside].reshape(-1, width)
+    centre = time[judged].mean(axis=1, keepdims=True)
     reach = np.abs(time[others] - centre).max(axis=1, keepdims=True)
 
     def powers(at: np.ndarray) -> np.ndarray:
         return ((time[at] - centre) / reach)[..., None] ** np.arange(4)
 
     fit = np.linalg.pinv(powers(others))  # (C, 4, NEIGHBOURS)
-    weights = powers(own) @ fit  # (C, width, NEIGHBOURS)
+    weights = powers(judged) @ fit  # (C, width, NEIGHBOURS)
     around = position[others]
     values = (weights @ around[..., None])[..., 0]
     # The smaller of both ends, in the units of the noise of one sample.
-    ends = (position[own] - values)[:, [0, -1]]
+    ends = (position[judged] - values)[:, [0, -1]]
     distance = (np.abs(ends) / np.sqrt(1 + (weights[:, [0, -1]] ** 2).sum(axis=2))).min(axis=1)
     misfit = np.abs(around - (powers(others) @ (fit @ around[..., None]))[..., 0]).max(axis=1)
     clean = position[window]
     clean[inside] = values.ravel()
     moved = np.abs(np.diff(clean, axis=1)).max(axis=1)
-    whole = time[window[:, -1]] - time[window[:, 0]] < 2 * (count - 1) * period  # where none are missing
-    of_its_own = whole & (np.abs(ends).min(axis=1) > STEPS * moved)
+    gapless = time[window[:, -1]] - time[window[:, 0]] < 2 * (count - 1) * period  # where none are missing
+    of_its_own = gapless & (np.abs(ends).min(axis=1) > STEPS * moved)
     excess = np.where(of_its_own, distance / np.maximum(misfit, scale), 0.0)
     return excess, distance / np.maximum(misfit, 1e-3 * scale), values
 
@@ -212,8 +212,8 @@ def refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:
         # The way of three steps against the steps around them: what was stale or a glitch is made up for there.
         over = (moving[4:-1] - moving[1:-4]) - (time[4:-1] - time[1:-4])[:, None] * (speed[:-4] + speed[4:]) / 2
         change = over / median
-        whole = (step <= MISSING_STEP * median) & (step >= 0.5 * median)
-        change[~np.all([whole[k : len(whole) - 4 + k] for k in range(5)], axis=0)] = 0.0
+        regular = (step <= MISSING_STEP * median) & (step >= 0.5 * median)
+        change[~np.all([regular[k : len(regular) - 4 + k] for k in range(5)], axis=0)] = 0.0
         three = np.stack([change[:-2], change[1:-1], change[2:]])
         change = np.where((np.sign(three) == np.sign(three[1])).all(axis=0), np.abs(three).min(axis=0), 0.0)
         usual.append(change[::stride].copy())
@@ -222,7 +222,7 @@ def refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:
             if change[k, j] > largest[j]:
                 jump = speed[k + 3, j] - (speed[k + 2, j] + speed[k + 4, j]) / 2
                 largest[j], places[j], jumps[j] = change[k, j], begin + k + 4, jump * step[k + 3]
-    usually, speeds = (np.quantile(np.concatenate(each), 0.999, axis=0) for each in (usual, fast))
+    usually, speeds = (np.quantile(np.concatenate(parts), 0.999, axis=0) for parts in (usual, fast))
     for j in np.flatnonzero(speeds > LARGEST_SPEED).tolist():
         raise GtauError(
             f"joint '{source.joints[j]}' moves at {speeds[j]:.2g} (rad or m)/s, faster than any joint; "
@@ -264,7 +264,7 @@ def refuse_frozen(samples: Samples, instants: np.ndarray, held: Held) -> None:
             if edge[k] >= edges[j]:
                 edges[j], spells[j] = edge[k], (begin[k], end[k])
             since[j], into[j] = begin[-1], np.r_[into[j], sizes][-1]
-    speeds, changes = (np.quantile(np.concatenate(each), 0.999, axis=0) for each in (fast, usual))
+    speeds, changes = (np.quantile(np.concatenate(parts), 0.999, axis=0) for parts in (fast, usual))
     sudden = (edges > FROZEN_QUANTA * np.array(held.quanta)) & (edges > FROZEN_SPEED * speeds) & (edges > changes)
     for j in np.flatnonzero(sudden).tolist():
         begin, end = spells[j].tolist()
@@ -292,7 +292,7 @@ def _moving(time: np.ndarray, position: np.ndarray, fresh: np.ndarray) -> np.nda
     """Interpolate the positions (M, n) that are not fresh."""
     if fresh.all():
         return position
-    return np.column_stack([np.interp(time, time[fresh], each[fresh]) for each in position.T])
+    return np.column_stack([np.interp(time, time[fresh], column[fresh]) for column in position.T])
 
 
 REVERSING = 1.5  # travel of a joint over its range; a motion in one direction has 1
@@ -310,7 +310,7 @@ def refuse_magnitudes(samples: Samples) -> None:
     A joint that holds against gravity may need one sign only, but it then stays away from zero; not all joints do.
     """
     source, n = samples.source, len(samples.source.joints)
-    low, high = (each[:n] for each in extremes(samples.command))
+    low, high = (ends[:n] for ends in extremes(samples.command))
     steps = [np.abs(np.diff(part, axis=0)).sum(axis=0) for part in blocks(samples.position, before=1)]
     first, last = extremes(samples.position)
     acting = (high > low) & (last > first)
@@ -337,7 +337,7 @@ def clipped(samples: Samples, notes: list[Finding]) -> list[tuple[int, float]]:
     Raises GtauError where more than a tenth of the samples are clipped, or a command has no sign.
     """
     source, count = samples.source, len(samples.time)
-    found = []
+    clips = []
     low, high = extremes(samples.command)
     for j, channel in enumerate(source.channels):
         if low[j] == high[j] or not channel.kind.of_joint:
@@ -359,8 +359,8 @@ def clipped(samples: Samples, notes: list[Finding]) -> list[tuple[int, float]]:
                 )
             values = {"signal": channel.kind.name, "level": level, "samples": at}
             notes.append(Finding(F.CLIPPED, (channel.joint,), values=values, share=at / count))
-            found.append((j, level))
-    return found
+            clips.append((j, level))
+    return clips
 
 
 def _count_at(command: np.ndarray, j: int, level: float) -> int:

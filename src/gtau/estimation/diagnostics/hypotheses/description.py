@@ -77,7 +77,7 @@ def _with_positions(fit: Fit, steps: Sequence[tuple[np.ndarray, np.ndarray]]) ->
         columns = np.zeros((len(steps), *before.shape))
         for k, (factor, shift) in enumerate(steps):
             q, qd, qdd = window.q * factor + shift, window.qd * factor, window.qdd * factor
-            moved, labels = replace(window, q=q, qd=qd, qdd=qdd, of=None), Labels(window.run.name, window.time)
+            moved, labels = replace(window, q=q, qd=qd, qdd=qdd, part_of=None), Labels(window.run.name, window.time)
             try:  # from near the first configuration, so that loops are closed as before
                 path = model.path(np.ascontiguousarray(moved.q.T), labels, motion().c[:, 0])
                 after = regressor.torques_along(model.layout, motion_along(model, moved, path), values)

@@ -69,8 +69,8 @@ def open_mat(path: Path) -> Table:
     from scipy.io import loadmat, whosmat
 
     def variables(*names: str) -> dict[str, np.ndarray]:
-        found = loadmat(path, simplify_cells=True, verify_compressed_data_integrity=True, variable_names=names)
-        return dict(_arrays({name: found[name] for name in names}, ""))
+        loaded = loadmat(path, simplify_cells=True, verify_compressed_data_integrity=True, variable_names=names)
+        return dict(_arrays({name: loaded[name] for name in names}, ""))
 
     shapes: dict[str, tuple[int, ...]] = {}
     with readable(path, "a MAT file"):
@@ -137,7 +137,7 @@ def _table(
     A two-dimensional array ``q`` of N samples by n gives the columns ``q[1]`` to ``q[n]``; what is wider than
     ``WIDEST``, of more axes or a single number is left out.
     """
-    found: dict[str, tuple[str, int | None, bool]] = {}  # column: array, its number in it, samples on the last axis
+    places: dict[str, tuple[str, int | None, bool]] = {}  # column: array, its number in it, samples on the last axis
     rows: dict[str, int] = {}
     for name, shape in shapes.items():
         size = int(np.prod(shape))
@@ -145,24 +145,24 @@ def _table(
             continue
         long = max(shape)
         if size == long:
-            found[name], rows[name] = (name, None, len(shape) == 2 and shape[1] == long), long
+            places[name], rows[name] = (name, None, len(shape) == 2 and shape[1] == long), long
         elif min(shape) <= WIDEST:
             for k in range(min(shape)):
                 column = f"{name}[{k + 1}]"
-                found[column], rows[column] = (name, k, shape[1] == long), long
+                places[column], rows[column] = (name, k, shape[1] == long), long
 
     def frames(names: Sequence[str], wanted: range) -> Iterator[tuple[pl.DataFrame, float]]:
         import polars as pl
 
         count = common_length(path, {name: rows[name] for name in names})
-        with readable(path, "a log"), load({found[name][0] for name in names}) as arrays:
+        with readable(path, "a log"), load({places[name][0] for name in names}) as arrays:
             end = min(wanted.stop, count)
             for start in range(wanted.start, end, block_size()):
                 stop = min(start + block_size(), end)
-                frame = {name: _column(arrays, found[name], start, stop) for name in names}
+                frame = {name: _column(arrays, places[name], start, stop) for name in names}
                 yield pl.DataFrame(frame), stop / count
 
-    return Table(path, tuple(found), frames)
+    return Table(path, tuple(places), frames)
 
 
 def _column(arrays: Mapping[str, Any], where: tuple[str, int | None, bool], start: int, stop: int) -> np.ndarray:

@@ -93,7 +93,7 @@ def _columns(schema: Mapping[str, pl.DataType], table: pl.LazyFrame) -> dict[str
     """Name the columns, and what selects them: one for each item of a column of lists, as many as the first row has."""
     import polars as pl
 
-    found: dict[str, pl.Expr] = {}
+    columns: dict[str, pl.Expr] = {}
     for name, kind in schema.items():
         width = 0
         if isinstance(kind, pl.List | pl.Array) and kind.inner.is_numeric():
@@ -102,10 +102,10 @@ def _columns(schema: Mapping[str, pl.DataType], table: pl.LazyFrame) -> dict[str
             width = int(first.item() or 0) if len(first) else 0
         if 0 < width <= WIDEST:
             items = {f"{name}[{k + 1}]": lists.list.get(k, null_on_oob=True) for k in range(width)}
-            found |= {item: value.alias(item) for item, value in items.items()}
+            columns |= {item: value.alias(item) for item, value in items.items()}
         else:
-            found[name] = pl.col(name)
-    return found
+            columns[name] = pl.col(name)
+    return columns
 
 
 def _episodes(parts: Sequence[pl.LazyFrame], schema: Mapping[str, pl.DataType]) -> dict[int, range]:
@@ -121,20 +121,20 @@ def _episodes(parts: Sequence[pl.LazyFrame], schema: Mapping[str, pl.DataType]) 
     if runs["value"].n_unique() < len(runs):
         return {}
     ends = runs["len"].cum_sum()
-    of = zip(runs["value"], ends - runs["len"], ends, strict=True)
-    return {int(number): range(start, stop) for number, start, stop in of if number is not None}
+    episodes = zip(runs["value"], ends - runs["len"], ends, strict=True)
+    return {int(number): range(start, stop) for number, start, stop in episodes if number is not None}
 
 
 def _unusable(schema: Mapping[str, pl.DataType]) -> dict[str, str]:
     import polars as pl
 
-    found = {}
+    remedies = {}
     for name, kind in schema.items():
         if kind.is_temporal():
-            found[name] = f"holds dates or times ({kind}); write the seconds since the first sample, as numbers"
+            remedies[name] = f"holds dates or times ({kind}); write the seconds since the first sample, as numbers"
         elif not (kind.is_numeric() or kind in (pl.String, pl.Boolean)):
-            found[name] = f"holds {kind} values; write it as numbers"
-    return found
+            remedies[name] = f"holds {kind} values; write it as numbers"
+    return remedies
 
 
 def _data_set(log: Path) -> tuple[float | None, Mapping[str, Sequence[str]]]:
@@ -162,7 +162,7 @@ def _flat(names: Any) -> list[str]:
     if isinstance(names, Mapping):
         names = list(names.values())
     if isinstance(names, list):
-        return [each for of in names for each in _flat(of)]
+        return [name for group in names for name in _flat(group)]
     return [names] if isinstance(names, str) else []
 
 

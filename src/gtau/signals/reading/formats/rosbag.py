@@ -40,11 +40,11 @@ def _reader(path: Path) -> Any:
 def robot_description(path: Path) -> str | None:
     """Find the URDF that a bag holds in a topic ``robot_description``, a text; raises GtauError."""
     with readable(path, "a ROS bag"), _reader(path) as bag:
-        for each in bag.connections:
-            if each.topic.split("/")[-1] != "robot_description" or each.msgtype != STRING:
+        for connection in bag.connections:
+            if connection.topic.split("/")[-1] != "robot_description" or connection.msgtype != STRING:
                 continue
-            for _, _, raw in bag.messages(connections=[each]):
-                text = bag.deserialize(raw, each.msgtype).data
+            for _, _, raw in bag.messages(connections=[connection]):
+                text = bag.deserialize(raw, connection.msgtype).data
                 if "<robot" in text:
                     return str(text)
     return None
@@ -85,7 +85,7 @@ def open_rosbag(path: Path) -> Table:
         values = np.empty((min(block_size(), count), len(names)))
         filled = 0
         with readable(path, "a ROS bag"), _reader(path) as bag:
-            connections = [each for each in bag.connections if each.topic == topics[0]]
+            connections = [connection for connection in bag.connections if connection.topic == topics[0]]
             for row, (connection, received, raw) in enumerate(bag.messages(connections=connections)):
                 if row < rows.start:
                     continue

@@ -121,7 +121,9 @@ def _first_lines(path: Path) -> list[_Line]:
             _refuse_long_line(path, len(raw), len(lines) + 1)
             text = _decoded(raw if lines else raw.removeprefix(BOM)).lstrip("# ").rstrip("\r\n")
             outside = re.sub(r'"[^"]*"', "", text)
-            separator = next((each for of in (outside, text) for each in SEPARATORS if each in of), ",")
+            separator = next(
+                (character for part in (outside, text) for character in SEPARATORS if character in part), ","
+            )
             fields = tuple(_unquoted(field) for field in _split(text, separator))
             numbers = sum(is_number(field) for field in fields)
             rest = sum(field.lower() in MISSING for field in fields)
@@ -135,7 +137,7 @@ def _start(lines: list[_Line]) -> int | None:
     """Find the first of ``ROWS_ALIKE`` rows, or of those that there are."""
     for i, line in enumerate(lines):
         block = lines[i : i + ROWS_ALIKE]
-        if all(each.numeric and len(each.fields) == len(line.fields) for each in block):
+        if all(row.numeric and len(row.fields) == len(line.fields) for row in block):
             return i
     return next((i for i, line in enumerate(lines) if line.numeric), None)
 
@@ -265,11 +267,11 @@ def _unreadable_line(table: Table, separator: str, reason: str) -> str:
     path, count, first = table.path, len(table.columns), table.first_line or 1
     with path.open("rb") as file:
         for number, line in enumerate(map(_decoded, file), start=1):
-            found = len(_split(line, separator))
-            if number >= first and found > count:
+            fields = len(_split(line, separator))
+            if number >= first and fields > count:
                 where = f"line {first}" if table.numbered else "the header"
                 return (
-                    f"{path}, line {number} has {found} columns where {where} has {count}; correct or delete the line "
+                    f"{path}, line {number} has {fields} columns where {where} has {count}; correct or delete the line "
                     "(a header must name every column)."
                 )
             if number >= first and "\ufffd" in line:
