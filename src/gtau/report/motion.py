@@ -56,7 +56,9 @@ def joint_panels(
         )
         for unit in ("rad", "m")
     }
-    return [Panel(TIME, Axis(f"{what}, {unit}{per}"), of, height=height) for unit, of in lines.items() if of]
+    return [
+        Panel(TIME, Axis(f"{what}, {unit}{per}"), series, height=height) for unit, series in lines.items() if series
+    ]
 
 
 def singularities_section(nearest: Sequence[NearestPose]) -> Section | None:
