@@ -32,7 +32,7 @@ def test_gains_from_the_wrench_that_holds_the_base(wrench: str, yaw: float, hung
         found = result.drive_gains[joint]
         assert found.value == pytest.approx(gain, rel=0.005)
         assert found.verdict.outcome == Outcome.GOOD
-        assert dict(found.scale) == pytest.approx({"wrench on 'trunk'": 1.0})
+        assert dict(result.scale[joint]) == pytest.approx({"wrench on 'trunk'": 1.0})
     z = deviations(result, hung.chi)
     assert len(z) == 46
     assert np.sqrt(np.mean(z**2)) < 1.6

@@ -255,12 +255,12 @@ def test_only_friction_that_all_equations_tell_is_kept(runs: list[Run]) -> None:
         replace(run, command=run.command + np.column_stack([0.2 * qd**3 / GAINS[0], 0 * qd]))
         for run, qd in zip(runs, speed, strict=True)
     ]
-    data, both = reduce_runs(FIVE_BAR, cubed), (all_terms(JOINTS, ("f3",)), True)
-    problem = data.system(*both).problem
+    data, both = reduce_runs(FIVE_BAR, cubed), all_terms(JOINTS, ("f3",))
+    problem = data.system(both, per_run=True).problem
     assert prune_friction_terms(problem, both, ml) == ("f3_left",)
     solution, k = ml(problem), problem.parameters.index("f3_left")
     assert solution.theta[k] == pytest.approx(0.2, abs=4 * np.sqrt(solution.jackknife[k, k]))
-    plain = reduce_runs(FIVE_BAR, runs).system(*both).problem
+    plain = reduce_runs(FIVE_BAR, runs).system(both, per_run=True).problem
     assert prune_friction_terms(plain, both, ml) == ()
 
 

@@ -36,7 +36,7 @@ def leaning() -> Truth:
 def test_gains_from_the_wrench_on_a_foot(wrench: str, standing: Truth, tmp_path: Path) -> None:
     result = identify(experiment(tmp_path, f"{BASE}\n  wrenches: [{wrench}]", standing))
     check(result, deviations(result, standing.chi), 46)
-    assert {source for gain in result.drive_gains.values() for source in gain.scale} == {"measured wrenches"}
+    assert {source for shares in result.scale.values() for source in shares} == {"measured wrenches"}
     assert [result.drive_gains[joint].verdict.outcome for joint in "23"] == [Outcome.GOOD] * 2
 
 
@@ -58,7 +58,7 @@ def test_a_force_sensor_between_flange_and_tool_gives_the_scale(tmp_path: Path) 
     assert Outcome.CONTRADICTORY in {verdict.outcome for verdict in wrong}
     assert all(each.finding.values["wrenches"] for each in wrong if each.outcome == Outcome.CONTRADICTORY)
     for joint in GAINS:
-        assert dict(result.drive_gains[joint].scale) == pytest.approx({"wrench on '3'": 1.0})
+        assert dict(result.scale[joint]) == pytest.approx({"wrench on '3'": 1.0})
         assert result.drive_gains[joint].verdict.outcome in (Outcome.GOOD, Outcome.WEAK)
 
 

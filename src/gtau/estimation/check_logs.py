@@ -81,7 +81,7 @@ class WrenchCheck:
 class LogCheck:
     """One log: its joints, and positions (K, n), usable samples and distances at the decimated instants.
 
-    ``validation`` tells whether the file lists the run under that key.
+    ``validation`` says whether the file lists the run under that key.
     """
 
     run: Run

@@ -120,7 +120,8 @@ class Run:
         channels = tuple(more.get("channels") or channels_of(joints, base, {SENSOR: more.get("sensors", ())}))
         unit = "A" if kind == "current" else "N m"
         channels = tuple(replace(channel, unit=unit) if channel.name in joints else channel for channel in channels)
-        valid = more.get("valid", np.broadcast_to(True, (len(time), len(channels))))
+        valid = more.get("valid", np.zeros(0))
+        valid = valid if valid.size else np.broadcast_to(True, (len(time), len(channels)))
         values = (name, tuple(joints), time, position, command, kind, payload, valid, channels, log)
         for attribute, value in zip(fields(self), values, strict=True):
             object.__setattr__(self, attribute.name, value)

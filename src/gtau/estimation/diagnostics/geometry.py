@@ -15,7 +15,15 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry_findings import ConstantChange, GeometryTest, PoseResidual
-from gtau.estimation.diagnostics.pose_fit import FLOOR, PoseFit, Poses, component_names, first_frames, fit_poses
+from gtau.estimation.diagnostics.pose_fit import (
+    FLOOR,
+    SHORTEST,
+    PoseFit,
+    Poses,
+    component_names,
+    first_frames,
+    fit_poses,
+)
 from gtau.estimation.regression.rows import Labels
 from gtau.estimation.thresholds.logs import (
     GEOMETRY_ALIKE,
@@ -37,7 +45,6 @@ from gtau.signals.reading.side_signals import LoggedPoses
 SAMPLES = 400  # of all runs together: residuals are smooth, so that more hardly add anything
 STRETCHES = 8  # of a run, whose residuals are taken for independent of each other
 LONGEST = 0.1  # s: delays of poses beyond it are none
-SHORTEST = 1e-3  # s: a smaller delay needs no positions of its own
 APART = 5  # rows on either side, over which speeds are taken from positions
 TRIED = 4  # constants that are fitted beyond the first order at each step; one that is the explanation was the first
 MOST = 4  # constants that may explain the residuals together: the effort of the search; three were the most found

@@ -88,8 +88,8 @@ class Linearised:
         Returns
         -------
         tuple of ndarray
-            Of each column in the equations of each channel, (m, n), of one for all if shared: its size, the standard
-            deviation of that, infinite where the other unknowns span the column, the share of the residual variance
+            Of each column in the equations of each channel, (m, n), of one for all if shared: its size, its
+            standard deviation, infinite where the other unknowns span the column, the share of the residual variance
             that goes with it, and by how much the other unknowns move for a unit of it, (m, n, k).
         """
         W, W_e, left, W_left, W_W = self._white

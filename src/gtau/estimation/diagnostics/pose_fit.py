@@ -19,6 +19,7 @@ from gtau.model.lengths import BodyPose, VariableGeometry
 from gtau.signals.reading.body_columns import PoseColumns
 
 STEP = 1e-6  # rad: of the differences that turn angular velocities into rates of angles
+SHORTEST = 1e-3  # s: a smaller delay needs no positions of its own
 OWN = 7  # entries of a step that are the delay's and the marker's; six of the tracker's follow for each run
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import InitVar, dataclass, field, replace
+from dataclasses import InitVar, astuple, dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -40,9 +40,14 @@ from gtau.signals.reading.statements import Payload, Prior
 from gtau.signals.run import Run
 
 
-@lru_cache(maxsize=8)
 def model_of(robot: Robot) -> InverseDynamics:
     """Return the model of a robot, built once."""
+    # robots are equal whose files state other inertias, notes or constants; a model knows its robot's
+    return _model_of(robot, astuple(robot.file))
+
+
+@lru_cache(maxsize=8)
+def _model_of(robot: Robot, written: tuple[Any, ...]) -> InverseDynamics:
     return InverseDynamics(robot)
 
 
