@@ -33,7 +33,7 @@ from stated_arm import chi, plant, robot
 
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
-from gtau.export.registry import export_model
+from gtau.export.exported import export_model
 from gtau.export.samples import Samples, draw
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.reading.statements import Payload

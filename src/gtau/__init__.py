@@ -21,9 +21,8 @@ if TYPE_CHECKING:
     from gtau.excitation.design import design as excite
     from gtau.excitation.design_file import read_design
     from gtau.excitation.task import DesignProblem
-    from gtau.export.exported import Exported
+    from gtau.export.exported import Exported, export_model
     from gtau.export.payload import export_payload
-    from gtau.export.registry import export_model
     from gtau.model.base_parameters import BaseParameters, base_parameters
     from gtau.model.home import load_robot
     from gtau.model.inverse_dynamics import InverseDynamics
@@ -116,7 +115,7 @@ _HOMES = {
     "check": "estimation.check_logs",
     "compare": "estimation.compare",
     "excite": "excitation.design",
-    "export_model": "export.registry",
+    "export_model": "export.exported",
     "export_payload": "export.payload",
     "identify": "estimation.identify",
     "load_robot": "model.home",

@@ -12,7 +12,7 @@ from models_to_export import model_of
 
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
-from gtau.export.registry import export_model
+from gtau.export.exported import export_model
 from gtau.robots.robot import Joint, Limits, Pose, Robot
 
 MJLAB = {  # fields of BuiltinMotorActuatorCfg and ActuatorCfg, mjlab.actuator

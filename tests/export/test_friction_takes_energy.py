@@ -17,10 +17,10 @@ from robots_for_tests import ROBOTS, home, tree
 from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
 from gtau.export.c import c_files
+from gtau.export.exported import export_model
 from gtau.export.fmu import export as export_fmu
 from gtau.export.matlab import matlab_files
 from gtau.export.mjcf import export as export_mjcf
-from gtau.export.registry import export_model
 from gtau.export.urdf import export as export_urdf
 from gtau.model.home import load_robot
 from gtau.robots.robot import Robot

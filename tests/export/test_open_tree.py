@@ -12,7 +12,7 @@ from models_to_export import model_of
 
 from gtau.estimation.results.result import Result
 from gtau.export.consistent import consistent_model, motor_inertias
-from gtau.export.registry import export_model
+from gtau.export.exported import export_model
 from gtau.model.home import load_robot
 
 

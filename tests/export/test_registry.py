@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 import gtau
 from gtau.cli.commands import app
-from gtau.export.registry import HOME
+from gtau.export.exported import HOME
 from gtau.extensions import names
 from gtau.model.home import load_robot
 

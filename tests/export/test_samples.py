@@ -16,7 +16,7 @@ from gtau.errors import GtauError
 from gtau.estimation.estimators.standard_parameters import pseudo_inertia
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
-from gtau.export.registry import export_model
+from gtau.export.exported import export_model
 from gtau.export.samples import Samples, draw
 from gtau.model.home import load_robot
 from gtau.robots.robot import INERTIAL

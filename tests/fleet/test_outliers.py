@@ -2,16 +2,36 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from gtau.fleet.gains import LEAST, distances
+from gtau.fleet.fleet import Member, Report
+from gtau.fleet.gains import LEAST, FleetTable, fleet_table
 
 JOINTS = 3
 
 
-def found(values: np.ndarray, std: np.ndarray, tests: int = 0):
-    return distances(values, std, np.full(len(values), 39.0), tests or len(values))
+def table_of(values: np.ndarray, std: np.ndarray) -> FleetTable:
+    """Compare robots with gains (N,) or (JOINTS, N), whose standard deviations have 39 degrees of freedom."""
+    reports = []
+    for k, (gains, stds) in enumerate(zip(np.atleast_2d(values).T, np.atleast_2d(std).T, strict=True)):
+        rows = [
+            {"joint": f"{joint}", "value": gain, "std": gain_std, "unit": "N m/A", "freedom": 39.0}
+            | {"outcome": "good", "why": ""}
+            for joint, (gain, gain_std) in enumerate(zip(gains.tolist(), stds.tolist(), strict=True))
+        ]
+        reports.append(Report(Member(f"{k}", Path(f"{k}.yaml")), {"robot": "arm", "drive_gains": rows}))
+    return fleet_table(reports)
+
+
+def outliers(values: np.ndarray, std: np.ndarray) -> list[bool]:
+    return [gain.outlier for gain in table_of(values, std).gains]
+
+
+def distances(values: np.ndarray, std: np.ndarray) -> list[float | None]:
+    return [gain.z for gain in table_of(values, std).gains]
 
 
 @pytest.mark.parametrize("spread", [0.0, 0.5, 5.0])
@@ -21,7 +41,7 @@ def test_a_fleet_without_outliers_seldom_shows_one(rng: np.random.Generator, spr
         sigma = rng.uniform(0.5, 2.0, (JOINTS, n))
         std = sigma * np.sqrt(rng.chisquare(39, sigma.shape) / 39)
         values = 100 + np.hypot(sigma, spread) * rng.standard_normal(sigma.shape)
-        alarms += any(found(v, s, JOINTS * n).outlier.any() for v, s in zip(values, std, strict=True))
+        alarms += any(outliers(values, std))
     assert alarms < 0.1 * fleets  # a rate of 0.05 gives more with a chance of 1e-3
 
 
@@ -29,41 +49,42 @@ def test_spread_and_median_are_recovered_with_a_third_wrong(rng: np.random.Gener
     sigma = rng.uniform(0.5, 2.0, 3000)
     values = 100 + np.hypot(sigma, 3.0) * rng.standard_normal(3000)
     values[:1000] += rng.choice([-300, 300], 1000)
-    result = found(values, sigma)
-    assert result.median == pytest.approx(100, abs=4 * result.median_std)
-    assert 3.0 < result.spread < 7.0  # the wrong third widens the quartiles, and no more
-    assert result.outlier[:1000].all()
+    (joint,) = table_of(values, sigma).joints
+    assert joint.median == pytest.approx(100, abs=4 * joint.median_std)
+    assert 3.0 < joint.spread < 7.0  # the wrong third widens the quartiles, and no more
+    assert all(outliers(values, sigma)[:1000])
 
 
 def test_the_standard_deviation_of_the_median_is_its_scatter(rng: np.random.Generator) -> None:
     sigma = rng.uniform(0.5, 2.0, 40)
-    results = [found(np.hypot(sigma, 1.0) * rng.standard_normal(40), sigma) for _ in range(300)]
-    scatter = np.std([each.median for each in results])
-    assert scatter == pytest.approx(np.mean([each.median_std for each in results]), rel=0.15)
+    fleets = [table_of(np.hypot(sigma, 1.0) * rng.standard_normal(40), sigma) for _ in range(300)]
+    joints = [fleet.joints[0] for fleet in fleets]
+    scatter = np.std([joint.median for joint in joints])
+    assert scatter == pytest.approx(np.mean([joint.median_std for joint in joints]), rel=0.15)
 
 
 def test_a_value_of_large_standard_deviation_is_no_outlier() -> None:
     values, std = np.zeros(20) + 0.01 * np.arange(20), np.full(20, 0.05)
     values[7] = 1.0
-    assert np.flatnonzero(found(values, std).outlier).tolist() == [7]
+    assert np.flatnonzero(outliers(values, std)).tolist() == [7]
     std[7] = 0.5
-    assert not found(values, std).outlier.any()
+    assert not any(outliers(values, std))
 
 
 def test_units_do_not_matter(rng: np.random.Generator) -> None:
     values, std = rng.standard_normal(20), rng.uniform(0.1, 1, 20)
-    assert found(1e6 * values, 1e6 * std).z == pytest.approx(found(values, std).z)
-    assert found(-values, std).z == pytest.approx(-found(values, std).z)
+    assert distances(1e6 * values, 1e6 * std) == pytest.approx(distances(values, std))
+    assert np.negative(distances(-values, std)) == pytest.approx(distances(values, std))
 
 
 def test_few_values_have_no_outliers() -> None:
     for n in (1, 2, LEAST - 1, LEAST):
         values = np.zeros(n)
         values[-1] = 1e3
-        assert found(values, np.ones(n)).outlier.any() == (n == LEAST)
+        assert any(outliers(values, np.ones(n))) == (n == LEAST)
 
 
 def test_equal_values_known_exactly() -> None:
-    result = found(np.full(10, 2.0), np.zeros(10))
-    assert (result.median, result.spread) == (2.0, 0.0)
-    assert not result.outlier.any()
+    (joint,) = table_of(np.full(10, 2.0), np.zeros(10)).joints
+    assert (joint.median, joint.spread) == (2.0, 0.0)
+    assert not any(outliers(np.full(10, 2.0), np.zeros(10)))

@@ -150,20 +150,21 @@ def seconds() -> float:
     return time.perf_counter() - _begun[0]
 
 
-def answer(as_json: bool, document: Callable[[], Any], page: Callable[[], Page], written: Iterable[Path] = ()) -> None:
+def answer(
+    as_json: bool,
+    document: Callable[[], Any],
+    page: Callable[[], Page] | None = None,
+    written: Iterable[Path] = (),
+) -> None:
     """Print the answer of a command on stdout: one JSON document, or a page and the paths of what was written."""
     if as_json:
         print_json(document())
         return
-    from gtau.report.render.terminal import show
+    if page is not None:
+        from gtau.report.render.terminal import show
 
-    show(page())
-    show_written(written)
-
-
-def show_written(paths: Iterable[Path]) -> None:
-    """Print the paths of what was written on stdout."""
-    for path in paths:
+        show(page())
+    for path in written:
         typer.echo(f"written: {path}")
 
 

@@ -19,11 +19,9 @@ from gtau.cli.console import (
     Json,
     ModelFile,
     answer,
-    print_json,
     progress_bar,
     refusing,
     seconds,
-    show_written,
 )
 from gtau.documents.files import folder_of, refuse_as_folder
 from gtau.errors import GtauError, missing_extra
@@ -218,19 +216,16 @@ def export(
     json_: Json = False,
 ) -> None:
     """Export a model for controllers, simulators, papers and other programs."""
-    from gtau.export.registry import export_model
+    from gtau.export.exported import export_model
 
     with progress_bar() as progress:
         progress("export", 0, 1)
         exported = export_model(model, to, out, into, samples, models, seed)
-        progress("export", 1, 1)
-    if json_:
-        files = [str(path) for path in exported.files]
-        print_json({"kind": to, "files": files, "notes": list(exported.notes), "figures": dict(exported.figures)})
-    else:
-        _show_notes([exported.lost] if exported.lost else [])
-        show_written(exported.files)
-        _show_notes([note for note in exported.notes if note != exported.lost])
+    files = [str(path) for path in exported.files]
+    document = {"kind": to, "files": files, "notes": list(exported.notes), "figures": dict(exported.figures)}
+    _show_notes([exported.lost] if exported.lost and not json_ else [])
+    answer(json_, lambda: document, written=exported.files)
+    _show_notes([] if json_ else [note for note in exported.notes if note != exported.lost])
 
 
 def _show_notes(notes: Sequence[str]) -> None:
@@ -296,7 +291,6 @@ def use(
         run = read_log(result, log, experiment)
         run = run if payload is None else carrying(result, run, payload)
         torques = torques_along_log(result, run, at, force_only, observer)
-        progress("torques along the log", 1, 1)
     if out is not None:
         write_table(torques, out)
     document: dict[str, Any] = {"log": str(log), "out": None if out is None else str(out)}

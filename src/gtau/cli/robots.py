@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gtau.cli.console import Json, answer, base_choice, print_json, progress_bar, refusing, seconds, show_written
+from gtau.cli.console import Json, answer, base_choice, progress_bar, refusing, seconds
 from gtau.cli.interruption import stop_request
 from gtau.documents.files import folder_of, refuse_as_folder
 from gtau.errors import GtauError
@@ -207,11 +207,9 @@ def tutorial(
     from gtau.demo.tutorial import write_tutorial
 
     written = write_tutorial(out)
-    if json_:
-        print_json({"files": [str(path) for path in written]})
-        return
-    show_written(written)
-    typer.echo(f"next: cd {out} && gtau init empty_*.csv loaded_1200g.csv --robot five-bar --yes")
+    answer(json_, lambda: {"files": [str(path) for path in written]}, written=written)
+    if not json_:
+        typer.echo(f"next: cd {out} && gtau init empty_*.csv loaded_1200g.csv --robot five-bar --yes")
 
 
 @refusing
@@ -234,9 +232,6 @@ def simulate(
         written = simulate_experiment(simulation, out, progress)
     described = read_simulation(simulation)
     light = massless(load_robot(described.robot), described.parameters) if described.model is None else ()
-    if json_:
-        print_json({"files": [str(path) for path in written], "massless": light})
-    else:
-        show_written(written)
-        if light:
-            typer.echo(f"without mass and inertia, because 'parameters' lists none for them: {', '.join(light)}")
+    answer(json_, lambda: {"files": [str(path) for path in written], "massless": light}, written=written)
+    if light and not json_:
+        typer.echo(f"without mass and inertia, because 'parameters' lists none for them: {', '.join(light)}")

@@ -1,1 +1,1 @@
-"""Exports of identified models to controllers, simulators and papers: one module per kind, listed in the registry."""
+"""Exports of identified models to controllers, simulators and papers: one module per kind, found by its constant."""

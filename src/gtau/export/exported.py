@@ -1,10 +1,14 @@
-"""What a kind of export is: its files, their names, how they are written, and what is returned."""
+"""What a kind of export is: its files, their names, how they are written, and what is returned.
+
+Each kind is named in the constant ``EXPORTS`` of a module of this folder, or by an entry point.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, indent, tostring
@@ -12,8 +16,16 @@ from xml.etree.ElementTree import Element, indent, tostring
 import numpy as np
 
 from gtau.documents.files import folder_of, write_atomically
+from gtau.documents.validation import PATH, TEXT, WHOLE, takes
 from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
+from gtau.extensions import find, homes, names
+from gtau.robots.floating import refuse_floating
+
+HOME = ("gtau.exports", "gtau.export")
+"""Group of entry points, and the package of the built-in kinds."""
+MODELS = 16
+"""Draws that are written as models where nobody says how many."""
 
 
 @dataclass(frozen=True)
@@ -77,3 +89,77 @@ def written(out: Path, texts: Mapping[str, str | bytes]) -> tuple[Path, ...]:
     for name, text in texts.items():
         write_atomically(folder / name, text)
     return tuple(folder / name for name in texts)
+
+
+@takes(
+    model=("a result or the path of its file", (Result, str, Path)),
+    kind=TEXT,
+    out=PATH,
+    into=PATH,
+    samples=WHOLE,
+    models=WHOLE,
+    seed=WHOLE,
+)
+def export_model(
+    model: Result | str | Path,
+    kind: str,
+    out: str | Path,
+    into: str | Path | None = None,
+    samples: int = 0,
+    models: int = MODELS,
+    seed: int = 0,
+) -> Exported:
+    """Export an identified model for a controller, simulator or paper.
+
+    Parameters
+    ----------
+    model : Result or path
+        A result, or its ``model.json``.
+    kind : str
+        One of those that ``gtau export --help`` lists, ``c`` for instance.
+    out : path
+        Folder of the files.
+    into : path, optional
+        For the kinds ``urdf`` and ``mjcf``: the robot's own file, of which a copy with the identified parameters
+        and everything else as it was is written.
+    samples : int
+        Number of models to draw as well, see :func:`gtau.export.samples.draw`: ``samples.npz``, and
+        for the kinds that simulate the first ``models`` of them, each in a folder of its own (``samples/0000``).
+    models, seed : int
+        Number of draws written as models, and the seed of the draws.
+
+    Returns
+    -------
+    Exported
+        Files written, and notes on what the target cannot express.
+
+    Raises
+    ------
+    GtauError
+        Where the model lacks what the kind needs, or the files cannot be written.
+    """
+    refuse_unknown(kind, names(*HOME))
+    export: Export = find(*HOME, kind, Export)
+    result = model if isinstance(model, Result) else Result.load(model)
+    if not export.floating:
+        refuse_floating(result.robot, f"export to '{kind}' is")
+    if into is not None and export.into is None:
+        raise GtauError(f"--into puts a model back into a URDF or MJCF file, not into '{kind}'; leave it out.")
+    if samples and not export.simulates:
+        simulated = ", ".join(name for name in homes(*HOME) if find(*HOME, name, Export).simulates)
+        raise GtauError(f"draws are models for simulators ({simulated}), not for '{kind}'; leave out --samples.")
+
+    def write(model: Result, folder: Path) -> Exported:
+        if into is None or export.into is None:
+            return export.write(model, folder)
+        return export.into(model, Path(into), folder)
+
+    exported = write(result, Path(out))
+    if not samples:
+        return exported
+    drawn = import_module("gtau.export.samples").draw(result, samples, seed)
+    files = [*exported.files, *written(Path(out), {"samples.npz": drawn.npz()})]
+    for number, model_drawn in zip(range(models), drawn.results(), strict=False):
+        files += write(model_drawn, Path(out) / "samples" / f"{number:04d}").files
+    figures = {**exported.figures, "moved_share": drawn.moved_share}
+    return Exported(tuple(files), (*exported.notes, drawn.note), figures, exported.lost)

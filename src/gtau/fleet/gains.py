@@ -17,39 +17,12 @@ EFFICIENCY = 0.37  # of a median-based spread, relative to that of the standard 
 QUARTILE = 0.4549364  # median of the chi-square distribution with one degree of freedom
 
 
-@dataclass(frozen=True, eq=False)
-class Distances:
-    """Distances of values from their median.
-
-    ``median`` is weighted, ``spread`` the standard deviation between the values beyond those of the values themselves;
-    ``z`` (N,) are the distances in standard deviations of spread and value together, and ``limit`` (N,) the ``|z|``
-    beyond which a value is an outlier; infinite where there are fewer than 8 values.
-    """
-
-    median: float
-    median_std: float
-    spread: float
-    z: np.ndarray
-    limit: np.ndarray
-
-    @property
-    def outlier(self) -> np.ndarray:
-        """True for each value that is an outlier, (N,)."""
-        return np.abs(self.z) > self.limit
-
-
-def distances(values: np.ndarray, std: np.ndarray, freedom: np.ndarray, tests: int) -> Distances:
-    """Compute the distances of values from their median.
+def median_and_spread(values: np.ndarray, std: np.ndarray) -> tuple[float, float]:
+    """Compute the weighted median of values, and their spread beyond their own standard deviations ``std`` (N,).
 
     The spread makes the median of ``(value - median)^2 / (spread^2 + std^2)`` that of a chi-square variable, so it
-    breaks down only where half of the values are outliers. The limit is the point of a t distribution that is exceeded
-    in ``tests`` draws with a probability of 5 %.
-
-    ``values`` (N,) have standard deviations ``std`` with degrees of ``freedom`` (inf: very many); ``tests`` values are
-    tested in the whole fleet.
+    breaks down only where half of the values are outliers.
     """
-    from scipy.special import stdtrit
-
     median, spread = float(np.median(values)), 0.0
     for _ in range(20):
         before = median, spread
@@ -57,14 +30,23 @@ def distances(values: np.ndarray, std: np.ndarray, freedom: np.ndarray, tests: i
         median = _weighted_median(values, 1 / np.maximum(np.hypot(spread, std), 1e-300))
         if (median, spread) == before:
             break
-    total = np.hypot(spread, std)
-    z = np.divide(values - median, total, out=np.zeros(len(values)), where=total > 0)
-    of_spread = max(EFFICIENCY * (len(values) - 1), 1.0)
+    return median, spread
+
+
+def outlier_limits(freedom: np.ndarray, spread: float, tests: int) -> np.ndarray:
+    """Compute the ``|z|`` (N,) beyond which values are outliers.
+
+    It is the point of a t distribution that is exceeded in ``tests`` draws, as many as values are tested in the whole
+    fleet, with a probability of 5 %. ``freedom`` (N,) are degrees of freedom of the standard deviations (inf: very
+    many).
+    """
+    from scipy.special import stdtrit
+
+    of_spread = max(EFFICIENCY * (len(freedom) - 1), 1.0)
     # where there is spread, it may well be the larger part: its few degrees of freedom count for both
     both = np.minimum(freedom, of_spread) if spread else freedom
-    limit = stdtrit(both, 1 - FALSE_ALARM / (2 * tests))
-    median_std = float(np.sqrt(np.pi / 2 / np.sum(1 / np.maximum(total, 1e-150) ** 2)))
-    return Distances(median, median_std, spread, z, limit if len(values) >= LEAST else np.full(len(values), np.inf))
+    limits: np.ndarray = stdtrit(both, 1 - FALSE_ALARM / (2 * tests))
+    return limits
 
 
 def _spread(squares: np.ndarray, variances: np.ndarray) -> float:
@@ -138,7 +120,11 @@ class FleetGain:
 
 @dataclass(frozen=True)
 class JointOfFleet:
-    """A joint over all robots of one model: ``median``, its standard deviation and ``spread`` in ``unit``."""
+    """A joint over all robots of one model, in ``unit``: weighted ``median``, its standard deviation and ``spread``.
+
+    The spread is the standard deviation between the robots beyond that of the gains themselves; ``comparable`` is
+    whether there are enough robots to find outliers.
+    """
 
     model: str
     joint: str
@@ -170,7 +156,7 @@ class FleetTable:
 
 
 def fleet_table(reports: Sequence[Report]) -> FleetTable:
-    """Compare the gains of each joint over the robots of the same model; see :func:`gtau.fleet.gains.distances`."""
+    """Compare the gains of each joint over the robots of the same model; see :func:`median_and_spread`."""
     gains = [
         FleetGain(report.member.name, report.model["robot"], _estimate(gain), gain["outcome"], gain["why"])
         for report in reports
@@ -187,13 +173,17 @@ def fleet_table(reports: Sequence[Report]) -> FleetTable:
         estimates = [gains[k].estimate for k in members]
         numbers = np.array([(gain.value, gain.std, gain.freedom or np.inf) for gain in estimates], dtype=float)
         values, std, freedom = numbers.T
-        apart = distances(values, std, freedom, tests)
+        median, spread = median_and_spread(values, std)
+        total = np.hypot(spread, std)
+        median_std = float(np.sqrt(np.pi / 2 / np.sum(1 / np.maximum(total, 1e-150) ** 2)))
         comparable = len(members) >= LEAST
-        joints.append(JointOfFleet(*group, len(members), apart.median, apart.median_std, apart.spread, comparable))
-        for k, value, z, limit in zip(members, values, apart.z, apart.limit, strict=True):
+        joints.append(JointOfFleet(*group, len(members), median, median_std, spread, comparable))
+        distances = np.divide(values - median, total, out=np.zeros(len(values)), where=total > 0)
+        limits = outlier_limits(freedom, spread, tests)
+        for k, value, z, limit in zip(members, values, distances, limits, strict=True):
             gains[k] = replace(
                 gains[k],
-                difference_percent=float(100 * (value / apart.median - 1)) if apart.median else None,
+                difference_percent=float(100 * (value / median - 1)) if median else None,
                 z=float(z) if comparable else None,
                 limit=float(limit) if comparable else None,
             )

@@ -105,7 +105,7 @@ def intervals(
     ``other`` what the values are compared with, and its values. Zero is marked where asked for.
     """
     rows = np.arange(len(names), dtype=float)
-    x, half, part, compared = (_numbers(each, len(names)) for each in (values, halves, inner, other[1]))
+    x, half, part, compared = (_numbers(column, len(names)) for column in (values, halves, inner, other[1]))
     shown, there = np.isfinite(x), np.isfinite(compared)
     drawn = (x[shown], rows[shown], "predicted")
     series = [Series("value, 95 % interval", *drawn, "disc", half=np.nan_to_num(half[shown]))]

@@ -17,8 +17,7 @@ from gtau.report import logs
 from gtau.report.chart import Chart
 from gtau.report.evidence import preparation_words
 from gtau.report.findings import findings_section, same_in_several
-from gtau.report.geometry import geometry_section
-from gtau.report.motion import distances_panels, joint_panels, singularities_section
+from gtau.report.motion import distances_panels, geometry_section, joint_panels, singularities_section
 from gtau.report.page import (
     Column,
     Facts,

@@ -16,9 +16,8 @@ from gtau.findings import FindingKind
 from gtau.report.evidence import RunEvidence, preparation_words, worst_joint
 from gtau.report.findings import findings_section, same_in_several
 from gtau.report.gains import GOOD_OUTCOMES, gains_section, masses_table, payloads_section, unknown_payloads
-from gtau.report.geometry import geometry_section
 from gtau.report.logs import logs_section
-from gtau.report.motion import motion_section, singularities_section
+from gtau.report.motion import geometry_section, motion_section, singularities_section
 from gtau.report.page import Column, Facts, Kind, Page, Section, Text, page, section, table_of
 from gtau.report.parameters import friction_section, inertias_section, parameters_section
 from gtau.report.residuals import residuals_section

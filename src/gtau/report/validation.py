@@ -146,10 +146,10 @@ def weighing_page(
     if exact and torques:
         said = ["Weighed with the logged torques: an error of 1 % in all of them is 1 % of a mass."]
     elif exact:
-        of = f"the {gains} gains" if len(exact) == len(result.gains) else f"the gains of {', '.join(exact)}"
+        excluded = f"the {gains} gains" if len(exact) == len(result.gains) else f"the gains of {', '.join(exact)}"
         said.append(
-            f"the intervals exclude the uncertainty of {of}: an error of 1 % in all gains is 1 % of a mass; write it as"
-            " 'prior_gains: {joint: {value: 2.4, std: 0.1}}'"
+            f"the intervals exclude the uncertainty of {excluded}: an error of 1 % in all gains is 1 % of a mass; "
+            "write it as 'prior_gains: {joint: {value: 2.4, std: 0.1}}'"
         )
     given = "the logged torques taken as true, whose scale was not tested" if torques else "these gains assumed exact"
     words = masses_words(payloads, f"with {given}, " if exact else "")

@@ -47,9 +47,9 @@ BY_CHANCE = 1e-3  # of as many charts outside their bands, independent ones; the
 def explained_words(explained: Explained) -> str:
     """Describe an explanation, with its interval."""
     kind, quantity, size, half = explained.kind, explained.quantity, explained.size, explained.half
-    of = f" of {explained.joint}" if explained.joint else ""
+    joint = f" of {explained.joint}" if explained.joint else ""
     if kind == "contact":
-        return f"contact{of} (residual {size:.3g} times less even than in any healthy log)"
+        return f"contact{joint} (residual {size:.3g} times less even than in any healthy log)"
     if kind == "gain":
         words = f"{100 * size:+.2g} ± {100 * half:.2g} %"
     elif kind in ("delay", "clock"):
@@ -59,7 +59,7 @@ def explained_words(explained: Explained) -> str:
     more = "" if explained.relative is None else f", {100 * explained.relative:+.0f} % of the model's"
     which = {"fv": "viscous ", "fs": "Coulomb "}.get(quantity, "")
     part = f" (first moment {quantity[1]})" if quantity in ("mx", "my", "mz") else ""
-    return f"{which}{CHANGES[kind][0]}{of}{part} {words}{more}"
+    return f"{which}{CHANGES[kind][0]}{joint}{part} {words}{more}"
 
 
 def alarm_words(alarm: Alarm) -> tuple[str, tuple[str, ...]]:

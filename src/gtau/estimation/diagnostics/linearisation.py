@@ -18,7 +18,7 @@ from gtau.estimation.estimators.newton import jacobian, jacobian_of_known, resid
 from gtau.estimation.regression.equations import triangle
 from gtau.estimation.regression.factors import EXTRA, equations
 from gtau.estimation.regression.rows import Labels, Rows, configurations, stream_rows
-from gtau.estimation.regression.windows import Windows, window_clusters
+from gtau.estimation.regression.run_blocks import Windows, window_clusters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import Motion
 from gtau.signals.preparation.prepared_run import SampleWindow

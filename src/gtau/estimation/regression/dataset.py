@@ -25,8 +25,7 @@ from gtau.estimation.regression.plausibility import check_wrenches, sensors_of, 
 from gtau.estimation.regression.priors import inertia_priors, known_equations
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.rows import Rows, stream_rows
-from gtau.estimation.regression.run_blocks import Place, aligned_edges, block_of, find_places
-from gtau.estimation.regression.windows import Windows, central_windows
+from gtau.estimation.regression.run_blocks import Place, Windows, aligned_edges, block_of, central_windows, find_places
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import BaseParameters, base_parameters
@@ -130,7 +129,7 @@ class Dataset:
         return self.motions.edges
 
     def windows(self, pieces: int = 1) -> Windows:
-        """Cut the middle of every run into windows; see :func:`gtau.estimation.regression.windows.central_windows`."""
+        """Cut the middle of every run into windows; see :func:`.run_blocks.central_windows`."""
         return self.motions.windows(pieces)
 
     @property

@@ -1,4 +1,6 @@
-"""Runs cut into blocks, which the jackknife leaves out in turn: of as many samples in motion each.
+"""Runs cut into blocks, which the jackknife leaves out, and into windows, on which hypotheses are tested.
+
+Blocks are of as many samples in motion each, windows of the middle of their run without long rests.
 
 Model errors depend mostly on the motion. Runs without and with a payload that repeat one motion share them, and they
 cancel in the gains, which depend on the difference of the currents. A jackknife that leaves out blocks of one run
@@ -9,18 +11,28 @@ blocks are left out together: common errors then cancel in each unit, and differ
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from gtau.estimation.regression.equations import BLOCKS
 from gtau.estimation.thresholds.logs import REPEATED, REPEATED_PART
-from gtau.signals.preparation.prepared_run import PreparedRun, SampleWindow
+from gtau.signals.preparation.filters import STENCIL
+from gtau.signals.preparation.prepared_run import PreparedRun, SampleWindow, joined
 
 ASLEEP = 1e-6  # weight of a sample in a rest
-REST = 0.5  # of a block: shorter rests leave rows in it, and longer ones may leave none
+BLOCK_REST = 0.5  # of a block: shorter rests leave rows in it, and longer ones may leave none
 LONGEST = 1 << 16  # positions of a run that are compared, at most
+
+WINDOWS = 10  # of a run, within which residuals may be autocorrelated
+SAMPLES = 24_000  # of all windows together, which bounds the time of the tests for long logs
+# Of a window: longer rests are cut out. In the shared measured logs robots rest for 0.49 of one at most (1.8 s); in
+# simulated logs with a rest in half of each run (16 windows) no window had a usable row.
+WINDOW_REST = 0.5
+
+Windows = Sequence[tuple[int, SampleWindow]]
+"""Windows of runs, each with its run's number."""
 
 
 def block_edges(prepared: PreparedRun | SampleWindow) -> np.ndarray:
@@ -32,7 +44,7 @@ def block_edges(prepared: PreparedRun | SampleWindow) -> np.ndarray:
     weight = np.ones(len(awake))
     moving = np.concatenate([[-1], np.flatnonzero(awake), [len(awake)]]).tolist()
     for before, after in pairwise(moving):
-        if at[after] - at[before + 1] > REST * at[-1] / BLOCKS:
+        if at[after] - at[before + 1] > BLOCK_REST * at[-1] / BLOCKS:
             weight[before + 1 : after] = ASLEEP
     along = np.cumsum([0.0, *(np.diff(at) * weight)])
     return np.asarray(np.interp(np.linspace(0.0, along[-1], BLOCKS + 1), along, at / at[-1]))
@@ -144,3 +156,74 @@ def _lag(a: np.ndarray, b: np.ndarray, moves: np.ndarray) -> int | None:
     # of a periodic motion, the shift at which most of both runs overlap
     k = max(np.flatnonzero(difference <= 2 * best), key=lambda k: (high[k] - low[k], -difference[k]))
     return int(lags[k])
+
+
+def central_windows(prepared: Sequence[PreparedRun], pieces: int, cut: Sequence[list[range]] | None = None) -> Windows:
+    """Cut the middle of every run into ``pieces`` windows, each with its run's number.
+
+    Long rests, in which no channel has a usable sample, are cut out; the remainder at either side separates the
+    filters' supports. All windows together have at most ``SAMPLES`` samples; runs too short for a row of each window
+    are left out. With :func:`moving_stretches` of the same runs prepared otherwise (``cut``), the windows are those.
+    """
+    windows: list[tuple[int, SampleWindow]] = []
+    cut = moving_stretches(prepared, pieces) if cut is None else cut
+    for number, (run, stretches) in enumerate(zip(prepared, cut, strict=True)):
+        size = sum(map(len, stretches)) // pieces
+        if run.preparation.decimator.outputs(size) == 0:
+            continue
+        kept = _middle(stretches, size * pieces)
+        middle = joined([run.samples(each.start, each.stop) for each in kept])
+        first = range(0, size * pieces, size)
+        windows += [(number, replace(middle[at : at + size], part_of=(middle, at))) for at in first]
+    return windows
+
+
+def moving_stretches(prepared: Sequence[PreparedRun], pieces: int) -> list[list[range]]:
+    """List for each run the stretches in its middle, without long rests, that ``pieces`` windows are cut from."""
+    sizes = [min(SAMPLES // len(prepared), len(run)) // pieces for run in prepared]
+    return [
+        _moving(run, size * pieces, max(int(WINDOW_REST * size), 1)) for run, size in zip(prepared, sizes, strict=True)
+    ]
+
+
+def _moving(prepared: PreparedRun, wanted: int, longest_rest: int) -> list[range]:
+    """Search outwards from the middle of a run for ``wanted`` samples in stretches without longer rests."""
+    margin = max(prepared.preparation.decimator.support, STENCIL)
+    width = wanted
+    while True:
+        begin = (len(prepared) - width) // 2
+        usable = prepared.samples(begin, begin + width).usable.any(axis=1)
+        awake = np.concatenate([[-1], np.flatnonzero(usable), [width]])
+        long = np.flatnonzero(np.diff(awake) - 1 > max(longest_rest, 2 * margin))
+        rests = zip((awake[long] + 1).tolist(), awake[long + 1].tolist(), strict=True)
+        edges = [0, *(edge for a, b in rests for edge in (min(a + margin, b), max(b - margin, a))), width]
+        stretches = [range(begin + a, begin + b) for a, b in zip(edges[::2], edges[1::2], strict=True) if a < b]
+        if width == len(prepared) or sum(map(len, stretches)) >= wanted:
+            return stretches
+        width = min(2 * width, len(prepared))
+
+
+def _middle(stretches: Sequence[range], count: int) -> list[range]:
+    """Keep the ``count`` samples in the middle of stretches."""
+    ends = np.cumsum([0, *map(len, stretches)]).tolist()
+    first = (ends[-1] - count) // 2
+    cut = [each[max(first - at, 0) : max(first + count - at, 0)] for each, at in zip(stretches, ends, strict=False)]
+    return [each for each in cut if each]
+
+
+def window_clusters(windows: Windows, places: Sequence[Place]) -> np.ndarray:
+    """Assign numbers (W,) to the windows, equal ones to the nearest windows of runs that repeat a motion."""
+    numbers: list[int] = []
+    first: dict[int, tuple[int, list[tuple[float, int]]]] = {}  # of a group, its first run and that one's windows
+    for run, window in windows:
+        middle = float(window.time[len(window) // 2]) - places[run].begin
+        leader, numbered = first.setdefault(places[run].group, (run, []))
+        if run == leader:
+            numbered.append((middle, max(numbers, default=-1) + 1))
+        numbers.append(min(numbered, key=lambda each: abs(each[0] - middle))[1])
+    return np.array(numbers)
+
+
+def usable_rows(windows: Windows, prepared: Sequence[PreparedRun]) -> int:
+    """Count the decimated rows of all channels in windows that are kept."""
+    return sum(int(prepared[run].preparation.decimator.keep(window.usable).sum()) for run, window in windows)

@@ -13,7 +13,7 @@ from gtau.estimation.diagnostics.hypotheses import description, drives
 from gtau.estimation.diagnostics.linearisation import Linearised, linearise, on_channels, side_by_side
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import to_gains
-from gtau.estimation.regression.windows import WINDOWS
+from gtau.estimation.regression.run_blocks import WINDOWS
 from gtau.estimation.thresholds.estimates import SAME_EFFECT, TOGETHER_SHARE
 from gtau.findings import Finding
 from gtau.findings.finding import WORDS
