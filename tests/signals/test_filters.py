@@ -102,10 +102,15 @@ def test_streamed_outputs_are_those_of_the_whole(kind: str, factor: int, rng: np
     instants = decimator.instants(6013)
     assert whole.shape == (3, len(instants))
     blocks = list(decimator.blocks(6013, 37))
-    parts = [decimator.apply(columns[:, block.samples], block) for block in blocks]
+    parts = [decimator.apply(columns[:, decimator.samples(outputs, 6013)], outputs) for outputs in blocks]
     np.testing.assert_allclose(np.hstack(parts), whole, atol=1e-15 if kind == "fir" else 1e-12)
-    assert [block.outputs.start for block in blocks] == list(range(0, len(instants), 37))
-    assert all(block.samples.start + block.first == instants[block.outputs.start] for block in blocks)
+    assert [outputs.start for outputs in blocks] == list(range(0, len(instants), 37))
+    numbers = np.arange(6013)
+    places = [numbers[decimator.samples(outputs, 6013)][decimator.at(outputs)] for outputs in blocks]
+    np.testing.assert_array_equal(np.concatenate(places), instants)
+    usable = rng.random((6013, 2)) > 1e-3
+    kept = [decimator.keep(usable[decimator.samples(outputs, 6013)], outputs) for outputs in blocks]
+    np.testing.assert_array_equal(np.concatenate(kept), decimator.keep(usable))
 
 
 def test_a_log_too_short_has_no_outputs() -> None:

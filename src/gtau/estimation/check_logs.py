@@ -270,11 +270,10 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
     lowest, highest, fastest, strongest = ([] for _ in range(4))
     positions, distances, masks = Store((n,)), Store((2,), np.float32), Store((n,), bool)
     power, path = np.zeros(run.command.shape[1]), None
-    for block in decimator.blocks(len(prepared), max(block_size() // decimator.factor, 1)):
-        samples = prepared.samples(block.samples.start, block.samples.stop)
-        last = block.first + (block.outputs.stop - block.outputs.start - 1) * decimator.factor
-        at = slice(block.first, last + 1, decimator.factor)
-        masks.append(decimator.keep(samples.usable[block.first - decimator.support : last + decimator.support + 1, :n]))
+    for outputs in decimator.blocks(len(prepared), max(block_size() // decimator.factor, 1)):
+        part, at = decimator.samples(outputs, len(prepared)), decimator.at(outputs)
+        samples = prepared.samples(part.start, part.stop)
+        masks.append(decimator.keep(samples.usable[:, :n], outputs))
         q, labels = samples.q[at].T.copy(), Labels(run.name, samples.time[at])
         path = model.path(q, labels, None if path is None else path[:, -1])
         still = np.zeros_like(q)

@@ -12,7 +12,7 @@ import numpy as np
 from gtau.estimation.regression.friction import term_columns
 from gtau.model.inverse_dynamics import PATH, InverseDynamics, Regressor
 from gtau.model.loops import Motion
-from gtau.signals.preparation.filters import Block, Decimator
+from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import PreparedRun, SampleWindow
 from gtau.signals.run import Run
 from gtau.signals.storage import spans
@@ -72,10 +72,10 @@ def stream_rows(
     """
     n = len(prepared)
     size = max(fast, 8 * decimator.warm_up) // decimator.factor
-    for block, of, c in _along(idm, prepared, decimator.blocks(n, size)):
-        last = block.first + (block.outputs.stop - block.outputs.start - 1) * decimator.factor
-        seen = slice(block.first - decimator.support, last + decimator.support + 1)
-        kept = slice(block.first, last + 1, decimator.factor)
+    blocks = list(decimator.blocks(n, size))
+    windows = _along(idm, prepared, (decimator.samples(outputs, n) for outputs in blocks))
+    for outputs, (of, c) in zip(blocks, windows, strict=True):
+        kept = decimator.at(outputs)
         motion, measured, external = _measured(idm, prepared.run, of, c)
         currents = measured[:, : of.usable.shape[1]]
         entries, qd = regressor(idm.layout, motion), of.qd.T
@@ -84,14 +84,14 @@ def stream_rows(
             effort = regressor.torques(entries, load, len(idm.actuated)) - external[0]
         yield Rows(
             of.time[kept],
-            decimator.keep(of.usable[seen]).T,
-            decimator.apply(entries, block),
-            decimator.apply(currents, block),
-            decimator.apply(term_columns(qd, effort), block),
-            decimator.apply(external[0], block),
-            block.outputs,
+            decimator.keep(of.usable, outputs).T,
+            decimator.apply(entries, outputs),
+            decimator.apply(currents, outputs),
+            decimator.apply(term_columns(qd, effort), outputs),
+            decimator.apply(external[0], outputs),
+            outputs,
             motion[kept],
-            None if friction is None else decimator.apply(friction(of.time, motion, effort), block),
+            None if friction is None else decimator.apply(friction(of.time, motion, effort), outputs),
         )
 
 
@@ -108,15 +108,15 @@ def stream_torques(
     measured wrenches; friction alone; and the commands. Raises GtauError.
     """
     joints = len(idm.actuated)
-    for _, of, c in _along(idm, prepared, _every_sample(prepared)):
+    for of, c in _along(idm, prepared, _every_sample(prepared)):
         motion, measured, external = _measured(idm, prepared.run, of, c)
         effort = regressor.torques(regressor(idm.layout, motion), values, joints) - external[0]
         friction_torque = friction(of.time, motion, effort)
         yield np.stack([effort + friction_torque, friction_torque, measured[0, :joints]])
 
 
-def _every_sample(prepared: PreparedRun) -> Iterator[Block]:
-    return (Block(slice(a, b), slice(a, b), 0) for a, b in spans(len(prepared), ALL_SAMPLES))
+def _every_sample(prepared: PreparedRun) -> Iterator[slice]:
+    return (slice(*span) for span in spans(len(prepared), ALL_SAMPLES))
 
 
 def _measured(idm: InverseDynamics, run: Run, of: SampleWindow, c: np.ndarray) -> tuple[Motion, np.ndarray, np.ndarray]:
@@ -135,7 +135,7 @@ def _measured(idm: InverseDynamics, run: Run, of: SampleWindow, c: np.ndarray) -
 
 def stream_motions(idm: InverseDynamics, prepared: PreparedRun) -> Iterator[tuple[SampleWindow, Motion]]:
     """Compute the motion at every sample of a run, behind no low-pass but that of the positions; raises GtauError."""
-    for _, of, c in _along(idm, prepared, _every_sample(prepared)):
+    for of, c in _along(idm, prepared, _every_sample(prepared)):
         yield of, idm.rates(c, of.qd.T.copy(), of.qdd.T.copy(), Labels(prepared.run.name, of.time))
 
 
@@ -176,17 +176,16 @@ def _along_whole(idm: InverseDynamics, prepared: PreparedRun | SampleWindow) -> 
 
 
 def _along(
-    idm: InverseDynamics, prepared: PreparedRun | SampleWindow, blocks: Iterable[Block]
-) -> Iterator[tuple[Block, SampleWindow, np.ndarray]]:
-    """Stream the blocks with samples and configurations; these are made for longer stretches, which is faster."""
+    idm: InverseDynamics, prepared: PreparedRun | SampleWindow, blocks: Iterable[slice]
+) -> Iterator[tuple[SampleWindow, np.ndarray]]:
+    """Stream blocks of samples with their configurations, made for longer stretches, which is faster."""
     begin, end = 0, 0  # the stretch that ``of`` and ``c`` are for
     c = np.zeros((idm.layout.n_c, 0))
     if isinstance(prepared, PreparedRun) and len(prepared) <= SHORT:
         end, (kept, c) = len(prepared), _along_whole(idm, prepared)
         assert kept is not None
         of = kept
-    for block in blocks:
-        at = block.samples
+    for at in blocks:
         if at.stop > end:
             known = max(end - at.start, 0) if c.size else 0
             stop = min(max(at.start + PATH, at.stop), len(prepared))
@@ -198,7 +197,7 @@ def _along(
                 path = idm.path(of.q[known:].T.copy(), labels, c[:, -1] if c.size else None)
                 c = np.hstack([c[:, c.shape[1] - known :], path])
             begin, end = at.start, stop
-        yield block, of[at.start - begin : at.stop - begin], c[:, at.start - begin : at.stop - begin]
+        yield of[at.start - begin : at.stop - begin], c[:, at.start - begin : at.stop - begin]
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
 """Zero-phase filters: velocities and accelerations from positions, and parallel decimation (paper, eqs. 19-20).
 
 Parallel decimation is one low-pass for the command and for every column of the regressor. Decimators stream:
-`Decimator.blocks` cuts a log into overlapping blocks; the columns of one block at a time are computed and handed to
-`Decimator.apply`, and the outputs are those of the whole log.
+`Decimator.blocks` cuts the outputs of a log into blocks; the columns at the `samples` of one block at a time are
+computed and handed to `Decimator.apply`, and the outputs are those of the whole log.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from gtau.signals.storage import block
+from gtau.signals.storage import block, spans
 
 STENCIL = 2  # samples that a central difference reaches to either side
 # Periods of the cut-off after which a filter has forgotten its beginning to 1e-3: its slowest poles decay as
@@ -151,15 +151,6 @@ PASSED = 0.8  # cut-off of the low-pass, as a share of the new Nyquist frequency
 
 
 @dataclass(frozen=True)
-class Block:
-    """Stretch of a log (``samples``), its ``outputs`` (by number), and the sample of the first output."""
-
-    samples: slice
-    outputs: slice
-    first: int
-
-
-@dataclass(frozen=True)
 class Decimator:
     """Zero-phase low-pass that keeps every ``factor``-th sample.
 
@@ -206,28 +197,30 @@ class Decimator:
         """Count the outputs of a log of `n` samples."""
         return max(0, -(-(n - 2 * self.support) // self.factor))
 
-    def blocks(self, n: int, size: int) -> Iterator[Block]:
-        """Cut a log of `n` samples into blocks of at most `size` outputs, in order."""
-        outputs = self.outputs(n)
-        for start in range(0, outputs, size):
-            stop = min(start + size, outputs)
-            first, last = (self.support + self.factor * k for k in (start, stop - 1))
-            begin = max(0, first - self.warm_up)
-            yield Block(slice(begin, min(n, last + self.warm_up + 1)), slice(start, stop), first - begin)
+    def blocks(self, n: int, size: int) -> Iterator[slice]:
+        """Cut the outputs of a log of `n` samples into blocks of at most `size`, in order."""
+        return (slice(*span) for span in spans(self.outputs(n), size))
 
-    def apply(self, columns: np.ndarray, block: Block | None = None) -> np.ndarray:
+    def samples(self, outputs: slice, n: int) -> slice:
+        """Return the samples from which a block of outputs is computed, for a log of `n` samples."""
+        first, last = (self.support + self.factor * k for k in (outputs.start, outputs.stop - 1))
+        return slice(max(0, first - self.warm_up), min(n, last + self.warm_up + 1))
+
+    def at(self, outputs: slice) -> slice:
+        """Return the places of the outputs of a block among its :meth:`samples`."""
+        first = min(self.support + self.factor * outputs.start, self.warm_up)
+        return slice(first, first + (outputs.stop - outputs.start - 1) * self.factor + 1, self.factor)
+
+    def apply(self, columns: np.ndarray, outputs: slice | None = None) -> np.ndarray:
         """Compute the outputs (..., outputs) of columns (..., M) at the samples of a block, or of a whole log."""
-        if block is None:
-            instants = self.instants(columns.shape[-1])
-            block = Block(slice(0, columns.shape[-1]), slice(0, len(instants)), self.support)
-        count = block.outputs.stop - block.outputs.start
-        last = block.first + (count - 1) * self.factor + 1
+        outputs = outputs or slice(0, self.outputs(columns.shape[-1]))
+        count, at = outputs.stop - outputs.start, self.at(outputs)
         if self.factor == 1 or count == 0:
-            return columns[..., block.first : last]
+            return columns[..., at]
         if self.kind == "chebyshev":
             from scipy.signal import sosfiltfilt
 
-            return sosfiltfilt(_chebyshev(self.factor), columns, axis=-1)[..., block.first : last : self.factor]
+            return sosfiltfilt(_chebyshev(self.factor), columns, axis=-1)[..., at]
         from scipy.signal import upfirdn
 
         # The padded kernel puts the outputs on multiples of the factor, the only ones upfirdn computes.
@@ -261,9 +254,9 @@ class Decimator:
         masked = np.cumsum(~np.pad(usable, ends), axis=0)
         return masked[2 * self.guard + 1 :] == masked[: -2 * self.guard - 1]
 
-    def keep(self, usable: np.ndarray) -> np.ndarray:
-        """Mark the outputs, (outputs,) or (outputs, n), with no unusable sample, (N,) or (N, n), within ``guard``."""
-        return self.near(usable)[self.instants(len(usable))]
+    def keep(self, usable: np.ndarray, outputs: slice | None = None) -> np.ndarray:
+        """Mark the outputs of a block or a log, (K,) or (K, n), with no unusable sample, (N,) or (N, n), in reach."""
+        return self.near(usable)[self.at(outputs or slice(0, self.outputs(len(usable))))]
 
 
 @lru_cache

@@ -9,7 +9,6 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,15 +30,6 @@ LONGEST = 1 << 20  # bytes of a line; in the shared logs 954 at most
 BOM = b"\xef\xbb\xbf"
 
 
-@dataclass(frozen=True)
-class _Line:
-    number: int
-    end: int  # the byte after it
-    fields: tuple[str, ...]
-    separator: str
-    numeric: bool  # a row: most of the fields are numbers, the first of them among these
-
-
 def open_text(path: Path) -> Table:
     """Find the columns of a text log.
 
@@ -47,26 +37,27 @@ def open_text(path: Path) -> Table:
     note says so. Without a header the columns are named by their number from 1.
     """
     _refuse_encoding(path)
-    lines = _first_lines(path)
-    written = [line for line in lines if any(line.fields)]
+    lines, first_byte = _first_lines(path)
+    texts = [_decoded(line).lstrip("# ").rstrip("\r\n") for line in lines]
+    fields = [_fields(text) for text in texts]
+    written = [k for k, names in enumerate(fields) if any(names)]
     if not written:
         raise GtauError(f"{path} is empty or begins with an empty line; give a log with one sample a line.")
-    start = _start(written)
-    if start is None or kind_of(path) is not BINARY:  # zero bytes may precede a table
+    first = _first_row(fields, written)
+    if first is None or kind_of(path) is not BINARY:  # zero bytes may precede a table
         refuse_other_kind(path, LOG)
-    first = None if start is None else written[start]
     # Without rows, or with none of numbers, the first line names what the others lack.
-    header = written[0] if first is None else _header(lines, first)
-    width = len((first or written[0]).fields)
-    if "\ufffd" in "".join((header or first or written[0]).fields):
+    header = written[0] if first is None else _header(texts, fields, first)
+    begin = written[0] + 1 if first is None else first
+    row = written[0] if first is None else first
+    separator, width = _separator(texts[row]), len(fields[row])
+    if "\ufffd" in "".join(fields[row if header is None else header]):
         raise GtauError(f"{path} is not a text file; give a log as CSV or as .parquet.")
-    if header is not None and first is not None and any(first.fields[len(header.fields) :]):
+    if header is not None and any(fields[row][len(fields[header]) :]):
         raise GtauError(
-            f"{path}, line {first.number} has {width} columns where the header in line {header.number} has "
-            f"{len(header.fields)}; correct the line (a header must name every column)."
+            f"{path}, line {row + 1} has {width} columns where the header in line {header + 1} has "
+            f"{len(fields[header])}; correct the line (a header must name every column)."
         )
-    begin = first.number if first else header.number + 1 if header else 1
-    separator = (first or header or written[0]).separator
 
     def frames(names: Sequence[str], rows: range) -> Iterator[tuple[pl.DataFrame, float]]:
         row = 0
@@ -82,20 +73,20 @@ def open_text(path: Path) -> Table:
 
     table = Table(
         path,
-        columns=_names(header.fields, width) if header else tuple(str(k + 1) for k in range(width)),
+        columns=tuple(str(k + 1) for k in range(width)) if header is None else _names(fields[header], width),
         frames=frames,
-        first_line=begin,
-        first_byte=next((line.end for line in lines if line.number == begin - 1), len(BOM) if _has_bom(path) else 0),
+        first_line=begin + 1,
+        first_byte=first_byte + sum(map(len, lines[:begin])),
         numbered=header is None,
-        notes=tuple(_skipped([line.number for line in written if line.number < begin and line != header], header)),
+        notes=tuple(_skipped([k + 1 for k in written if k < begin and k != header], header)),
     )
     return table
 
 
-def _skipped(lines: Sequence[int], header: _Line | None) -> Iterator[Finding]:
+def _skipped(lines: Sequence[int], header: int | None) -> Iterator[Finding]:
     if lines:
         last = lines[-1] if len(lines) > 1 else 0
-        values = {"first": lines[0], "last": last, "header": header.number if header else 0}
+        values = {"first": lines[0], "last": last, "header": 0 if header is None else header + 1}
         yield Finding(F.SKIPPED_LINES, values=values)
 
 
@@ -109,53 +100,60 @@ def _refuse_encoding(path: Path) -> None:
         raise GtauError(f"{path} ends its lines with carriage returns alone; save it with line feeds ('Unix' or 'PC').")
 
 
-def _has_bom(path: Path) -> bool:
+def _first_lines(path: Path) -> tuple[list[bytes], int]:
+    """Read the lines that may precede a table, and find the byte at which they begin."""
+    lines: list[bytes] = []
     with path.open("rb") as file:
-        return file.read(len(BOM)) == BOM
+        begin = len(BOM) if file.read(len(BOM)) == BOM else 0
+        file.seek(begin)
+        while len(lines) < LOOK and (line := file.readline(LONGEST + 1)):
+            _refuse_long_line(path, len(line), len(lines) + 1)
+            lines.append(line)
+    return lines, begin
 
 
-def _first_lines(path: Path) -> list[_Line]:
-    lines: list[_Line] = []
-    with path.open("rb") as file:
-        while len(lines) < LOOK and (raw := file.readline(LONGEST + 1)):
-            _refuse_long_line(path, len(raw), len(lines) + 1)
-            text = _decoded(raw if lines else raw.removeprefix(BOM)).lstrip("# ").rstrip("\r\n")
-            outside = re.sub(r'"[^"]*"', "", text)
-            separator = next(
-                (character for part in (outside, text) for character in SEPARATORS if character in part), ","
-            )
-            fields = tuple(_unquoted(field) for field in _split(text, separator))
-            numbers = sum(is_number(field) for field in fields)
-            rest = sum(field.lower() in MISSING for field in fields)
-            numeric = numbers > 0 and 2 * (numbers + rest) > len(fields)
-            numeric &= is_number(fields[0]) or fields[0].lower() in MISSING
-            lines.append(_Line(len(lines) + 1, file.tell(), fields, separator, numeric))
-    return lines
+def _separator(text: str) -> str:
+    """Find the character that separates the fields of a line, outside quotes where it occurs there."""
+    outside = re.sub(r'"[^"]*"', "", text)
+    return next((character for part in (outside, text) for character in SEPARATORS if character in part), ",")
 
 
-def _start(lines: list[_Line]) -> int | None:
-    """Find the first of ``ROWS_ALIKE`` rows, or of those that there are."""
-    for i, line in enumerate(lines):
-        block = lines[i : i + ROWS_ALIKE]
-        if all(row.numeric and len(row.fields) == len(line.fields) for row in block):
-            return i
-    return next((i for i, line in enumerate(lines) if line.numeric), None)
+def _fields(text: str) -> tuple[str, ...]:
+    return tuple(_unquoted(field) for field in _split(text, _separator(text)))
 
 
-def _header(lines: list[_Line], first: _Line) -> _Line | None:
+def _is_row(fields: Sequence[str]) -> bool:
+    """Decide whether most of the fields are numbers, the first of them among these."""
+    numbers = sum(is_number(field) for field in fields)
+    rest = sum(field.lower() in MISSING for field in fields)
+    begins = is_number(fields[0]) or fields[0].lower() in MISSING
+    return begins and numbers > 0 and 2 * (numbers + rest) > len(fields)
+
+
+def _first_row(fields: Sequence[tuple[str, ...]], written: Sequence[int]) -> int | None:
+    """Find the first of ``ROWS_ALIKE`` rows, or of those that there are, among the lines that are ``written``."""
+    rows = {k for k in written if _is_row(fields[k])}
+    for i, k in enumerate(written):
+        if all(line in rows and len(fields[line]) == len(fields[k]) for line in written[i : i + ROWS_ALIKE]):
+            return k
+    return min(rows, default=None)
+
+
+def _header(texts: Sequence[str], fields: Sequence[tuple[str, ...]], first: int) -> int | None:
     """Find the line that names the columns: the topmost of those just before the rows that have as many fields."""
     header, nearest = None, None
-    for line in reversed(lines[: first.number - 1]):
-        names = any(line.fields) and not line.numeric
+    for line in reversed(range(first)):
+        names = any(fields[line]) and not _is_row(fields[line])
         if names and nearest is None:
             nearest = line
-        if names and len(line.fields) == len(first.fields):
+        if names and len(fields[line]) == len(fields[first]):
             header = line
         elif header is not None:
             break
     if header is not None or nearest is None:
         return header
-    names_most = nearest.separator == first.separator and 2 * len(nearest.fields) >= len(first.fields)
+    alike = _separator(texts[nearest]) == _separator(texts[first])
+    names_most = alike and 2 * len(fields[nearest]) >= len(fields[first])
     return nearest if names_most else None  # one that lacks names, which is refused, or a title
 
 
