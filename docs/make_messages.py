@@ -13,13 +13,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from runpy import run_path
 
-from gtau.estimation.diagnostics.hypotheses import HYPOTHESES
 from gtau.estimation.diagnostics.verdict import OUTCOMES
 from gtau.findings import Finding
-from gtau.findings.finding import WORDS
-from gtau.findings.note_words import CAUSE_WORDS
+from gtau.findings.words import templates
 
-CAUSES = [*(cause.kind for hypothesis in HYPOTHESES for cause in hypothesis.causes), *CAUSE_WORDS]
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "lookup" / "messages.md"
 EXAMPLES = ROOT / "tests" / "estimation" / "test_sentences.py"
@@ -109,11 +106,12 @@ def written(node: ast.AST) -> str:
 def page() -> str:
     """Return the page."""
     found = examples()
-    notes = [kind for kind in WORDS if kind not in OUTCOMES and kind not in CAUSES]
+    words = templates()
+    notes = [kind for kind in [*words["verdicts"], *words["notes"], *words["logs"]] if kind not in OUTCOMES]
     text = HEAD + "\n## Verdicts\n\n" + table(list(OUTCOMES), found, True)
     text += "\n## Notes\n\n" + table(notes, found, False)
     text += "\n## Causes\n\nVerdicts and notes name them with their size and what to do.\n\n"
-    text += table(CAUSES, found, False) + "\n## Refusals\n\n"
+    text += table(list(words["causes"]), found, False) + "\n## Refusals\n\n"
     text += "A refusal is one sentence: what is wrong, where, and what to do. Dots stand for names and numbers.\n"
     for folder, sentences in sorted(refusals().items()):
         text += f"\n### {TITLES.get(folder, folder.capitalize())}\n\n"

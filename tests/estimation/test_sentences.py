@@ -11,8 +11,8 @@ from pydantic import TypeAdapter
 from gtau.estimation.diagnostics.hypotheses import description, drives
 from gtau.findings import Finding, Severity
 from gtau.findings import FindingKind as F
-from gtau.findings.finding import WORDS, finding_document, named_causes
-from gtau.findings.verdict_words import WRENCHES
+from gtau.findings.finding import finding_document, named_causes
+from gtau.findings.words import phrase, templates
 
 NO_GRAVITY = (
     "log the torques of the motors (UR: 'use_currents_as_efforts: true'), or write 'robot: {file: ..., gravity: [0, 0, "
@@ -582,8 +582,9 @@ def test_braces_in_names_stay_braces(kind: F, values: dict, said: str) -> None:
 
 
 def test_every_kind_has_a_sentence() -> None:
-    assert {finding.kind for finding, _, _ in SENTENCES} == set(WORDS)
-    assert {kind for kind in F if kind.outcome} < set(WORDS)
+    words = {kind for section in ("verdicts", "notes", "logs", "causes") for kind in templates()[section]}
+    assert {finding.kind for finding, _, _ in SENTENCES} == words
+    assert {kind for kind in F if kind.outcome} < words
 
 
 @pytest.mark.parametrize("finding", [each[0] for each in SENTENCES], ids=lambda finding: str(finding.kind))
@@ -597,7 +598,7 @@ def test_measured_wrenches_come_first_in_the_advice() -> None:
     values = {"share": 0.3, "kind": "current", "given": False}
     alone = Finding(F.UNEXPLAINED, ("left",), values=values)
     beside = Finding(F.UNEXPLAINED, ("left",), values={**values, "wrenches": True})
-    assert beside.action == f"{WRENCHES}; otherwise {alone.action}"
+    assert beside.action == f"{phrase('wrenches')}; otherwise {alone.action}"
 
 
 def test_a_wrench_that_is_the_cause_is_all_that_is_to_be_checked() -> None:

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from gtau.findings.kind import FindingKind as F
 from gtau.findings.kind import Severity
-from gtau.findings.log_words import LOG_WORDS
-from gtau.findings.note_words import CAUSE_WORDS, NOTE_WORDS
-from gtau.findings.verdict_words import MAY_BE_WRENCHES, VERDICT_WORDS, WRENCHES
-from gtau.findings.words import Sentence, Words, clock_advice, literal, percent_text, write_limits
+from gtau.findings.words import Sentence, clock_advice, filled, phrase, write_limits
 
 COSTLY_REPAIR = 0.02
 """Share of the samples that a repair drops or interpolates, from which it is a warning: up to 0.001 in the shared logs,
 but for those recorded by polling; 0.05 and more are refused. A choice between the two."""
 
-WORDS: dict[str, Words] = {**VERDICT_WORDS, **NOTE_WORDS, **LOG_WORDS, **CAUSE_WORDS}
-"""Words of every kind; hypotheses add those of the causes that they name."""
+MAY_BE_WRENCHES = {F.SWAPPED, F.REVERSED, F.ALL_NEGATIVE, F.REFUTED, F.UNEXPLAINED, F.OTHER_ESTIMATOR}
 
 
 @dataclass(frozen=True)
@@ -99,73 +94,26 @@ class Finding:
         first, last = (self.joints[0], self.joints[-1]) if self.joints else ("", "")
         given: dict[str, Any] = {"also": "", "joint": "", "count": len(self.joints), "payload": True, **self.values}
         given |= {"joints": self.joints, "time": self.time, "subject": self.subject, "joint": first or given["joint"]}
-        words = WORDS[self.kind]
-        what, to_do = words if isinstance(words, tuple) else words(literal(given))
-        if "log" in self.values:
-            what = "{log}: " + what
-        if self.values.get("wrenches") and self.kind in MAY_BE_WRENCHES and not any(map(_of_wrench, self.causes)):
-            to_do = f"{WRENCHES}; otherwise {to_do}"
-        made = {
+        given |= {
             "other": last,
             "estimate": f"the gain of '{first}'" if first else self.subject or "estimates",
             "clock": clock_advice(self.values.get("rate")),
             "limits": write_limits(self.subject or first),
         }
-        if "accuracy" in given:
-            made["width"] = percent_text(100 * given["half"], 100 * given["accuracy"])
         if self.causes:
             cause = self.causes[0]
             cause = replace(cause, values={**cause.values, "payload": given["payload"]})
-            made |= {"cause": named_causes(self.causes), "to_do": cause.action}
-        return _filled(what, given, made), _filled(to_do, given, made)
+            given |= {"cause": named_causes(self.causes), "to_do": cause.action}
+        what, to_do = filled(self.kind, given)
+        if "log" in self.values:
+            what = f"{self.values['log']}: {what}"
+        if self.values.get("wrenches") and self.kind in MAY_BE_WRENCHES and not any(map(_of_wrench, self.causes)):
+            to_do = f"{phrase('wrenches')}; otherwise {to_do}"
+        return what, to_do
 
     def of_source(self, source: str) -> Finding:
         """Return the finding with this run or robot as its source; what was its source is a log of that."""
         return replace(self, source=source, values={**self.values, "log": self.source} if self.source else self.values)
-
-
-class _Number(float):
-    """A value in a template."""
-
-    def __format__(self, spec: str) -> str:
-        value = abs(self) if spec.startswith("|") else float(self)
-        spec, unit = spec.removeprefix("|"), spec[-1:]
-        scale = {"%": 100.0, "m": 1e3, "k": 1e-3}.get(unit)
-        return format(value, spec) if scale is None else f"{scale * value:{spec[:-1]}}{' %' * (unit == '%')}"
-
-
-class _Names(tuple[str, ...]):
-    """Names in a template."""
-
-    def __format__(self, spec: str) -> str:
-        if spec == "s":
-            return "s" * (len(self) > 1)
-        listed = [f"'{name}'" for name in self] if spec in (",", "and") else self
-        return (" and " if spec in ("&", "and") else ", ").join(listed)
-
-
-CHOICE = re.compile(r"<(\w+)(\+|=\w+)?\?([^<>|]*)\|?([^<>]*)>")
-
-
-def _filled(template: str, given: Mapping[str, Any], made: dict[str, str]) -> str:
-    """Fill a template in, choices first and the inner ones before the outer."""
-
-    def chosen(choice: re.Match[str]) -> str:
-        value: Any = given.get(choice[1], 0)
-        if choice[2] == "+":
-            return choice[3] if value > 0 else choice[4]
-        return choice[3] if (f"={value}" == choice[2] if choice[2] else value) else choice[4]
-
-    choices = 1
-    while choices:
-        template, choices = CHOICE.subn(chosen, template)
-    return template.format(**({key: _printable(value) for key, value in given.items()} | made))
-
-
-def _printable(value: Any) -> Any:
-    if isinstance(value, float):
-        return _Number(value)
-    return _Names(value) if isinstance(value, list | tuple) else value
 
 
 def _of_wrench(cause: Finding) -> bool:

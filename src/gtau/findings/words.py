@@ -1,37 +1,102 @@
-"""Words of findings: what templates of sentences share, and how they are filled in."""
+"""Words of findings: the templates of their sentences are data, ``words.yaml``; here is how they are filled in."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from math import ceil, floor, log10
-from typing import Any
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib.resources import files
+from math import asin, atan2, ceil, floor, hypot, log10, pi
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 RELATIVE = "of itself"  # unit of a size that is a share of what it changes
-
-Values = Mapping[str, Any]
 Sentence = tuple[str, str]
-"""Reason and advice, of a cause its name and advice, which is empty where there is nothing to do.
+"""Reason and advice, of a cause its name and advice, which is empty where there is nothing to do."""
 
-Fields in braces are the values of the finding, its ``joints`` and their ``count``, its ``subject``, its first
-``joint`` and the ``other`` one, the ``estimate`` that it is about, the ``cause`` and what ``to_do`` then, and how to
-correct the ``clock`` and the ``limits``. Beyond the formats of Python, ``%`` at the end prints a ratio in per cent,
-``m`` and ``k`` a thousand times a value and a thousandth of it, and ``|`` at the beginning its size. Names are listed,
-``&`` with an "and", ``,`` and ``and`` with quotes, and ``s`` is their plural. Of ``<name?this|that>`` the first is
-taken where the value is true, not empty and not zero, of ``<name+?this|that>`` where it is positive, of
-``<name=text?this|that>`` where it is that.
-"""
-Words = Sentence | Callable[[Values], Sentence]
-"""The sentence of a kind of finding, or a function that makes it from the values."""
+
+@cache
+def templates() -> dict[str, dict[str, Any]]:
+    """Read the templates: ``verdicts``, ``notes``, ``logs`` and ``causes`` by kind, and ``phrases`` by name."""
+    import yaml
+
+    text = files("gtau.findings").joinpath("words.yaml").read_text(encoding="utf-8")
+    read: dict[str, dict[str, Any]] = yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+    return read
+
+
+def filled(kind: str, values: Mapping[str, Any]) -> Sentence:
+    """Fill in the sentence of a kind."""
+    what, action = (_environment().get_template(f"{kind}: {part}").render(values) for part in ("what", "action"))
+    return what, action
+
+
+def phrase(name: str) -> str:
+    """Return a phrase without values."""
+    return _environment().get_template(name).render()
+
+
+@cache
+def _environment() -> Environment:
+    from jinja2 import DictLoader, Environment, StrictUndefined
+
+    class Absent(StrictUndefined):
+        """What a finding lacks: false, but never printed."""
+
+        def __bool__(self) -> bool:  # type: ignore[override]
+            return False
+
+    sources = dict(templates()["phrases"])
+    for section in ("verdicts", "notes", "logs", "causes"):
+        for kind, sentence in templates()[section].items():
+            sources |= {f"{kind}: {part}": sentence.get(part, "") for part in ("what", "action")}
+    environment = Environment(
+        loader=DictLoader(sources),
+        undefined=Absent,
+        autoescape=False,
+        variable_start_string="${",
+        variable_end_string="}",
+        block_start_string="<%",
+        block_end_string="%>",
+        comment_start_string="<#",
+        comment_end_string="#>",
+    )
+    environment.globals["pi"] = pi
+    environment.filters |= {
+        "form": format,
+        "percent": lambda share, spec: f"{100 * share:{spec}} %",
+        "percent_text": percent_text,
+        "plural": lambda number: "s" * (number != 1),
+        "quoted": lambda names, between=", ": between.join(f"'{name}'" for name in names),
+        "numbers": lambda numbers, spec, unit=1: ", ".join(f"{unit * number:{spec}}" for number in numbers),
+        "decimals": lambda half: f".{min(max(1 - floor(log10(half)), 0), 4)}f",
+        "direction": _direction,
+        "rpy": _rpy,
+    }
+    return environment
+
+
+def _direction(gravity: Sequence[float]) -> str:
+    """Name an axis, or write a direction of unit length."""
+    size = hypot(*gravity)
+    unit = [round(component / size, 2) + 0.0 for component in gravity]
+    along = [k for k in range(3) if unit[k]]
+    if len(along) == 1:
+        return f"{'-' if unit[along[0]] < 0 else '+'}{'xyz'[along[0]]}"
+    return "({:.2g}, {:.2g}, {:.2g})".format(*unit)
+
+
+def _rpy(gravity: Sequence[float]) -> str:
+    """Write the roll, pitch and yaw of a base with this gravity."""
+    x, y, z = gravity
+    roll = atan2(-y, -z) if round(hypot(y, z), 3) else 0.0
+    return f"{roll:.4g}, {asin(x / hypot(x, y, z)) + 0.0:.4g}, 0"
 
 
 def counted(number: int, noun: str) -> str:
     """Write ``1 row``, ``2 rows``."""
     return f"{number} {noun}{'s' * (number != 1)}"
-
-
-def which_payload(values: Values) -> str:
-    """Add the payload to what is to be checked, where some run has one."""
-    return ", which runs carry the payload, and on which body" if values.get("payload", True) else ""
 
 
 def write_limits(joint: str) -> str:
@@ -58,12 +123,3 @@ def percent_text(share: float, accuracy: float | None = None) -> str:
     if accuracy is not None and share > accuracy >= float(shown):
         shown = f"{ceil(share * 10**decimals) / 10**decimals:.{decimals}f}"
     return shown
-
-
-def literal(value: Any) -> Any:
-    """Double the braces of names, which functions put into templates."""
-    if isinstance(value, str):
-        return value.replace("{", "{{").replace("}", "}}")
-    if isinstance(value, Mapping):
-        return {key: literal(entry) for key, entry in value.items()}
-    return tuple(map(literal, value)) if isinstance(value, list | tuple) else value

@@ -25,7 +25,6 @@ from gtau.estimation.regression.scale_source import require_scale
 from gtau.estimation.thresholds.estimates import ALTERNATIVE_PRIOR, REFUTED_STD
 from gtau.findings import Finding
 from gtau.findings.finding import named_causes
-from gtau.findings.words import Words
 from gtau.signals.reading.statements import Payload
 
 CERTAIN = 1e9  # log factor that stands for certainty
@@ -188,9 +187,7 @@ class Cause:
     Attributes
     ----------
     kind : str
-        Of the findings on it.
-    words : tuple of str or callable
-        Its name and advice.
+        Of the findings on it, which ``words.yaml`` puts into words.
     plausible : Threshold or float
         Standard deviation of the sizes that experience allows before the data; 0 where it is named, not tried.
     unit : str
@@ -198,7 +195,6 @@ class Cause:
     """
 
     kind: str
-    words: Words
     plausible: float = 0.0
     unit: str = ""
 

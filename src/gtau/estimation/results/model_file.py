@@ -8,7 +8,6 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-import gtau.estimation.diagnostics.hypotheses  # noqa: F401 whose causes have words
 from gtau.documents.files import MODEL, refuse_other_kind, write_atomically
 from gtau.documents.validation import validate
 from gtau.documents.yaml_document import Document

@@ -16,7 +16,6 @@ from gtau.estimation.estimators.newton import to_gains
 from gtau.estimation.regression.run_blocks import WINDOWS
 from gtau.estimation.thresholds.estimates import SAME_EFFECT, TOGETHER_SHARE
 from gtau.findings import Finding
-from gtau.findings.finding import WORDS
 
 HYPOTHESES: tuple[Hypothesis, ...] = (
     drives.FRICTION_SHAPE,
@@ -128,6 +127,3 @@ def _together(fit: Fit, hypothesis: Hypothesis, linear: Linearised, columns: ran
     cause = hypothesis.describe(fit, step[len(before) :], alone / share)
     together = Alternative(hypothesis.name, (cause,), 1.0, None, "", share=float(share))
     return [together.moving(fit, T @ (step[: len(before)] - before))]
-
-
-WORDS.update({cause.kind: cause.words for hypothesis in HYPOTHESES for cause in hypothesis.causes})

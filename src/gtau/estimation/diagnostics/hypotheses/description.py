@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from math import asin, atan2, hypot
 
 import numpy as np
 
@@ -22,7 +21,6 @@ from gtau.estimation.regression.plausibility import stated_rate
 from gtau.estimation.regression.rows import Labels, external_torques
 from gtau.estimation.thresholds import Threshold
 from gtau.findings import Finding
-from gtau.findings.words import Sentence, Values, which_payload
 from gtau.robots.floating import WRENCH
 from gtau.signals.preparation.prepared_run import SampleWindow
 
@@ -31,15 +29,10 @@ STEP = 0.1  # of the unit: the torques' change is linear over this
 
 ZERO = Cause(
     "encoder zero",
-    ("an error in the zero of encoder '{joint}'", "compare the encoder zeros with the robot's zero position"),
     Threshold(0.5, "error of an encoder's zero, degrees or mm", evidence="experience"),
 )
 SCALE = Cause(
     "position scale",
-    (
-        "another scale of the positions of '{joint}'",
-        "check the gear ratio, encoder resolution and unit of its positions",
-    ),
     Threshold(
         1.0,
         "error of the scale of a joint's positions, per cent",
@@ -102,66 +95,13 @@ ENCODER_ZEROS = Hypothesis("encoder zeros", True, _encoder_zeros, (ZERO,), _zero
 POSITION_SCALES = Hypothesis("position scales", True, _position_scales, (SCALE,), _scales_of, description=True)
 
 
-def _of_gravity(what: str) -> Callable[[Values], Sentence]:
-    to_do = "check the direction of gravity, that the base is level, the sampling rate"
-    return lambda values: (what, to_do + which_payload(values))
-
-
-def _other_gravity(values: Values) -> Sentence:
-    """Name another gravity; where the robot was fitted with it, say what to write."""
-    x, y, z = values["gravity"]
-    if "left" not in values:  # an estimate to first order
-        return _of_gravity(f"a different gravity vector, about ({x:.1f}, {y:.1f}, {z:.1f}) m/s2")(values)
-    listed = ", ".join(f"{round(item, 3) + 0.0:.4g}" for item in (x, y, z))
-    joint, (before, after) = max(values["left"].items(), key=lambda item: item[1][0])
-    where, file = "base", f"'gravity: [{listed}]' in the robot file"
-    also = " or ".join(_direction(item) for item in values["also"])
-    if values["floating"]:
-        where = "world"
-        file += ", in axes of the logged poses, or turn the poses so that their z axis points up"
-    else:
-        rpy = f"{atan2(-y, -z) if round(hypot(y, z), 3) else 0.0:.4g}, {asin(x / hypot(x, y, z)) + 0.0:.4g}, 0"
-        file += f", or 'base: {{{{rpy: [{rpy}]}}}}' beside its 'file' in the experiment file"
-    return (
-        f"gravity along {_direction(values['gravity'])}{also and ' or ' + also} of the {where}, which leaves "
-        f"{100 * after:.2g} % of '{joint}' unexplained instead of {100 * before:.2g} %,",
-        f"check how the {'world axes lie' if values['floating'] else 'base is mounted'}, and write {file}",
-    )
-
-
-def _direction(gravity: Sequence[float]) -> str:
-    """Name an axis, or write a direction of unit length."""
-    size = hypot(*gravity)
-    unit = [round(component / size, 2) + 0.0 for component in gravity]
-    along = [k for k in range(3) if unit[k]]
-    if len(along) == 1:
-        return f"{'-' if unit[along[0]] < 0 else '+'}{'xyz'[along[0]]}"
-    return "({:.2g}, {:.2g}, {:.2g})".format(*unit)
-
-
-def _clock(values: Values) -> Sentence:
-    """Explain residuals that ask for another strength of gravity.
-
-    Time that runs s times too fast makes velocities s and accelerations s^2 times too large, and with them the inertial
-    torques against those of gravity, whose length on Earth is known to 0.3 %.
-    """
-    rate, accelerations = ("high", "large") if values["factor"] > 1 else ("low", "small")
-    return (
-        f"a sampling rate that is too {rate}, as accelerations are too {accelerations} against gravity (or wrong "
-        "lengths throughout the robot)",
-        "{clock}; then check the robot's lengths",
-    )
-
-
 TILT = Cause(
     "gravity tilt",
-    _of_gravity("gravity tilted towards ({towards[0]:.2g}, {towards[1]:.2g}, {towards[2]:.2g})"),
     Threshold(1.0, "tilt of the base, degrees", evidence="experience"),
     unit="deg",
 )
 STRENGTH = Cause(
     "gravity strength",
-    _of_gravity("a different magnitude of gravity"),
     Threshold(
         0.2,
         "difference of local gravity from the standard, per cent",
@@ -170,8 +110,10 @@ STRENGTH = Cause(
     ),
     unit="%",
 )
-OTHER_GRAVITY = Cause("gravity", _other_gravity)
-CLOCK = Cause("clock", _clock)
+OTHER_GRAVITY = Cause("gravity")
+# Time that runs s times too fast makes velocities s and accelerations s^2 times too large, and with them the inertial
+# torques against those of gravity, whose length on Earth is known to 0.3 %.
+CLOCK = Cause("clock")
 CLOCK_SIZE = Threshold(
     0.9,
     "part of what another gravity explains that another strength of it explains alone: the clock is wrong",
@@ -235,18 +177,8 @@ Reading = Callable[[np.ndarray], np.ndarray]
 COMPONENTS = ("moment x", "moment y", "moment z", "force x", "force y", "force z")
 
 
-def _offset(values: Values) -> Sentence:
-    if "component" in values:
-        what = f"an offset in the {values['component']} of the wrench on '{{subject}}'"
-    else:
-        force, moment = (", ".join(f"{each:.2g}" for each in values[part]) for part in ("force", "moment"))
-        what = f"an offset of ({force}) N and ({moment}) N m in the wrench on '{{subject}}'"
-    return what, "tare the unloaded force sensor before each run, or subtract its unloaded reading"
-
-
 OFFSET = Cause(
     "wrench offset",
-    _offset,
     Threshold(
         0.01,
         "offset of a measured wrench, of the rms of its force or moment",
@@ -303,20 +235,8 @@ WRENCH_OFFSETS = Hypothesis(
 )
 
 
-def _point(values: Values) -> Sentence:
-    if "axis" in values:
-        off = f"off in {values['axis']}"
-    else:
-        off = f"off by ({', '.join(f'{1e3 * each:.2g}' for each in values['shift'])}) mm"
-    return (
-        f"the reference point of the moment on '{{subject}}', {off}",
-        "measure the position of the sensor, and correct 'at' of that wrench",
-    )
-
-
 POINT = Cause(
     "wrench point",
-    _point,
     Threshold(
         2.0,
         "error of the point about which a wrench is stated, mm",

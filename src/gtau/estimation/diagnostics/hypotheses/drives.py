@@ -51,16 +51,13 @@ from gtau.robots.parameter import Parameter
 from gtau.signals.preparation.filters import differentiate
 from gtau.signals.preparation.prepared_run import SampleWindow
 
-OTHER_FRICTION = "add runs at other speeds, or with other loads, to separate it from other effects"
 CUBIC_FRICTION = Cause(
     "cubic friction",
-    ("cubic friction of '{joint}'", OTHER_FRICTION),
     Threshold(0.2, "cubic friction at three times the rms speed, of the friction", evidence="experience"),
     unit="of its friction",
 )
 LOAD_FRICTION = Cause(
     "load-dependent friction",
-    ("load-dependent friction of '{joint}'", OTHER_FRICTION),
     Threshold(
         0.05, "friction coefficient of the load", healthy="0.02 to 0.1 in strain-wave gears", evidence="UR10e pairs"
     ),
@@ -68,7 +65,6 @@ LOAD_FRICTION = Cause(
 )
 STRIBECK_FRICTION = Cause(
     "Stribeck friction",
-    ("Stribeck friction of '{joint}'", OTHER_FRICTION),
     Threshold(0.3, "Stribeck friction at rest, of the friction", evidence="experience"),
     unit="of its friction",
 )
@@ -99,17 +95,14 @@ def _friction_shape(fit: Fit) -> Offer:
 FRICTION = CUBIC_FRICTION, LOAD_FRICTION, STRIBECK_FRICTION
 FRICTION_SHAPE = Hypothesis("friction shape", False, _friction_shape, FRICTION)
 
-DRIFTING_FRICTION = "let the robot warm up before the runs, or split long runs"
 FRICTION_CHANGE = Threshold(0.1, "relative change of friction along a run", evidence="experience")
 VISCOUS_DRIFT = Cause(
     "drifting viscous friction",
-    ("viscous friction of '{joint}' changing along the runs", DRIFTING_FRICTION),
     FRICTION_CHANGE,
     unit=RELATIVE,
 )
 COULOMB_DRIFT = Cause(
     "drifting Coulomb friction",
-    ("Coulomb friction of '{joint}' changing along the runs", DRIFTING_FRICTION),
     FRICTION_CHANGE,
     unit=RELATIVE,
 )
@@ -150,11 +143,6 @@ FRICTION_DRIFT = Hypothesis("friction drift", False, _friction_drift, (VISCOUS_D
 LARGE = 2.0  # rms currents: where the fall is stated
 FALLING_CONSTANT = Cause(
     "saturation",
-    (
-        "the torque constant of '{joint}' falling with its current",
-        "stay at lower currents, with slower motions or less load, and check that the log holds the actual "
-        "current; friction that grows with the load has the same effect",
-    ),
     Threshold(
         0.03,
         "relative fall of a torque constant up to twice the rms current",
@@ -184,7 +172,6 @@ SATURATION = Hypothesis("saturation", False, _saturation, (FALLING_CONSTANT,))
 
 DRIFTING_CONSTANT = Cause(
     "gain drift",
-    ("the torque constant of '{joint}' falling along the runs", "let the robot warm up before the runs"),
     Threshold(
         0.005,
         "relative change of a torque constant along a run",
@@ -210,10 +197,6 @@ GAIN_DRIFT = Hypothesis("gain drift", False, _gain_drift, (DRIFTING_CONSTANT,), 
 
 FILTER_OR_ELASTICITY = Cause(
     "current lag",
-    (
-        "a low-pass filter of the current of '{joint}', or an elastic transmission",
-        "log the current before any filter, and move more slowly",
-    ),
     Threshold(
         1e-4,
         "coefficient of the torque's second derivative, s2",
