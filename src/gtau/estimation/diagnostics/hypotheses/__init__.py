@@ -1,15 +1,16 @@
-"""The hypotheses that every fit is tested against; a new one is a module, or a function in one, and a line here."""
+"""The hypotheses that every fit is tested against: all that stand in modules of this package."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from importlib import import_module
 from itertools import pairwise
+from pkgutil import iter_modules
 
 import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import Alternative, Hypothesis, compete
-from gtau.estimation.diagnostics.hypotheses import description, drives
 from gtau.estimation.diagnostics.linearisation import Linearised, linearise, on_channels, side_by_side
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import to_gains
@@ -17,17 +18,11 @@ from gtau.estimation.regression.run_blocks import WINDOWS
 from gtau.estimation.thresholds.estimates import SAME_EFFECT, TOGETHER_SHARE
 from gtau.findings import Finding
 
-HYPOTHESES: tuple[Hypothesis, ...] = (
-    drives.FRICTION_SHAPE,
-    drives.FRICTION_DRIFT,
-    drives.SATURATION,
-    drives.GAIN_DRIFT,
-    drives.CURRENT_LAG,
-    description.ENCODER_ZEROS,
-    description.POSITION_SCALES,
-    description.GRAVITY,
-    description.WRENCH_OFFSETS,
-    description.WRENCH_POINTS,
+HYPOTHESES: tuple[Hypothesis, ...] = tuple(
+    value
+    for module in iter_modules(__path__, f"{__name__}.")
+    for value in vars(import_module(module.name)).values()
+    if isinstance(value, Hypothesis)
 )
 
 
