@@ -178,10 +178,17 @@ def test_alternatives_of_a_group_compete() -> None:
         ]
         return [each.probability for each in compete(tried, lambda each: each.hypothesis)]
 
-    unlikely = weighed(("a", 3.6), ("a", 3.6))
-    assert unlikely[0] == unlikely[1] < ALTERNATIVE_PRIOR
+    def odds(t: float, members: int) -> float:
+        return ALTERNATIVE_PRIOR / members / (1 - ALTERNATIVE_PRIOR) * float(np.exp(support(t, 1.0, 1e3)[0]))
+
+    pair = weighed(("a", 3.6), ("a", 3.6))
+    assert pair == [pytest.approx(odds(3.6, 2) / (1 + 2 * odds(3.6, 2)))] * 2
     strong = weighed(("a", 12.0), ("a", 6.0), ("b", 0.0))
-    assert strong == [pytest.approx(1.0), pytest.approx(0.0, abs=1e-6), pytest.approx(0.0, abs=1e-3)]
+    assert strong == [
+        pytest.approx(1.0),
+        pytest.approx(0.0, abs=1e-6),
+        pytest.approx(odds(0.0, 1) / (1 + odds(0.0, 1))),
+    ]
     huge = weighed(("a", 156.0), ("a", 72.0), ("c", None))
     assert huge == [pytest.approx(1.0), pytest.approx(0.0), pytest.approx(1.0)]
 

@@ -173,9 +173,8 @@ def closure_expressions(layout: Coordinates, c: ca.SX, yd: ca.SX) -> tuple[ca.SX
 def solve(a: ca.SX, b: ca.SX, refine: bool) -> tuple[ca.SX, ca.SX]:
     """Solve ``min |a x - b|`` by the sparse ``L D L^T`` of the normal equations, a (m, n) sparse, b (m, k).
 
-    Rows and columns are eliminated in an order that keeps zeros, so robots with many legs cost no more than each leg
-    and the platform. With ``refine`` one step of iterative refinement restores the digits that the normal equations
-    lose.
+    Rows and columns are eliminated in an order that preserves sparsity, so that the cost is proportional to the number
+    of legs. With ``refine`` one step of iterative refinement restores the digits that the normal equations lose.
 
     Returns x (n, k), and the square root of ``trace(M) trace(M^-1)``, ``M = a^T a``: at least the condition number of
     ``a``, at most n times it; not a number, infinite or huge where ``a`` is singular.

@@ -27,7 +27,7 @@ def block_size() -> int:
 
 @contextmanager
 def working_with(samples: int) -> Iterator[None]:
-    """Process so many samples at once in this thread for the duration of the context."""
+    """Process blocks of this many ``samples`` in this thread while the context lasts."""
     token = _block.set(samples)
     try:
         yield

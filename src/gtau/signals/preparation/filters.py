@@ -38,9 +38,9 @@ def cutoff_frequency(bandwidth: float, end: float, rate: float, seconds: float =
     Ten times the bandwidth, and at least 5 Hz, which keeps the motion to 1e-8. Where the ``end`` of the signal lies
     below that it is taken: motion and noise are as strong there, and Wiener's filter, which makes the error of the
     accelerations least, halves both, as this one does at its cut-off. But 2.5 times the bandwidth at least, where the
-    gain at the bandwidth is 1 - 7e-4. Nor lower than where the filter's ends take 12 % of runs that last so many
-    ``seconds`` on average: on two runs of 5 s of an xMate7, 2.5 Hz instead of 10 Hz raise the torque errors on a third
-    from 17 to 28 % (geometric mean).
+    gain at the bandwidth is 1 - 7e-4. It is never so low that the ends of the filter take more than 12 % of runs with a
+    mean duration of ``seconds``: on two runs of 5 s of an xMate7, 2.5 Hz instead of 10 Hz raise the torque errors on a
+    third from 17 to 28 % (geometric mean).
 
     Not above half the Nyquist frequency, where little noise is left to be filtered, and rows are not decimated: the
     torques would keep what the positions lose (on the UPV robot at 100 Hz, 34 Hz raise a leg's torque error from 11 to
