@@ -135,7 +135,7 @@ def linearise(
     T = stacked_triangles(reduced)
     parts = [errors_and_jacobian(fit, run, window, rows) for (run, window), rows in zip(windows, T, strict=True)]
     e, J = (np.stack(part) for part in zip(*parts, strict=True))
-    weights = fit.solution.iterate.b / np.maximum(fit.solution.sigma, fit.system.problem.smallest_sigma)
+    weights = 1 / (fit.solution.gains * np.maximum(fit.solution.sigma, fit.system.problem.smallest_sigma))
     offered = -weights[:, None, None] * T[..., fit.dataset.base.count + EXTRA :]
     return Linearised(e, J, offered, known_rows(fit, windows), window_clusters(windows, fit.dataset.places))
 
@@ -179,9 +179,9 @@ def errors_and_jacobian(fit: Fit, run: int, window: SampleWindow, rows: np.ndarr
 
 def weighted(fit: Fit, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Compute errors (..., c, p) of a problem's blocks and their Jacobian (..., c, p, k), in standard deviations."""
-    problem, state = fit.system.problem, fit.solution.iterate
+    problem, values = fit.system.problem, fit.solution.values
     weights = 1 / np.maximum(fit.solution.sigma, problem.smallest_sigma)
-    e, J = residuals(blocks, state), jacobian(blocks, state, problem, fit.free_gains)
+    e, J = residuals(blocks, values), jacobian(blocks, values, problem, fit.free_gains)
     return e * weights[:, None], J * weights[:, None, None]
 
 

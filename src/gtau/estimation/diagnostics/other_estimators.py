@@ -145,7 +145,7 @@ def differences(fit: Fit) -> Iterator[tuple[Finding, np.ndarray, np.ndarray] | F
     rows = [J for _, J, _ in pairs]
     known, clusters = known_rows(fit, windows)[1], window_clusters(windows, dataset.places)
     back = whitening(np.concatenate([*rows, known]), np.zeros(len(fit.solution.gains)))
-    T = to_gains(fit.solution.iterate, fit.free_gains) @ back
+    T = to_gains(fit.solution.values, len(fit.solution.gains), fit.free_gains) @ back
     usual = [(J.T @ J, J.T @ e) for _, J, e in pairs]
     if further is not None and not fit.noise_free:
         weighed = [(Z.T @ J, Z.T @ e) for Z, J, e in pairs]

@@ -79,7 +79,7 @@ def position_ripple(fit: Fit) -> Alternative:
         return nothing
     repeats = shares > 0  # what of a joint does not repeat would only take up what its parameters explain
     moved, _ = _fit(linear, halves, np.where(repeats, heights, np.inf))
-    shifts = to_gains(solution.iterate, fit.free_gains) @ (moved - step)
+    shifts = to_gains(solution.values, len(solution.gains), fit.free_gains) @ (moved - step)
     return replace(nothing, causes=(_ripple(fit, shares, shifts),), shifts=shifts)
 
 
