@@ -63,7 +63,8 @@ TOOL_BODIES, LENGTHS = "tool bodies", "lengths"
 
 def other_loads(fit: Fit) -> Alternative | None:
     """Find the runs whose bodies at the tool are other than declared, with their masses; None without any."""
-    own = replace(fit, solution=replace(fit.solution, sigma=unrefined.sigma))  # residuals as ``solve`` leaves them
+    unrefined = fit.solve(fit.system.problem)  # residuals as those of the others
+    own = replace(fit, solution=replace(fit.solution, sigma=unrefined.sigma))
     count, carried, left = len(fit.dataset.runs), tuple[int, ...](), 1.0
     best: Fit | None = None
     while best is None or len(carried) < count - 1:
