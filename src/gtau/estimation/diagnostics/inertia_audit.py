@@ -122,7 +122,7 @@ def without_file_inertias(
     """
     if not fit.dataset.prior_inertias:
         return fit, covariance, freedom
-    dataset = replace(fit.dataset, priors=fit.dataset.stated_priors, prior_inertias=0.0, alike=fit.dataset)
+    dataset = replace(fit.dataset, priors=fit.dataset.stated_priors, prior_inertias=0.0)
     bare = refitted(fit, dataset=dataset)
     if bare is None:
         return None

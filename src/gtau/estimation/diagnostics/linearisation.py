@@ -16,7 +16,7 @@ import numpy as np
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import jacobian, jacobian_of_known, residuals, whitening
 from gtau.estimation.regression.factors import EXTRA, equations, triangle
-from gtau.estimation.regression.rows import Labels, Rows, configurations, stream_rows
+from gtau.estimation.regression.rows import Rows, configurations, instants, stream_rows
 from gtau.estimation.regression.run_blocks import Windows, window_clusters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import Motion
@@ -137,7 +137,7 @@ def linearise(
     e, J = (np.stack(part) for part in zip(*parts, strict=True))
     weights = 1 / (fit.solution.gains * np.maximum(fit.solution.sigma, fit.system.problem.smallest_sigma))
     offered = -weights[:, None, None] * T[..., fit.dataset.base.count + EXTRA :]
-    return Linearised(e, J, offered, known_rows(fit, windows), window_clusters(windows, fit.dataset.places))
+    return Linearised(e, J, offered, known_rows(fit, windows), window_clusters(windows, *fit.dataset.prepared.places))
 
 
 def stacked_triangles(reduced: Sequence[Sequence[np.ndarray]]) -> np.ndarray:
@@ -194,7 +194,7 @@ def motion_along(model: InverseDynamics, window: SampleWindow, c: np.ndarray) ->
     """Compute the motion with configurations ``c`` (n_c, N) along a window."""
     samples = window.samples()
     qd, qdd = (np.ascontiguousarray(rates.T) for rates in (samples.qd, samples.qdd))
-    return model.rates(np.ascontiguousarray(c), qd, qdd, Labels(window.run.name, samples.time))
+    return model.rates(np.ascontiguousarray(c), qd, qdd, instants(window.run.name, samples.time))
 
 
 def least_squares_step(J: np.ndarray, e: np.ndarray) -> np.ndarray:

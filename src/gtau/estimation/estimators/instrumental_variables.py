@@ -14,7 +14,7 @@ coarse or noisy, or the filter is poor.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -130,9 +130,11 @@ def paired(system: System, solution: Solution) -> Pair:
     loads, preparation, columns = system.loads(solution.theta), dataset.preparation, dataset.base.standard
     pairs = [
         _reduced(dataset.model, columns, measured, other, preparation.at(measured.run.rate).decimator, load, edges)
-        for measured, other, load, edges in zip(dataset.prepared, simulated, loads, dataset.edges, strict=True)
+        for measured, other, load, edges in zip(dataset.prepared, simulated, loads, dataset.prepared.edges, strict=True)
     ]
-    measured, instruments = (system.again(dataset.with_factors(factors)).whole for factors in zip(*pairs, strict=True))
+    measured, instruments = (
+        system.again(replace(dataset, factors=factors)).whole for factors in zip(*pairs, strict=True)
+    )
     whole, of_instruments, b = [], [], len(measured.parameters) + 1
     for j in range(len(measured.joints)):
         R = triangle(*np.concatenate([instruments.blocks[:, j, :, :b], measured.blocks[:, j]], axis=-1))

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import Alternative
-from gtau.estimation.diagnostics.geometry_findings import GeometryTest
-from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
-from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.regression.dataset import base_of, model_of
 from gtau.estimation.results.estimate import (
     Distances,
@@ -31,6 +29,11 @@ from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.prepared_run import Preparation
 from gtau.signals.run import Run
+
+if TYPE_CHECKING:
+    from gtau.estimation.diagnostics.geometry_findings import GeometryTest
+    from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
+    from gtau.estimation.estimators.physical_consistency import Consistency
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +108,7 @@ class FitRecord:
     Attributes
     ----------
     method, kind : str
-        A name of :data:`gtau.estimation.estimators.registry.ESTIMATORS`; whether logs hold currents or torques.
+        A name of :data:`gtau.estimation.estimators.registry.NAMES`; whether logs hold currents or torques.
     runs : tuple of str
         Names of the runs.
     preparation : Preparation
