@@ -24,12 +24,10 @@ from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.experiment_runs import Options, Subject, geometry_of, options_of, read, read_runs
 from gtau.estimation.preconditions import given_gains, plan, reduced, require_inputs
 from gtau.estimation.regression.dataset import Dataset, System
-from gtau.estimation.regression.plausibility import sensors_of
 from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.results.build import evidence, fit_record, model_estimates
 from gtau.estimation.results.estimate import Requirement, TorqueError
 from gtau.estimation.results.friction_curves import friction_step
-from gtau.estimation.results.groups import Model
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import ACCURACY
 from gtau.findings import Finding
@@ -231,7 +229,7 @@ def estimate(
     predicting, curves, errors = (estimates, {}, {}) if as_paper else friction_step(fit, estimates)
     figures = {"reduction_loss": loss, "lack_of_fit": examined.lack_of_fit, "accuracy": float(accuracy)}
     return Result(
-        Model(dataset.robot, sensors_of(dataset.robot, dataset.runs)),
+        dataset.robot,
         replace(model_estimates(fit, estimates, predicting, curves, diagnosis, essential), consistency=bodies),
         fit_record(fit, estimator.name, errors, figures),
         replace(evidence(fit, estimates, examined, diagnosis, curves), audit=audit),

@@ -14,6 +14,7 @@ from gtau.display import late, views
 from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.friction.law import SHAPES, FrictionLaw
+from gtau.estimation.regression.dataset import base_of, model_of
 from gtau.estimation.results.estimate import (
     Distances,
     Estimate,
@@ -25,7 +26,7 @@ from gtau.estimation.results.estimate import (
     SensorEstimate,
     TorqueError,
 )
-from gtau.estimation.results.groups import Evidence, FitRecord, Model, ModelEstimates
+from gtau.estimation.results.groups import Evidence, FitRecord, ModelEstimates
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.findings import Finding
 from gtau.model.base_parameters import BaseParameters
@@ -73,8 +74,8 @@ class Result:
 
     Attributes
     ----------
-    model : Model
-        The robot, its inverse dynamic model and its base parameters.
+    robot : Robot
+        The robot.
     estimates : ModelEstimates
         Estimates with which the model predicts.
     fit : FitRecord
@@ -85,7 +86,7 @@ class Result:
     All fields of these groups are properties of the result, too.
     """
 
-    model: Model
+    robot: Robot
     estimates: ModelEstimates
     fit: FitRecord
     evidence: Evidence = field(default_factory=Evidence)
@@ -157,20 +158,15 @@ class Result:
             groups.setdefault(getattr(type(self), name).group, {})[name] = value
         return replace(self, **{group: replace(getattr(self, group), **fields) for group, fields in groups.items()})
 
-    @property
-    def robot(self) -> Robot:
-        """Its robot."""
-        return self.model.robot
-
-    @property
+    @cached_property
     def idm(self) -> InverseDynamics:
-        """Its inverse dynamic identification model."""
-        return self.model.idm
+        """Inverse dynamic identification model of the robot."""
+        return model_of(self.robot)
 
-    @property
+    @cached_property
     def base(self) -> BaseParameters:
-        """Its base parameters."""
-        return self.model.base
+        """Base parameters of motors and torque sensors together."""
+        return base_of(self.robot, tuple(sensor.joint for sensor in self.sensors))
 
     @cached_property
     def friction_law(self) -> FrictionLaw:
