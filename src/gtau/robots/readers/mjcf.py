@@ -52,13 +52,14 @@ def read_mjcf(path: str | Path, base: BaseChoice = None) -> Robot:
         if (root := read_xml(path)).tag != "mujoco":
             raise GtauError(f"the outermost element is <{root.tag}>, not <mujoco>; give an MJCF file.")
         file = compile_mjcf(root, path)
-        robot = replace(_robot(file, path, base), name=root.get("model") or path.stem)
+        robot = replace(as_written(file, path, base), name=root.get("model") or path.stem)
         return without_idle_pins(robot)
     except GtauError as error:
         raise GtauError(f"{path}: {error}") from None
 
 
-def _robot(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
+def as_written(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
+    """Make the robot of a compiled file, with its idle pins."""
     model, qpos, left_out = file.model, file.model.qpos0, list[str]()
     homes = [np.array(key.qpos) for key in file.spec.keys if key.name == HOME]
     if home_given := bool(homes) and homes[0].size == model.nq:
