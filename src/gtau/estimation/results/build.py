@@ -61,7 +61,11 @@ def model_estimates(
     given = {Parameter("gain", sensor) for sensor in sensors}
     if curves:  # terms of the equations that predict nothing
         given |= set(terms) - set(friction)
-    listed = sorted((name for name in predicting.unknowns if name not in given), key=_group)
+    order = {"gain": 1, "delay": 2}  # behind the parameters
+    listed = sorted(
+        (name for name in predicting.unknowns if name not in given),
+        key=lambda name: order.get(name.kind, 0),
+    )
     return ModelEstimates(
         drive_gains=Named(_gains(fit, predicting, diagnosis)),
         delays=Named(zip(dataset.model.actuated, delays, strict=False)),
@@ -92,6 +96,8 @@ def fit_record(
     """Record how the estimates were fitted, with ``errors`` over all samples by motor and further ``statistics``."""
     dataset, solution = fit.dataset, fit.solution
     total, (sigma, signal) = _total(fit.system.problem, solution.sigma), _levels(fit)
+    estimated, gains = _scaled(total[:, :-1]), np.abs(solution.gains)
+    condition = float(np.linalg.cond(estimated)) if estimated.size else 1.0
     return FitRecord(
         method=method,
         kind=dataset.runs[0].kind,
@@ -100,8 +106,8 @@ def fit_record(
         residuals=tuple(
             TorqueError(
                 joint,
-                float(abs(solution.gains[k]) * sigma[k]),
-                float(abs(solution.gains[k]) * signal[k]),
+                float(gains[k] * sigma[k]),
+                float(gains[k] * signal[k]),
                 torque_unit(dataset.robot, joint),
                 *errors.get(joint, ()),
             )
@@ -109,7 +115,7 @@ def fit_record(
         ),
         logged_speeds=_logged_speeds(fit),
         scale=_scale(fit) if fit.free_gains else {},
-        statistics={**solution.statistics, **statistics, "condition_number": _condition_number(total)},
+        statistics={**solution.statistics, **statistics, "condition_number": condition},
         singular_values=tuple(np.linalg.svd(_scaled(total), compute_uv=False).tolist()) if fit.free_gains else (),
         data=dataset.runs,
     )
@@ -147,11 +153,6 @@ def evidence(
         singularities=tuple(nearest for run in along for nearest in nearest_poses(*run)),
         distances=tuple(distances_of(*run) for run in along),
     )
-
-
-def _group(name: Parameter) -> int:
-    """Order estimates in the covariance: parameters, then gains, then delays."""
-    return {"gain": 1, "delay": 2}.get(name.kind, 0)
 
 
 def _estimate(
@@ -197,13 +198,8 @@ def _parameters(fit: Fit, vector: Estimates, essential: Problem) -> dict[Paramet
     return parameters
 
 
-def _condition_number(total: np.ndarray) -> float:
-    """Compute the condition number of the estimated columns of ``W_tot``, scaled to unit length."""
-    estimated = _scaled(total[:, :-1])
-    return float(np.linalg.cond(estimated)) if estimated.size else 1.0
-
-
 def _scaled(W: np.ndarray) -> np.ndarray:
+    """Scale the columns of ``W_tot`` to unit length."""
     length = np.linalg.norm(W, axis=0)
     return np.asarray(W[:, length > 0] / length[length > 0])
 

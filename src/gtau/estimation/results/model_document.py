@@ -55,11 +55,8 @@ from gtau.signals.channel import SENSOR, ChannelKind, link_side_kind
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import Preparation
 
-SCHEMA = "gtau-model/4"
 WRITTEN = {"between_run_std": "spread"}
 """Keys of fields with other names."""
-OLDER = ("gtau-model/2", "gtau-model/3")
-"""Schemas that are read too: 2 is without friction on all samples, and 3 has it apart from ``parameters``."""
 
 
 def _with(*properties: str) -> PlainSerializer:
@@ -344,8 +341,8 @@ class ModelDocument(_Group):
         return Result(robot, ModelEstimates(**estimates), FitRecord(**fit), Evidence(**evidence))
 
 
-def to_document(result: Result) -> dict[str, Any]:
-    """Describe a result as a JSON document; ``rel_std`` in per cent, null where a value is known."""
+def described(result: Result) -> ModelDocument:
+    """Fill the document of a result."""
     decimator = result.preparation.decimator
     prepared = vars(result.preparation) | {"decimation": decimator.factor, "decimator": decimator.kind}
     values = {name: getattr(result, name, None) for name in ModelDocument.model_fields} | {
@@ -357,10 +354,7 @@ def to_document(result: Result) -> dict[str, Any]:
         "covariance": _Covariance.model_construct(names=result.covariance_names, matrix=result.covariance),
         "standard": _standard(result),
     }
-    document = ModelDocument.model_construct(**values).model_dump(mode="json")
-    for entry in document["drive_gains"]:
-        entry["scale"] = dict(result.scale.get(entry["joint"], {}))
-    return {"schema": SCHEMA, "robot": result.robot.name, **document}
+    return ModelDocument.model_construct(**values)
 
 
 def torque_error(error: TorqueError) -> dict[str, Any]:
