@@ -233,7 +233,7 @@ def estimate(
     figures = {"reduction_loss": loss, "lack_of_fit": examined.lack_of_fit, "accuracy": float(accuracy)}
     return Result(
         dataset.robot,
-        replace(model_estimates(fit, estimates, predicting, curves, diagnosis, essential), consistency=bodies),
+        replace(model_estimates(fit, estimates, predicting, diagnosis, essential), consistency=bodies),
         fit_record(fit, estimator.name, errors, figures),
         replace(evidence(fit, estimates, examined, diagnosis, curves), audit=audit),
     )

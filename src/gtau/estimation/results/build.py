@@ -13,10 +13,12 @@ from gtau.estimation.diagnostics.stated_constants import scale_shares, sensor_ve
 from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, judge_parameter, parameter_verdict, verdict_of
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import squared, stacked
-from gtau.estimation.regression.column_blocks import BEARING, PayloadColumns, known_values
+from gtau.estimation.friction.law import SHAPES
+from gtau.estimation.regression.column_blocks import BEARING, TEMPERATURE_TERMS, PayloadColumns, known_values
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.factors import triangle
 from gtau.estimation.regression.problem import Estimates, Problem
+from gtau.estimation.regression.rows import TERMS
 from gtau.estimation.results.estimate import (
     Estimate,
     FrictionCurve,
@@ -34,33 +36,32 @@ from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import regrouped
 from gtau.robots.geometry import longest_placement
 from gtau.robots.parameter import Parameter, gain_unit, torque_unit, unit_of
-from gtau.robots.robot import INERTIAL, Robot
+from gtau.robots.robot import INERTIAL, PLAIN_FRICTION, Robot
 from gtau.signals.reading.statements import FIRST_MOMENTS, PAYLOAD_KINDS
+
+FURTHER_FRICTION = {"fb", *SHAPES, *TERMS, *TEMPERATURE_TERMS}
+"""Kinds of friction that are no base parameters."""
 
 
 def model_estimates(
     fit: Fit,
     equations: Estimates,
     predicting: Estimates,
-    curves: Mapping[str, FrictionCurve],
     diagnosis: Diagnosis,
     essential: Problem,
 ) -> ModelEstimates:
     """Collect the estimates with which the model predicts.
 
-    ``equations`` are those of the fit, ``predicting`` the same after the step of friction, with its ``curves``.
+    ``equations`` are those of the fit, ``predicting`` the same after the step of friction.
     """
-    dataset, channels, terms = fit.dataset, fit.system.problem.channels, fit.system.terms
-    temperatures, base_names = reference_temperatures(fit), set(dataset.base.names)
+    dataset, channels = fit.dataset, fit.system.problem.channels
+    temperatures = reference_temperatures(fit)
     delays = [
         _estimate(predicting, Parameter("delay", channel.name), "s", channel.joint, verdict)
         for channel, verdict in zip(channels, diagnosis.delays, strict=True)
     ]
     sensors = {channel.name for channel in channels if channel.kind.link_side}
-    friction = _friction_names(fit, curves)
     given = {Parameter("gain", sensor) for sensor in sensors}
-    if curves:  # terms of the equations that predict nothing
-        given |= set(terms) - set(friction)
     order = {"gain": 1, "delay": 2}  # behind the parameters
     listed = sorted(
         (name for name in predicting.unknowns if name not in given),
@@ -72,22 +73,15 @@ def model_estimates(
         parameters=Named(_parameters(fit, predicting, essential)),
         friction=Named(
             (name, _estimate(predicting, name, friction_unit(name, dataset.robot, temperatures)))
-            for name in friction
-            if name in predicting.unknowns.places and name not in base_names and name.body not in sensors
+            for name in predicting.unknowns
+            if name.kind in FURTHER_FRICTION and name.body not in sensors
         ),
         payloads=payload_estimates(fit.system, equations, diagnosis.payloads),
         covariance_names=tuple(listed),
         covariance=predicting.select(listed).covariance,
-        sensors=_sensors(fit, diagnosis, predicting, delays),
+        sensors=_sensors(fit, diagnosis, equations, delays),
         temperatures=temperatures,
     )
-
-
-def _friction_names(fit: Fit, curves: Mapping[str, FrictionCurve]) -> tuple[Parameter, ...]:
-    """List the friction that predicts: of the curves, or without any the terms of the equations."""
-    if not curves:
-        return fit.system.terms
-    return tuple(name for curve in curves.values() for name in curve.parameters)
 
 
 def fit_record(
@@ -135,7 +129,8 @@ def evidence(
 ) -> Evidence:
     """Collect what speaks for and against the estimates, those of the equations among them."""
     dataset, temperatures = fit.dataset, reference_temperatures(fit)
-    replaced = {*_friction_names(fit, curves), *fit.system.terms} if curves else set()
+    replaced = {name for name in dataset.base.names if name.kind in PLAIN_FRICTION and name.body in curves}
+    replaced |= set(fit.system.terms if curves else ())
     along = [
         (prepared, dataset.preparation.at(prepared.run.rate).decimator, factors.distances)
         for prepared, factors in zip(dataset.prepared, dataset.factors, strict=True)

@@ -120,12 +120,6 @@ def _alternative(alternative: Alternative) -> dict[str, Any]:
     return held | {"subject": alternative.subject, "causes": causes}
 
 
-def _curve(curve: FrictionCurve | Any) -> Any:
-    """Leave out a curve's parameters, which stand with the others; schema 3 has them."""
-    entries = asdict(curve) if isinstance(curve, FrictionCurve) else curve
-    return {key: entries[key] for key in entries if key != "parameters"} if isinstance(entries, dict) else entries
-
-
 def _method(name: str) -> str:
     if name not in NAMES and name not in registered(GROUP):
         raise ValueError(unknown(f"method '{name}'", name, NAMES))
@@ -304,7 +298,7 @@ class ModelDocument(_Group):
     parameters: Annotated[_ByParameter, _listed("regrouping", "between_run_std", "essential")]
     friction: Annotated[_ByParameter, _listed()]
     equation_friction: Annotated[_ByParameter, _listed()] = Field(default=(), validate_default=True)
-    curves: tuple[Annotated[FrictionCurve, BeforeValidator(_curve), PlainSerializer(_curve)], ...] = ()
+    curves: tuple[FrictionCurve, ...] = ()
     sensors: tuple[_Sensor, ...] = ()
     payloads: Annotated[tuple[_Payload, ...], PlainSerializer(payload_documents)]
     residuals: tuple[_TorqueError, ...]
