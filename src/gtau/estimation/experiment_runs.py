@@ -181,7 +181,7 @@ def read_runs(experiment: Experiment, runs: Sequence[LoggedRun], progress: Progr
             progress("reading logs", round(parts * (k + done)), parts * len(runs))
 
         return read_run(
-            run.log, experiment.signals, run.payload, experiment.units, advance, experiment.preparation, run.part
+            run.log, experiment.signals, run.payload, experiment.units, advance, experiment.preparation, run
         )
 
     return tuple(read_one(k, run) for k, run in enumerate(runs))
@@ -196,5 +196,5 @@ def geometry_of(
         return None
     from gtau.estimation.diagnostics.geometry import geometry_test
 
-    logged = [read_poses(run.log, signals, experiment.units, run.part) for run in runs]
+    logged = [read_poses(run.log, signals, experiment.units, run) for run in runs]
     return geometry_test(model, signals.pose, signals.joints, logged, progress)

@@ -5,7 +5,6 @@ Commands with separate time stamps are interpolated.
 
 from __future__ import annotations
 
-from collections import ChainMap
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
@@ -21,13 +20,13 @@ from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.signals.reading.body_columns import at_origins
 from gtau.signals.reading.columns import SampleRate, Signals
-from gtau.signals.reading.formats import ALL, Table
+from gtau.signals.reading.formats import Table
 from gtau.signals.reading.formats.columnar import INFO
 from gtau.signals.reading.formats.rosbag import LOG_FORMATS as BAGS
 from gtau.signals.reading.formats.text import open_text
-from gtau.signals.reading.samples import Source
+from gtau.signals.reading.samples import WHOLE, Part, Samples, complete
 from gtau.signals.reading.units import Units
-from gtau.signals.storage import block, blocks, store
+from gtau.signals.storage import Store, block, blocks, store
 
 GROUP = "gtau.log_formats"
 """Of the entry points of other distributions."""
@@ -114,45 +113,42 @@ def read_logs(
     signals: Signals,
     units: Units,
     notes: list[Finding],
-    rows: range = ALL,
+    part: Part = WHOLE,
     progress: Callable[[float], None] = lambda done: None,
-) -> tuple[Source, Iterator[np.ndarray]]:
-    """Find the columns of a run in its logs, and read their ``rows``; raises GtauError.
+) -> Samples:
+    """Read the complete samples of a part of a run from its logs; raises GtauError.
 
-    The samples (M, n + c + 1), in blocks, are positions, commands, torque sensors, wrenches and time. ``notes`` report
-    what was left out or aligned; ``progress`` is called with the part of the log that has been read.
+    ``notes`` report what was left out or aligned; ``progress`` is called with the part of the log that has been read.
     """
     if len(paths) not in (1, 2):
         raise GtauError(f"a run has {len(paths)} logs; give one, or two with the positions and the {signals.kind}s.")
     times, stamps, base = signals.time_columns, signals.command_time_columns, signals.base
     positions, commands = [*signals.position.values(), *(base.pose if base else ())], list(signals.measured)
-    if len(paths) == 1:
-        _refuse_both(paths[0], set(positions) & set(commands), signals.kind)
+    if len(paths) == 1 and (twice := set(positions) & set(commands)):
+        raise GtauError(
+            f"the column '{min(twice)}' is given both as a position and as a {signals.kind}; correct one of the two.",
+            source=paths[0],
+        )
     position_scale, command_scale, time_scale = units.scale(signals)
-    files = [read_log(paths[0], (*times, *positions, *(commands if len(paths) == 1 and not stamps else ())))]
-    aligned = None
+    table = read_log(paths[0], (*times, *positions, *(commands if len(paths) == 1 and not stamps else ())))
+    files, aligned, rows = [table], None, part.rows(table)
     if stamps:
         aligned = _aligned(paths[0], paths[-1], signals, time_scale)
+        rows = aligned.rows[rows.start : rows.stop]
+        notes += table.notes
+        notes += [aligned.note] if aligned.note else []
     elif len(paths) == 2:
-        files.append(read_log(paths[1], commands))
-    first = files[0]
-    source = Source(
-        name=" and ".join(str(path) for path in paths),
-        channels=signals.channels,
-        columns=(*_labels(signals), " and ".join(times) or "rate"),
-        texts=ChainMap(*(file.texts for file in reversed(files))),
-        first_line=(first.first_line or 1) + (aligned.rows.start if aligned else 0),
-        line_word="row" if first.first_line is None else "line",
-    )
-    notes += [note.of_source(file.path.name) if len(files) > 1 else note for file in files for note in file.notes]
-    notes += [aligned.note] if aligned and aligned.note else []
+        files.append(replace(read_log(paths[1], commands), texts=table.texts))
+        notes += [note.of_source(file.path.name) for file in files for note in file.notes]
+    else:
+        notes += table.notes
     columns = [(k, name) for k, file in enumerate(files) for name in file.columns]
     wanted = [(0, name) for name in positions] + [(len(files) - 1, name) for name in commands if not stamps]
     order, at_times = [columns.index(column) for column in wanted], [columns.index((0, name)) for name in times]
 
-    def parts() -> Iterator[np.ndarray]:
+    def parts() -> Iterator[tuple[int, np.ndarray]]:
         row = rows.start
-        for values, done in _side_by_side(files, rows if aligned is None else aligned.located(rows)):
+        for values, done in _side_by_side(files, rows):
             progress(done)
             time = instants(signals, values[:, at_times], time_scale, row)
             logged = values[:, order]
@@ -160,18 +156,12 @@ def read_logs(
                 between = aligned.at(time)
                 between[np.isnan(logged).all(axis=1)] = np.nan  # rows that hold other topics
                 logged = np.hstack([logged, between])
+            yield row, np.column_stack([_converted(signals, logged * [*position_scale, *command_scale]), time])
             row += len(values)
-            yield np.column_stack([_converted(signals, logged * [*position_scale, *command_scale]), time])
 
-    return source, parts()
-
-
-def _refuse_both(path: Path, columns: set[str], kind: str) -> None:
-    if columns:
-        raise GtauError(
-            f"the column '{min(columns)}' is given both as a position and as a {kind}; correct one of the two.",
-            source=path,
-        )
+    named = (*_labels(signals), " and ".join(times) or "rate")
+    empty = Samples(" and ".join(map(str, paths)), signals.channels, named, table)
+    return complete(empty, parts(), notes, part)
 
 
 def _converted(signals: Signals, values: np.ndarray) -> np.ndarray:
@@ -236,10 +226,6 @@ class Aligned:
     rows: range
     note: Finding | None
 
-    def located(self, rows: range) -> range:
-        """Return the numbers in the whole log of some of these rows."""
-        return range(rows.start + self.rows.start, min(rows.stop + self.rows.start, self.rows.stop))
-
     def at(self, time: np.ndarray) -> np.ndarray:
         """Interpolate commands (M, c) linearly between stamps at other instants (M,); nan where they are missing."""
         known = np.isfinite(time)
@@ -283,9 +269,9 @@ def _stamped(path: Path, stamps: Sequence[str], commands: Sequence[str], scale: 
 
 def _aligned(path: Path, other_path: Path, signals: Signals, scale: float) -> Aligned:
     """Compare the instants of positions with those of commands in the other log; ``scale`` is that of their columns."""
-    what, columns = f"{signals.kind}s", list(signals.measured)
-    log = _stamped(other_path, signals.command_time_columns, columns, scale, what)
-    clock = store(seconds(values, scale) for values, _ in read_log(path, signals.time_columns).blocks())
+    what = f"{signals.kind}s"
+    log = _stamped(other_path, signals.command_time_columns, signals.measured, scale, what)
+    clock = logged_instants(path, signals, scale)
     stamps = log[:, 0]
     inside = np.flatnonzero((clock >= stamps[0]) & (clock <= stamps[-1]))
     finite = clock[np.isfinite(clock)]
@@ -312,6 +298,16 @@ def _distances(time: np.ndarray, stamps: np.ndarray) -> float:
         after = np.clip(np.searchsorted(stamps, part), 1, len(stamps) - 1)
         medians.append(np.median(np.minimum(np.abs(part - stamps[after - 1]), np.abs(stamps[after] - part))))
     return float(np.median(medians))
+
+
+def logged_instants(path: Path, signals: Signals, scale: float) -> np.ndarray:
+    """Read the times in s of all rows of a log, (N,); ``scale`` is that of their columns."""
+    table = read_log(path, signals.time_columns or list(signals.position.values())[:1])
+    row, times = 0, Store()
+    for values, _ in table.blocks():
+        times.append(instants(signals, values, scale, row))
+        row += len(values)
+    return times.array()
 
 
 def instants(signals: Signals, stamps: np.ndarray, scale: float, row: int) -> np.ndarray:

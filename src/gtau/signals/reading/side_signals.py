@@ -89,14 +89,15 @@ def _complete_rows(
 ) -> np.ndarray:
     """Read the rows of a log that hold a number in each of some columns: these, times ``scale``, and the time in s."""
     times = signals.time_columns
-    file = read_log(path, (*times, *columns))
-    at, order = ([file.columns.index(name) for name in names] for names in (times, columns))
+    table = read_log(path, (*times, *columns))
+    at, order = ([table.columns.index(name) for name in names] for names in (times, columns))
+    rows = part.rows(table)
     _, _, time_scale = units.scale(signals)
 
-    def blocks() -> Iterator[np.ndarray]:
-        row = part.skip
-        for values, _ in file.blocks(part.rows):
-            yield np.column_stack([values[:, order] * scale, instants(signals, values[:, at], time_scale, row)])
+    def blocks() -> Iterator[tuple[int, np.ndarray]]:
+        row = rows.start
+        for values, _ in table.blocks(rows):
+            yield row, np.column_stack([values[:, order] * scale, instants(signals, values[:, at], time_scale, row)])
             row += len(values)
 
-    return store((rows[np.isfinite(rows).all(axis=1)] for _, rows in part.of(blocks())), (len(columns) + 1,))
+    return store((values[np.isfinite(values).all(axis=1)] for _, values in part.of(blocks())), (len(columns) + 1,))

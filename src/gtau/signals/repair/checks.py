@@ -6,8 +6,9 @@ regression row uses them. The log is read in blocks.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
+from itertools import compress
 from typing import Literal
 
 import numpy as np
@@ -16,8 +17,7 @@ from gtau.errors import GtauError
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
-from gtau.signals.reading.samples import WHOLE, Part, Samples, Source, complete, extremes, refuse_short
-from gtau.signals.reading.statements import CHOSEN, PreparationSettings
+from gtau.signals.reading.samples import Samples, extremes, refuse_short
 from gtau.signals.repair.clock import Clock, clock_of
 from gtau.signals.repair.faults import (
     clipped,
@@ -29,8 +29,8 @@ from gtau.signals.repair.faults import (
     whole_numbers,
     without_glitches,
 )
-from gtau.signals.repair.resampling import holds_of, uniform
-from gtau.signals.storage import block, blocks, spans, stored_like
+from gtau.signals.repair.resampling import POSITIONS, holds_of, uniform
+from gtau.signals.storage import block, blocks, rows_at, spans, stored_like
 
 FINER = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # units of time in a second
 # s; maximum lateness of the stamps of packets or messages. In the shared logs it is 5 ms (a polled Panda).
@@ -39,80 +39,73 @@ LARGEST_VALUE = 1e9  # of any logged value; even encoder and converter counts ar
 
 
 def check(
-    source: Source,
-    parts: Iterable[np.ndarray],
-    notes: list[Finding],
-    settings: PreparationSettings = CHOSEN,
-    part: Part = WHOLE,
-) -> Samples:
-    """Check a log, repair what is safe, and put it on a uniform grid.
+    samples: Samples, notes: list[Finding], given: Literal["stamps", "regular"] | None = None
+) -> tuple[Samples, float]:
+    """Check the complete samples of a log, repair what is safe, and put them on a uniform grid.
 
-    Samples (M, n + c + 1), in blocks, are positions, commands, torque sensors and time in SI units; the channels of the
-    ``source`` say by how much they lag. Those that are incomplete or repeated are dropped, angles that wrap around are
-    unwrapped. Samples of a joint whose command is clipped at a limit are masked, and outliers of positions are
-    interpolated. Irregular sampling is resampled at the mean rate: cubic splines for positions, lines for commands; see
-    :mod:`gtau.signals.repair.clock` for what the samples' instants are. ``notes`` report every repair.
+    Those that are repeated are dropped, angles that wrap around are unwrapped. Samples of a joint whose command is
+    clipped at a limit are masked, and outliers of positions are interpolated. Irregular sampling is resampled at the
+    mean rate: cubic splines for positions, lines for commands; see :mod:`gtau.signals.repair.clock` for what the
+    samples' instants are, unless that is ``given``. ``notes`` report every repair.
+    Also returns the share of whole numbers among the joints' commands as logged.
 
     Raises GtauError where the log has fewer than 100 samples, more than 5 % of them bad or missing, a gap of more than
     0.1 s (or three steps), reversed time, a command that never changes or is clipped in more than a tenth of the
     samples, a position that jumps or freezes, no moving joint, or values that cannot be right.
     """
-    samples = complete(source, parts, notes, part)
     _refuse_stuck(samples, notes)
-    _refuse_standing_time(samples)
-    samples = _without_repeated(samples, notes, settings.clock)
-    clock = clock_of(samples.time, samples.position, settings.clock)
+    samples = _without_repeated(samples, notes, given)
+    clock = clock_of(samples.time, samples.position, given)
     _refuse_rates(samples, clock)
-    if settings.clock is None:
-        _refuse_late(samples, clock)
+    if given is None and clock.late > max(LATEST, 3 * clock.period):
+        raise GtauError(
+            f"{samples.name}, column '{samples.columns[-1]}': by a regular clock of {clock.rate:.4g} Hz the time "
+            f"stamps are up to {clock.late:.3g} s late, so they freeze or jump; correct the column, or give the rate "
+            "instead (time: {rate: HZ})."
+        )
     samples = _unwrapped(samples, notes)
     instants, holds = clock.instants(samples.time), holds_of(samples)
-    if glitches := find_glitches(samples, instants, holds[0]):
+    if glitches := find_glitches(samples, instants, holds[POSITIONS]):
         notes.append(glitch_note(samples, glitches))
         samples = without_glitches(samples, glitches)
-        clock = clock_of(samples.time, samples.position, settings.clock)
+        clock = clock_of(samples.time, samples.position, given)
         instants, holds = clock.instants(samples.time), holds_of(samples)
-    refuse_frozen(samples, instants, holds[0])
-    refuse_slips(samples, instants, holds[0])
+    refuse_frozen(samples, instants, holds[POSITIONS])
+    refuse_slips(samples, instants, holds[POSITIONS])
     refuse_magnitudes(samples)
     clips = clipped(samples, notes)
-    whole_share = whole_numbers(samples.command, len(source.joints))  # resampled ones are between
-    grid = uniform(samples, clock, instants, holds, clips, notes, settings.clock is not None)
-    return replace(grid, whole_share=whole_share)
+    whole_share = whole_numbers(samples.command, len(samples.joints))  # resampled ones are between
+    return uniform(samples, clock, instants, holds, clips, notes, given is not None), whole_share
 
 
 def _refuse_stuck(samples: Samples, notes: list[Finding]) -> None:
-    source, n = samples.source, len(samples.source.joints)
+    n, time = len(samples.joints), samples.time
     low, high = (np.concatenate(pair) for pair in zip(*map(extremes, (samples.position, samples.command)), strict=True))
-    for column, least, most in zip(source.columns, low, high, strict=False):
+    for column, least, most in zip(samples.columns, low, high, strict=False):
         if max(-least, most) > LARGEST_VALUE:
             value = most if most > -least else least
             raise GtauError(
-                f"{source.name}, column '{column}' reaches {value:.3g}, which is implausible for a joint or drive; "
+                f"{samples.name}, column '{column}' reaches {value:.3g}, which is implausible for a joint or drive; "
                 f"correct the column, or give its unit."
             )
     still = (low == high)[:n]
     if still.all():
-        raise GtauError("no position ever changes; give a log of a moving robot.", source=source.name)
-    for channel, column, least, most in zip(source.channels, source.columns[n:-1], low[n:], high[n:], strict=True):
+        raise GtauError("no position ever changes; give a log of a moving robot.", source=samples.name)
+    for channel, column, least, most in zip(samples.channels, samples.columns[n:-1], low[n:], high[n:], strict=True):
         if least < most or not channel.kind.of_joint:
             continue
         if channel.kind.link_side or not still[channel.row]:  # a locked joint may have no current
             raise GtauError(
-                f"{source.name}, column '{column}' (joint '{channel.joint}') is stuck at {least + 0.0:g}; "
+                f"{samples.name}, column '{column}' (joint '{channel.joint}') is stuck at {least + 0.0:g}; "
                 "give the column with the measured values, or record the log again."
             )
-    resting = (channel for channel, stands in zip(source.channels, still, strict=False) if stands)
+    resting = (channel for channel, stands in zip(samples.channels, still, strict=False) if stands)
     if names := tuple(channel.joint for channel in resting if channel.kind.of_joint):
         notes.append(Finding(F.STILL, names))
-
-
-def _refuse_standing_time(samples: Samples) -> None:
-    time, source = samples.time, samples.source
     if not time[-1] > time[0]:
         raise GtauError(
-            f"{source.name}, column '{source.columns[-1]}' is {time[-1]:.9g} s in the last row and {time[0]:.9g} s in "
-            "the first, so time does not advance; give the time column, or the rate instead (time: {rate: HZ})."
+            f"{samples.name}, column '{samples.columns[-1]}' is {time[-1]:.9g} s in the last row and {time[0]:.9g} s "
+            "in the first, so time does not advance; give the time column, or the rate instead (time: {rate: HZ})."
         )
 
 
@@ -122,7 +115,7 @@ def _without_repeated(samples: Samples, notes: list[Finding], clock: Literal["st
     Samples with the same time but different values are all kept, as their stamps are late, unless stamps are given as
     true.
     """
-    source, time = samples.source, samples.time
+    time = samples.time
     repeated: list[int] = []
     for start, stop in spans(len(time), before=1):
         part = block(time, start, stop)
@@ -130,50 +123,44 @@ def _without_repeated(samples: Samples, notes: list[Finding], clock: Literal["st
         if (step < 0).any():
             i = int(np.argmax(step < 0))
             raise GtauError(
-                f"{source.name}, {samples.place(start + i + 1)}: time goes back from {part[i]:.9g} s to "
+                f"{samples.name}, {samples.place(start + i + 1)}: time goes back from {part[i]:.9g} s to "
                 f"{part[i + 1]:.9g} s; cut the log there into two runs, or correct the time column."
             )
         again = np.flatnonzero(step == 0)
-        if again.size:
-            values = np.column_stack([block(array, start, stop) for array in (samples.position, samples.command)])
-            different = again[(values[again] != values[again + 1]).any(axis=1)]
-            if different.size:
-                if clock != "stamps":
-                    return samples
-                i = int(different[0])
-                raise GtauError(
-                    f"{source.name}, {samples.place(start + i + 1)}: the time {part[i]:.9g} s occurs in two rows with "
-                    "different values, so the time stamps are not the sampling instants; remove 'clock: stamps'."
-                )
-            repeated += (start + again + 1).tolist()
+        if not again.size:
+            continue
+        values = np.column_stack([block(array, start, stop) for array in (samples.position, samples.command)])
+        different = again[(values[again] != values[again + 1]).any(axis=1)]
+        if different.size and clock != "stamps":
+            return samples
+        if different.size:
+            i = int(different[0])
+            raise GtauError(
+                f"{samples.name}, {samples.place(start + i + 1)}: the time {part[i]:.9g} s occurs in two rows with "
+                "different values, so the time stamps are not the sampling instants; remove 'clock: stamps'."
+            )
+        repeated += (start + again + 1).tolist()
     if not repeated:
         return samples
-    places = source.places([samples.rows[i] for i in repeated[:5]], len(repeated))
-    dropped = {"count": len(repeated), "places": places}
+    dropped = {"count": len(repeated), "places": samples.places(samples.rows[repeated[:5]].tolist(), len(repeated))}
     notes.append(Finding(F.REPEATED_ROWS, values=dropped, share=len(repeated) / len(time)))
-
-    def without(array: np.ndarray) -> np.ndarray:
-        kept = ((span, ~np.isin(np.arange(*span), repeated)) for span in spans(len(array)))
-        return stored_like(array, (block(array, *span)[mask] for span, mask in kept))
-
+    refuse_short(samples.name, len(time) - len(repeated))
+    kept = np.setdiff1d(np.arange(len(time)), repeated)
     arrays = (samples.time, samples.position, samples.command, samples.rows)
-    time, position, command, rows = map(without, arrays)
-    samples = Samples(source, time, position, command, rows)
-    refuse_short(source, len(samples.time))
-    return samples
+    time, position, command, rows = (rows_at(array, kept) for array in arrays)
+    return replace(samples, time=time, position=position, command=command, rows=rows)
 
 
 def _unwrapped(samples: Samples, notes: list[Finding]) -> Samples:
     """Unwrap the angles of joints that jump by a full turn."""
-    position, source = samples.position, samples.source
-    wraps = np.zeros(len(source.joints), dtype=bool)
+    position = samples.position
+    wraps = np.zeros(position.shape[1], dtype=bool)
     for part in blocks(position, before=1):
         jump = np.abs(np.diff(part, axis=0))
         wraps |= np.any(np.abs(jump - 2 * np.pi) < 0.5, axis=0)  # no joint moves a turn, or 6 m, between two samples
     if not wraps.any():
         return samples
-    turned = tuple(joint for joint, wrap in zip(source.joints, wraps, strict=True) if wrap)
-    notes.append(Finding(F.UNWRAPPED, turned))
+    notes.append(Finding(F.UNWRAPPED, tuple(compress(samples.joints, wraps))))
 
     def unwrapped() -> Iterator[np.ndarray]:
         turns = np.zeros(len(wraps))  # as far as the sample before
@@ -185,28 +172,19 @@ def _unwrapped(samples: Samples, notes: list[Finding]) -> Samples:
     return replace(samples, position=stored_like(position, unwrapped()))
 
 
-def _refuse_late(samples: Samples, clock: Clock) -> None:
-    """Refuse a time column that freezes or jumps, so that a regular clock drifts far from it."""
-    if clock.late > max(LATEST, 3 * clock.period):
-        raise GtauError(
-            f"{samples.source.name}, column '{samples.source.columns[-1]}': by a regular clock of {clock.rate:.4g} Hz "
-            f"the time stamps are up to {clock.late:.3g} s late, so they freeze or jump; correct the column"
-            ", or give the rate instead (time: {rate: HZ})."
-        )
-
-
 def _refuse_rates(samples: Samples, clock: Clock) -> None:
-    if not LEAST_RATE <= clock.rate <= LARGEST_RATE:
-        column = samples.source.columns[-1]
-        finer = (unit for unit, factor in FINER.items() if LEAST_RATE <= clock.rate * factor <= LARGEST_RATE)
-        repair = (
-            "write the controller's rate in Hz under signals.time"
-            if column == "rate"
-            else f"give the unit of that column (units: {{time: {' or '.join(finer) or 's'}}}, for all logs; convert "
-            "one that differs from the others)"
-        )
-        raise GtauError(
-            f"by its '{column}' it is sampled at {clock.rate:.3g} Hz (steps of "
-            f"{clock.period:.3g} s), which is not a plausible sampling rate; {repair}.",
-            source=samples.source.name,
-        )
+    if LEAST_RATE <= clock.rate <= LARGEST_RATE:
+        return
+    column = samples.columns[-1]
+    finer = (unit for unit, factor in FINER.items() if LEAST_RATE <= clock.rate * factor <= LARGEST_RATE)
+    repair = (
+        "write the controller's rate in Hz under signals.time"
+        if column == "rate"
+        else f"give the unit of that column (units: {{time: {' or '.join(finer) or 's'}}}, for all logs; convert one "
+        "that differs from the others)"
+    )
+    raise GtauError(
+        f"by its '{column}' it is sampled at {clock.rate:.3g} Hz (steps of {clock.period:.3g} s), which is not a "
+        f"plausible sampling rate; {repair}.",
+        source=samples.name,
+    )

@@ -39,17 +39,15 @@ class Clock:
     """Sampling instants of a log, s.
 
     The ``period`` is that of a regular clock, or the mean step. ``regular``: instants are its multiples, by which the
-    time column is corrected; otherwise they are the stamps. There are ``count`` samples of that period from the
-    ``start``, the instant of the first sample, to the last one. Steps above ``longest_step`` miss samples. A regular
-    clock has ``gaps``, pairs of a sample and the number missing before it (-1 where it repeats the previous one), and
-    its stamps are up to ``late`` late relative to the earliest; 0 if only rounded. ``packets``: samples came in packets
-    with the same stamps, or nearly so.
+    time column is corrected; otherwise they are the stamps. ``start`` is the instant of the first sample. Steps above
+    ``longest_step`` miss samples. A regular clock has ``gaps``, pairs of a sample and the number missing before it (-1
+    where it repeats the previous one), and its stamps are up to ``late`` late relative to the earliest; 0 if only
+    rounded. ``packets``: samples came in packets with the same stamps, or nearly so.
     """
 
     period: float
     regular: bool
     start: float
-    count: int
     longest_step: float
     gaps: tuple[tuple[int, int], ...] = ()
     late: float = 0.0
@@ -59,6 +57,11 @@ class Clock:
     def rate(self) -> float:
         """Sampling rate, Hz."""
         return 1 / self.period
+
+    @property
+    def missing(self) -> int:
+        """Number of missing samples."""
+        return sum(missing for _, missing in self.gaps)
 
     def time(self, first: int, stop: int) -> np.ndarray:
         """Compute times of samples, s, from their numbers."""
@@ -116,7 +119,6 @@ def clock_of(time: np.ndarray, position: np.ndarray, given: Literal["stamps", "r
         period=period,
         regular=False,
         start=float(time[0]),
-        count=int((time[-1] - time[0]) / period * (1 + 1e-12)) + 1,
         longest_step=1.5 * max(period, float(np.quantile(steps, 0.95))),
     )
     if given == "stamps" or _roughness(time, position, regular) > _roughness(time, position, stamps) / SMOOTHER:
@@ -151,7 +153,6 @@ def _regular(time: np.ndarray, position: np.ndarray, steps: np.ndarray) -> tuple
         period=period,
         regular=True,
         start=float(time[0]) if straight else float(time[0]) + offset,
-        count=len(time) + sum(missing for _, missing in gaps),
         longest_step=1.5 * period,
         gaps=gaps,
         late=0.0 if straight else late,
