@@ -20,7 +20,6 @@ from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
 from gtau.signals.reading.experiment import Experiment, check_robot, read_experiment
 from gtau.signals.reading.logged_run import LoggedRun
-from gtau.signals.reading.side_signals import read_poses
 from gtau.signals.reading.statements import Prior, StatedGain, as_priors
 from gtau.signals.run import Run, read_run
 
@@ -136,11 +135,7 @@ def describe(
     robot = load_robot(experiment.robot)
     check_robot(experiment, robot)
     if options.prior_gains is None:
-        stds = experiment.gain_stds
-        gains = {
-            joint: StatedGain(value=value, std=stds.get(joint)) for joint, value in experiment.expected_gains.items()
-        }
-        options = replace(options, prior_gains=gains)
+        options = replace(options, prior_gains=experiment.stated_gains)
     if options.priors is None:
         options = replace(options, priors=experiment.expected_parameters)
     if options.prior_inertias is None:
@@ -195,6 +190,7 @@ def geometry_of(
     if signals.pose is None:
         return None
     from gtau.estimation.diagnostics.geometry import geometry_test
+    from gtau.signals.reading.side_signals import read_poses
 
     logged = [read_poses(run.log, signals, experiment.units, run) for run in runs]
     return geometry_test(model, signals.pose, signals.joints, logged, progress)

@@ -35,11 +35,9 @@ def file_or_name(robot: str, folder: Path) -> str:
     return robot
 
 
-def _beside(robot: str, info: ValidationInfo) -> str:
-    return robot if info.context is None else file_or_name(robot, info.context)
-
-
-RobotName = Annotated[str, AfterValidator(_beside)]
+RobotName = Annotated[
+    str, AfterValidator(lambda robot, info: robot if info.context is None else file_or_name(robot, info.context))
+]
 """Name of the catalog or path of a file, in a file whose folder is the context of its validation."""
 
 

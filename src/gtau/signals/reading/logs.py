@@ -57,15 +57,9 @@ def find_columns(path: Path) -> Table:
     with system_refusals(path):
         if not path.is_dir():
             path.open("rb").close()  # the system's reason, not a library's, where there is no such file
-        reader = reader_of(_ending(path)) or open_text
+        of_folder = ".db3" if is_rosbag(path) else ".parquet"
+        reader = reader_of(of_folder if path.is_dir() else path.suffix.lower()) or open_text
         return reader(path)
-
-
-def _ending(path: Path) -> str:
-    """Return the ending of a file's name, or that of the files in a folder."""
-    if path.is_dir():
-        return ".db3" if (path / "metadata.yaml").is_file() else ".parquet"
-    return path.suffix.lower()
 
 
 def is_log_folder(path: Path) -> bool:
@@ -88,8 +82,6 @@ def _refuse_missing(names: Iterable[str], table: Table) -> None:
     for name in names:
         if columns.count(name) > 1:
             raise GtauError(f"{path} has {columns.count(name)} columns named '{name}'; rename them.")
-        if name in table.unusable:
-            raise GtauError(f"{path}, column '{name}' {table.unusable[name]}.")
         if name in columns:
             continue
         if table.numbered:
@@ -170,6 +162,8 @@ def _converted(signals: Signals, values: np.ndarray) -> np.ndarray:
     The columns (M, .) are those of positions, pose, commands and sensors, and wrenches.
     """
     base, acting = signals.base, signals.all_wrenches
+    if base is None and not acting:
+        return values
     joints, pose = len(signals.position), len(base.pose) if base else 0
     modelled = len(signals.measured) - sum(len(wrench.columns) for wrench in acting)
     q, of_base, commands, wrenches = np.split(values, np.cumsum([joints, pose, modelled]), axis=1)
@@ -207,7 +201,7 @@ def _side_by_side(files: Sequence[Table], wanted: range) -> Iterator[tuple[np.nd
         yield np.hstack([values[:count] for values in waiting]), done
         waiting = [values[count:] for values in waiting]
     counts = [count + sum(len(values) for values, _ in stream) for count, stream in zip(counts, streams, strict=True)]
-    if len(set(counts)) > 1:
+    if counts[0] != counts[1]:
         raise GtauError(
             f"{files[0].path} has {counts[0]} rows but {files[1].path} has {counts[1]}; give two logs that were "
             "sampled together, or the stamps of each (time: {position: COLUMN, command: COLUMN})."
@@ -283,7 +277,7 @@ def _aligned(path: Path, other_path: Path, signals: Signals, scale: float) -> Al
         )
     rows = range(int(inside[0]), int(inside[-1]) + 1)
     steps = [float(np.median(np.diff(time))) for time in (finite, stamps)]
-    apart = _distances(finite, stamps)
+    apart = float(np.median([_distance(part, stamps) for part in blocks(finite)]))
     if apart <= CLOSE * min(steps) and len(rows) == len(clock):
         return Aligned(log, LONGEST_STEP * max(steps), rows, None)
     said = {"signal": what, "rate": 1 / steps[1], "position_rate": 1 / steps[0], "apart": apart * 1e3}
@@ -291,13 +285,10 @@ def _aligned(path: Path, other_path: Path, signals: Signals, scale: float) -> Al
     return Aligned(log, LONGEST_STEP * max(steps), rows, note)
 
 
-def _distances(time: np.ndarray, stamps: np.ndarray) -> float:
-    """Compute the typical distance in s from an instant to the closest stamp."""
-    medians = []
-    for part in blocks(time):
-        after = np.clip(np.searchsorted(stamps, part), 1, len(stamps) - 1)
-        medians.append(np.median(np.minimum(np.abs(part - stamps[after - 1]), np.abs(stamps[after] - part))))
-    return float(np.median(medians))
+def _distance(time: np.ndarray, stamps: np.ndarray) -> float:
+    """Compute the median distance in s from instants to the closest stamp."""
+    after = np.clip(np.searchsorted(stamps, time), 1, len(stamps) - 1)
+    return float(np.median(np.minimum(np.abs(time - stamps[after - 1]), np.abs(stamps[after] - time))))
 
 
 def logged_instants(path: Path, signals: Signals, scale: float) -> np.ndarray:

@@ -53,11 +53,11 @@ class Part(Keys):
         """Return the rows of a log to read; raises GtauError where it lacks the episode."""
         if self.episode is None:
             return ALL[self.skip :]
-        if self.episode not in table.episodes:
-            numbers = table.episodes.keys()
-            there = f"{min(numbers)} to {max(numbers)}" if numbers else "not several ('episode_index')"
+        episodes = table.data_set.episodes
+        if self.episode not in episodes:
+            there = f"{min(episodes)} to {max(episodes)}" if episodes else "not several ('episode_index')"
             raise GtauError(f"{table.path} has no episode {self.episode}; its episodes are {there}.")
-        return table.episodes[self.episode][self.skip :]
+        return episodes[self.episode][self.skip :]
 
     def of(self, parts: Iterable[tuple[int, np.ndarray]]) -> Iterator[tuple[int, np.ndarray]]:
         """Yield the rows of the part, in blocks whose last column is the time, and the number of the first in each."""
