@@ -161,7 +161,7 @@ def _time(
 ) -> Any:
     """Find the time columns of positions, and of commands with stamps of their own, or the sampling rate."""
     if not log.time:
-        rate = log.table.data_set.rate
+        rate = log.table.rate
         reasons["time"] = f"no time column; {rate or 0:g} Hz by the description of the data set (meta/info.json)"
         if rate is None:
             rate, reasons["time"] = log.rate_from_velocities(positions)

@@ -156,10 +156,8 @@ def _of_logs(draft: Draft, masses: Mapping[str, float]) -> dict[Path, float]:
     for name, mass in masses.items():
         logs = [run[0] for run in draft.logs if any(name in (str(log), log.name, log.stem) for log in run)]
         if len(logs) != 1:
-            names = ", ".join(run[0].name for run in draft.logs)
-            raise GtauError(
-                f"'{name}' names {'no' if not logs else 'more than one'} log of a payload; the logs are {names}."
-            )
+            count, names = "more than one" if logs else "no", ", ".join(run[0].name for run in draft.logs)
+            raise GtauError(f"'{name}' names {count} log of a payload; the logs are {names}.")
         if not 0 <= mass < float("inf"):
             raise GtauError(f"the payload of '{name}' is {mass:g} kg; write its mass in kg, 0 for none.")
         by_log[logs[0]] = mass
@@ -175,9 +173,9 @@ def draft_text(draft: Draft, folder: Path) -> str:
 
     Guesses are marked ``CHECK``.
     """
-    logs = f"{len(draft.logs)} log{'s' * (len(draft.logs) != 1)}"
+    count = f"{len(draft.logs)} log{'s' * (len(draft.logs) != 1)}"
     lines = [
-        f"# Drafted by gtau from {logs}. Edit the lines marked CHECK, then run gtau check.",
+        f"# Drafted by gtau from {count}. Edit the lines marked CHECK, then run gtau check.",
         "",
         _line(f"robot: {_flow(_robot_entry(draft, folder))}", _question(draft, "robot")),
         "",
@@ -190,13 +188,15 @@ def draft_text(draft: Draft, folder: Path) -> str:
     ]
     for run in draft.logs:
         paths = [_relative(path, folder) for path in run]
-        for episode in find_columns(run[0]).data_set.episodes or (None,):
-            lines.append(f"  - log: {_flow(paths[0] if len(paths) == 1 else paths)}")
-            lines += [] if episode is None else [f"    episode: {episode}"]
-            if (mass := draft.masses.get(run[0])) is not None:
-                payload = {"name": f"load_{1000 * mass:.0f}g", "mass": mass}
-                doubt = "" if run[0] in draft.stated else f"{CHECK}kg, from the file name"
-                lines.append(_line(f"    payload: {_flow(payload)}", doubt))
+        log = _flow(paths[0] if len(paths) == 1 else paths)
+        payload = []
+        if (mass := draft.masses.get(run[0])) is not None:
+            entry = _flow({"name": f"load_{1000 * mass:.0f}g", "mass": mass})
+            doubt = "" if run[0] in draft.stated else f"{CHECK}kg, from the file name"
+            payload = [_line(f"    payload: {entry}", doubt)]
+        for episode in find_columns(run[0]).episodes or (None,):
+            numbered = [] if episode is None else [f"    episode: {episode}"]
+            lines += [f"  - log: {log}", *numbered, *payload]
     if draft.kind == "current" and not draft.masses and "joint_torque" not in draft.signals:
         lines += [
             "# Drive gains need the mass (kg) of the payload of at least one run, and a run with a different payload "
@@ -276,7 +276,7 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
     if empty := [path.name for path in named if path not in draft.masses]:
         notes.append((f"no payload is assumed for {', '.join(empty)}, without a mass in the name", STATE))
     for log, *_ in draft.logs:
-        if episodes := find_columns(log).data_set.episodes:
+        if episodes := find_columns(log).episodes:
             what = f"each of the {len(episodes)} episodes in {log.name} is a run"
             notes.append((what, "remove unwanted episodes from 'runs'"))
     if draft.urdf is not None:

@@ -66,7 +66,7 @@ class LogContents:
     def read(cls, path: Path, robot: Robot | None, kinds: Sequence[str] = ("position",), but: str = "") -> LogContents:
         """Read a log; of a bag the first topic of one of these ``kinds`` that is not ``but``."""
         table = find_columns(path)
-        joints, labels = robot.actuated if robot else (), table.data_set.labels
+        joints, labels = robot.actuated if robot else (), table.labels
         names = [
             parse_item(name, labels[name], joints) if name in labels else parse_column_name(name, joints)
             for name in table.columns
@@ -182,7 +182,7 @@ def _topic(name: str, topics: Sequence[str]) -> str:
 def _values(path: Path, names: Sequence[str], table: Table) -> dict[str, np.ndarray]:
     """Read the first rows; of several episodes, those of the first one."""
     log = read_log(path, names)
-    rows = next(iter(table.data_set.episodes.values()), range(ROWS))
+    rows = next(iter(table.episodes.values()), range(ROWS))
     parts = [values for values, _ in log.blocks(rows[:ROWS])]
     table_of_rows = np.vstack(parts) if parts else np.empty((0, len(log.columns)))
     return {name: table_of_rows[:, k] for k, name in enumerate(log.columns)}

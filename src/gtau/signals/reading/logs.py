@@ -6,8 +6,9 @@ Commands with separate time stamps are interpolated.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from difflib import get_close_matches
+from functools import partial
 from pathlib import Path
 from typing import cast
 
@@ -123,17 +124,13 @@ def read_logs(
         )
     position_scale, command_scale, time_scale = units.scale(signals)
     table = read_log(paths[0], (*times, *positions, *(commands if len(paths) == 1 and not stamps else ())))
-    files, aligned, rows = [table], None, part.rows(table)
-    if stamps:
-        aligned = _aligned(paths[0], paths[-1], signals, time_scale)
-        rows = aligned.rows[rows.start : rows.stop]
-        notes += table.notes
-        notes += [aligned.note] if aligned.note else []
-    elif len(paths) == 2:
+    files, rows, commands_at = [table], part.rows(table), None
+    if len(paths) == 2 and not stamps:
         files.append(replace(read_log(paths[1], commands), texts=table.texts))
-        notes += [note.of_source(file.path.name) for file in files for note in file.notes]
-    else:
-        notes += table.notes
+    notes += [note.of_source(file.path.name) if len(files) > 1 else note for file in files for note in file.notes]
+    if stamps:
+        inside, commands_at = _aligned(paths[0], paths[-1], signals, time_scale, notes)
+        rows = inside[rows.start : rows.stop]
     columns = [(k, name) for k, file in enumerate(files) for name in file.columns]
     wanted = [(0, name) for name in positions] + [(len(files) - 1, name) for name in commands if not stamps]
     order, at_times = [columns.index(column) for column in wanted], [columns.index((0, name)) for name in times]
@@ -144,8 +141,8 @@ def read_logs(
             progress(done)
             time = instants(signals, values[:, at_times], time_scale, row)
             logged = values[:, order]
-            if aligned is not None:
-                between = aligned.at(time)
+            if commands_at is not None:
+                between = commands_at(time)
                 between[np.isnan(logged).all(axis=1)] = np.nan  # rows that hold other topics
                 logged = np.hstack([logged, between])
             yield row, np.column_stack([_converted(signals, logged * [*position_scale, *command_scale]), time])
@@ -208,33 +205,24 @@ def _side_by_side(files: Sequence[Table], wanted: range) -> Iterator[tuple[np.nd
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Aligned:
-    """Time in s and commands, ``log`` (K, 1 + c); ``rows`` of the positions' log lie between the first and the last.
+def _interpolated(log: np.ndarray, longest: float, time: np.ndarray) -> np.ndarray:
+    """Interpolate commands (M, c) of a ``log`` (K, 1 + c) linearly at other instants (M,).
 
-    ``longest`` (s) is the step over which they are interpolated; beyond it they are missing. ``note`` reports it.
+    They are nan where the step between their stamps is longer than ``longest`` (s).
     """
-
-    log: np.ndarray
-    longest: float
-    rows: range
-    note: Finding | None
-
-    def at(self, time: np.ndarray) -> np.ndarray:
-        """Interpolate commands (M, c) linearly between stamps at other instants (M,); nan where they are missing."""
-        known = np.isfinite(time)
-        commands = np.full((len(time), self.log.shape[1] - 1), np.nan)
-        if not known.any():
-            return commands
-        begin = max(int(np.searchsorted(self.log[:, 0], np.min(time[known]), side="right")) - 1, 0)
-        end = int(np.searchsorted(self.log[:, 0], np.max(time[known]))) + 1
-        stamps, *logged = block(self.log, begin, end).T
-        after = np.clip(np.searchsorted(stamps, time[known], side="left"), 0, len(stamps) - 1)
-        before = np.maximum(after - (stamps[after] != time[known]), 0)
-        between = (stamps[after] - stamps[before] <= self.longest) & (stamps[after] >= time[known])
-        values = np.column_stack([np.interp(time[known], stamps, command) for command in logged])
-        commands[known] = np.where(between[:, None], values, np.nan)
+    known = np.isfinite(time)
+    commands = np.full((len(time), log.shape[1] - 1), np.nan)
+    if not known.any():
         return commands
+    begin = max(int(np.searchsorted(log[:, 0], np.min(time[known]), side="right")) - 1, 0)
+    end = int(np.searchsorted(log[:, 0], np.max(time[known]))) + 1
+    stamps, *logged = block(log, begin, end).T
+    after = np.clip(np.searchsorted(stamps, time[known], side="left"), 0, len(stamps) - 1)
+    before = np.maximum(after - (stamps[after] != time[known]), 0)
+    between = (stamps[after] - stamps[before] <= longest) & (stamps[after] >= time[known])
+    values = np.column_stack([np.interp(time[known], stamps, command) for command in logged])
+    commands[known] = np.where(between[:, None], values, np.nan)
+    return commands
 
 
 def _stamped(path: Path, stamps: Sequence[str], commands: Sequence[str], scale: float, what: str) -> np.ndarray:
@@ -261,12 +249,16 @@ def _stamped(path: Path, stamps: Sequence[str], commands: Sequence[str], scale: 
     return store(parts, (1 + len(commands),))
 
 
-def _aligned(path: Path, other_path: Path, signals: Signals, scale: float) -> Aligned:
-    """Compare the instants of positions with those of commands in the other log; ``scale`` is that of their columns."""
+def _aligned(
+    path: Path, other_path: Path, signals: Signals, scale: float, notes: list[Finding]
+) -> tuple[range, Callable[[np.ndarray], np.ndarray]]:
+    """Find the rows of positions between the first and the last command in the other log, and what interpolates these.
+
+    ``scale`` is that of the columns of both times.
+    """
     what = f"{signals.kind}s"
     log = _stamped(other_path, signals.command_time_columns, signals.measured, scale, what)
-    clock = logged_instants(path, signals, scale)
-    stamps = log[:, 0]
+    clock, stamps = logged_instants(path, signals, scale), log[:, 0]
     inside = np.flatnonzero((clock >= stamps[0]) & (clock <= stamps[-1]))
     finite = clock[np.isfinite(clock)]
     if not inside.size or not finite.size:
@@ -278,11 +270,11 @@ def _aligned(path: Path, other_path: Path, signals: Signals, scale: float) -> Al
     rows = range(int(inside[0]), int(inside[-1]) + 1)
     steps = [float(np.median(np.diff(time))) for time in (finite, stamps)]
     apart = float(np.median([_distance(part, stamps) for part in blocks(finite)]))
-    if apart <= CLOSE * min(steps) and len(rows) == len(clock):
-        return Aligned(log, LONGEST_STEP * max(steps), rows, None)
-    said = {"signal": what, "rate": 1 / steps[1], "position_rate": 1 / steps[0], "apart": apart * 1e3}
-    note = Finding(F.ALIGNED, values={**said, "left_out": len(clock) - len(rows)})
-    return Aligned(log, LONGEST_STEP * max(steps), rows, note)
+    if apart > CLOSE * min(steps) or len(rows) < len(clock):
+        rates = {"rate": 1 / steps[1], "position_rate": 1 / steps[0]}
+        values = {"signal": what, **rates, "apart": apart * 1e3, "left_out": len(clock) - len(rows)}
+        notes.append(Finding(F.ALIGNED, values=values))
+    return rows, partial(_interpolated, log, LONGEST_STEP * max(steps))
 
 
 def _distance(time: np.ndarray, stamps: np.ndarray) -> float:

@@ -53,7 +53,7 @@ class Part(Keys):
         """Return the rows of a log to read; raises GtauError where it lacks the episode."""
         if self.episode is None:
             return ALL[self.skip :]
-        episodes = table.data_set.episodes
+        episodes = table.episodes
         if self.episode not in episodes:
             there = f"{min(episodes)} to {max(episodes)}" if episodes else "not several ('episode_index')"
             raise GtauError(f"{table.path} has no episode {self.episode}; its episodes are {there}.")

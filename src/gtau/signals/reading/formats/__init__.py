@@ -25,27 +25,16 @@ WIDEST = 256  # columns of one array; a wider one is an image or a map, not sign
 ALL = range(1 << 62)  # rows
 
 
-@dataclass(frozen=True)
-class DataSet:
-    """What files beside a log say of it.
-
-    ``rate`` (Hz) at which its rows were recorded, ``labels`` of columns whose names do not say what they are, and the
-    rows of its ``episodes``, by their number, where there are several.
-    """
-
-    rate: float | None = None
-    labels: Mapping[str, str] = field(default_factory=dict)
-    episodes: Mapping[int, range] = field(default_factory=dict)
-
-
 @dataclass(frozen=True, eq=False)
 class Table:
     """Columns of a log, located but not yet read.
 
     ``frames`` reads columns by name, some rows of them: Polars frames, block by block, each with the fraction of the
-    log that is then read; what columns hold no numbers is refused there. Row 0 is in ``first_line`` of a text file;
-    other logs have rows, counted from 1. ``notes`` report what the reader left out. ``texts`` holds, as far as the log
-    has been read, of every column with a value that is no number the first one as written.
+    log that is then read; a column that holds no numbers is refused there. Row 0 is in ``first_line`` of a text file;
+    other logs have rows, counted from 1. ``notes`` report what the reader left out. What files beside the log say of it
+    are the ``rate`` (Hz) of its rows, ``labels`` of columns whose names do not say what they are, and the rows of its
+    ``episodes``, by their number, where there are several. ``texts`` holds, as far as the log has been read, of every
+    column with a value that is no number the first one as written.
     """
 
     path: Path
@@ -53,7 +42,9 @@ class Table:
     frames: Callable[[Sequence[str], range], Iterator[tuple[pl.DataFrame, float]]]
     first_line: int | None = None
     notes: tuple[Finding, ...] = ()
-    data_set: DataSet = DataSet()
+    rate: float | None = None
+    labels: Mapping[str, str] = field(default_factory=dict)
+    episodes: Mapping[int, range] = field(default_factory=dict)
     texts: dict[str, str] = field(default_factory=dict)
 
     @property

@@ -19,7 +19,7 @@ import numpy as np
 
 from gtau.documents.files import in_order
 from gtau.errors import GtauError
-from gtau.signals.reading.formats import WIDEST, DataSet, Table
+from gtau.signals.reading.formats import WIDEST, Table
 from gtau.signals.storage import block_size
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def _table(path: Path, parts: Sequence[Path], scan: Callable[[Path], pl.LazyFram
         if f"{feature}[{len(names)}]" in columns and f"{feature}[{len(names) + 1}]" not in columns
         for k, name in enumerate(names)
     }
-    return Table(path, tuple(columns), frames, data_set=DataSet(rate, labels, episodes))
+    return Table(path, tuple(columns), frames, rate=rate, labels=labels, episodes=episodes)
 
 
 def _columns(schema: Mapping[str, pl.DataType], table: pl.LazyFrame) -> dict[str, pl.Expr]:
