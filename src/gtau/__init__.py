@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from gtau.model.base_parameters import BaseParameters, base_parameters
     from gtau.model.home import load_robot
     from gtau.model.inverse_dynamics import InverseDynamics
-    from gtau.robots.readers.read import RobotSource
+    from gtau.robots.readers.source import RobotSource
     from gtau.robots.robot import Robot
     from gtau.signals.reading.columns import Signals
     from gtau.signals.reading.experiment import Experiment, read_experiment
@@ -104,7 +104,7 @@ _HOMES = {
     "Prior": "signals.reading.statements",
     "Result": "estimation.results.result",
     "Robot": "robots.robot",
-    "RobotSource": "robots.readers.read",
+    "RobotSource": "robots.readers.source",
     "Run": "signals.run",
     "Signals": "signals.reading.columns",
     "Simulation": "simulation.simulation_file",

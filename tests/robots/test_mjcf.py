@@ -19,7 +19,7 @@ from gtau.robots.readers.mjcf import as_written
 from gtau.robots.readers.mjcf_file import compile_mjcf
 from gtau.robots.readers.native import read_native
 from gtau.robots.readers.native_text import write_native
-from gtau.robots.readers.read import RobotSource
+from gtau.robots.readers.source import RobotSource
 from gtau.robots.readers.xml_document import read_xml
 from gtau.robots.robot import GROUND, INERTIAL, Coupling, Robot
 

@@ -98,7 +98,7 @@ def base_choice(text: str | None) -> Any:
     """Read ``--base``: a word, or three angles in rad."""
     if text is None or text in ("fixed", "floating"):
         return text
-    from gtau.robots.readers.read import angle
+    from gtau.robots.readers.source import angle
 
     angles = [part.strip() for part in text.split(",")]
     problem = "" if len(angles) == 3 else ";"

@@ -32,7 +32,8 @@ from gtau.model.loop_closure import (
 )
 from gtau.model.rounded_loops import DRAWN, with_exact_loops
 from gtau.robots.placement import pose_of
-from gtau.robots.readers.read import RobotSource, read_robot
+from gtau.robots.readers.read import read_robot
+from gtau.robots.readers.source import RobotSource
 from gtau.robots.robot import Pose, Robot
 
 # Below, lengths are in characteristic lengths of the robot, angles in rad.

@@ -3,14 +3,12 @@
 The base moves in the world by three slides and three turns without motors, about x, the turned y, and z of the base.
 The last of these six joints has the name of the base, and its link is the base. Their rows of the model are the six
 base equations: forces along, and moments about, their axes, of external forces.
-Measured wrenches act on the base, or on other bodies: a foot on a force plate, a flange that carries a force sensor.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -19,17 +17,6 @@ from gtau.robots.geometry import moved_ends
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.placement import Placement, Pose
 from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Joint, Robot, base_rows
-
-WRENCH = ("moment_x", "moment_y", "moment_z", "force_x", "force_y", "force_z")
-"""Components of a wrench, N m and N."""
-
-
-class WrenchFrame(NamedTuple):
-    """Frame of a wrench: the body on which it acts, and whether axes and origin are the world's or the body's."""
-
-    body: str
-    of_world: bool = False
-
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from math import atan2, cos, floor, log10, pi, sin
+from typing import NamedTuple
 
 import numpy as np
 
@@ -81,6 +82,20 @@ class Pose:
 
 
 Placement = Mdh | Pose
+
+
+WRENCH = ("moment_x", "moment_y", "moment_z", "force_x", "force_y", "force_z")
+"""Components of a wrench, N m and N."""
+
+
+class WrenchFrame(NamedTuple):
+    """Frame of a wrench: the body on which it acts, and whether axes and origin are the world's or the body's.
+
+    Measured wrenches act on a floating base, a foot on a force plate, a flange that carries a force sensor.
+    """
+
+    body: str
+    of_world: bool = False
 
 
 def compose(first: Placement, second: Placement) -> Pose:

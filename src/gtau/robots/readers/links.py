@@ -12,7 +12,7 @@ import numpy as np
 from gtau.documents.files import read_at_most
 from gtau.errors import GtauError
 from gtau.robots.placement import compose
-from gtau.robots.readers.read import Base
+from gtau.robots.readers.source import Base
 from gtau.robots.readers.urdf_tree import read_urdf_tree
 from gtau.robots.readers.xml_document import numbers
 from gtau.robots.robot import Placement, Pose

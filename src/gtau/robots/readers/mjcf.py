@@ -22,7 +22,7 @@ from gtau.robots.readers.inertias import mjcf_inertias, mjcf_masses
 from gtau.robots.readers.mjcf_bodies import read_bodies, read_equalities
 from gtau.robots.readers.mjcf_file import MjcfFile, angle_notes, compile_mjcf, mjcf_rounding, name_in
 from gtau.robots.readers.mjcf_tendons import actuators, fixed_tendons, limited_tendons, site_springs, tied_tendons
-from gtau.robots.readers.read import Base, BaseChoice
+from gtau.robots.readers.source import Base, BaseChoice
 from gtau.robots.readers.xml_document import read_xml
 from gtau.robots.robot import GROUND, Coupling, Joint, JointKind, Robot, RobotFile, base_rows
 

@@ -13,7 +13,7 @@ from gtau.robots.floating import base_joints, turning
 from gtau.robots.placement import compose, pose_of, rounded, turn
 from gtau.robots.readers.mjcf_file import name_in, pose_in, rotation_in
 from gtau.robots.readers.mjcf_tendons import attached_site
-from gtau.robots.readers.read import BASE_ADVICE, FLOATING, BaseChoice
+from gtau.robots.readers.source import BASE_ADVICE, FLOATING, BaseChoice
 from gtau.robots.readers.xml_document import position_limits
 from gtau.robots.robot import (
     GROUND,

@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
-from math import isfinite
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, FiniteFloat, Tag, field_validator
 
 from gtau.documents.files import ROBOT, refuse_other_kind
 from gtau.documents.yaml_document import read_yaml
@@ -19,99 +16,14 @@ from gtau.errors import GtauError
 from gtau.extensions import added, registered
 from gtau.robots.floating import drawn_base, float_base
 from gtau.robots.parts import hold_joints, listed, lock_joints, select_joints
-from gtau.robots.placement import DEGREES_ADVICE, Pose, in_degrees, rounded
-from gtau.robots.readers.expressions import evaluate
+from gtau.robots.placement import Pose, rounded
+from gtau.robots.readers.source import BASE_ADVICE, FLOATING, Base, BaseChoice, GivenLimits, RobotSource
 from gtau.robots.robot import Robot
 
 CATALOG = Path(__file__).parents[1] / "catalog"
 GROUP = "gtau.robots"  # of the entry points that name packages with robot files
 LOOPS = ("closed_loop", "name_mot")  # keys that distinguish a file of loops from a robot file
 ENDINGS = ".yaml, .urdf, .xml (MJCF), .par or .csv"
-
-
-FLOATING: Literal["floating"] = "floating"
-BASE_ADVICE = (
-    "write 'robot: {file: ..., base: fixed}' in the experiment file (--base fixed) if the robot was hung up or bolted "
-    "down, or 'base: floating' if its base moved and the motion is logged"
-)
-
-
-def _base(value: Any) -> Any:
-    if value == "fixed":
-        return {}
-    if isinstance(value, str) and value != FLOATING:
-        raise ValueError(
-            f"write 'fixed', how the base is turned, '{{rpy: [roll, pitch, yaw]}}' in rad, or 'floating', not '{value}'"
-        )
-    return value
-
-
-def angle(value: Any) -> Any:
-    """Evaluate an angle, rad, written as a number or an expression; refuse what looks like degrees."""
-    number = evaluate(value) if isinstance(value, str) else value
-    if isinstance(number, int | float) and isfinite(number) and in_degrees(number):
-        raise ValueError(f"{value} rad is more than a turn; {DEGREES_ADVICE}, such as deg({value})")
-    return number
-
-
-Angle = Annotated[FiniteFloat, BeforeValidator(angle)]
-
-
-class Base(BaseModel):
-    """A fixed base: ``rpy`` turns it in a world whose z axis points up, else its pose is that of the file."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    rpy: tuple[Angle, Angle, Angle] | None = None
-
-
-BaseChoice = Base | Literal["floating"] | None
-
-
-class GivenLimits(BaseModel):
-    """Limits of a joint in place of those of the robot's file, SI units."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    position: tuple[Angle, Angle] | None = None
-    velocity: Annotated[FiniteFloat, Field(gt=0)] | None = None
-    acceleration: Annotated[FiniteFloat, Field(gt=0)] | None = None
-    effort: Annotated[FiniteFloat, Field(gt=0)] | None = None
-
-    @field_validator("position")
-    @classmethod
-    def _in_order(cls, position: tuple[float, float] | None) -> tuple[float, float] | None:
-        if position is not None and position[0] >= position[1]:
-            raise ValueError(
-                f"the limits {position[0]:g} and {position[1]:g} are not in order; write the lower one first"
-            )
-        return position
-
-
-class RobotSource(BaseModel):
-    """A robot's file or catalog name, with the selected joints and the pose of its base.
-
-    ``base`` fixes a floating base, says how a fixed one is mounted, or lets it float. ``joints`` are patterns of the
-    joints that move; the others are held, at the positions in ``held`` or at home. ``limits`` replace those of the
-    file, by joint, and ``gravity`` its own, m/s2: zero where a driver compensates gravity in what it logs.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    file: str
-    base: Annotated[BaseChoice, BeforeValidator(_base)] = None
-    joints: tuple[str, ...] = ()
-    held: dict[str, FiniteFloat] = {}
-    limits: dict[str, GivenLimits] = {}
-    gravity: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
-
-
-def _text_or_group(value: Any) -> str:
-    return "text" if isinstance(value, str) else "group"
-
-
-AnySource = Annotated[Annotated[str, Tag("text")] | Annotated[RobotSource, Tag("group")], Discriminator(_text_or_group)]
-"""What a key 'robot' holds: a file or catalog name, or the group of a ``RobotSource``."""
 
 
 def catalog_names() -> tuple[str, ...]:

@@ -21,7 +21,7 @@ from gtau.documents.yaml_document import Document, read_yaml
 from gtau.errors import GtauError
 from gtau.robots.floating import drawn_base
 from gtau.robots.parts import without_idle_pins
-from gtau.robots.readers.read import BaseChoice
+from gtau.robots.readers.source import BaseChoice
 from gtau.robots.readers.urdf_tree import UrdfTree, read_urdf_tree
 from gtau.robots.readers.xml_document import decimals
 from gtau.robots.robot import GROUND, Attachment, Closure, Robot

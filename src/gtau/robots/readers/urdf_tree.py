@@ -23,7 +23,7 @@ from gtau.robots.placement import (
     short_angles_note,
 )
 from gtau.robots.readers.inertias import urdf_inertias, urdf_masses
-from gtau.robots.readers.read import BASE_ADVICE, FLOATING, BaseChoice
+from gtau.robots.readers.source import BASE_ADVICE, FLOATING, BaseChoice
 from gtau.robots.readers.xml_document import (
     LARGEST,
     all_numbers,

@@ -12,7 +12,7 @@ from gtau.documents.validation import PATH, Keys, Positive, takes, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.robots.parameter import Parameter
-from gtau.robots.readers.read import AnySource, RobotSource
+from gtau.robots.readers.source import AnySource, RobotSource
 from gtau.robots.robot import Robot
 from gtau.signals.channel import LINK_SIDE
 from gtau.signals.reading.columns import SampleRate, Signals
