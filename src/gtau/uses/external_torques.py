@@ -34,8 +34,7 @@ from gtau.robots.parameter import torque_unit
 from gtau.robots.robot import Placement
 from gtau.signals.run import Run
 from gtau.uses.identified import OBSERVED, functions, identified
-from gtau.uses.prediction import loaded_parameters, predict
-from gtau.uses.runs import suited
+from gtau.uses.prediction import loaded_parameters, predict, suited
 from gtau.uses.wrench import WrenchAlongLog, wrench_along_log
 
 if TYPE_CHECKING:

@@ -24,7 +24,7 @@ from gtau.robots.geometry import characteristic_length
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Placement
 from gtau.signals.run import Run
-from gtau.uses.runs import prepared_for
+from gtau.uses.prediction import prepared_for
 
 # Of the largest singular value of J^T, lengths over the robot's, down to which directions are seen, however precise the
 # torques: on a UR10e 0.06 is the least in a regular pose, 0.01 the wrist 3 degrees from straight. On seven of its logs

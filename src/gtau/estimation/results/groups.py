@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import Alternative
-from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.regression.dataset import base_of, model_of
 from gtau.estimation.results.estimate import (
-    Distances,
     FrictionCurve,
     Named,
     NearestPose,
@@ -31,6 +30,9 @@ from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.prepared_run import Preparation
 from gtau.signals.run import Run
+
+if TYPE_CHECKING:
+    from gtau.estimation.diagnostics.geometry import GeometryTest
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,8 +166,10 @@ class Evidence:
         What the experiment file requires, and what was found of it.
     singularities : tuple of NearestPose
         Where each run comes nearest to singularities of either type.
-    distances : tuple of Distances
-        The distances to singularities at each run's decimated samples; ``model.json`` does not hold them.
+    distances : tuple of ndarray
+        Of each run: ``time``, s, and distances to singularities, ``type_1`` and ``type_2``, at its decimated samples.
+        They are reciprocal condition numbers, 1 at best and 0 at a singularity, NaN where the robot has none of a type.
+        ``model.json`` does not hold them.
     """
 
     notes: tuple[Finding, ...] = ()
@@ -176,7 +180,7 @@ class Evidence:
     audit: InertiaAudit | None = None
     requirements: tuple[Requirement, ...] = ()
     singularities: tuple[NearestPose, ...] = ()
-    distances: tuple[Distances, ...] = ()
+    distances: tuple[np.ndarray, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "equation_friction", Named(self.equation_friction))

@@ -12,13 +12,11 @@ import numpy as np
 
 from gtau.display import late, views
 from gtau.estimation.diagnostics.alternatives import Alternative
-from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.friction.law import SHAPES, FrictionLaw, Shape
 from gtau.estimation.results.estimate import (
-    Distances,
     Estimate,
     FrictionCurve,
     Named,
@@ -42,6 +40,8 @@ from gtau.signals.run import Run
 
 if TYPE_CHECKING:
     import polars as pl
+
+    from gtau.estimation.diagnostics.geometry import GeometryTest  # noqa: F401 (in the text of a type)
 
 
 T = TypeVar("T")
@@ -128,13 +128,13 @@ class Result:
     equation_friction = Forwarded[Named[Parameter]](
         "evidence", "Friction in the equations that give gains and inertia."
     )
-    geometry = Forwarded[GeometryTest | None]("evidence", "What logged poses say of the robot's geometry.")
+    geometry = Forwarded["GeometryTest | None"]("evidence", "What logged poses say of the robot's geometry.")
     audit = Forwarded[InertiaAudit | None]("evidence", "How well the inertias of the robot's file predict.")
     requirements = Forwarded[tuple[Requirement, ...]](
         "evidence", "What the experiment file requires, and what was found of it."
     )
     singularities = Forwarded[tuple[NearestPose, ...]]("evidence", "Where each run comes nearest to singularities.")
-    distances = Forwarded[tuple[Distances, ...]]("evidence", "Distances to singularities along the runs.")
+    distances = Forwarded[tuple[np.ndarray, ...]]("evidence", "Times and distances to singularities, run by run.")
 
     def __repr__(self) -> str:
         gains = ", ".join(f"{joint} {gain}" for joint, gain in self.drive_gains.items())
