@@ -254,7 +254,7 @@ def _friction(
     """Make the torque of friction and offsets, by the friction law with parameters p, and the regressor of a load."""
     law, joints = model.result.friction_law, model.result.robot.joints
     names = (*model.result.base.standard, *model.terms)
-    values = dict(zip(names, ca.vertsplit(p), strict=True))
+    values: dict[str, ca.SX] = dict(zip(names, ca.vertsplit(p), strict=True))
     offsets = ca.vertcat(*(values.get(Parameter("off", joint.name), 0.0) for joint in joints))
 
     def scaled(load: ca.SX) -> tuple[ca.SX, ca.SX]:
