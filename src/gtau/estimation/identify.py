@@ -25,7 +25,7 @@ from gtau.estimation.experiment_runs import Options, Subject, geometry_of, optio
 from gtau.estimation.preconditions import Plan, plan, reduced, require_inputs, without_scale
 from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.plausibility import sensors_of
-from gtau.estimation.regression.unknowns import Estimates
+from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.results.build import evidence, fit_record, model_estimates, sensor_estimates
 from gtau.estimation.results.estimate import Requirement, TorqueError
 from gtau.estimation.results.friction_curves import friction_step

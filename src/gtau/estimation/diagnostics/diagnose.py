@@ -43,7 +43,7 @@ from gtau.estimation.diagnostics.verdict import (
     unexplained_shares,
 )
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.regression.unknowns import Estimates
+from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.thresholds.estimates import (
     APART,
     APART_REFUTED,

@@ -16,8 +16,8 @@ import numpy as np
 from gtau.estimation.diagnostics.alternatives import refitted
 from gtau.estimation.estimators.estimator import Fit, Iterate
 from gtau.estimation.estimators.newton import degrees_of_freedom, residuals, stacked
-from gtau.estimation.regression.equations import MODEL
-from gtau.estimation.regression.priors import inertia_priors, sizes_of, stated_inertias
+from gtau.estimation.regression.assembly import inertia_priors, sizes_of, stated_inertias
+from gtau.estimation.regression.factors import MODEL
 from gtau.estimation.thresholds.estimates import INERTIA_CHANCE, INERTIA_EXPLAINED
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F

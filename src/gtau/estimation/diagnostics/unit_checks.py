@@ -18,7 +18,7 @@ import numpy as np
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.diagnostics.verdict import half_widths, motors
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.regression.unknowns import Estimates
+from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.thresholds.estimates import (
     EFFORT_FACTOR,
     FILE_FACTOR,
