@@ -46,22 +46,11 @@ OBSERVED = {
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """Model from which torques are computed.
+    """Model from which torques are computed: its identification, and the robot's ``name`` as an identifier of C.
 
-    Attributes
-    ----------
-    result : Result
-        Its identification.
-    name : str
-        The robot's name as an identifier of C, MATLAB and Python.
-    parameters : tuple of Estimate
-        Base parameters, those of friction as the model predicts it, then the friction terms f3, fb and fl.
-    payloads : dict
-        Name of each identified or known payload to the values of all parameters (n_p,) with it.
-    gains : ndarray
-        Drive gains (n,), N m/A or N/A; torque scales where the logs hold torques.
-    units : tuple of str
-        ``N m`` or ``N`` for each actuated joint.
+    ``parameters`` are the base ones, those of friction as the model predicts it, then the friction terms f3, fb and fl;
+    ``payloads`` the values of all (n_p,) with each payload, by name. ``gains`` (n,) are N m/A or N/A, torque scales
+    where the logs hold torques; ``units`` of the actuated joints ``N m`` or ``N``.
     """
 
     result: Result
@@ -94,13 +83,7 @@ class Identified:
 
 
 def identified(result: Result) -> Identified:
-    """Collect the data of a result for exports of torques.
-
-    Raises
-    ------
-    GtauError
-        Where the result lacks a base parameter or a drive gain.
-    """
+    """Collect the data of a result for exports of torques; raises GtauError where it lacks a base parameter."""
     require_all_parameters(result)
     robot = result.robot
     terms = [term for name, term in result.friction.items() if name.kind not in (*TEMPERATURE_TERMS, *SHAPES)]
@@ -109,29 +92,6 @@ def identified(result: Result) -> Identified:
     units = tuple(torque_unit(robot, joint) for joint in robot.actuated)
     model = Identified(result, identifier(robot.name), parameters, {}, gains, units)
     return replace(model, payloads=_payloads(result, model.values))
-
-
-def torques(
-    model: Identified, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, values: np.ndarray | None = None
-) -> np.ndarray:
-    """Compute torques (N, n) in N m or N along a path of the actuated joints, (N, n) each.
-
-    Parameters
-    ----------
-    model : Identified
-        From :func:`identified`.
-    q, qd, qdd : ndarray
-        Positions, velocities and accelerations, SI units; the path begins near home.
-    values : ndarray, optional
-        Parameters (n_p,) other than the identified ones, those of a payload for instance.
-
-    Raises
-    ------
-    GtauError
-        Where the loops cannot be closed, or a pose is too close to a singularity.
-    """
-    idm = model.result.idm
-    return torques_of(model, idm.motion(q.T, qd.T, qdd.T), model.values if values is None else values).T
 
 
 def torques_of(model: Identified, motion: Motion, values: np.ndarray, z: np.ndarray | None = None) -> np.ndarray:
@@ -172,20 +132,12 @@ def notes_on(model: Identified) -> tuple[str, ...]:
 class Functions:
     """CasADi functions of one sample, all outputs dense.
 
-    Attributes
-    ----------
-    outputs : dict
-        By the names of ``OUTPUTS`` and ``OBSERVED``: functions of c and z (n_c + s,), qd, qdd (n,) and the parameters
-        (n_p,).
-    step, last_step : Function, optional
-        Configuration after a step of Newton's method and the size of its correction, rad or lengths over
-        ``length``; the last one also gives the condition number of the loops. None for a serial robot.
-    home : ndarray
-        Closed configuration to start from, with sliding joints, (n_c + s,).
-    actuated : ndarray
-        Indices of the actuated joints in c, (n,).
-    presliding : tuple
-        Of each state, its place behind c: its width, rad or m, and the ratios of actuated joints, by place in c.
+    ``outputs``, by the names of ``OUTPUTS`` and ``OBSERVED``, are functions of c and z (n_c + s,), qd, qdd (n,) and the
+    parameters (n_p,). ``step`` gives the configuration after a step of Newton's method and the size of its correction,
+    rad or lengths over ``length``, and ``last_step`` also the condition number of the loops; None for a serial robot.
+    ``home`` (n_c + s,) is a closed configuration to start from, with sliding joints, ``actuated`` (n,) the indices of
+    the actuated joints in c. ``presliding`` has of each state its width, rad or m, and the ratios of actuated joints,
+    by place in c.
     """
 
     outputs: dict[str, ca.Function]

@@ -187,10 +187,8 @@ def require_all_parameters(result: Result) -> None:
 def loaded_parameters(result: Result, payload: Payload | None, carrier: str) -> np.ndarray:
     """Add a ``payload`` to base parameters (n_b,): what it leaves out takes the identified values.
 
-    Raises
-    ------
-    GtauError
-        Where the model lacks a parameter, or nothing says how heavy the payload is that the ``carrier`` carries.
+    Raises GtauError where the model lacks a parameter, or nothing says how heavy the payload is that the ``carrier``
+    has.
     """
     require_all_parameters(result)
     chi = np.array([result.params[name] for name in result.base.names])
@@ -212,23 +210,12 @@ def on_tool(result: Result, payload: Mapping[str, float]) -> np.ndarray:
 
 
 def with_prediction_cutoffs(result: Result, runs: Sequence[Run]) -> Result:
-    """Choose the position filter of each joint for predictions, from runs that a model was identified from.
+    """Choose the position filter of each joint for predictions, from ``runs`` that a model was identified from.
 
     A lower cut-off loses the torque of fast motion, a higher one lets position noise pass, which inertia and friction
     turn into torque. Of each joint the highest is taken whose error against the raw torque exceeds the least by no more
-    than 1 %. A run with faster motion is filtered less, see :func:`gtau.signals.preparation.bandwidth.widened`.
-
-    Parameters
-    ----------
-    result : Result
-        The model; a position filter set by hand is kept.
-    runs : sequence of Run
-        Those of its identification.
-
-    Returns
-    -------
-    Result
-        With ``prediction_cutoffs`` and ``position_noise`` in its preparation.
+    than 1 %. A run with faster motion is filtered less, see :func:`gtau.signals.preparation.bandwidth.widened`. A
+    position filter set by hand is kept.
     """
     preparation, blocks = result.preparation, []
     if "position_filter" in preparation.given:

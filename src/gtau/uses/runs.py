@@ -19,24 +19,10 @@ from gtau.signals.run import Run, read_run
 
 
 def read_log(model: Result, log: str | Path, experiment: str | Path | None = None, part: Part = WHOLE) -> Run:
-    """Read a log to be used with a model.
+    """Read a log, or a ``part`` of it, to be used with a model; raises GtauError.
 
-    Parameters
-    ----------
-    model : Result
-        Of the robot.
-    log : path
-        The log.
-    experiment : path, optional
-        Experiment file whose ``signals`` and ``units`` name the columns; left out, they are ``t``, and for each joint
-        ``q`` and ``v`` with the joint's name (``tau`` where the model was identified from torques), SI units.
-    part : Part
-        Which part of the log is used.
-
-    Raises
-    ------
-    GtauError
-        Where the log or the experiment file cannot be read, or the columns are not there.
+    The ``signals`` and ``units`` of an experiment file name the columns; without it they are ``t``, and for each joint
+    ``q`` and ``v`` with the joint's name (``tau`` where the model was identified from torques), SI units.
     """
     if experiment is not None:
         described = read_experiment(experiment)
@@ -63,13 +49,7 @@ def carrying(model: Result, run: Run, payload: str) -> Run:
 
 
 def experiment_of(model: Result, path: str | Path) -> Experiment:
-    """Read an experiment file that is to be used with an identified model.
-
-    Raises
-    ------
-    GtauError
-        Where the file is wrong, or its robot or signals are not those of the model.
-    """
+    """Read an experiment file to be used with a model; raises GtauError where robot or signals are not the model's."""
     subject = describe(path)
     experiment = subject.experiment
     assert experiment is not None

@@ -74,18 +74,9 @@ def diagnose(
 ) -> tuple[Finding, ...]:
     """Collect what speaks against the estimates of a fit, and what the user should know beside that.
 
-    Parameters
-    ----------
-    fit, examined, estimates : Fit, Examination, Estimates
-        What was estimated, what the data say against it, and how well it is known.
-    payloads : mapping
-        Verdicts on known payloads, by name.
-    prior_gains : mapping
-        Gains expected, N m/A or N/A, by joint; may be empty.
-    accuracy : float
-        Half the relative width of the 95 % interval up to which a gain is good.
-    audit : InertiaAudit, optional
-        What the data say of the inertias of the robot's file.
+    ``payloads`` are verdicts on known payloads by name, ``prior_gains`` those expected, N m/A or N/A, by joint.
+    ``accuracy`` is half the relative width of the 95 % interval up to which a gain is good, and ``audit`` what the data
+    say of the inertias of the robot's file.
     """
     problem, robot = fit.system.problem, fit.dataset.robot
     findings = [

@@ -38,7 +38,7 @@ from gtau.estimation.thresholds.logs import (
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.lengths import VariableGeometry, variable_geometry
+from gtau.model.lengths import variable_geometry
 from gtau.progress import Progress, silent
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import Robot
@@ -102,27 +102,13 @@ class PoseResidual:
 class GeometryTest:
     """Test of a robot's geometry against logged poses.
 
-    Attributes
-    ----------
-    body, source : str
-        Whose pose, and from where; see :class:`gtau.signals.reading.body_columns.PoseColumns`.
-    outcome : {"confirmed", "other constants", "unexplained"}
-        The last where residuals too large for the robot are left, whatever constants change.
-    distances : mapping
-        Of what is logged of ``position`` and ``angle``, the rms distance between logged and computed poses, m and rad,
-        and what ``explained_by`` leaves of it.
-    explained_by : tuple of ConstantChange
-        Constants that together explain the residuals, if any do.
-    share : float
-        Of the residual variance that goes with them.
-    tried : tuple of ConstantChange
-        Each constant by itself, the best first.
-    unseen : tuple of str
-        Constants of which the poses say nothing, as the frames would explain the same or the closures hold them.
-    delay : tuple of float
-        By how much poses lag behind the positions, and its standard deviation, s.
-    residuals : tuple of PoseResidual
-        Component by component and run by run.
+    Of a ``body``, by a ``source``: see :class:`gtau.signals.reading.body_columns.PoseColumns`. The outcome is
+    ``confirmed``, ``other constants``, or ``unexplained`` where residuals too large for the robot are left, whatever
+    constants change. ``distances`` are, of what is logged of ``position`` and ``angle``, the rms distance between
+    logged and computed poses, m and rad, and what ``explained_by`` leaves of it: constants that together explain a
+    ``share`` of the residual variance. ``tried`` is each constant by itself, the best first; of those ``unseen`` the
+    poses say nothing, as the frames would explain the same or the closures hold them. Poses lag by ``delay`` behind the
+    positions, s, with a standard deviation.
     """
 
     body: str
@@ -318,45 +304,40 @@ def fit_frames(
     cannot be closed along them, or a run's time does not rise.
     """
     geometry = variable_geometry(model.robot, columns.body or model.robot.tool)
-    fit = _fit_delayed(model, geometry, columns, joints, logged, 0.0)
-    delay = float(np.clip(fit.frames.delay, -LONGEST, LONGEST))
-    # a delay by velocities alone is wrong by half the acceleration times its square, 0.4 mm at 20 ms of a quick arm
-    return _fit_delayed(model, geometry, columns, joints, logged, delay) if abs(delay) > SHORTEST else fit
-
-
-def _fit_delayed(
-    model: InverseDynamics,
-    geometry: VariableGeometry,
-    columns: PoseColumns,
-    joints: Sequence[str],
-    logged: Sequence[LoggedPoses],
-    delay: float,
-) -> PoseFit:
-    """Fit the frames, with the positions of the joints taken by a ``delay`` earlier than the poses."""
     order = [list(joints).index(joint) for joint in model.actuated]
     turning = [model.robot.joint(joint).turns for joint in model.actuated]
-    parts: list[tuple[np.ndarray, ...]] = []
-    for k, log in enumerate(logged):
-        q, time = np.array(log.q[:, order]), np.asarray(log.time)
-        q[:, turning] = np.unwrap(q[:, turning], axis=0)
-        count = min(max(SAMPLES // len(logged), 2 * STRETCHES), len(q) - 2 * APART)
-        at = np.unique(np.linspace(APART, len(q) - 1 - APART, count).round().astype(int))
-        step = time[at + APART] - time[at - APART]
-        if not (step > 0).all():
-            raise GtauError(f"run '{log.run}': its time does not rise at the logged poses; correct the time column.")
-        qd = (q[at + APART] - q[at - APART]) / step[:, None]
-        stretch = STRETCHES * k + np.arange(len(at)) * STRETCHES // len(at)
-        earlier = np.stack([np.interp(time[at] - delay, time, column) for column in q.T])
-        c = model.path(earlier, Labels(log.run, time[at]))
-        parts.append((np.asarray(log.values[at]), qd, time[at] - time[0], np.full(len(at), k), stretch, c.T))
-    values, qd, time, run, stretch, c = map(np.concatenate, zip(*parts, strict=True))
-    weights = np.ones(len(component_names(columns)))
-    poses = Poses(geometry, columns, values, qd, time, run, stretch, weights, delay)
-    fit = fit_poses(unfitted(poses, c.T.copy()), ())
-    assert fit is not None  # without other constants the loops stay closed
-    shown = np.flatnonzero(np.isfinite(fit.compared[2]).all(axis=(0, 1)))
-    rest = replace(fit, chosen=tuple(shown.tolist())).beyond(fit.residual).reshape(len(values), -1)
-    weights = 1 / np.maximum(np.sqrt(np.mean(rest**2, axis=0)), FLOOR)
-    weighed = fit_poses(replace(fit, poses=replace(poses, weights=weights)), ())
-    assert weighed is not None
-    return weighed
+
+    def fitted(delay: float) -> PoseFit:
+        """Fit the frames, with the positions of the joints taken by a ``delay`` earlier than the poses."""
+        parts: list[tuple[np.ndarray, ...]] = []
+        for k, log in enumerate(logged):
+            q, time = np.array(log.q[:, order]), np.asarray(log.time)
+            q[:, turning] = np.unwrap(q[:, turning], axis=0)
+            count = min(max(SAMPLES // len(logged), 2 * STRETCHES), len(q) - 2 * APART)
+            at = np.unique(np.linspace(APART, len(q) - 1 - APART, count).round().astype(int))
+            step = time[at + APART] - time[at - APART]
+            if not (step > 0).all():
+                raise GtauError(
+                    f"run '{log.run}': its time does not rise at the logged poses; correct the time column."
+                )
+            qd = (q[at + APART] - q[at - APART]) / step[:, None]
+            stretch = STRETCHES * k + np.arange(len(at)) * STRETCHES // len(at)
+            earlier = np.stack([np.interp(time[at] - delay, time, column) for column in q.T])
+            c = model.path(earlier, Labels(log.run, time[at]))
+            parts.append((np.asarray(log.values[at]), qd, time[at] - time[0], np.full(len(at), k), stretch, c.T))
+        values, qd, time, run, stretch, c = map(np.concatenate, zip(*parts, strict=True))
+        weights = np.ones(len(component_names(columns)))
+        poses = Poses(geometry, columns, values, qd, time, run, stretch, weights, delay)
+        fit = fit_poses(unfitted(poses, c.T.copy()), ())
+        assert fit is not None  # without other constants the loops stay closed
+        shown = np.flatnonzero(np.isfinite(fit.compared[2]).all(axis=(0, 1)))
+        rest = replace(fit, chosen=tuple(shown.tolist())).beyond(fit.residual).reshape(len(values), -1)
+        weights = 1 / np.maximum(np.sqrt(np.mean(rest**2, axis=0)), FLOOR)
+        fit = fit_poses(replace(fit, poses=replace(poses, weights=weights)), ())
+        assert fit is not None
+        return fit
+
+    fit = fitted(0.0)
+    delay = float(np.clip(fit.frames.delay, -LONGEST, LONGEST))
+    # a delay by velocities alone is wrong by half the acceleration times its square, 0.4 mm at 20 ms of a quick arm
+    return fitted(delay) if abs(delay) > SHORTEST else fit

@@ -113,14 +113,9 @@ def doubtful_commands(runs: Sequence[Run], robot: Robot) -> Iterator[Finding]:
 
 
 def require_payload_excitation(system: System) -> None:
-    """Refuse logs whose currents are explained as well without the payload as with it.
+    """Refuse logs whose currents are explained as well without the payload as with it; raises GtauError.
 
     Each joint's current is fitted by its own equations, once with the columns of all payloads and once with none.
-
-    Raises
-    ------
-    GtauError
-        Where no joint's residual grows without them: the currents never felt the payload.
     """
     problem, carried = system.problem, [columns for columns in system.payloads if columns.payload]
     n = len(problem.parameters)

@@ -64,11 +64,8 @@ def _turns(columns: PoseColumns) -> bool:
 def compare(poses: Poses, body: BodyPose, frames: Frames) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Compare logged poses with those of the body, computed from the positions, behind tracker and marker.
 
-    Returns
-    -------
-    tuple of ndarray
-        Logged less computed components (N, m), and their derivatives: by the steps of :meth:`Frames.moved`, (N, m, 7 +
-        6 runs), and by the constants, (N, m, constants); the points (runs, 3) about which the tracker turns.
+    Returns logged less computed components (N, m), and their derivatives: by the steps of :meth:`Frames.moved`, (N, m,
+    7 + 6 runs), and by the constants, (N, m, constants); and the points (runs, 3) about which the tracker turns.
     """
     columns, run = poses.columns, poses.run
     R_t, p_t, (R_m, p_m) = frames.tracker[0][run], frames.tracker[1][run], frames.marker

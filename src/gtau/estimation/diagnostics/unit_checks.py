@@ -219,23 +219,11 @@ def leg_differences(
 ) -> Iterator[Finding]:
     """Compare every leg's identified parameters with the mean of those of the legs of the same geometry.
 
-    Parameters
-    ----------
-    robot : Robot
-    terms : mapping
-        Base parameters that were identified, all or the essential ones, with what each regroups: only those that
-        regroup the same standard ones, leg by leg, are compared.
-    parameters : ndarray
-        Their values, (len(terms),).
-    covariance : ndarray
-        (len(terms), len(terms)).
-
-    Yields
-    ------
-    Finding
-        By leg that has like ones (of two like legs only the first) and parameter: the difference as ``share`` of the
-        mean of the others and in standard deviations, ``t``; and the ``probability`` that legs which are alike differ
-        by as much or more in all parameters together (Mahalanobis).
+    ``terms`` are base parameters (k,) that were identified, with what each regroups: only those that regroup the same
+    standard ones, leg by leg, are compared. ``parameters`` (k,) are their values, with ``covariance`` (k, k). Yields by
+    leg that has like ones (of two like legs only the first) and parameter: the difference as ``share`` of the mean of
+    the others and in standard deviations, ``t``; and the ``probability`` that legs which are alike differ by as much or
+    more in all parameters together (Mahalanobis).
     """
     from scipy.stats import chi2
 

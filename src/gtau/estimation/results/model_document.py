@@ -42,8 +42,7 @@ from gtau.estimation.results.estimate import (
     SensorEstimate,
     TorqueError,
 )
-from gtau.estimation.results.groups import Evidence, FitRecord, Model, ModelEstimates
-from gtau.estimation.results.payload import PayloadEstimate
+from gtau.estimation.results.groups import Evidence, FitRecord, Model, ModelEstimates, PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.extensions import registered
 from gtau.findings import Finding, FindingKind

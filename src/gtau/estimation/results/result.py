@@ -26,8 +26,7 @@ from gtau.estimation.results.estimate import (
     SensorEstimate,
     TorqueError,
 )
-from gtau.estimation.results.groups import Evidence, FitRecord, Model, ModelEstimates
-from gtau.estimation.results.payload import PayloadEstimate
+from gtau.estimation.results.groups import Evidence, FitRecord, Model, ModelEstimates, PayloadEstimate
 from gtau.estimation.results.predicted import Prediction, torque_errors
 from gtau.findings import Finding
 from gtau.model.base_parameters import BaseParameters
