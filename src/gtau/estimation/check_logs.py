@@ -20,7 +20,7 @@ from gtau.estimation.preconditions import estimator_for, plan, reduced, require_
 from gtau.estimation.regression.assembly import FEWEST_ROWS
 from gtau.estimation.regression.dataset import Dataset, model_of, robot_notes
 from gtau.estimation.regression.plausibility import prepare_runs
-from gtau.estimation.regression.rows import Labels
+from gtau.estimation.regression.rows import instants
 from gtau.estimation.results.conclusions import near_singularities, not_separated
 from gtau.estimation.results.estimate import NearestPose, distances_along, nearest_poses
 from gtau.findings import Finding, Severity
@@ -253,7 +253,7 @@ def _together(subject: Subject, dataset: Dataset) -> list[Finding]:
     else:
         with _noted(notes, F.SCALE):
             planned = plan(subject, dataset, system)
-    if planned is not None and planned.gains is None:
+    if planned is not None and planned[1] is None:  # gains that are estimated
         with _noted(notes, F.MODEL):
             require_payload_excitation(system)
     return notes
@@ -270,7 +270,7 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
         part, at = decimator.samples(outputs, len(prepared)), decimator.at(outputs)
         samples = prepared.samples(part.start, part.stop)
         masks.append(decimator.keep(samples.usable[:, :n], outputs))
-        q, labels = samples.q[at].T.copy(), Labels(run.name, samples.time[at])
+        q, labels = samples.q[at].T.copy(), instants(run.name, samples.time[at])
         path = model.path(q, labels, None if path is None else path[:, -1])
         still = np.zeros_like(q)
         distances.append(singularities(model).distances(model.rates(path, still, still, labels)).T)

@@ -19,7 +19,6 @@ from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
 from gtau.signals.reading.experiment import Experiment, check_robot, read_experiment
 from gtau.signals.reading.logged_run import LoggedRun
-from gtau.signals.reading.side_signals import read_poses
 from gtau.signals.reading.statements import Prior, StatedGain, as_priors
 from gtau.signals.run import Run, read_run
 
@@ -197,6 +196,7 @@ def geometry_of(
     if signals.pose is None:
         return None
     from gtau.estimation.diagnostics.geometry import geometry_test
+    from gtau.signals.reading.side_signals import read_poses
 
     logged = [read_poses(run.log, signals, experiment.units, run.part) for run in runs]
     return geometry_test(model, signals.pose, signals.joints, logged, progress)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from gtau.estimation.regression.column_blocks import TEMPERATURE_TERMS, known_va
 from gtau.estimation.regression.dataset import at_rate_of
 from gtau.estimation.regression.plausibility import check_wrenches, motor_to_joint_speed
 from gtau.estimation.regression.rows import Law, stream_torques
-from gtau.estimation.results.predicted import Prediction
 from gtau.estimation.results.result import Result
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter
@@ -29,6 +28,9 @@ from gtau.signals.preparation.prepared_run import PreparedRun, prepare
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 from gtau.signals.storage import spans
+
+if TYPE_CHECKING:
+    from gtau.estimation.results.predicted import Prediction
 
 SAMPLES = 1 << 14  # of all runs together, from the middle of each
 STEP = np.sqrt(2.0)  # between the cut-offs tried
@@ -67,6 +69,8 @@ def predict(result: Result, run: Run, external: np.ndarray | None = None) -> Pre
 
     ``external`` (N, n) are torques of the environment on the joints: load for their friction, N m or N.
     """
+    from gtau.estimation.results.predicted import Prediction
+
     prepared, moving = prepared_for(result, run)
     run, decimator, time = prepared.run, prepared.preparation.decimator, np.asarray(prepared.time)
     chi = loaded_parameters(result, run.payload, f"run '{run.name}'")

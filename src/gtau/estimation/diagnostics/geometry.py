@@ -25,7 +25,7 @@ from gtau.estimation.diagnostics.pose_fit import (
     jackknife_std,
     unfitted,
 )
-from gtau.estimation.regression.rows import Labels
+from gtau.estimation.regression.rows import instants
 from gtau.estimation.thresholds.logs import (
     GEOMETRY_ALIKE,
     GEOMETRY_CHANGE,
@@ -323,7 +323,7 @@ def fit_frames(
             qd = (q[at + APART] - q[at - APART]) / step[:, None]
             stretch = STRETCHES * k + np.arange(len(at)) * STRETCHES // len(at)
             earlier = np.stack([np.interp(time[at] - delay, time, column) for column in q.T])
-            c = model.path(earlier, Labels(log.run, time[at]))
+            c = model.path(earlier, instants(log.run, time[at]))
             parts.append((np.asarray(log.values[at]), qd, time[at] - time[0], np.full(len(at), k), stretch, c.T))
         values, qd, time, run, stretch, c = map(np.concatenate, zip(*parts, strict=True))
         weights = np.ones(len(component_names(columns)))
