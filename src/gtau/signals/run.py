@@ -12,7 +12,7 @@ import numpy as np
 from gtau.documents.validation import FUNCTION, name_problem, read_group, takes
 from gtau.errors import GtauError
 from gtau.findings import Finding
-from gtau.robots.floating import WrenchFrame
+from gtau.robots.placement import WrenchFrame
 from gtau.robots.robot import base_rows
 from gtau.signals.channel import BASE, SENSOR, Channel, channels_of
 from gtau.signals.reading.columns import Signals

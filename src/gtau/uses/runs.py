@@ -10,8 +10,7 @@ from typing import Any
 from gtau.errors import GtauError
 from gtau.estimation.experiment_runs import describe
 from gtau.estimation.results.result import Result
-from gtau.robots.file import RobotFile
-from gtau.robots.robot import Limits, Robot
+from gtau.robots.robot import Limits, Robot, RobotFile
 from gtau.signals.reading.experiment import Experiment, read_experiment
 from gtau.signals.reading.samples import WHOLE, Part
 from gtau.signals.reading.statements import Payload

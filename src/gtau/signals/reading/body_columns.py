@@ -14,8 +14,7 @@ from pydantic import Field, FiniteFloat, field_validator, model_validator
 
 from gtau.documents.validation import Keys
 from gtau.errors import GtauError
-from gtau.robots.floating import WrenchFrame
-from gtau.robots.geometry import turn
+from gtau.robots.placement import WrenchFrame, turn
 from gtau.robots.robot import base_rows
 
 VERTICAL = np.array([0.0, 0.0, 1.0])
