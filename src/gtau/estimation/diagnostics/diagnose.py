@@ -17,13 +17,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import friction_levels, rms_speeds, rms_torques
 from gtau.estimation.diagnostics.effort import stated_meaning
 from gtau.estimation.diagnostics.examine import Examination
-from gtau.estimation.diagnostics.inertia_audit import InertiaAudit, prior_findings
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
 from gtau.estimation.diagnostics.other_estimators import position_noise
 from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings
@@ -60,6 +60,9 @@ from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import regrouped, whole_mass
 from gtau.robots.parameter import Parameter, unit_of
 
+if TYPE_CHECKING:
+    from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
+
 WIDTH = 1.96  # standard deviations in half a 95 % interval
 
 
@@ -79,12 +82,17 @@ def diagnose(
     say of the inertias of the robot's file.
     """
     problem, robot = fit.system.problem, fit.dataset.robot
+    of_file: list[Finding] = []
+    if audit is not None:
+        from gtau.estimation.diagnostics.inertia_audit import prior_findings
+
+        of_file = prior_findings(audit)
     findings = [
         *(_wrench_contradictions(fit) if robot.floating else ()),
         *_impossible_parameters(fit, estimates),
         *unlike_legs(fit, estimates),
         *_wrong_priors(fit, estimates, accuracy),
-        *prior_findings(audit),
+        *of_file,
         *units_and_signs(fit, estimates, prior_gains, audit),
         *position_noise(fit, examined.alternatives),
         *(examined.ripple.causes if examined.ripple else ()),
@@ -130,7 +138,7 @@ def channel_verdicts(fit: Fit, estimates: Estimates, findings: Sequence[Finding]
     std = np.sqrt(np.diag(estimates.random))[unknowns.delays]
     period = 1 / min(run.rate for run in fit.dataset.runs)
     delays = delay_verdicts(fit.system.problem, fit.solution, std, period) if std.any() else [GOOD] * len(std)
-    of_delays = dict(zip(unknowns.select("delay"), delays, strict=True))
+    of_delays = dict(zip(unknowns[unknowns.delays], delays, strict=True))
     return {Parameter("gain", joint): verdict for joint, verdict in gains.items()} | of_delays
 
 

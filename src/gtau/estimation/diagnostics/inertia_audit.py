@@ -283,9 +283,9 @@ def _freed(rows: np.ndarray, torque: np.ndarray, G: np.ndarray) -> tuple[float, 
     return float(rest @ rest), G @ x
 
 
-def prior_findings(audit: InertiaAudit | None) -> list[Finding]:
+def prior_findings(audit: InertiaAudit) -> list[Finding]:
     """Find the links whose inertias in the file, taken as priors, the data contradict."""
-    if audit is None or not audit.prior:
+    if not audit.prior:
         return []
     wrong = audit.of("contradicted")
     listed = {

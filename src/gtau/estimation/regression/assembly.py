@@ -165,7 +165,7 @@ def inertia_priors(robot: Robot, std: float) -> dict[str, Prior]:
 
 def _heavy(robot: Robot) -> list[str]:
     """List the bodies that have a mass in the model."""
-    return [each.name for each in robot.joints if each.has_mass] + [each.name for each in robot.platforms]
+    return [joint.name for joint in robot.joints if joint.has_mass] + [body.name for body in robot.platforms]
 
 
 def known_equations(

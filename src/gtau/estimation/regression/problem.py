@@ -34,10 +34,6 @@ class Unknowns(tuple[Parameter, ...]):
         """Find the places of some unknowns, in their order."""
         return [self.places[name] for name in names]
 
-    def select(self, kind: str | None = None, body: str | None = None) -> Unknowns:
-        """Select the unknowns of a kind, of a body, joint or channel, or of both."""
-        return Unknowns(name for name in self if kind in (None, name.kind) and body in (None, name.body))
-
     @cached_property
     def theta(self) -> slice:
         """Those of the model."""
@@ -54,7 +50,7 @@ class Unknowns(tuple[Parameter, ...]):
         return self._of("delay")
 
     def _of(self, kind: str) -> slice:
-        places = self.at(self.select(kind))
+        places = [k for k, name in enumerate(self) if name.kind == kind]
         return slice(places[0], places[-1] + 1) if places else slice(len(self), len(self))
 
 
@@ -89,8 +85,7 @@ class Estimates:
         if self.freedom is None:
             return None
         scatter, total = np.diag(self.scatter), np.diag(self.covariance)
-        share = np.divide(total, scatter, out=np.ones_like(total), where=scatter > 0)
-        return np.asarray(self.freedom * share**2)
+        return self.freedom * np.divide(total, scatter, out=np.ones_like(total), where=scatter > 0) ** 2
 
     def __getitem__(self, name: str) -> float:
         """Value of an unknown."""
@@ -341,10 +336,10 @@ class Problem:
         # columns that depended on others still do if these are all there, or if there are none
         now = {old: new for new, old in enumerate(columns)}
         independent = tuple(
-            [now[k] for k in own if k in now]
-            if now.keys() >= set(own) or len(own) == np.count_nonzero(R[:, : KNOWN + 1].any(axis=0))
+            [now[k] for k in chosen if k in now]
+            if now.keys() >= set(chosen) or len(chosen) == np.count_nonzero(R[:, : KNOWN + 1].any(axis=0))
             else _independent(T)
-            for own, R, T in zip(self.own_columns, self.triangles, triangles, strict=True)
+            for chosen, R, T in zip(self.own_columns, self.triangles, triangles, strict=True)
         )
         blocks = self.blocks[..., columns]
         return replace(self, parameters=kept, blocks=blocks, known=known, factored=triangles, independent=independent)

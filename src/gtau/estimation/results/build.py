@@ -66,11 +66,9 @@ def model_estimates(
     temperatures = reference_temperatures(fit)
     sensors = {channel.name for channel in channels if channel.kind.link_side}
     given = {Parameter("gain", sensor) for sensor in sensors}
+    listed = [name for name in predicting.unknowns if name not in given]
     order = {"gain": 1, "delay": 2}  # behind the parameters
-    listed = sorted(
-        (name for name in predicting.unknowns if name not in given),
-        key=lambda name: order.get(name.kind, 0),
-    )
+    listed.sort(key=lambda name: order.get(name.kind, 0))
     return ModelEstimates(
         drive_gains=Named(_gains(fit, predicting, verdicts)),
         delays=Named((joint, _delay(predicting, joint, joint, verdicts)) for joint in dataset.model.actuated),

@@ -100,8 +100,8 @@ def friction_unit(name: Parameter, robot: Robot, temperatures: ReferenceTemperat
 
 def _errors(group: FrictionGroup, candidate: Candidate) -> list[tuple[float, float]]:
     """Compute the rms of error and torque of each motor over all its rows."""
-    left = np.append(-candidate.M @ candidate.x, 1.0)
-    squares = np.einsum("p,bmpq,q->m", left, group.G, left) / group.weights**2
+    error = np.append(-candidate.M @ candidate.x, 1.0)
+    squares = np.einsum("p,bmpq,q->m", error, group.G, error) / group.weights**2
     counts = np.maximum(group.signals[:, 0], 1)
     rms, signal = np.sqrt(np.maximum(squares, 0.0) / counts), np.sqrt(group.signals[:, 1] / counts)
     return list(zip(rms.tolist(), signal.tolist(), strict=True))

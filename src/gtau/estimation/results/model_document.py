@@ -54,9 +54,6 @@ from gtau.signals.channel import SENSOR, ChannelKind, link_side_kind
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import Preparation
 
-WRITTEN = {"between_run_std": "spread"}
-"""Keys of fields with other names."""
-
 
 def _with(*properties: str) -> PlainSerializer:
     """Write a record with what follows from its fields."""
@@ -85,12 +82,12 @@ def _estimate(estimate: Estimate, *more: str, key: str = "name") -> dict[str, An
         "model_std": estimate.model_std,
         "unit": estimate.unit,
         **_verdict(estimate.verdict),
-        **{WRITTEN.get(name, name): getattr(estimate, name) for name in more},
+        **{name.replace("between_run_std", "spread"): getattr(estimate, name) for name in more},
     }
 
 
 def _verdict(verdict: Verdict) -> dict[str, Any]:
-    finding = None if verdict.finding is None else finding_document(verdict.finding)
+    finding = verdict.finding and finding_document(verdict.finding)
     return {"outcome": verdict.outcome.value, "finding": finding, "why": verdict.why, "advice": verdict.advice}
 
 
@@ -100,17 +97,14 @@ def _listed(*more: str, key: str = "name") -> PlainSerializer:
 
 
 def _by_name(estimates: tuple[Estimate, ...]) -> dict[str, Estimate]:
-    named = {estimate.name: estimate for estimate in estimates}
-    if len(named) < len(estimates):
+    if len(named := {estimate.name: estimate for estimate in estimates}) < len(estimates):
         raise ValueError("a name is used twice; remove one entry")
     return named
 
 
 def _by_parameter(estimates: dict[str, Estimate]) -> dict[Parameter, Estimate]:
-    return {
-        parameter_of(name, regrouped=len(estimate.regrouping.split()) > 1): estimate
-        for name, estimate in estimates.items()
-    }
+    regrouped = {name: len(estimate.regrouping.split()) > 1 for name, estimate in estimates.items()}
+    return {parameter_of(name, regrouped=regrouped[name]): estimate for name, estimate in estimates.items()}
 
 
 def _alternative(alternative: Alternative) -> dict[str, Any]:
