@@ -50,7 +50,7 @@ class Table:
     @property
     def numbered(self) -> bool:
         """True where the log has no header, and its columns are named by their number."""
-        return self.columns == numbers(len(self.columns))
+        return self.columns != () and self.columns == numbers(len(self.columns))
 
     def blocks(self, rows: range = ALL) -> Iterator[tuple[np.ndarray, float]]:
         """Read numbers (M, columns), nan where a value is missing or not a number, with the fraction read so far."""
