@@ -38,12 +38,8 @@ def check(
     Those that are repeated are dropped, angles that wrap around are unwrapped. Samples of a joint whose command is
     clipped at a limit are masked, and outliers of positions are interpolated. Irregular sampling is resampled at the
     mean rate: cubic splines for positions, lines for commands; see :mod:`gtau.signals.repair.clock` for what the
-    samples' instants are, unless that is ``given``. ``notes`` report every repair.
-    Also returns the share of whole numbers among the joints' commands as logged.
-
-    Raises GtauError where the log has fewer than 100 samples, more than 5 % of them bad or missing, a gap of more than
-    0.1 s (or three steps), reversed time, a command that never changes or is clipped in more than a tenth of the
-    samples, a position that jumps or freezes, no moving joint, or values that cannot be right.
+    samples' instants are, unless that is ``given``. ``notes`` report every repair. Raises GtauError where values cannot
+    be right, or too many are missing. Also returns the share of whole numbers among the joints' commands as logged.
     """
     ends = extremes(samples.command)  # repairs leave them
     _refuse_stuck(samples, ends, notes)
