@@ -31,7 +31,7 @@ from gtau.model.loop_closure import (
     with_round_motors,
 )
 from gtau.model.rounded_loops import DRAWN, with_exact_loops
-from gtau.robots.geometry import pose_of
+from gtau.robots.placement import pose_of
 from gtau.robots.readers.read import read_robot
 from gtau.robots.readers.source import RobotSource
 from gtau.robots.robot import Pose, Robot
@@ -93,7 +93,7 @@ def load_robot(
     else:
         options: dict[str, Any] = {"file": str(source), "base": base, "joints": tuple(joints), "held": dict(held or {})}
         options["limits"] = dict(limits or {})
-        described, name = validate(RobotSource, Document(Path("load_robot"), options, {})), str(source)
+        described, name = validate(RobotSource, Document("load_robot", options)), str(source)
     robot = read_robot(described)
     try:
         return close_home(robot)

@@ -14,7 +14,7 @@ from gtau.robots.parameter import command_unit, position_unit
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.bandwidth import spectra
 from gtau.signals.preparation.prepared_run import Preparation
-from gtau.signals.reading.logs import read_logs
+from gtau.signals.reading.logs import logged_instants
 from gtau.signals.run import Run
 from gtau.signals.storage import block, spans
 
@@ -139,8 +139,7 @@ def _steps(run: Run) -> Panel:
     """Draw steps of the time column over time, in samples of the grid."""
     log = run.log
     assert log.signals is not None and log.units is not None  # noqa: PT018 (it has files)
-    _, parts = read_logs(log.paths, log.signals, log.units, [])
-    stamps = np.concatenate([values[:, -1] for values in parts])
+    stamps = logged_instants(log.paths[0], log.signals, log.units.scale(log.signals)[2])
     begin, end, period = float(run.time[0]), float(run.time[-1]), 1 / run.rate
     stamps = stamps[(stamps >= begin - period) & (stamps <= end + period)]  # without those that are not finite
     time, steps = stamps[1:], np.diff(stamps) / period
@@ -151,7 +150,7 @@ def _steps(run: Run) -> Panel:
 
 def _used(log: LogCheck) -> Panel:
     """Draw which decimated rows of each joint are used: bars; the gaps are reversals, rests and masked samples."""
-    time, series = log.distances.time - float(log.run.time[0]), []
+    time, series = log.distances["time"] - float(log.run.time[0]), []
     for j in range(len(log.run.joints)):
         edges = np.flatnonzero(np.diff(np.r_[False, log.used[:, j], False]))
         ends = np.column_stack([time[edges[::2]], time[np.minimum(edges[1::2], len(time) - 1)]])

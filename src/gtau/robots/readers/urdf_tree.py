@@ -6,14 +6,22 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.robots.file import Digits, RobotFile, digits_of
-from gtau.robots.geometry import ROUNDING, compose, in_degrees, rounded, short_angles_note, written_pose
+from gtau.robots.floating import turning
+from gtau.robots.placement import (
+    ROUNDING,
+    Digits,
+    compose,
+    digits_of,
+    exact_placement,
+    in_degrees,
+    rounded,
+    short_angles_note,
+)
 from gtau.robots.readers.inertias import urdf_inertias, urdf_masses
 from gtau.robots.readers.source import BASE_ADVICE, FLOATING, BaseChoice
 from gtau.robots.readers.xml_document import (
@@ -26,19 +34,17 @@ from gtau.robots.readers.xml_document import (
     position_limits,
     read_xml,
 )
-from gtau.robots.robot import GROUND, Attachment, Coupling, Joint, Limits, Placement, Pose
+from gtau.robots.robot import GROUND, Attachment, Coupling, Joint, JointKind, Limits, Placement, Pose, RobotFile
 
-Kind = Literal["revolute", "prismatic"]
 LOOSE = ("floating", "planar")
 TURNS = {"SPHERICAL": "xyz", "CARDAN": "xy", "UJOINT_XY": "xy", "UJOINT_YZ": "yz", "UJOINT_ZX": "zx"}
 """Axes, in turn, of joints that a URDF cannot describe."""
-KINDS: dict[str, Kind | None] = {
+KINDS: dict[str, JointKind | None] = {
     "revolute": "revolute",
     "continuous": "revolute",
     "prismatic": "prismatic",
     "fixed": None,
 }
-AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 @dataclass(frozen=True)
@@ -46,10 +52,10 @@ class _Edge:
     """A URDF joint as written in the file."""
 
     name: str
-    kind: Kind | None  # None where nothing moves
+    kind: JointKind | None  # None where nothing moves
     parent: str
     child: str
-    origin: Pose
+    origin: Placement
     short: float  # largest change (rad) of an angle of its origin
     element: Element
 
@@ -59,8 +65,7 @@ class UrdfTree:
     """Tree described by a URDF file.
 
     ``frames`` says where the frame of every joint (after its motion) and of every link is fixed; as in Pinocchio, a
-    joint's frame and that of the link it moves are the same. ``carried`` are the links by the moving joint whose link
-    they are part of, ``root`` is the file's outermost element.
+    joint's frame and that of the link it moves are the same. ``root`` is the file's outermost element.
     """
 
     name: str
@@ -68,7 +73,6 @@ class UrdfTree:
     couplings: tuple[Coupling, ...]
     frames: Mapping[str, Attachment]
     root: Element
-    carried: Mapping[str, str]
     file: RobotFile
 
 
@@ -97,11 +101,10 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
         _check_circles(couplings)
         slaves = {coupling.joint for coupling in couplings}
         joints = tuple(replace(joint, actuated=joint.name not in slaves) for joint in joints)
-        carried = _carried(ordered)
-        notes = (*urdf_masses(root, carried), *_limit_notes(ordered))
+        notes = (*urdf_masses(root, frames), *_limit_notes(ordered))
         notes += (*_reduction_notes(root), *short_angles_note({edge.name: edge.short for edge in ordered}))
         file = RobotFile(path.name, notes, inertias=urdf_inertias(root, frames), rounding=_rounding(root))
-        return UrdfTree(root.get("name") or path.stem, joints, couplings, frames, root, carried, file)
+        return UrdfTree(root.get("name") or path.stem, joints, couplings, frames, root, file)
     except GtauError as error:
         raise GtauError(f"{path}: {error}") from None
 
@@ -220,33 +223,6 @@ def _moving(ordered: list[_Edge], types: Mapping[str, str]) -> tuple[tuple[Joint
     return tuple(joints), frames
 
 
-def turning(name: str, antecedent: str, placement: Placement, axes: str) -> list[Joint]:
-    """Make a spherical or universal joint: revolute ones about `axes` in turn, with massless links in between."""
-    chain = [f"{name}_{axis}" for axis in axes[:-1]] + [name]
-    return [
-        Joint(
-            link,
-            chain[k - 1] if k else antecedent,
-            "revolute",
-            Pose() if k else placement,
-            AXES[axes[k]],
-            parameters="inertial" if link == name else "none",
-        )
-        for k, link in enumerate(chain)
-    ]
-
-
-def _carried(ordered: list[_Edge]) -> dict[str, str]:
-    """Map each moving link to the moving joint that carries it."""
-    carriers: dict[str, str] = {}
-    for edge in ordered:
-        if edge.kind is not None:
-            carriers[edge.child] = edge.name
-        elif edge.parent in carriers:
-            carriers[edge.child] = carriers[edge.parent]
-    return carriers
-
-
 def _mimic(edge: _Edge) -> Coupling | None:
     mimic = edge.element.find("mimic")
     if mimic is None or edge.kind is None:
@@ -289,7 +265,7 @@ def _reduction_notes(root: Element) -> Iterator[str]:
         )
 
 
-def _origin(element: Element, name: str) -> tuple[Pose, float]:
+def _origin(element: Element, name: str) -> tuple[Placement, float]:
     origin = element.find("origin")
     if origin is None:
         return Pose(), 0.0
@@ -299,7 +275,8 @@ def _origin(element: Element, name: str) -> tuple[Pose, float]:
             f"line {line_of(origin)}: rpy of joint '{name}' holds {degrees[0]:g}; angles are in rad, so divide it by "
             f"57.2958 if it is in degrees."
         )
-    return written_pose(xyz, rpy)
+    x, y, z, roll, pitch, yaw = *xyz, *rpy
+    return exact_placement(Pose((x, y, z), (roll, pitch, yaw)))
 
 
 def _axis(edge: _Edge) -> tuple[float, float, float]:
@@ -318,33 +295,31 @@ def _limits(edge: _Edge) -> Limits:
     limit = edge.element.find("limit")
     if limit is None:
         return Limits()
-    values = {
-        key: numbers(text, 1, f"{key} of joint '{edge.name}'", endless=True)[0]
-        for key in ("lower", "upper", "velocity", "effort")
-        if (text := limit.get(key)) is not None
-    }
-    endless = edge.element.get("type") == "continuous" or not values.keys() & {"lower", "upper"}
-    low, high = values.get("lower", 0.0), values.get("upper", 0.0)
-    velocity, effort = values.get("velocity", 0.0), values.get("effort", 0.0)
+    velocity, effort = (_limit(edge, limit, key) for key in ("velocity", "effort"))
+    stated = _range(edge)
     return Limits(
-        position=None if endless else position_limits(low, high),
+        position=position_limits(*stated) if stated else None,
         velocity=velocity if 0.0 < velocity <= LARGEST else None,
         effort=effort if 0.0 < effort <= LARGEST else None,
     )
 
 
+def _limit(edge: _Edge, limit: Element, key: str) -> float:
+    return numbers(limit.get(key, "0"), 1, f"{key} of joint '{edge.name}'", endless=True)[0]
+
+
+def _range(edge: _Edge) -> tuple[float, float] | None:
+    """Read the position limits of a joint; None where it has none."""
+    limit = edge.element.find("limit")
+    if limit is None or not {"lower", "upper"}.intersection(limit.keys()):
+        return None
+    low, high = (_limit(edge, limit, key) for key in ("lower", "upper"))
+    return None if edge.element.get("type") == "continuous" else (low, high)
+
+
 def _limit_notes(ordered: list[_Edge]) -> Iterator[str]:
     """Note position limits with an empty range, which are ignored."""
-    dropped = []
-    for edge in ordered:
-        limit = edge.element.find("limit")
-        if edge.kind is None or limit is None or _limits(edge).position or edge.element.get("type") == "continuous":
-            continue
-        low, high = (
-            numbers(limit.get(key, "0"), 1, f"{key} of joint '{edge.name}'", endless=True)[0]
-            for key in ("lower", "upper")
-        )
-        if {"lower", "upper"}.intersection(limit.keys()) and low >= high:
-            dropped.append(f"'{edge.name}' ({low:g} to {high:g})")
+    ranges = [(edge.name, *(_range(edge) or (0.0, 1.0))) for edge in ordered if edge.kind is not None]
+    dropped = [f"'{name}' ({low:g} to {high:g})" for name, low, high in ranges if low >= high]
     if dropped:
         yield f"empty position limits were ignored: joint {', '.join(dropped)}"
