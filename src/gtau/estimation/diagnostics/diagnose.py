@@ -119,13 +119,9 @@ def diagnose(
     # their advice depends on whether there is a payload, or a wrench on a body or a floating base
     context = {"payload": bool(fit.system.payloads), "wrenches": bool(problem.wrenches or problem.base)}
     halves = half_widths(fit, estimates) if fit.free_gains else np.zeros(0)
+    advised = (replace(finding, values={**context, **finding.values}) for finding in findings)
     return tuple(
-        replace(
-            finding,
-            values={**context, **finding.values},
-            size=finding.size if finding.kind in OUTCOMES else _moves(finding, halves),
-        )
-        for finding in findings
+        finding if finding.kind in OUTCOMES else replace(finding, size=_moves(finding, halves)) for finding in advised
     )
 
 
