@@ -82,22 +82,20 @@ def diagnose(
     say of the inertias of the robot's file.
     """
     problem, robot = fit.system.problem, fit.dataset.robot
-    of_file: list[Finding] = []
-    if audit is not None:
-        from gtau.estimation.diagnostics.inertia_audit import prior_findings
-
-        of_file = prior_findings(audit)
     findings = [
         *(_wrench_contradictions(fit) if robot.floating else ()),
         *_impossible_parameters(fit, estimates),
         *unlike_legs(fit, estimates),
         *_wrong_priors(fit, estimates, accuracy),
-        *of_file,
         *units_and_signs(fit, estimates, prior_gains, audit),
         *position_noise(fit, examined.alternatives),
         *(examined.ripple.causes if examined.ripple else ()),
         *repeated_motion_findings(fit, examined.alternatives),
     ]
+    if audit is not None:
+        from gtau.estimation.diagnostics.inertia_audit import prior_findings
+
+        findings += prior_findings(audit)
     if fit.free_gains:
         findings += _estimated_gains(fit, examined, estimates, accuracy, prior_gains)
         if problem.sensor_channels:
@@ -121,13 +119,9 @@ def diagnose(
     # their advice depends on whether there is a payload, or a wrench on a body or a floating base
     context = {"payload": bool(fit.system.payloads), "wrenches": bool(problem.wrenches or problem.base)}
     halves = half_widths(fit, estimates) if fit.free_gains else np.zeros(0)
+    advised = (replace(finding, values={**context, **finding.values}) for finding in findings)
     return tuple(
-        replace(
-            finding,
-            values={**context, **finding.values},
-            size=finding.size if finding.kind in OUTCOMES else _moves(finding, halves),
-        )
-        for finding in findings
+        finding if finding.kind in OUTCOMES else replace(finding, size=_moves(finding, halves)) for finding in advised
     )
 
 
