@@ -129,17 +129,5 @@ def rms_torque(model: InverseDynamics, base: BaseParameters, chi: np.ndarray) ->
     """Compute rms torques (n,) over random states within the robot's limits, N m or N."""
     motion = random_motion(model, STATES, np.random.default_rng(0))
     regressor = model.columns(base.standard)
-    torques = regressor.torques(regressor(model.layout, motion), chi, len(model.actuated))
+    torques = regressor.torques_along(model.layout, motion, chi)
     return np.asarray(np.sqrt(np.mean(torques**2, axis=1)))
-
-
-def parameters_of(result: Result, base: BaseParameters) -> np.ndarray:
-    """Return the base parameters (n_b,) of an identified model; 0 where it has no value."""
-    return np.array([result.params.get(name, 0.0) for name in base.names])
-
-
-def noise_of(result: Result) -> np.ndarray:
-    """Compute the standard deviation (n,), A, of current samples that explains a model's residuals."""
-    gains = np.array([result.drive_gains[joint].value for joint in result.robot.actuated], dtype=float)
-    row = np.array([error.rms for error in result.residuals]) / np.abs(gains)
-    return np.asarray(row * np.sqrt(result.preparation.decimator.factor))

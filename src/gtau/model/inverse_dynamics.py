@@ -14,9 +14,8 @@ from gtau.documents.validation import TEXT, takes
 from gtau.errors import GtauError
 from gtau.model.dynamics import parameter_names, torques, wrench_torques
 from gtau.model.interpreter.program import NONE, Program, compile_program, share
-from gtau.model.kinematics import Coordinates, coordinates
-from gtau.model.loop_paths import follow
-from gtau.model.loops import Labels, Loops, Motion, Numbers, close_loops, differentiate
+from gtau.model.kinematics import Coordinates, placements, shifted
+from gtau.model.loops import Labels, Loops, Motion, Numbers, close_loops, differentiate, follow
 from gtau.robots.floating import WRENCH, WrenchFrame
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
@@ -121,7 +120,7 @@ class InverseDynamics:
         if parameters not in ("all", "inertial"):
             raise GtauError(f"parameters is {parameters!r}; write 'all' or 'inertial'.")
         self.robot = robot
-        self.layout = coordinates(robot)
+        self.layout = Coordinates(robot)
         self.parameter_names = parameter_names(robot, parameters)
         self.actuated = robot.actuated
         self._kind = parameters
@@ -184,14 +183,9 @@ class InverseDynamics:
         names = tuple(names)
         if names not in self._regressors:
             inputs, regressor = self._symbolic
-            position = {name: k for k, name in enumerate(self.parameter_names)}
-            W = regressor[:, [position[name] for name in names]]
+            W = regressor[:, [self.parameter_names.index(name) for name in names]]
             self._regressors[names] = Regressor(names, inputs, W)
         return self._regressors[names]
-
-    def adopt(self, regressor: Regressor) -> None:
-        """Use a regressor derived for several robots at once for the parameters in its ``names``."""
-        self._regressors[regressor.names] = regressor
 
     def wrenches(self, frames: Sequence[WrenchFrame]) -> Regressor:
         """Return the columns (n, 6 k) of wrenches on bodies: times the wrenches they give torques ``J^T w``.
@@ -290,24 +284,21 @@ class InverseDynamics:
     ) -> None:
         """Work on the blocks of a path and their motion in threads; a block stays in the processor's cache."""
         q, qd, qdd = self.samples(q, qd, qdd)
-        c: np.ndarray | None = None
+        c = np.empty((0, 0))
         for start in range(0, q.shape[1], PATH):
-            chunk = slice(start, min(start + PATH, q.shape[1]))
-            c = self.path(q[:, chunk], Numbers(start), None if c is None else c[:, -1])
-            self._share_blocks(start, c, qd[:, chunk], qdd[:, chunk], work)
+            chunk = slice(start, start + PATH)
+            c = self.path(q[:, chunk], Numbers(start), c[:, -1] if start else None)
+            states = c, qd[:, chunk], qdd[:, chunk]
 
-    def _share_blocks(
-        self, offset: int, c: np.ndarray, qd: np.ndarray, qdd: np.ndarray, work: Callable[[slice, Motion], None]
-    ) -> None:
-        def stretch(first: int, last: int) -> None:
-            for begin in range(first, last, BLOCK):
-                part = slice(begin, min(begin + BLOCK, last))
-                block = slice(offset + part.start, offset + part.stop)
-                # blocks are copied, as fresh memory for whole paths would cost more than the copies
-                now, speed, push = (np.ascontiguousarray(samples[:, part]) for samples in (c, qd, qdd))
-                work(block, self.rates(now, speed, push, Numbers(block.start)))
+            def stretch(first: int, last: int, start: int = start, states: Sequence[np.ndarray] = states) -> None:
+                for begin in range(first, last, BLOCK):
+                    end = min(begin + BLOCK, last)
+                    # blocks are copied, as fresh memory for whole paths would cost more than the copies
+                    now, speed, push = (np.ascontiguousarray(samples[:, begin:end]) for samples in states)
+                    motion = self.rates(now, speed, push, Numbers(start + begin))
+                    work(slice(start + begin, start + end), motion)
 
-        share(stretch, c.shape[1])
+            share(stretch, c.shape[1])
 
     def samples(self, *arrays: np.ndarray) -> list[np.ndarray]:
         """Check arrays (N, n), one column per actuated joint, and return them as (n, N); raises GtauError."""
@@ -322,17 +313,39 @@ class InverseDynamics:
         return [array.T for array in samples]
 
     def _vector(self, chi: Mapping[str, float] | np.ndarray) -> np.ndarray:
+        names = self.parameter_names
         if not isinstance(chi, Mapping):
             vector = np.asarray(chi, dtype=float)
-            if vector.shape != (len(self.parameter_names),):
+            if vector.shape != (len(names),):
                 raise GtauError(
-                    f"chi has the shape {vector.shape}; give a vector of {len(self.parameter_names)} entries, one for "
-                    "each of parameter_names, or a mapping by name."
+                    f"chi has the shape {vector.shape}; give a vector of {len(names)} entries, one for each of "
+                    "parameter_names, or a mapping by name."
                 )
             return vector
-        unknown = [name for name in chi if name not in self.parameter_names]
-        if unknown:
-            close = get_close_matches(unknown[0], self.parameter_names, n=1)
+        if unknown := next((name for name in chi if name not in names), None):
+            close = get_close_matches(unknown, names, n=1)
             hint = f"did you mean '{close[0]}'?" if close else "parameter_names lists them."
-            raise GtauError(f"the model of '{self.robot.name}' has no standard parameter '{unknown[0]}'; {hint}")
-        return np.array([chi.get(name, 0.0) for name in self.parameter_names], dtype=float)
+            raise GtauError(f"the model of '{self.robot.name}' has no standard parameter '{unknown}'; {hint}")
+        return np.array([chi.get(name, 0.0) for name in names], dtype=float)
+
+
+def models_alike(robots: Sequence[Robot], standard: Sequence[Parameter]) -> list[InverseDynamics]:
+    """Make models of robots that differ only in lengths, with one shared regressor of the ``standard`` parameters.
+
+    It is derived once, with the shifts of places as parameters of its program: to derive it for each robot takes most
+    of the time in which several lengths are tried.
+    """
+    places = np.array([[placement.position for placement in placements(robot)] for robot in robots])
+    shifts = places - places[0]  # (robots, places, 3)
+    varies = np.abs(shifts).max(axis=0) > 0
+    s = ca.SX(ca.Sparsity.triplet(*varies.shape, *(index.tolist() for index in np.nonzero(varies))))
+    symbols = ca.SX.sym("s", int(varies.sum()))
+    for symbol, (place, axis) in zip(ca.vertsplit(symbols), np.argwhere(varies).tolist(), strict=True):
+        s[place, axis] = symbol
+    varied = shifted(robots[0], [s[k, :].T for k in range(len(varies))])
+    general = InverseDynamics(varied).columns(standard)
+    program = compile_program(general.inputs, [general.matrix.nz[:]], [symbols])
+    models = [InverseDynamics(robot) for robot in robots]
+    for model, shift in zip(models, shifts, strict=True):
+        model._regressors[general.names] = replace(general, compiled=program.at(shift[varies]))
+    return models

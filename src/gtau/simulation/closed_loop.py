@@ -209,11 +209,8 @@ def write_log(run: Run, path: str | Path) -> None:
 def _measured(history: list[PlantState], hardware: Hardware, period: float) -> np.ndarray:
     """Compute the measured positions (n,) from the latest states, newest first."""
     late = hardware.delay / period
-    periods = late.astype(int)
-    past, older = (
-        np.array([[getattr(history[m + back], what)[j] for what in ("q", "qd")] for j, m in enumerate(periods)]).T
-        for back in (0, 1)
-    )
+    periods, joints = late.astype(int), np.arange(len(late))
+    q, qd = (np.array([getattr(state, name) for state in history]) for name in ("q", "qd"))
+    past, speed, before = q[periods, joints], qd[periods, joints], qd[periods + 1, joints]
     back = (late - periods) * period
-    q = past[0] - back * past[1] + back**2 / (2 * period) * (past[1] - older[1])
-    return rounded(q, hardware.position_quantum)
+    return rounded(past - back * speed + back**2 / (2 * period) * (speed - before), hardware.position_quantum)

@@ -117,33 +117,30 @@ class MujocoPlant:
 def mujoco_positions(compiled: Any, layout: Coordinates, c: np.ndarray) -> np.ndarray:
     """Compute MuJoCo's coordinates ``qpos`` of a configuration (n_c,), by a compiled model of the robot."""
     qpos: np.ndarray = compiled.qpos0.copy()
-    for k, joint in enumerate(layout.robot.joints):
-        qpos[compiled.joint(joint.name).qposadr[0]] = c[k]
+    coordinates = {joint.name: c[[k]] for k, joint in enumerate(layout.robot.joints)}
     for slots in layout.platforms:
-        for name, values in platform_coordinates(slots, c).items():
-            first = compiled.joint(name).qposadr[0]
-            qpos[first : first + len(values)] = values
+        coordinates |= platform_coordinates(slots, c)
+    for name, values in coordinates.items():
+        first = compiled.joint(name).qposadr[0]
+        qpos[first : first + len(values)] = values
     return qpos
 
 
 def platform_coordinates(slots: PlatformSlots, c: np.ndarray) -> dict[str, np.ndarray]:
     """Compute the coordinates of a platform's joints in MuJoCo, which count from its home pose."""
-    platform, coordinates = slots.platform, {}
-    shift = c[slots.position] - platform.home.position
-    for axis, dof in enumerate(TRANSLATIONS):
-        if dof in platform.dof:
-            coordinates[f"{dof}_{platform.name}"] = shift[axis : axis + 1]
-    if slots.quaternion is not None:
-        turn = Rotation.from_matrix(platform.home.rotation).inv() * Rotation.from_quat(
-            c[slots.quaternion], scalar_first=True
-        )
-        turns = [dof for dof in ROTATIONS if dof in platform.dof]
-        if len(turns) == 3:
-            coordinates[f"turn_{platform.name}"] = turn.as_quat(scalar_first=True)
-        else:
-            axis = platform.home.rotation[ROTATIONS.index(turns[0])]
-            coordinates[f"turn_{platform.name}"] = np.array([turn.as_rotvec() @ axis])
-    return coordinates
+    platform, home = slots.platform, slots.platform.home
+    shift = c[slots.position] - home.position
+    coordinates = {
+        f"{dof}_{platform.name}": shift[[axis]] for axis, dof in enumerate(TRANSLATIONS) if dof in platform.dof
+    }
+    if slots.quaternion is None:
+        return coordinates
+    turn = Rotation.from_matrix(home.rotation).inv() * Rotation.from_quat(c[slots.quaternion], scalar_first=True)
+    turns = [dof for dof in ROTATIONS if dof in platform.dof]
+    if len(turns) == 3:
+        return coordinates | {f"turn_{platform.name}": turn.as_quat(scalar_first=True)}
+    axis = home.rotation[ROTATIONS.index(turns[0])]
+    return coordinates | {f"turn_{platform.name}": np.array([turn.as_rotvec() @ axis])}
 
 
 def robot_spec(mujoco: ModuleType, robot: Robot, chi: Mapping[str, float]) -> Any:

@@ -22,47 +22,12 @@ import scipy.linalg
 
 from gtau.errors import GtauError
 from gtau.model.closures import closure_expressions
-from gtau.model.dynamics import spring_length, torques
+from gtau.model.dynamics import torques
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import configuration_rates, frames
 from gtau.model.loops import Loops, pose_words
-from gtau.robots.parameter import Parameter
-from gtau.robots.robot import PLAIN_FRICTION, PRELOAD, STIFFNESS
+from gtau.robots.robot import PLAIN_FRICTION
 from gtau.simulation.joint_friction import JointFriction, plain_friction
-
-
-def constraints(loops: Loops) -> tuple[ca.Function, ca.Function]:
-    """Select independent closure equations ``phi(c) = 0``, as many as there are passive coordinates.
-
-    Redundant rows, such as the rotations that the three welds of an Orthoglide share, are left out as found by QR with
-    pivoting at home. The rows are those in the axes of each closure's second body: a linkage whose plane turns with the
-    robot keeps the same redundant rows there, but not in base axes.
-
-    Returns functions from c to phi and to ``G = d(phi')/d(yd)`` of the passive and of the actuated coordinates, and
-    from c and yd to gamma of ``G ydd + gamma = 0``.
-    """
-    layout = loops.layout
-    c, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
-    turned = _axes_of_bodies(loops, c)
-    phi, velocity, gamma = (turned @ expression for expression in closure_expressions(layout, c, yd))
-    G = ca.jacobian(velocity, yd)
-    passive, actuated = layout.passive.tolist(), layout.actuated.tolist()
-    at_home = np.array(ca.Function("G", [c], [G[:, passive]])(loops.home))
-    _, _, order = scipy.linalg.qr(at_home.T, pivoting=True, mode="economic")
-    rows = np.sort(order[: len(passive)]).tolist()
-    return (
-        ca.Function("position", [c], [phi[rows], G[rows, passive], G[rows, actuated]]),
-        ca.Function("drift", [c, yd], [ca.densify(gamma[rows])]),
-    )
-
-
-def _axes_of_bodies(loops: Loops, c: ca.SX) -> ca.SX:
-    """Turn the closures' rows from base axes into those of each closure's second body."""
-    frame, blocks = frames(loops.layout, c), []
-    for closure in loops.layout.robot.closures:
-        blocks += [frame[closure.b.body].R_0.T] * (2 if closure.kind == "weld" else 1)
-    return ca.diagcat(*blocks, ca.SX.eye(loops.rows - 3 * len(blocks)))
-
 
 TOLERANCE = 1e-6  # of a step: error of the velocities, in rad/s or m/s
 SHORTEST = 1e-9  # s
@@ -77,6 +42,34 @@ STAGES = (
     (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
 )
 ERROR = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40)
+
+
+def constraints(loops: Loops) -> tuple[ca.Function, ca.Function]:
+    """Select independent closure equations ``phi(c) = 0``, as many as there are passive coordinates.
+
+    Redundant rows, such as the rotations that the three welds of an Orthoglide share, are left out as found by QR with
+    pivoting at home. The rows are those in the axes of each closure's second body: a linkage whose plane turns with the
+    robot keeps the same redundant rows there, but not in base axes.
+
+    Returns functions from c to phi and to ``G = d(phi')/d(yd)`` of the passive and of the actuated coordinates, and
+    from c and yd to gamma of ``G ydd + gamma = 0``.
+    """
+    layout = loops.layout
+    c, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
+    frame, blocks = frames(layout, c), []
+    for closure in layout.robot.closures:
+        blocks += [frame[closure.b.body].R_0.T] * (2 if closure.kind == "weld" else 1)
+    turned = ca.diagcat(*blocks, ca.SX.eye(len(layout.robot.couplings)))
+    phi, velocity, gamma = (turned @ expression for expression in closure_expressions(layout, c, yd))
+    G = ca.jacobian(velocity, yd)
+    passive, actuated = layout.passive.tolist(), layout.actuated.tolist()
+    at_home = np.array(ca.Function("G", [c], [G[:, passive]])(loops.home))
+    _, _, order = scipy.linalg.qr(at_home.T, pivoting=True, mode="economic")
+    rows = np.sort(order[: len(passive)]).tolist()
+    return (
+        ca.Function("position", [c], [phi[rows], G[rows, passive], G[rows, actuated]]),
+        ca.Function("drift", [c, yd], [ca.densify(gamma[rows])]),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,9 +115,8 @@ class Plant:
         """Compute the sign of the passive coordinates' determinant, which changes at singular poses."""
         if self._passive is None:
             return 1.0
-        n_passive = len(self.layout.passive)
-        (G,) = self._passive(c)
-        return float(np.linalg.slogdet(G.reshape(n_passive, n_passive))[0])
+        (G,), n = self._passive(c), len(self.layout.passive)
+        return float(np.linalg.slogdet(G.reshape(n, n))[0])
 
     def start(self, q: np.ndarray) -> PlantState:
         """Return the state at rest at actuated positions ``q`` (n,); raises GtauError where they cannot be reached."""
@@ -161,13 +153,7 @@ class Plant:
 
     def mass_matrix(self, c: np.ndarray) -> np.ndarray:
         """Compute the mass matrix seen by the actuated joints (n, n)."""
-        still = np.zeros(len(self.layout.actuated))
-        return np.array(self._inertia(c, still)[0])
-
-    def energy(self, state: PlantState) -> float:
-        """Compute kinetic and potential energy, J."""
-        kinetic = state.qd @ self.mass_matrix(state.c) @ state.qd / 2
-        return float(kinetic + float(self._potential(state.c)))
+        return np.array(self._inertia(c, np.zeros(len(self.layout.actuated)))[0])
 
     @cached_property
     def _constraints(self) -> tuple[ca.Function, ca.Function] | None:
@@ -179,25 +165,6 @@ class Plant:
             return None
         c = ca.SX.sym("c", self.layout.n_c)
         return Compiled(ca.Function("passive", [c], [ca.densify(self._constraints[0](c)[1])]))
-
-    @cached_property
-    def _potential(self) -> ca.Function:
-        layout = self.layout
-        c = ca.SX.sym("c", layout.n_c)
-        potential = ca.SX(0)
-        for body, frame in frames(layout, c).items():
-            if Parameter("m", body) in self.chi:
-                m, *ms = (self.chi[Parameter(kind, body)] for kind in ("m", "mx", "my", "mz"))
-                potential -= ca.dot(ca.SX(ca.DM(layout.robot.gravity)), m * frame.p_0 + frame.R_0 @ ca.SX(ca.DM(ms)))
-        for row, joint in enumerate(layout.robot.joints):
-            potential += self.chi.get(Parameter("off", joint.name), 0.0) * c[row]
-            if joint.spring is not None:
-                potential += self.chi.get(Parameter(STIFFNESS, joint.name), 0.0) * (c[row] - joint.spring) ** 2 / 2
-        for spring in layout.robot.springs:
-            length, _ = spring_length(spring, frames(layout, c))
-            f0, k = (self.chi.get(Parameter(kind, spring.name), 0.0) for kind in (PRELOAD, STIFFNESS))
-            potential += k * length**2 / 2 - f0 * length
-        return ca.Function("potential", [c], [potential])
 
     def _symbolic_dynamics(self) -> ca.Function:
         """Compile (c, yd, ydd, J) to the mass matrix and the torques of eq. (15), friction and offsets left out."""
