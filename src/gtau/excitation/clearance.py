@@ -57,10 +57,7 @@ Poses = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Nearest:
-    """Of two bodies and N samples: signed ``distance`` (N,), m, negative where they overlap, along ``normal`` (3, N).
-
-    ``a`` and ``b`` (3, N) are the nearest points in the base; the normal points from the first body to the second.
-    """
+    """Signed distance (N,), m, of two bodies, nearest points and the normal from a to b (3, N), in the base."""
 
     distance: np.ndarray
     normal: np.ndarray
@@ -165,7 +162,7 @@ def _contacts(one: Shape, first: Poses, other: Shape, second: Poses) -> Nearest:
 def nearest_points(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Find the nearest points (3, N) of segments from ``a`` to ``b`` and from ``c`` to ``d``, (3, N) each.
 
-    The best of: the common perpendicular, if its feet are on both, and each end with its foot on the other segment.
+    They are on the common perpendicular, if its feet are on both, or an end and its foot on the other segment.
     """
     along, across, between = b - a, d - c, c - a
     uu, vv, uv = np.sum(along**2, 0), np.sum(across**2, 0), np.sum(along * across, 0)

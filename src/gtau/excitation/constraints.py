@@ -85,10 +85,9 @@ def _padded(rows: Callable[[], np.ndarray], others: tuple[tuple[int, int], tuple
 
 
 def usages_of_motion(point: Point, share: np.ndarray | None = None) -> Iterator[ConstraintUsage]:
-    """Compute the usage of all limits along one motion, with gradients (N, series.size) with respect to its numbers.
+    """Compute the usage of all limits along one motion, with gradients (N, series.size).
 
-    ``share`` (n,) is the part of each joint's samples that lies away from its reversals, where it has been counted;
-    left out it is the smooth estimate of a design grid.
+    ``share`` (n,) of the samples away from reversals, where counted, replaces the smooth estimate of a design grid.
     """
     task = point.task
     yield from _kinematic(point)
@@ -239,10 +238,7 @@ def _away_from_reversals(point: Point, counted: np.ndarray | None) -> Iterator[C
 
 
 def whole_run(task: DesignProblem, period: np.ndarray, rate: float) -> np.ndarray:
-    """Sample a run at ``rate``, Hz: approach from rest, all periods, and return; (4, n, N) with q, qd, qdd and jerk.
-
-    ``period`` are the joints (4, n, .) at the instants of one period at that rate.
-    """
+    """Sample a run at ``rate``, Hz, (4, n, N): approach, all periods of the joints (4, n, .), and return."""
     periods = np.concatenate([np.tile(period, task.repetitions), period[:, :, :1]], axis=2)
     if task.rest is None:
         return periods

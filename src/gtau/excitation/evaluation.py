@@ -33,9 +33,9 @@ def design_grid(task: DesignProblem, finer: int = 1) -> Grid:
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """One motion: joints (4, n, N) with q, qd, qdd and jerk, the whole robot, the base regressor (n, N, n_b).
+    """One motion of some ``runs``: joints (4, n, N), the whole robot, the base regressor (n, N, n_b).
 
-    ``runs`` follow it. In platform space ``platform`` is the motion of the robot driven by its platform.
+    In platform space ``platform`` is the motion of the robot driven by its platform.
     """
 
     task: DesignProblem
@@ -126,10 +126,7 @@ def _weighted_rows(point: Point) -> tuple[list[np.ndarray], np.ndarray]:
 
 
 def objective(points: Sequence[Point], criterion: Criterion, of_regressor: bool) -> tuple[float, np.ndarray]:
-    """Compute the logarithm of a criterion and its gradient (task.size,) with respect to x.
-
-    ``of_regressor`` for a criterion of the regressor's factor, in place of that of the information.
-    """
+    """Compute the logarithm of a criterion, of the information or the regressor, and its gradient (task.size,) by x."""
     if of_regressor:
         value, F, f = criterion(triangle(*(point.W.reshape(-1, point.W.shape[2]) for point in points)))
         slopes = [_by_columns(point, 2 * (point.W @ F * f) @ F.T) for point in points]

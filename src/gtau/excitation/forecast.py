@@ -42,10 +42,7 @@ class Expected:
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """Expected standard deviations of gains and base parameters, and the share of rows kept of each joint, (n,).
-
-    ``std`` has those of all unknowns by name, of ``gain_`` relative to the gain; absent ones are not identifiable.
-    """
+    """Expected gains and parameters, shares of rows kept (n,), and ``std`` of all unknowns, relative for gains."""
 
     gains: tuple[Expected, ...]
     parameters: tuple[Expected, ...]
@@ -131,10 +128,9 @@ SPANS = {"over its whole range, slowly": (0.9, 0.2), "as fast as it may": (0.5, 
 
 @dataclass(frozen=True)
 class Weak:
-    """Unidentified unknown, its relative standard deviation, and the single-joint motion that helps most.
+    """Unidentified unknown, its relative standard deviation, and that with the best single-joint motion added.
 
-    ``joint`` is None where no such motion helps; ``then`` is the relative standard deviation with that motion added.
-    Both are infinite for an unknown that is not separable from others.
+    ``joint`` is None where none helps; both are infinite for an unknown that is not separable from others.
     """
 
     name: str
@@ -145,12 +141,11 @@ class Weak:
 
 
 def weak_unknowns(design: Design, expected: Forecast) -> tuple[Weak, ...]:
-    """List gains and parameters that a design leaves unidentified, with the best single-joint motion to add for each.
+    """List unknowns that a design leaves unidentified, with the best single-joint motion to add for each.
 
-    A relative standard deviation is the ``expected`` one over the prior value, or over a typical one where that is
-    zero; the effect of a further motion on it is the ratio of the design's own, which are those of a coarser grid.
-    Candidates are every joint moving alone, slowly over its range or fast in the middle of it, for as long as a run;
-    they are carried out with every payload of the experiment.
+    Relative are the ``expected`` standard deviations to the prior value, or a typical one where that is zero; what a
+    motion adds is a ratio on the coarser grid of the design. Candidates are every joint alone, slowly over its range or
+    fast in the middle of it, for as long as a run, with every payload.
     """
     task = design.task
     points = evaluate(task, design.x, design_grid(task))
@@ -211,11 +206,7 @@ def _alone(task: DesignProblem, middle: np.ndarray, j: int, span: float, speed: 
 
 @dataclass(frozen=True, eq=False)
 class Outlook:
-    """A design with what it promises.
-
-    ``assumed`` is what the design file left out, as :func:`gtau.read_design` returns it, and ``masses`` are those of
-    other payloads to be tried with it, kg.
-    """
+    """A design with what it promises, what its file left out (``assumed``), and ``masses``, kg, to be tried with it."""
 
     design: Design
     assumed: Mapping[str, str]

@@ -50,9 +50,8 @@ class Slopes:
 class Pullback:
     """Derivatives by c, yd, ydd, J to those by q, qd, qdd; see :func:`pullback`.
 
-    ``rows`` are the independent closure equations among all; ``G`` maps c to all rows, scaled as
-    :meth:`Loops.condition` does; ``by_yd`` and ``by_c`` give the derivatives of the equations weighted with
-    multipliers, and ``of_G`` those of the entries of the passive columns of ``G``.
+    ``rows`` are the independent closure equations among those of the scaled ``G``; ``by_yd`` and ``by_c`` differentiate
+    the equations weighted with multipliers, ``of_G`` the entries of its passive columns.
     """
 
     layout: Coordinates
@@ -212,10 +211,7 @@ class SmoothRegressor:
 
 
 def smooth_regressor(model: InverseDynamics, names: Sequence[Parameter], width: np.ndarray) -> SmoothRegressor:
-    """Compile the columns ``names`` of a robot's regressor and their pullback.
-
-    Coulomb friction acts as ``v / sqrt(v^2 + width^2)`` instead of ``sign(v)``.
-    """
+    """Compile columns of a regressor and their pullback, with Coulomb friction ``v / sqrt(v^2 + width^2)``."""
     inputs, J = model.symbols
     (c, yd, ydd, passive), wide = inputs, ca.SX.sym("width", len(model.robot.joints))
     chi = {name: ca.SX.sym(name) for name in model.parameter_names}

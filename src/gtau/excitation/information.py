@@ -48,12 +48,11 @@ def _scales(names: tuple[Parameter, ...], theta: np.ndarray, payloads: Sequence[
 class Window:
     """Loss of rows near a joint's reversals on a periodic grid of instants ``step`` s apart.
 
-    A row is lost where the joint is slower than ``fraction`` of its rms speed anywhere within ``reach`` s, the
-    guard of the decimation filter. The rms speed is that of a whole run, so ``floor`` (n,), rad/s or m/s, stands for
-    approach and return in the root of the mean square: without it a joint that hardly moves would lose nothing.
-    Here the loss is gradual: with ``s = u / sqrt(u^2 + fraction^2)``, u the speed over its rms value, a row counts
-    ``s^2`` times the product over the cells of the grid within reach of ``1 - share * (1 - s s') / 2``, where a cell's
-    two ends have s and s', and ``share`` of it is within reach.
+    A row is lost where the joint is slower than ``fraction`` of its rms speed within ``reach`` s, the guard of the
+    filter. ``floor`` (n,), rad/s or m/s, stands for approach and return in the root of the mean square: without it a
+    joint that hardly moves would lose nothing. The loss is gradual: with ``s = u / sqrt(u^2 + fraction^2)``, u the
+    relative speed, a row counts ``s^2`` times the product over cells of ``1 - share * (1 - s s') / 2``, ``share`` being
+    within reach.
     """
 
     step: float

@@ -204,10 +204,7 @@ def promising_start(
     part: float,
     stop: Callable[[], bool] = lambda: False,
 ) -> np.ndarray | None:
-    """Choose the best of random x that use a ``part`` of the limits; None where no such motion is reachable.
-
-    Drawing ends when ``stop`` returns True.
-    """
+    """Choose the best of random x that use a ``part`` of the limits; None if none is reachable."""
     programme, drawn = Programme(task, criterion, {}), list[np.ndarray]()
     for _ in range(DRAWS):
         if drawn and stop():
@@ -218,10 +215,9 @@ def promising_start(
 
 
 def random_start(task: DesignProblem, rng: np.random.Generator, part: float) -> np.ndarray | None:
-    """Draw a random x (task.size,), each of its motions scaled until it uses a ``part`` of the limits.
+    """Draw a random x (task.size,) whose motions use a ``part`` of what rest leaves of the limits.
 
-    What a limit allows counts from what rest at the center uses of it already; limits that rest breaks, and time away
-    from reversals, are left to the search. The center is free of collisions. None where the motion is not reachable.
+    Limits that rest breaks, and time away from reversals, are left to the search. None where it is not reachable.
     """
     grid, parts = design_grid(task), []
     for runs in task.motions:
@@ -233,10 +229,7 @@ def random_start(task: DesignProblem, rng: np.random.Generator, part: float) -> 
 
 
 def _clear_center(task: DesignProblem, rng: np.random.Generator, x: np.ndarray) -> np.ndarray:
-    """Draw the x at rest (series.size,) in the pose with the most room, of those reached without collision.
-
-    It is zero, the middle of all ranges, where no bodies are kept apart; ``x`` then moves about its own center.
-    """
+    """Draw the x at rest (series.size,) in the pose with the most room, zero where no bodies are kept apart."""
     series, clearance = task.series, task.limits.clearance
     resting = np.zeros_like(x)
     if clearance is None or task.series.of_platform:

@@ -93,9 +93,8 @@ def given_parameters(model: InverseDynamics, base: BaseParameters, parameters: M
 def rough_parameters(model: InverseDynamics, base: BaseParameters, payload: float) -> tuple[dict[str, float], float]:
     """Guess standard parameters with links as rods of equal mass and matching friction; return that mass too.
 
-    The mass is twice that of the ``payload``, kg, or less where the motors are too weak for it. A link's rod leads
-    from its frame's origin to the mean of those of its followers and closures; friction is a tenth of the rms torque
-    of random states.
+    The mass is twice that of the ``payload``, kg, or less where the motors are too weak. A rod leads from its frame's
+    origin to the mean of its followers'; friction is a tenth of the rms torque of random states.
     """
     robot = model.robot
     chi: dict[str, float] = {}

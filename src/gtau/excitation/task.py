@@ -186,10 +186,7 @@ class DesignProblem:
 
 
 def close(model: InverseDynamics, joints: np.ndarray, near: np.ndarray | None = None) -> Motion:
-    """Close the loops sample by sample for ``joints`` (3 or more, n, N), q, qd and qdd: the whole robot's motion.
-
-    ``near`` are configurations (n_c, N) that may be close to those sought.
-    """
+    """Close the loops for q, qd and qdd, (3 or more, n, N), from configurations (n_c, N) that may be ``near``."""
     q, qd, qdd = joints[:3]
     if model.loops is None or near is None or near.shape[1] != q.shape[1]:
         return model.motion(q, qd, qdd)

@@ -44,10 +44,7 @@ class FourierSeries:
         return len(self.center) * self.free
 
     def basis(self, time: np.ndarray) -> np.ndarray:
-        """Compute position, velocity, acceleration and jerk by the free numbers of a coordinate with half = 1.
-
-        Returns an array (4, N, free).
-        """
+        """Compute position to jerk (4, N, free) by the free numbers of a coordinate with half = 1."""
         k = np.arange(1, self.harmonics + 1)
         omega = 2 * np.pi * self.base_frequency * k
         angle = np.multiply.outer(time, omega)

@@ -199,10 +199,7 @@ def _term(factor: float, name: str) -> str:
 
 
 def regrouped(base: BaseParameters, standard: Sequence[Parameter]) -> dict[Parameter, dict[Parameter, float]]:
-    """List the standard parameters in each base parameter with their factors, first the one whose column it keeps.
-
-    ``standard`` are the names of the standard parameters, the columns of ``base.matrix``.
-    """
+    """List the parameters in each base parameter by factor, the kept one first; ``standard`` are the columns' names."""
     return {
         name: {parameter: 1.0}
         | {other: float(row[k]) for k, other in enumerate(standard) if row[k] and other != parameter}
@@ -211,10 +208,7 @@ def regrouped(base: BaseParameters, standard: Sequence[Parameter]) -> dict[Param
 
 
 def whole_mass(base: BaseParameters, standard: Sequence[Parameter]) -> Parameter | None:
-    """Return the base parameter equal to the total mass (kg) of a floating robot, None where there is none.
-
-    ``standard`` are the names of the standard parameters, the columns of ``base.matrix``.
-    """
+    """Return the base parameter equal to a floating robot's mass (kg), if any; ``standard`` are the columns' names."""
     masses = np.array([name.kind == "m" for name in standard], dtype=float)
     totals = (name for name, row in zip(base.names, base.matrix, strict=True) if np.allclose(row, masses, atol=1e-6))
     return next(totals, None)

@@ -82,10 +82,7 @@ def _scaled(layout: Coordinates, velocity: ca.SX, yd: ca.SX) -> tuple[ca.SX, ca.
 
 
 def newton_step(layout: Coordinates) -> tuple[ca.SX, list[ca.SX]]:
-    """Express a step of Newton's method from ``c``: configuration, largest correction, condition of passive columns.
-
-    Last comes the gap before it, the largest residual less what angles of many turns are rounded by.
-    """
+    """Express a Newton step from ``c``: configuration, largest correction, condition number, and the gap before it."""
     given, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
     c = _on_unit_quaternions(layout, given)
     residual, velocity, _ = closure_expressions(layout, c, yd)
@@ -155,11 +152,10 @@ def closure_expressions(layout: Coordinates, c: ca.SX, yd: ca.SX) -> tuple[ca.SX
 def solve(a: ca.SX, b: ca.SX, refine: bool) -> tuple[ca.SX, ca.SX]:
     """Solve ``min |a x - b|`` by the sparse ``L D L^T`` of the normal equations, a (m, n) sparse, b (m, k).
 
-    Rows and columns are eliminated in an order that preserves sparsity, so that the cost is proportional to the number
-    of legs. With ``refine`` one step of iterative refinement restores the digits that the normal equations lose.
-
-    Returns x (n, k), and the square root of ``trace(M) trace(M^-1)``, ``M = a^T a``: at least the condition number of
-    ``a``, at most n times it; not a number, infinite or huge where ``a`` is singular.
+    The order of elimination preserves sparsity, so that the cost is proportional to the number of legs; ``refine``
+    restores the digits that the normal equations lose. Beside x (n, k) returns the square root of ``trace(M)
+    trace(M^-1)``, ``M = a^T a``, which is 1 to n times the condition number of ``a``, and huge or not a number where
+    ``a`` is singular.
     """
     normal = a.T @ a
     d, lt, order = ca.ldl(normal, True)

@@ -26,11 +26,10 @@ BLOCK = 2048  # samples whose motion is computed together: enough to amortise Py
 
 @dataclass(frozen=True, eq=False)
 class Regressor:
-    """Chosen columns of ``IDM_st``: their structurally non-zero entries.
+    """Columns of ``IDM_st``: entry k, structurally non-zero, is in row ``rows[k]`` (joint) and column ``columns[k]``.
 
-    ``matrix`` (n, columns) is an expression in ``inputs``: c, yd, ydd and the passive rows of J. Entry k is in
-    row ``rows[k]`` (an actuated joint) and column ``columns[k]`` (of ``names``). ``compiled`` is its program, where
-    ``matrix`` has symbols beside the inputs.
+    ``matrix`` (n, columns) is an expression in ``inputs``: c, yd, ydd and the passive rows of J; ``compiled`` is its
+    program, where it has other symbols too.
     """
 
     names: tuple[str, ...]
@@ -159,11 +158,7 @@ class InverseDynamics:
         labels: Labels | None = None,
         start: np.ndarray | None = None,
     ) -> Motion:
-        """Compute the state of the whole virtual tree along a path of actuated samples (n, N).
-
-        ``labels[k]`` is the name of sample k in messages; the path begins at the closed configuration
-        ``start`` (n_c,), home if left out.
-        """
+        """Compute the whole tree's motion along a path (n, N) that begins at the closed ``start`` (n_c,), or home."""
         return self.rates(self.path(q, labels, start), qd, qdd, labels)
 
     def path(self, q: np.ndarray, labels: Labels | None = None, start: np.ndarray | None = None) -> np.ndarray:
@@ -188,11 +183,7 @@ class InverseDynamics:
         return self._regressors[names]
 
     def wrenches(self, frames: Sequence[WrenchFrame]) -> Regressor:
-        """Return the columns (n, 6 k) of wrenches on bodies: times the wrenches they give torques ``J^T w``.
-
-        Of each of the k wrenches its moment (x, y, z), N m, and its force (x, y, z), N, eq. (14); see
-        :func:`gtau.model.dynamics.wrench_torques`.
-        """
+        """Return the columns (n, 6 k) by which moments and forces on k bodies give torques ``J^T w``, eq. (14)."""
         frames = tuple(frames)
         if frames not in self._wrenches:
             inputs, J = self.symbols
@@ -223,10 +214,7 @@ class InverseDynamics:
         return inputs, ca.jacobian(tau, ca.vertcat(*chi.values()))
 
     def gravity_torques(self, names: Sequence[Parameter]) -> Regressor:
-        """Return a regressor whose three columns are the torques (n,) per m/s2 of gravity along the axes of the base.
-
-        Its program takes values of the standard parameters ``names``, the others being zero, as parameters.
-        """
+        """Return a regressor of gravity along the base axes, whose program takes values of ``names``, others zero."""
         (c, yd, ydd, passive), J = self.symbols
         gravity, values = ca.SX.sym("g", 3), ca.SX.sym("chi", len(names))
         chi = {name: ca.SX(1, 1) for name in self.parameter_names} | dict(zip(names, ca.vertsplit(values), strict=True))
@@ -330,10 +318,9 @@ class InverseDynamics:
 
 
 def models_alike(robots: Sequence[Robot], standard: Sequence[Parameter]) -> list[InverseDynamics]:
-    """Make models of robots that differ only in lengths, with one shared regressor of the ``standard`` parameters.
+    """Make models of robots that differ only in lengths, with a shared regressor of the ``standard`` parameters.
 
-    It is derived once, with the shifts of places as parameters of its program: to derive it for each robot takes most
-    of the time in which several lengths are tried.
+    Its program has the shifts of places as parameters: to derive it for each robot would take most of the time.
     """
     places = np.array([[placement.position for placement in placements(robot)] for robot in robots])
     shifts = places - places[0]  # (robots, places, 3)

@@ -284,10 +284,7 @@ def platform_twist(layout: Coordinates, rates: ca.SX, frame: dict[str, Frame]) -
 
 
 def twists(layout: Coordinates, frame: dict[str, Frame], rates: ca.SX) -> dict[str, Twist]:
-    """Express the twist of every body for the velocities ``rates`` (n_y,).
-
-    With a column of ``J`` for ``rates`` these are the partial twists of Jourdain's principle.
-    """
+    """Express the twist of every body for velocities (n_y,), or the partial twists for a column of ``J``."""
     zero = ca.SX(3, 1)
     twists = {GROUND: Twist(zero, zero)}
     for k, joint in enumerate(layout.robot.joints):

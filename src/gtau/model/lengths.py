@@ -30,10 +30,7 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Constant:
-    """A geometric constant: a length in m used in one or several placements, or the zero of an encoder.
-
-    ``value`` is 0 for a zero. ``directions`` are its places with the unit vectors along which it is laid off.
-    """
+    """A length, m, with the places and unit vectors along which it is laid off, or the zero of an encoder (value 0)."""
 
     name: str
     value: float
@@ -45,8 +42,7 @@ class Constant:
 class BodyPose:
     """Position (N, 3) and orientation (N, 3, 3) of a body in the base.
 
-    ``by_constants`` (N, 6, constants) and ``by_joints`` (N, 6, n) are their derivatives, m and rad in base axes; those
-    by a constant that the closures cannot follow are nan.
+    Derivatives (N, 6, constants) and (N, 6, n) are in m and rad; nan by a constant that the closures cannot follow.
     """
 
     position: np.ndarray
@@ -71,10 +67,10 @@ class VariableGeometry:
     program: Program
 
     def close(self, c: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray | None:
-        """Close the loops after a change of the constants, with the motors at the same logged positions.
+        """Close the loops after a change of the constants (constants,), with the motors at the same logged positions.
 
-        Configurations ``c`` (n_c, N) are closed with the changes ``before`` (constants,) from the values in the robot's
-        file, and are to be with those of ``after``; None where the closures cannot follow.
+        ``c`` (n_c, N) are closed with the changes ``before``, and are to be with ``after``; None where they cannot
+        follow.
         """
         layout, shift = self.layout, self.shifts @ after
         step = np.zeros((layout.n_y, c.shape[1]))
@@ -120,8 +116,8 @@ class VariableGeometry:
 def variable_geometry(robot: Robot, body: str) -> VariableGeometry:
     """Derive the pose of a ``body`` as a function of the robot's geometric constants.
 
-    The constants are the lengths of all placements (a distance and, where it is oblique, its components; d, r and b
-    of MDH placements), each by itself and those that are the same together, and the zeros of the actuated joints.
+    These are the lengths of all placements (an oblique distance and its components; d, r and b of MDH placements), each
+    by itself and those that are the same together, and the zeros of the actuated joints.
     """
     layout = Coordinates(robot)
     lengths = list(_constants(robot))

@@ -29,11 +29,7 @@ CLOSER = "correct the placements or give the passive joints a 'home' closer to t
 
 @dataclass(frozen=True, eq=False)
 class LoopErrors:
-    """The closures and couplings of a robot, to be evaluated one configuration at a time.
-
-    ``function`` maps c (n_c,) to the errors (rows,) and their derivatives by the scaled coordinates (rows, n_y), see
-    :func:`error_expressions`.
-    """
+    """Loops, one configuration at a time: ``function`` maps c to errors and Jacobian, :func:`error_expressions`."""
 
     layout: Coordinates
     function: Any
@@ -109,11 +105,7 @@ def loop_errors(layout: Coordinates) -> LoopErrors:
 
 
 def closed(errors: LoopErrors, c: np.ndarray, moving: np.ndarray) -> np.ndarray:
-    """Minimise the loop errors by Levenberg-Marquardt, from a configuration ``c`` (n_c,).
-
-    Only the coordinates ``moving``, indices into yd, move. The loops close at the configuration (n_c,) that is returned
-    where the largest error is below ``CLOSED``.
-    """
+    """Minimise the loop errors by Levenberg-Marquardt from ``c`` (n_c,); only ``moving`` coordinates of yd move."""
     damping, stalled = 1e-3, 0
     error, G = errors(c)
     for _ in range(200):
@@ -209,8 +201,7 @@ def limit_excess(joint: Joint, value: float) -> float:
 def well_conditioned(errors: LoopErrors, c: np.ndarray) -> np.ndarray:
     """Move a closed configuration (n_c,) step by step until it is well conditioned or stops improving.
 
-    Steps are the displacements of single coordinates projected on the motions that keep the loops closed, which, other
-    than a basis of these, do not depend on the processor; conditions are compared with three digits.
+    Steps are projected displacements of single coordinates, which, other than a basis, do not depend on the processor.
     """
     condition, size, limited = errors.condition(c), STEP, _outside(errors, c)
     while condition > WELL_CONDITIONED and size > STEP / 10:

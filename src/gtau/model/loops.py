@@ -51,10 +51,9 @@ class Numbers:
 
 @dataclass(frozen=True)
 class Motion:
-    """State of the whole virtual tree, from the closures, with samples along the last axis.
+    """Motion of the whole tree: ``c`` (n_c, N), ``yd`` and ``ydd`` (n_y, N), ``J = dy/dq`` (n_y, n, N).
 
-    ``c`` (n_c, N), ``yd`` and ``ydd`` (n_y, N), ``J = dy/dq`` (n_y, n, N), ``condition`` (N,) of the
-    passive columns, lengths scaled by the characteristic length.
+    ``condition`` (N,) is that of the passive columns, lengths scaled by the characteristic length.
     """
 
     c: np.ndarray
@@ -152,11 +151,9 @@ def _scale(loops: Loops) -> np.ndarray:
 
 
 def advance(loops: Loops, c: np.ndarray, q: np.ndarray, shortest: float = SHORTEST) -> tuple[np.ndarray, np.ndarray]:
-    """Move from closed configurations ``c`` (n_c, N) straight towards ``q`` (n, N), each as far as the loops close.
+    """Move from closed ``c`` (n_c, N) straight to ``q`` (n, N) as far as the loops close: c, and which arrive (N,).
 
     A step below the share ``shortest`` of the way is not tried.
-
-    Returns the closed configurations arrived at (n_c, N), and which are those asked for (N,).
     """
     c, q = np.array(c, dtype=float, order="C"), np.ascontiguousarray(q, dtype=float)
     reached = np.zeros(c.shape[1], dtype=bool)
@@ -179,9 +176,8 @@ def follow(
 ) -> np.ndarray:
     """Find the configurations (n_c, N) along the path ``q`` (n, N), rad or m, all in the assembly mode of home.
 
-    ``labels`` name the samples in messages, ``"sample 17"`` if omitted; ``start`` is the closed configuration (n_c,) at
-    the start of the path, home if omitted; ``segments`` of the path, at most, are followed in parallel. Raises
-    GtauError where a sample cannot be reached within the assembly mode.
+    The path begins at the closed configuration ``start`` (n_c,), or home, and is followed in ``segments`` in parallel.
+    Raises GtauError, with the name of ``labels``, where a sample cannot be reached within the assembly mode.
     """
     q, samples = np.ascontiguousarray(q, dtype=float), q.shape[1]
     labels = labels or Numbers()
@@ -262,10 +258,9 @@ def differentiate(
     qdd: np.ndarray,
     labels: Labels | None = None,
 ) -> Motion:
-    """Compute velocities and accelerations of the whole tree from those of the actuated joints (eqs. 5 to 8).
+    """Compute velocities and accelerations at closed ``c`` (n_c, N) from qd and qdd (n, N) (eqs. 5 to 8).
 
-    ``c`` (n_c, N) are closed configurations, qd and qdd (n, N). Raises GtauError, with the names of ``labels``, at a
-    pose too close to a singularity, where the actuated coordinates do not determine the passive ones.
+    Raises GtauError, with the name of ``labels``, at a pose too close to a singularity.
     """
     layout, samples = loops.layout, c.shape[1]
     motion = loops.motion(c, qd, qdd)

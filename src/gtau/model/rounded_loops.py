@@ -41,8 +41,7 @@ POSE_ANGLES = (False, False, False, True, True, True)
 def with_exact_loops(robot: Robot, errors: LoopErrors, home: np.ndarray) -> Robot:
     """Move the placements in loops that close up to rounding, so that they close in every pose, with a note.
 
-    ``home`` (n_c,) minimises the ``errors`` of the robot's loops. The robot itself where its loops close in every pose
-    already, or the digits of its numbers do not explain why not.
+    Returns the robot itself where its loops close already, or the digits of its numbers do not explain why not.
     """
     moving = _moving(errors, home)
     if moving is None:
@@ -72,10 +71,7 @@ def with_exact_loops(robot: Robot, errors: LoopErrors, home: np.ndarray) -> Robo
 
 
 def _moving(errors: LoopErrors, home: np.ndarray) -> np.ndarray | None:
-    """Select the coordinates (indices into yd) that close the loops, redundant motors included.
-
-    None where there are fewer equations than such coordinates.
-    """
+    """Select the coordinates of yd that close the loops, redundant motors too; None if more than equations."""
     welds = sum(closure.kind == "weld" for closure in errors.layout.robot.closures)
     passive, G = errors.passive, errors(home)[1]
     G = G[: len(G) - welds]
@@ -162,7 +158,7 @@ def _bounds(robot: Robot, placements: list[Placement], joints: list[Joint]) -> t
     """Find how far the numbers of placements (places, 6) may move, m and rad, and which are not zero.
 
     A number moves by half a unit of its last digit, one computed by a reader by what the numbers of two placements
-    allow, and one written with all digits not at all. Multiples of pi/12 may have been rounded, and count as zero.
+    allow, one written with all digits not at all. Multiples of pi/12 may have been rounded, and count as zero.
     """
     numbers = np.array([_numbers(placement) for placement in placements])
     angular = np.array([MDH_ANGLES if isinstance(placement, Mdh) else POSE_ANGLES for placement in placements])
@@ -213,10 +209,9 @@ def _aligned(
 def _varied(
     layout: Coordinates, places: Mapping[str, Attachment], joints: list[Joint], pairs: list[tuple[int, int, bool]]
 ) -> ca.Function:
-    """Compile the errors of the loops where the numbers of placements have changed, and those of pairs of axes.
+    """Compile from c and changes (6 places,) the errors and Jacobian of the loops, those of pairs of axes, and slopes.
 
-    From c and the changes (6 places,) to errors and scaled Jacobian as of :class:`LoopErrors`, the errors of the pairs
-    and their scaled Jacobian, and the derivatives of both errors by the changes.
+    The slopes are the derivatives of both errors by the changes.
     """
     c, yd, change = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y), ca.SX.sym("change", 6 * len(places))
     computed, parts = layout.robot.file.rounding is not None, ca.vertsplit(change, 6)

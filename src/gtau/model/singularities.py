@@ -103,10 +103,7 @@ NO_MOTION = 1e-7  # share of the largest singular value of J_t: rounding
 
 @lru_cache(maxsize=8)
 def singular_distances(idm: InverseDynamics) -> Callable[[Motion], np.ndarray]:
-    """Prepare the distances (2, N) of a robot's motions to singularities of type 1 and 2; once for each model.
-
-    Those to type 2 are NaN without closures.
-    """
+    """Prepare the distances (2, N) of motions to singularities of type 1 and 2, NaN for type 2 without closures."""
     layout, jacobian = idm.layout, tool_jacobian(idm)
     # the rank of J_t at most poses, and its largest singular value there
     s = np.linalg.svd(jacobian(random_motion(idm, POSES, np.random.default_rng(0))), compute_uv=False)
@@ -132,8 +129,7 @@ def singular_distances(idm: InverseDynamics) -> Callable[[Motion], np.ndarray]:
 def tool_jacobian(idm: InverseDynamics) -> Callable[[Motion], np.ndarray]:
     """Compile the tool's Jacobian J_t (N, rows, n) along motions, lengths in characteristic lengths.
 
-    The tool is the body that carries payloads, or where a loop is closed by a ``connect`` at that link, as in a
-    five-bar, the point where it is closed.
+    The tool carries payloads; where a loop is closed by a ``connect`` at that link, as in a five-bar, it is that point.
     """
     layout, robot, length = idm.layout, idm.robot, idm.layout.length
     n, passive = len(layout.actuated), layout.passive

@@ -33,8 +33,7 @@ class JointFriction:
     """Friction and offsets of all joints, by the ``law`` of the robot.
 
     ``values`` are ``fv``, ``fs``, ``fb``, ``fl``, ``f3`` and ``off`` by name, SI units, those missing being zero;
-    ``smoothing`` has the width of ``sign(qd)`` by kind of joint, m/s or rad/s. A joint with a shape or load-dependent
-    friction that the law does not include is refused.
+    ``smoothing`` the width of ``sign(qd)`` by kind of joint. What the law does not include is refused.
     """
 
     law: FrictionLaw
@@ -100,10 +99,9 @@ class JointFriction:
         return np.clip(z + self.reach @ dq, -1.0, 1.0)
 
     def until_turn(self, z: np.ndarray, before: np.ndarray, after: np.ndarray, step: float) -> float:
-        """Compute the part of a step in which no sliding joint turns: 1, or less where the step is to be shorter.
+        """Compute the part of a step of this length in which no sliding joint turns, by the speeds (n,) at its ends.
 
-        Sliding erases the history of a state, so that steps end where sliding joints reverse; a state that has not slid
-        depends on the position alone. ``before`` and ``after`` (n,) are the speeds at the ends of the step, in s.
+        Sliding erases the history of a state, so that steps end where sliding joints reverse.
         """
         v, w = self.reach @ before, self.reach @ after
         turns = v * w < 0
@@ -113,11 +111,9 @@ class JointFriction:
         return float(np.min(part, where=turns & slid & (back > MISSED), initial=1.0))
 
     def effort(self, yd: ca.SX, J: ca.SX, force: ca.SX, z: ca.SX) -> ca.SX:
-        """Express the effort left for the robot (n,), ``force - friction``, which is also the load of the joints.
+        """Express the effort e left for the robot (n,), which is also the load of the joints: ``force - friction``.
 
-        Friction by load is ``s |e|`` of the effort e itself, so that ``e + s |e|`` is the force less other friction.
-        ``yd`` are the velocities of the tree, ``J`` how actuated joints move it, ``force`` (n,) that of the motors, and
-        ``z`` the states (s,).
+        Friction by load is ``s |e|``, so that ``e + s |e|`` is the force of the motors (n,) less other friction.
         """
         (plain, loaded), speeds = self._forces(yd, z)
         n_joints, scales, effort = len(self.offsets), ca.SX.ones(plain.shape[0]), force

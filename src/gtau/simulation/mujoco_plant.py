@@ -49,14 +49,13 @@ class MujocoPlant:
         try:
             import mujoco  # type: ignore[import-untyped, unused-ignore]
         except ImportError:
-            raise missing_extra(
-                "the engine 'mujoco' (the engine 'gtau' needs nothing more)", "mujoco", "mujoco"
-            ) from None
-        robot, layout = model.robot, model.layout
+            engine = "the engine 'mujoco' (the engine 'gtau' needs nothing more)"
+            raise missing_extra(engine, "mujoco", "mujoco") from None
+        robot = model.robot
         if robot.couplings:
             raise GtauError(
                 f"robot '{robot.name}' has couplings, which the engine 'mujoco' does not support; use the engine "
-                f"'gtau'."
+                "'gtau'."
             )
         chi = {name: float(chi.get(name, 0.0)) for name in model.parameter_names}
         friction = friction or plain_friction(model, chi)
@@ -76,9 +75,8 @@ class MujocoPlant:
         self._mujoco, self.model = mujoco, model
         self._data = mujoco.MjData(self._model)
         joints = [self._model.joint(joint.name) for joint in robot.joints]
-        self._position = np.array([joint.qposadr[0] for joint in joints])
-        self._rate = np.array([joint.dofadr[0] for joint in joints])
-        self._actuated = layout.actuated
+        position, self._rate = (np.array([getattr(joint, at)[0] for joint in joints]) for at in ("qposadr", "dofadr"))
+        self._place, self._motors = position[model.layout.actuated], self._rate[model.layout.actuated]
         self.friction = friction
         yd, z = ca.SX.sym("yd", len(joints)), ca.SX.sym("z", len(friction.law.states))
         rest = friction.on_joints(yd, z) - ca.DM([chi[name] for name in viscous]) * yd
@@ -97,20 +95,19 @@ class MujocoPlant:
         steps = max(1, round(duration / STEP))
         self._model.opt.timestep = duration / steps
         data.qpos, data.qvel = state.c, state.v
-        place = self._position[self._actuated]
         for _ in range(steps):
-            before = data.qpos[place]
+            before = data.qpos[self._place]
             applied[self._rate] = -self._rest(data.qvel[self._rate], z)[0]
-            applied[self._rate[self._actuated]] += force
+            applied[self._motors] += force
             data.qfrc_applied = applied
             self._mujoco.mj_step(self._model, data)
-            z = self.friction.moved(z, data.qpos[place] - before)
+            z = self.friction.moved(z, data.qpos[self._place] - before)
         if not np.isfinite(data.qpos).all() or data.warning[self._mujoco.mjtWarning.mjWARN_BADQACC].number:
             raise GtauError(
                 f"robot '{self.model.robot.name}': MuJoCo's motion has no bounds; check the masses and frictions and "
                 "the controller."
             )
-        q, qd = data.qpos[place], data.qvel[self._rate[self._actuated]]
+        q, qd = data.qpos[self._place], data.qvel[self._motors]
         return PlantState(q, qd, data.qpos.copy(), data.qvel.copy(), z)
 
 

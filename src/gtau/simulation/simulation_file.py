@@ -63,9 +63,8 @@ class FrictionCurve(Keys):
 class Simulation(Keys):
     """A simulation file; its paths are relative to it.
 
-    The robot has the ``parameters`` and the friction of ``curves``, or all those of an identified ``model``.
-
-    ``control`` lists the trajectories on which control laws are compared; no logs are written of them.
+    The robot has the ``parameters`` and the friction of ``curves``, or all those of an identified ``model``;
+    ``control`` lists trajectories on which control laws are compared, without logs.
     """
 
     robot: RobotName

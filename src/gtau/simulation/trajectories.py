@@ -65,10 +65,7 @@ def _blend(u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class Sines:
-    """A sum of sines about ``center``, faded in and out.
-
-    ``amplitude`` and ``phase`` (n, K) in rad or m and rad, ``frequency`` (K,) or (n, K) in Hz, ``duration`` in s.
-    """
+    """A sum of sines (n, K) about ``center``, rad or m, Hz and rad, faded in and out within ``duration``, s."""
 
     center: np.ndarray
     amplitude: np.ndarray
@@ -92,10 +89,7 @@ class Sines:
 
 
 def sines(within: Envelope, duration: float, rng: np.random.Generator) -> Sines:
-    """Draw a random sum of sines, as large as the envelope allows.
-
-    Where a joint's acceleration would keep it small, its sines are slower instead, until its speed or reach is used.
-    """
+    """Draw a random sum of sines as large as the envelope allows, slower where accelerations would keep it small."""
     shape = (len(within.center), len(FREQUENCIES))
     amplitude, phase = rng.uniform(0.5, 1.0, shape), rng.uniform(0, 2 * np.pi, shape)
     q, qd, qdd = _peaks(Sines(within.center, amplitude, phase, FREQUENCIES, duration))
@@ -136,10 +130,9 @@ def point_to_point(within: Envelope, duration: float, rng: np.random.Generator) 
 
 
 def through(within: Envelope, duration: float, targets: Iterator[np.ndarray], rest: float = REST) -> PointToPoint:
-    """Plan moves from the center through ``targets``, each as fast as the envelope allows.
+    """Plan moves from the center through endless ``targets`` (n,), -1 to 1 of the reach, as fast as allowed.
 
-    Targets (n,), without end, are from -1 to 1 of the envelope's reach to either side of its center. Only moves that
-    end before ``duration``, s, are made, but at least one, with ``rest`` s between two.
+    Only moves that end before ``duration``, s, are made, but at least one, with ``rest`` s between two.
     """
     points, now = [within.center], 0.0
     starts: list[float] = []

@@ -37,11 +37,7 @@ def alarm_of(
     log: LogStatistics,
     uneven: Mapping[str, float],
 ) -> Alarm:
-    """Explain the change indicated by the charts.
-
-    ``entries`` are the last logs, ``log`` the statistics of the newest, the last one; ``uneven`` the largest
-    unevenness of each joint's residual in healthy logs.
-    """
+    """Explain the change of the last logs, the newest ``log`` included; ``uneven`` is by joint that of healthy ones."""
     leading = max(evidences, key=lambda name: evidences[name].log_e)
     change = evidences[leading]
     shown = [k for k, entry in enumerate(entries) if leading in entry.values]
@@ -68,8 +64,8 @@ def _explained(
 ) -> tuple[Explained, ...]:
     """Find the explanations that fit a change and cannot be distinguished, the best one first.
 
-    ``before`` and ``after`` (logs, k) are charts of the logs before and after the change, NaN where a log does not
-    show one; the motion of the newest, ``log``, determines the signature of each change. None if nothing fits.
+    The logs ``before`` and ``after`` it (logs, k) are NaN where they do not show a chart; the motion of the newest,
+    ``log``, determines the signature of each change.
     """
     enough = (np.isfinite(before).sum(axis=0) >= FEWEST) & np.isfinite(after).any(axis=0) & log.shown
     kept = np.flatnonzero(enough)
@@ -120,10 +116,10 @@ def _fitted(
     grown: tuple[float, float],
     logs: int,
 ) -> Iterator[tuple[Explained, int]]:
-    """Fit each hypothesis to the charts ``rows``, and return its degrees of freedom too.
+    """Fit each hypothesis to the charts ``rows``, which ``L`` whitens, and return its degrees of freedom too.
 
-    ``L`` whitens the charts; ``changes`` (rows, 2) are those of all later logs and of the newest one, whitened; of
-    ``grown`` see :func:`_grown`. The intervals are those of the scatter between so many ``logs``.
+    ``changes`` (rows, 2) are whitened, of all later logs and of the newest one; intervals are those of so many
+    ``logs``.
     """
     from scipy.stats import t as student
 
@@ -204,11 +200,9 @@ def _contacts(log: LogStatistics, uneven: Mapping[str, float]) -> tuple[Explaine
 
 
 def _covariance(values: np.ndarray, formula: np.ndarray) -> np.ndarray:
-    """Estimate the covariance (k, k) between healthy logs, positive definite however few they are.
+    """Estimate the covariance (k, k) between healthy logs (logs, k), positive definite however few they are.
 
-    ``values`` (logs, k) are those of charts that every log shows; correlations are shrunk to those of ``formula`` (k,
-    k), the covariance of one log for independent residuals, below half of whose standard deviations logs do not
-    scatter.
+    Correlations are shrunk to those of one log (``formula``), below half of whose standard deviations none scatter.
     """
     logs, k = values.shape
     deviations = values - values.mean(axis=0)

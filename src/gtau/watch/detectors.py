@@ -101,10 +101,7 @@ class Chart:
 
 @dataclass(frozen=True)
 class Evidence:
-    """Evidence of a chart: logarithm of its e-detector, the likeliest first log of the change and the interval of it.
-
-    Logs are counted from the first one of the chart; None without any evidence.
-    """
+    """Logarithm of a chart's e-detector, and the likeliest first log of the change with its interval."""
 
     log_e: float = -np.inf
     start: int | None = None

@@ -165,10 +165,7 @@ def _sigma(model: Result) -> np.ndarray:
 def _columns(
     model: Result, part: Rows, load: np.ndarray, payload: np.ndarray, quantities: Sequence[Quantity], run: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Build the rows ``[columns | y]`` (n, K, p + 1) of all joints, and the torques of the model (n, K).
-
-    ``load`` are the identified base parameters, and ``payload`` (n_b, k) the columns of a payload among them.
-    """
+    """Build rows ``[columns | y]`` (n, K, p + 1) and torques (n, K) of base parameters and payload (n_b, k)."""
     idm = model.idm
     n, regressor = len(idm.actuated), idm.columns(model.base.standard)
     W = part.matrix(regressor, n)

@@ -149,10 +149,7 @@ def _beside_friction(G: np.ndarray, normal: NormalEquations) -> np.ndarray:
 
 
 def _residuals(normal: NormalEquations, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Compute for each joint the log ratio of the rms residual to the model's, friction free, and its unevenness.
-
-    The ratio is that of the blocks ``used`` (blocks,).
-    """
+    """Compute each joint's log ratio of rms residuals, friction free, in the blocks ``used``, and its unevenness."""
     friction, n = normal.friction, normal.G.shape[1]
     rms, uneven = np.full(n, np.nan), np.ones(n)
     for j in np.flatnonzero(normal.rows[used].sum(axis=0)):

@@ -41,10 +41,7 @@ from gtau.watch.statistics import RESIDUAL, LogStatistics, statistics_of
 
 @dataclass(frozen=True, eq=False)
 class Status:
-    """State after a log: its entry in the history, and the evidence of each chart.
-
-    ``charts`` (k,) with the ``baseline`` of each, ``evidences`` and ``cusums`` (k,), the larger sum over its limit.
-    """
+    """Entry in the history, charts (k,) with baseline and evidence, and the larger CUSUM of each over its limit."""
 
     entry: Entry
     charts: tuple[Quantity, ...]
