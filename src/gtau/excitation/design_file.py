@@ -8,31 +8,22 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
+from pydantic import Field, FiniteFloat, field_validator, model_validator
 
 from gtau.documents.files import DESIGN, refuse_other_kind
 from gtau.documents.validation import PATH, Keys, Positive, some_of, takes, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
-from gtau.estimation.results.result import Result
 from gtau.excitation.clearance import Shape, capsule, hull
 from gtau.excitation.gradients import in_platform_space
 from gtau.excitation.guards import Guarded, guard
-from gtau.excitation.prior import (
-    KnownGain,
-    Prior,
-    given_parameters,
-    identified_gains,
-    rough_noise,
-    rough_parameters,
-)
+from gtau.excitation.prior import DesignPrior, FilePath, prior_of
 from gtau.excitation.task import DesignProblem, MotionLimits
 from gtau.excitation.trajectory import FourierSeries
-from gtau.model.base_parameters import BaseParameters, base_parameters
+from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.floating import refuse_floating
-from gtau.robots.plausibility import massless
 from gtau.robots.robot import Pose, Robot
 from gtau.signals.reading.logged_run import RobotName
 from gtau.signals.reading.statements import Payload
@@ -43,32 +34,10 @@ CONDITION = 100.0  # default of the largest condition number of the closures
 SHARE = 0.8  # default part of the limits of the robot's file that a motion may use
 
 
-def _beside_the_file(path: Path, info: ValidationInfo) -> Path:
-    return path if info.context is None else info.context / path
-
-
-FilePath = Annotated[Path, AfterValidator(_beside_the_file)]
-
-
 class PlannedRun(Keys):
     """A run of the motion, with or without a payload."""
 
     payload: Payload | Literal["none"]
-
-
-class DesignPrior(Keys):
-    """Prior knowledge: a model, or standard parameters and drive gains; and the currents' noise, A."""
-
-    model: FilePath | None = None
-    gains: dict[str, FiniteFloat] = Field(default_factory=dict)
-    parameters: dict[str, FiniteFloat] = Field(default_factory=dict)
-    noise: dict[str, Positive] = Field(default_factory=dict)
-
-    @model_validator(mode="after")
-    def _one_source(self) -> DesignPrior:
-        if self.model is not None and (self.gains or self.parameters):
-            raise ValueError("a model has gains and parameters of its own; give the model, or these")
-        return self
 
 
 class ShapeEntry(Keys):
@@ -190,7 +159,7 @@ def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
     model = InverseDynamics(robot)
     base = base_parameters(model)
     assumed: dict[str, str] = {}
-    prior = _prior(file.prior, model, base, file.payloads, assumed)
+    prior = prior_of(file.prior, model, base, file.payloads, assumed)
     if "gains" in assumed and file.limits.current:
         raise GtauError("limits.current needs the drive gains; add prior.gains or prior.model, or limit torques.")
     limits, shapes = _limits(file.limits, robot, assumed), file.limits.shapes
@@ -300,57 +269,3 @@ def _platform_series(robot: Robot, entry: LimitsEntry, period: float, harmonics:
             low, high = entry.workspace[dof]
             center[k], half[k] = (low + high) / 2 - platform.home.xyz["xyz".index(dof)], (high - low) / 2
     return FourierSeries(center, half, 1 / period, harmonics, of_platform=True)
-
-
-def _prior(
-    prior: DesignPrior,
-    model: InverseDynamics,
-    base: BaseParameters,
-    payloads: tuple[Payload | None, ...],
-    assumed: dict[str, str],
-) -> Prior:
-    """Determine base parameters, gains and noise."""
-    if prior.model is not None:
-        result = Result.load(prior.model)
-        if result.robot.actuated != model.actuated:
-            raise GtauError(f"{prior.model} is the model of another robot; give one of '{model.robot.name}'.")
-        known = identified_gains(result, prior.model)
-        chi = np.array([result.params.get(name, 0.0) for name in base.names])
-        rms = np.array([error.rms for error in result.residuals])
-        # white noise of the currents' samples that explains the residuals
-        sigma = rms / np.abs([gain.value for gain in known]) * np.sqrt(result.preparation.decimator.factor)
-    else:
-        chi = _parameters(prior, model, base, payloads, assumed)
-        missing = [joint for joint in model.actuated if joint not in prior.gains]
-        if missing and prior.gains:
-            raise GtauError(f"prior.gains has no gain for joint '{missing[0]}'; give one for every joint or for none.")
-        gains = [prior.gains.get(joint, 1.0) for joint in model.actuated]
-        known = tuple(KnownGain(gain, (gain, gain), "assumed" if missing else "given") for gain in gains)
-        if missing:
-            assumed["gains"] = "gains: 1 N m/A or N/A in every joint; currents are then torques"
-        sigma = rough_noise(model, base, chi) / np.abs(gains)
-        if len(prior.noise) < len(gains):
-            assumed["noise"] = "noise of the currents: white, 0.5 % of the largest current, a sample"
-    sigma = np.array([prior.noise.get(joint, rough) for joint, rough in zip(model.actuated, sigma, strict=True)])
-    return Prior(chi, known, sigma)
-
-
-def _parameters(
-    prior: DesignPrior,
-    model: InverseDynamics,
-    base: BaseParameters,
-    payloads: tuple[Payload | None, ...],
-    assumed: dict[str, str],
-) -> np.ndarray:
-    """Take the base parameters (n_b,) from those stated, or guess them."""
-    if not prior.parameters:
-        carried = max(payload.mass or 1.0 for payload in payloads if payload is not None)
-        rough, mass = rough_parameters(model, base, carried)
-        assumed["parameters"] = (
-            f"parameters: every link a rod of {mass:.3g} kg, and friction a tenth of the torque; "
-            "give prior.parameters or prior.model for better predictions"
-        )
-        return given_parameters(model, base, rough)
-    if light := massless(model.robot, prior.parameters):
-        assumed["massless"] = f"no mass and inertia of {', '.join(light)}: 'prior.parameters' names none of theirs"
-    return given_parameters(model, base, prior.parameters)
