@@ -28,10 +28,9 @@ from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.regression.dataset import Dataset, System, reduce_runs
-from gtau.estimation.regression.equations import BLOCKS, SIGNALS, triangle
-from gtau.estimation.regression.factors import EXTRA, Factors
+from gtau.estimation.regression.factors import EXTRA, SIGNALS, Factors, triangle
 from gtau.estimation.regression.rows import stream_rows
-from gtau.estimation.regression.run_blocks import block_of
+from gtau.estimation.regression.run_blocks import BLOCKS, block_of
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.geometry import characteristic_length
@@ -167,7 +166,7 @@ def fix(data: Dataset, k: int) -> Fixed:
     regressor = data.model.columns(data.base.standard)
     parts = list(stream_rows(data.model, regressor, prepared, decimator))
     entries, keep = np.hstack([p.entries for p in parts]), np.hstack([p.keep for p in parts])
-    block = block_of(data.edges[k], entries.shape[1])
+    block = block_of(data.prepared.edges[k], entries.shape[1])
     rows = []
     for s in range(BLOCKS):
         of_joints = []

@@ -216,7 +216,7 @@ def test_episodes_of_lists(tmp_path: Path, motion: Any, arrays: bool) -> None:
     write_draft(draft, tmp_path / "experiment.yaml")
     experiment = read_experiment(tmp_path / "experiment.yaml")
     assert [run.episode for run in experiment.runs] == [0, 1, 2, 3]
-    third = read_run(log, experiment.signals, part=experiment.runs[2].part)
+    third = read_run(log, experiment.signals, part=experiment.runs[2])
     assert third.name == "file-000 episode 2"
     np.testing.assert_allclose(third.position, motion["empty"][1][2000:3000], atol=1e-9)
     np.testing.assert_allclose(third.command, motion["empty"][2][2000:3000], atol=1e-9)
@@ -226,7 +226,7 @@ def test_episodes_of_lists(tmp_path: Path, motion: Any, arrays: bool) -> None:
         read_experiment(tmp_path / "twice.yaml")
     (tmp_path / "none.yaml").write_text(text.replace("episode: 3", "episode: 7"))
     with pytest.raises(GtauError, match=r"has no episode 7; its episodes are 0 to 3"):
-        _ = read_experiment(tmp_path / "none.yaml").runs[-1].part
+        read_run(log, experiment.signals, part=read_experiment(tmp_path / "none.yaml").runs[-1])
 
 
 INFO = {

@@ -176,7 +176,7 @@ def _refuse_controller(to: str, frame: str, result: Result, file: str) -> None:
     """Refuse a controller that does not exist, or whose frame nobody named, before the work."""
     from gtau.export.exported import refuse_unknown
     from gtau.export.payload import WRITERS, refuse_unnamed
-    from gtau.robots.readers.read import links_on
+    from gtau.robots.readers.links import links_on
 
     refuse_unknown(to, WRITERS)
     if not frame:
@@ -308,7 +308,7 @@ def use(
 
 def _frame(result: Result, frame: str, experiment: Path | None) -> tuple[str, Placement]:
     """Find a frame on the body that carries the payload, as for 'gtau payload'."""
-    from gtau.robots.readers.read import frame_on
+    from gtau.robots.readers.links import frame_on
     from gtau.signals.reading.experiment import read_experiment
 
     robot = None if experiment is None else read_experiment(experiment).robot

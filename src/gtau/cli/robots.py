@@ -225,7 +225,7 @@ def simulate(
     refuse_as_folder(out)
     with progress_bar() as progress:
         from gtau.model.home import load_robot
-        from gtau.robots.plausibility import massless
+        from gtau.robots.geometry import massless
         from gtau.simulation.experiment_files import simulate_experiment
         from gtau.simulation.simulation_file import read_simulation
 

@@ -6,13 +6,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gtau.documents.validation import MAPPING, NUMBER, expect, read_group
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.estimators.registry import estimator_of
-from gtau.estimation.regression.priors import inertia_priors
+from gtau.estimation.regression.assembly import inertia_priors
 from gtau.estimation.thresholds.estimates import ACCURACY
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -20,9 +19,11 @@ from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
 from gtau.signals.reading.experiment import Experiment, check_robot, read_experiment
 from gtau.signals.reading.logged_run import LoggedRun
-from gtau.signals.reading.side_signals import read_poses
 from gtau.signals.reading.statements import Prior, StatedGain, as_priors
 from gtau.signals.run import Run, read_run
+
+if TYPE_CHECKING:
+    from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 
 OF_RUNS = "the runs of a robot are a list of runs; read each log with gtau.read_run."
 
@@ -136,11 +137,7 @@ def describe(
     robot = load_robot(experiment.robot)
     check_robot(experiment, robot)
     if options.prior_gains is None:
-        stds = experiment.gain_stds
-        gains = {
-            joint: StatedGain(value=value, std=stds.get(joint)) for joint, value in experiment.expected_gains.items()
-        }
-        options = replace(options, prior_gains=gains)
+        options = replace(options, prior_gains=experiment.stated_gains)
     if options.priors is None:
         options = replace(options, priors=experiment.expected_parameters)
     if options.prior_inertias is None:
@@ -181,7 +178,7 @@ def read_runs(experiment: Experiment, runs: Sequence[LoggedRun], progress: Progr
             progress("reading logs", round(parts * (k + done)), parts * len(runs))
 
         return read_run(
-            run.log, experiment.signals, run.payload, experiment.units, advance, experiment.preparation, run.part
+            run.log, experiment.signals, run.payload, experiment.units, advance, experiment.preparation, run
         )
 
     return tuple(read_one(k, run) for k, run in enumerate(runs))
@@ -195,6 +192,7 @@ def geometry_of(
     if signals.pose is None:
         return None
     from gtau.estimation.diagnostics.geometry import geometry_test
+    from gtau.signals.reading.side_signals import read_poses
 
-    logged = [read_poses(run.log, signals, experiment.units, run.part) for run in runs]
+    logged = [read_poses(run.log, signals, experiment.units, run) for run in runs]
     return geometry_test(model, signals.pose, signals.joints, logged, progress)

@@ -17,9 +17,8 @@ from gtau.findings import Outcome
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import random_motion
-from gtau.robots.geometry import places_on
+from gtau.robots.geometry import massless, places_on
 from gtau.robots.parameter import Parameter
-from gtau.robots.plausibility import massless
 from gtau.signals.reading.statements import Payload
 
 FRICTION = 0.1  # rough Coulomb friction, and viscous friction at the speed limit, of the rms torque

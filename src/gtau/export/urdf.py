@@ -24,8 +24,8 @@ from gtau.export.consistent import (
 )
 from gtau.export.exported import Export, Exported, digits, written, xml_text
 from gtau.export.input_file import InputFile, input_file
-from gtau.robots.geometry import compose, pose_of, turn
 from gtau.robots.parameter import RigidBody, gain_unit, rigid_body, torque_unit, unit_of
+from gtau.robots.placement import compose, pose_of, turn
 from gtau.robots.robot import (
     DAMPING,
     GROUND,

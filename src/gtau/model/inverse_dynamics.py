@@ -15,9 +15,9 @@ from gtau.errors import GtauError
 from gtau.model.dynamics import parameter_names, torques, wrench_torques
 from gtau.model.interpreter.program import NONE, Program, compile_program, share
 from gtau.model.kinematics import Coordinates, placements, shifted
-from gtau.model.loops import Labels, Loops, Motion, Numbers, close_loops, differentiate, follow
-from gtau.robots.floating import WRENCH, WrenchFrame
+from gtau.model.loops import Labels, Loops, Motion, close_loops, differentiate, follow, numbers
 from gtau.robots.parameter import Parameter
+from gtau.robots.placement import WRENCH, WrenchFrame
 from gtau.robots.robot import Robot
 
 PATH = 65536  # samples whose loops are closed together, in parallel segments
@@ -275,7 +275,7 @@ class InverseDynamics:
         c = np.empty((0, 0))
         for start in range(0, q.shape[1], PATH):
             chunk = slice(start, start + PATH)
-            c = self.path(q[:, chunk], Numbers(start), c[:, -1] if start else None)
+            c = self.path(q[:, chunk], numbers(start), c[:, -1] if start else None)
             states = c, qd[:, chunk], qdd[:, chunk]
 
             def stretch(first: int, last: int, start: int = start, states: Sequence[np.ndarray] = states) -> None:
@@ -283,7 +283,7 @@ class InverseDynamics:
                     end = min(begin + BLOCK, last)
                     # blocks are copied, as fresh memory for whole paths would cost more than the copies
                     now, speed, push = (np.ascontiguousarray(samples[:, begin:end]) for samples in states)
-                    motion = self.rates(now, speed, push, Numbers(start + begin))
+                    motion = self.rates(now, speed, push, numbers(start + begin))
                     work(slice(start + begin, start + end), motion)
 
             share(stretch, c.shape[1])

@@ -19,7 +19,8 @@ from itertools import chain, repeat
 import casadi as ca
 import numpy as np
 
-from gtau.robots.geometry import characteristic_length, moved_ends, pose_of
+from gtau.robots.geometry import characteristic_length, moved_ends
+from gtau.robots.placement import pose_of
 from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint, Placement, Platform, Pose, Robot
 
 SAME_LENGTH = 1e-6  # relative difference of lengths intended to be equal

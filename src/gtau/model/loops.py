@@ -7,11 +7,10 @@ followed at once, each in a lane of its own.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from threading import get_ident
-from typing import Protocol
 
 import numpy as np
 
@@ -33,20 +32,13 @@ SEGMENTS = 128  # of a path, followed in parallel, each of at least SEGMENT samp
 SEGMENT = 16
 
 
-class Labels(Protocol):
-    """Names of the samples in messages."""
-
-    def __getitem__(self, sample: int) -> str: ...
+Labels = Callable[[int], str]
+"""Name of each sample in messages."""
 
 
-@dataclass(frozen=True)
-class Numbers:
-    """Samples called by their numbers, counted from ``first``."""
-
-    first: int = 0
-
-    def __getitem__(self, sample: int) -> str:
-        return f"sample {self.first + sample}"
+def numbers(first: int = 0) -> Labels:
+    """Call samples by their numbers, counted from ``first``."""
+    return lambda sample: f"sample {first + sample}"
 
 
 @dataclass(frozen=True)
@@ -180,7 +172,7 @@ def follow(
     Raises GtauError, with the name of ``labels``, where a sample cannot be reached within the assembly mode.
     """
     q, samples = np.ascontiguousarray(q, dtype=float), q.shape[1]
-    labels = labels or Numbers()
+    labels = labels or numbers()
     begin = loops.home if start is None else start
     c = np.repeat(begin[:, None], samples, axis=1)
     if not samples:
@@ -189,7 +181,7 @@ def follow(
     starts = np.arange(0, samples, length)
     c[:, [0]], first_reached = advance(loops, begin[:, None], q[:, [0]])
     if not first_reached[0]:
-        raise _unreachable(loops, q[:, 0], labels[0])
+        raise _unreachable(loops, q[:, 0], labels(0))
     reached = np.ones(starts.size, dtype=bool)
     half = 1 << (starts.size - 1).bit_length()
     while half := half // 2:  # the head in the middle of the way, those of its halves, and so on
@@ -215,7 +207,7 @@ def follow(
             lost |= _follow_segments(loops, q, c, starts[[k]], length)
     if lost:
         first = min(lost)
-        raise _unreachable(loops, q[:, first], labels[first])
+        raise _unreachable(loops, q[:, first], labels(first))
     return c
 
 
@@ -269,7 +261,7 @@ def differentiate(
     singular = condition >= CONDITION
     if singular.any():
         worst = int(np.argmax(condition))
-        label, pose = (labels or Numbers())[worst], pose_words(layout.robot, c[layout.actuated, worst])
+        label, pose = (labels or numbers())(worst), pose_words(layout.robot, c[layout.actuated, worst])
         raise GtauError(
             f"robot '{layout.robot.name}': at {label} ({pose}) the pose is too close to a singularity of type 2, "
             "where passive joints can move although the actuated ones stand still "

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
-from gtau.estimation.regression.friction import TEMPERATURE_TERMS
+from gtau.estimation.regression.column_blocks import TEMPERATURE_TERMS
 from gtau.estimation.results.estimate import Estimate, FrictionCurve
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.table import estimates_table
@@ -138,8 +138,8 @@ def _curves(result: Result, runs: Sequence[RunEvidence]) -> list[Panel]:
         shown = np.flatnonzero(valid)
         shown = shown[:: max(1, len(shown) // POINTS)]
         series = (
-            Series("left to friction", speed[shown], rest[shown], "measured", "points"),
-            Series("predicted", speed[shown], friction[shown], "predicted", "points"),
+            Series("predicted", speed[shown], friction[shown], "predicted", "points", width=2.4),
+            Series("left to friction", speed[shown], rest[shown], "measured", "points", width=0.0),
         )
         x = Axis(f"speed, {position_unit(result.robot, joint)}/s")
         y = Axis(f"friction, {torque_unit(result.robot, joint)}")

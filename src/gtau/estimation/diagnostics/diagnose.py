@@ -29,7 +29,7 @@ from gtau.estimation.diagnostics.stated_constants import (
 from gtau.estimation.diagnostics.unit_checks import units_and_signs, unlike_legs
 from gtau.estimation.diagnostics.verdict import GIVEN, GOOD, OUTCOMES, Outcome, Verdict, decide, delay_verdicts, motors
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.regression.unknowns import Estimates
+from gtau.estimation.regression.problem import Estimates
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import whole_mass

@@ -21,8 +21,8 @@ import numpy as np
 
 from gtau.estimation.diagnostics.effort_rows import JointRows, basis_of, joint_rows, triangles, unexplained
 from gtau.estimation.diagnostics.linearisation import least_squares_step
+from gtau.estimation.regression.assembly import stated_inertias
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.priors import stated_inertias
 from gtau.estimation.thresholds.estimates import (
     GRAVITY_MISFIT,
     HARDLY_NEGATIVE,

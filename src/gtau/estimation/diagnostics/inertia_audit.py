@@ -14,10 +14,10 @@ from typing import Literal
 import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import refitted
-from gtau.estimation.estimators.estimator import Fit, Iterate
-from gtau.estimation.estimators.newton import degrees_of_freedom, residuals, stacked
-from gtau.estimation.regression.equations import MODEL
-from gtau.estimation.regression.priors import inertia_priors, sizes_of, stated_inertias
+from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.estimators.newton import degrees_of_freedom, squared, stacked
+from gtau.estimation.regression.assembly import inertia_priors, sizes_of, stated_inertias
+from gtau.estimation.regression.factors import MODEL
 from gtau.estimation.thresholds.estimates import INERTIA_CHANCE, INERTIA_EXPLAINED
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
@@ -122,7 +122,7 @@ def without_file_inertias(
     """
     if not fit.dataset.prior_inertias:
         return fit, covariance, freedom
-    dataset = replace(fit.dataset, priors=fit.dataset.stated_priors, prior_inertias=0.0, alike=fit.dataset)
+    dataset = replace(fit.dataset, priors=fit.dataset.stated_priors, prior_inertias=0.0)
     bare = refitted(fit, dataset=dataset)
     if bare is None:
         return None
@@ -182,8 +182,8 @@ class _Comparison:
     def errors(self, theta: np.ndarray) -> dict[str, float]:
         """Compute the torque errors of the joints, per cent of their rms torque."""
         whole, solution = self.fit.system.whole, self.fit.solution
-        left = residuals(stacked(whole), Iterate(theta, 1 / solution.gains, solution.delays))
-        rms = np.sqrt(np.sum(left**2, axis=-1) / whole.total_rows)
+        squares = squared(stacked(whole), np.concatenate([theta, solution.gains, solution.delays]))
+        rms = np.sqrt(squares / whole.total_rows)
         share = 100 * rms / whole.balance(theta)
         return {joint: float(share[k]) for k, joint in enumerate(whole.joints)}
 

@@ -15,9 +15,8 @@ import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import jacobian, jacobian_of_known, residuals, whitening
-from gtau.estimation.regression.equations import triangle
-from gtau.estimation.regression.factors import EXTRA, equations
-from gtau.estimation.regression.rows import Labels, Rows, configurations, stream_rows
+from gtau.estimation.regression.factors import EXTRA, equations, triangle
+from gtau.estimation.regression.rows import Rows, configurations, instants, stream_rows
 from gtau.estimation.regression.run_blocks import Windows, window_clusters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import Motion
@@ -136,9 +135,9 @@ def linearise(
     T = stacked_triangles(reduced)
     parts = [errors_and_jacobian(fit, run, window, rows) for (run, window), rows in zip(windows, T, strict=True)]
     e, J = (np.stack(part) for part in zip(*parts, strict=True))
-    weights = fit.solution.iterate.b / np.maximum(fit.solution.sigma, fit.system.problem.smallest_sigma)
+    weights = 1 / (fit.solution.gains * np.maximum(fit.solution.sigma, fit.system.problem.smallest_sigma))
     offered = -weights[:, None, None] * T[..., fit.dataset.base.count + EXTRA :]
-    return Linearised(e, J, offered, known_rows(fit, windows), window_clusters(windows, fit.dataset.places))
+    return Linearised(e, J, offered, known_rows(fit, windows), window_clusters(windows, *fit.dataset.prepared.places))
 
 
 def stacked_triangles(reduced: Sequence[Sequence[np.ndarray]]) -> np.ndarray:
@@ -180,9 +179,9 @@ def errors_and_jacobian(fit: Fit, run: int, window: SampleWindow, rows: np.ndarr
 
 def weighted(fit: Fit, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Compute errors (..., c, p) of a problem's blocks and their Jacobian (..., c, p, k), in standard deviations."""
-    problem, state = fit.system.problem, fit.solution.iterate
+    problem, values = fit.system.problem, fit.solution.values
     weights = 1 / np.maximum(fit.solution.sigma, problem.smallest_sigma)
-    e, J = residuals(blocks, state), jacobian(blocks, state, problem, fit.free_gains)
+    e, J = residuals(blocks, values), jacobian(blocks, values, problem, fit.free_gains)
     return e * weights[:, None], J * weights[:, None, None]
 
 
@@ -195,7 +194,7 @@ def motion_along(model: InverseDynamics, window: SampleWindow, c: np.ndarray) ->
     """Compute the motion with configurations ``c`` (n_c, N) along a window."""
     samples = window.samples()
     qd, qdd = (np.ascontiguousarray(rates.T) for rates in (samples.qd, samples.qdd))
-    return model.rates(np.ascontiguousarray(c), qd, qdd, Labels(window.run.name, samples.time))
+    return model.rates(np.ascontiguousarray(c), qd, qdd, instants(window.run.name, samples.time))
 
 
 def least_squares_step(J: np.ndarray, e: np.ndarray) -> np.ndarray:

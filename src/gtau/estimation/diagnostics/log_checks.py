@@ -21,7 +21,7 @@ from gtau.estimation.diagnostics.alternatives import rms_torques
 from gtau.estimation.diagnostics.linearisation import window_motion
 from gtau.estimation.estimators.estimator import Fit, Solution
 from gtau.estimation.regression.dataset import Dataset, System
-from gtau.estimation.regression.equations import SIGNAL, SIGNALS
+from gtau.estimation.regression.factors import SIGNAL, SIGNALS
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.thresholds.estimates import MISFIT, UNFELT_PAYLOAD
 from gtau.estimation.thresholds.logs import (
@@ -42,7 +42,7 @@ from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.robots.robot import Robot
 from gtau.signals.reading.samples import extremes
-from gtau.signals.repair.faults import whole_numbers
+from gtau.signals.repair.checks import whole_numbers
 from gtau.signals.run import Run
 from gtau.signals.storage import block, spans
 

@@ -33,9 +33,16 @@ from gtau.estimation.estimators.estimator import Fit, jackknife
 from gtau.estimation.estimators.newton import to_gains, whitening
 from gtau.estimation.estimators.two_stage import first_stage, two_stage
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.equations import SIGNALS, triangle
-from gtau.estimation.regression.friction import TERMS
-from gtau.estimation.regression.run_blocks import WINDOWS, Windows, central_windows, moving_stretches, window_clusters
+from gtau.estimation.regression.factors import SIGNALS, triangle
+from gtau.estimation.regression.rows import TERMS
+from gtau.estimation.regression.run_blocks import (
+    WINDOWS,
+    PreparedRuns,
+    Windows,
+    central_windows,
+    moving_stretches,
+    window_clusters,
+)
 from gtau.estimation.thresholds.estimates import DIFFERENT_STD, NOISE_STD, WEAK_INSTRUMENTS
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
@@ -143,9 +150,9 @@ def differences(fit: Fit) -> Iterator[tuple[Finding, np.ndarray, np.ndarray] | F
     if not pairs:
         return
     rows = [J for _, J, _ in pairs]
-    known, clusters = known_rows(fit, windows)[1], window_clusters(windows, dataset.places)
+    known, clusters = known_rows(fit, windows)[1], window_clusters(windows, *dataset.prepared.places)
     back = whitening(np.concatenate([*rows, known]), np.zeros(len(fit.solution.gains)))
-    T = to_gains(fit.solution.iterate, fit.free_gains) @ back
+    T = to_gains(fit.solution.values, len(fit.solution.gains), fit.free_gains) @ back
     usual = [(J.T @ J, J.T @ e) for _, J, e in pairs]
     if further is not None and not fit.noise_free:
         weighed = [(Z.T @ J, Z.T @ e) for Z, J, e in pairs]
@@ -194,7 +201,7 @@ def _filtered_further(chosen: Preparation) -> Preparation | None:
 
 def _prepared_as(dataset: Dataset, preparation: Preparation) -> Dataset:
     """Prepare the same samples of the same runs with another preparation."""
-    prepared = tuple(replace(run, preparation=preparation.at(run.run.rate)) for run in dataset.prepared)
+    prepared = PreparedRuns(replace(run, preparation=preparation.at(run.run.rate)) for run in dataset.prepared)
     return replace(dataset, preparation=preparation, prepared=prepared)
 
 

@@ -34,6 +34,7 @@ from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.run_blocks import PreparedRuns
 from gtau.estimation.thresholds.estimates import (
     GRAVITY_ALIKE,
     GRAVITY_LEAST,
@@ -63,7 +64,8 @@ TOOL_BODIES, LENGTHS = "tool bodies", "lengths"
 
 def other_loads(fit: Fit) -> Alternative | None:
     """Find the runs whose bodies at the tool are other than declared, with their masses; None without any."""
-    own = replace(fit, solution=replace(fit.solution, sigma=fit.unrefined.sigma))  # residuals as ``solve`` leaves them
+    unrefined = fit.solve(fit.system.problem)  # residuals as those of the others
+    own = replace(fit, solution=replace(fit.solution, sigma=unrefined.sigma))
     count, carried, left = len(fit.dataset.runs), tuple[int, ...](), 1.0
     best: Fit | None = None
     while best is None or len(carried) < count - 1:
@@ -241,7 +243,7 @@ def other_gravity(fit: Fit, progress: Progress = silent) -> Alternative | None:
     declared = np.array(fit.dataset.robot.gravity)
     size = float(np.linalg.norm(declared))
     windows = [window for _, window in fit.dataset.windows()]  # the middle of the runs bounds the time
-    middle = replace(fit.dataset, prepared=tuple(windows))  # type: ignore[arg-type]  # used as prepared runs
+    middle = replace(fit.dataset, prepared=PreparedRuns(windows))  # type: ignore[arg-type]  # used as prepared runs
     own = fitted(fit, middle, declared) if size and windows else None
     if own is None:
         return None
@@ -286,7 +288,7 @@ def fitted(fit: Fit, dataset: Dataset, gravity: np.ndarray) -> Fit | None:
     gains = None if fit.free_gains else fit.gains
     terms = tuple(term for term in fit.system.terms if term.kind != "fl")
     try:
-        other = replace(dataset, model=model, base=base, factors=(), alike=dataset).reduced()
+        other = replace(dataset, model=model, base=base, factors=()).reduced()
         return fit_by(ml_or_wls(gains), fit.system.again(other, terms), fit.free_gains)
     except GtauError:
         return None
@@ -318,7 +320,7 @@ def _degrees(one: np.ndarray, other: np.ndarray) -> float:
 def missing_gravity(fit: Fit) -> Alternative | None:
     """Fit without gravity, for what that explains of each joint and how it moves the gains; None where it cannot be."""
     windows = [window for _, window in fit.dataset.windows()]
-    middle = replace(fit.dataset, prepared=tuple(windows))  # type: ignore[arg-type]  # used as prepared runs
+    middle = replace(fit.dataset, prepared=PreparedRuns(windows))  # type: ignore[arg-type]  # used as prepared runs
     own, other = (fitted(fit, middle, gravity) for gravity in (np.array(fit.dataset.robot.gravity), np.zeros(3)))
     if own is None or other is None:
         return None

@@ -33,8 +33,8 @@ from gtau.estimation.diagnostics.linearisation import (
 )
 from gtau.estimation.estimators.estimator import Fit, jackknife
 from gtau.estimation.estimators.newton import to_gains
-from gtau.estimation.regression.equations import BLOCKS, triangle
-from gtau.estimation.regression.run_blocks import SAMPLES
+from gtau.estimation.regression.factors import triangle
+from gtau.estimation.regression.run_blocks import BLOCKS, SAMPLES
 from gtau.estimation.thresholds.estimates import CORRELATED, CORRELATED_STD, PROBABLE, RIPPLE_SHARE
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
@@ -79,7 +79,7 @@ def position_ripple(fit: Fit) -> Alternative:
         return nothing
     repeats = shares > 0  # what of a joint does not repeat would only take up what its parameters explain
     moved, _ = _fit(linear, halves, np.where(repeats, heights, np.inf))
-    shifts = to_gains(solution.iterate, fit.free_gains) @ (moved - step)
+    shifts = to_gains(solution.values, len(solution.gains), fit.free_gains) @ (moved - step)
     return replace(nothing, causes=(_ripple(fit, shares, shifts),), shifts=shifts)
 
 
@@ -129,20 +129,16 @@ def residual_correlations(fit: Fit) -> tuple[np.ndarray, np.ndarray] | None:
 
     The correlations (n,) have standard deviations (n,) from the scatter over blocks.
     """
-    places, runs, n = fit.dataset.places, fit.dataset.runs, len(fit.system.problem.joints)
+    (groups, spans), runs, n = fit.dataset.prepared.places, fit.dataset.runs, len(fit.system.problem.joints)
     loads = [None if run.payload is None else run.payload.name for run in runs]
-    pairs = [
-        (k, m)
-        for k, m in combinations(range(len(runs)), 2)
-        if places[k].group == places[m].group and loads[k] != loads[m]
-    ]
+    pairs = [(k, m) for k, m in combinations(range(len(runs)), 2) if groups[k] == groups[m] and loads[k] != loads[m]]
     if not pairs:
         return None
     series = {k: _residuals(fit, k) for k in sorted({k for pair in pairs for k in pair})}
     sums = np.zeros((3, BLOCKS, n))
     for k, m in pairs:
         (t, e), (t_m, e_m) = series[k], series[m]
-        again = t + places[m].begin - places[k].begin
+        again = t + spans[m, 0] - spans[k, 0]
         stretch = np.clip((BLOCKS * (t - t[0]) / (t[-1] - t[0])).astype(int), 0, BLOCKS - 1)
         for j in range(n):
             one, other = e[j], np.interp(again, t_m, e_m[j], left=np.nan, right=np.nan)
@@ -161,9 +157,9 @@ def _correlation(sums: np.ndarray) -> np.ndarray:
 
 def _residuals(fit: Fit, run: int) -> tuple[np.ndarray, np.ndarray]:
     """Compute residuals (c, K) in the middle of a run, NaN where a row is not kept, and their instants (K,)."""
-    prepared, place = fit.dataset.prepared[run], fit.dataset.places[run]
+    prepared, span = fit.dataset.prepared[run], fit.dataset.prepared.places[1][run]
     size = min(SAMPLES // len(fit.dataset.prepared), len(prepared))
-    middle = int((0.5 * (place.begin + place.end) - float(prepared.time[0])) * prepared.run.rate)
+    middle = int((span.mean() - float(prepared.time[0])) * prepared.run.rate)
     start = min(max(middle - size // 2, 0), len(prepared) - size)
     window = prepared.samples(start, start + size)
     A, keep = window_rows(fit, run, window, None, fit.dataset.model)

@@ -30,7 +30,7 @@ from gtau.estimation.estimators.newton import (
 )
 from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.regression.dataset import System
-from gtau.estimation.regression.equations import KNOWN, SIGNALS, delayed_signal, modelled, triangle
+from gtau.estimation.regression.factors import KNOWN, SIGNALS, delayed_signal, modelled, triangle
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.thresholds.estimates import APART, MISFIT_GIVEN, PAYLOAD_MOVES
 from gtau.findings import Finding
@@ -116,19 +116,19 @@ def _wrenches(problem: Problem) -> str:
 
 def estimate_slopes(fit: Fit, constants: Sequence[StatedConstant]) -> np.ndarray:
     """Differentiate (theta, gains, delays) with respect to stated constants, (k, m), at the solution."""
-    problem, state = fit.system.problem, fit.solution.iterate
-    triangles, weights = stacked(problem), 1 / np.maximum(fit.solution.sigma, problem.smallest_sigma)
-    J = jacobian(triangles, state, problem, fit.free_gains) * weights[:, None, None]
+    problem, solution, values = fit.system.problem, fit.solution, fit.solution.values
+    triangles, weights = stacked(problem), 1 / np.maximum(solution.sigma, problem.smallest_sigma)
+    J = jacobian(triangles, values, problem, fit.free_gains) * weights[:, None, None]
     known = jacobian_of_known(problem, fit.free_gains)
     rows = np.concatenate([J.reshape(-1, J.shape[-1]), known])
-    back = whitening(rows, curvature_of_delays(triangles, state, problem, weights))
-    of_blocks = jacobian(problem.blocks, state, problem, fit.free_gains)
-    read = delayed_signal(problem.blocks, state.delays)
+    back = whitening(rows, curvature_of_delays(triangles, values, problem, weights))
+    of_blocks = jacobian(problem.blocks, values, problem, fit.free_gains)
+    read = delayed_signal(problem.blocks, solution.delays)
     sides = np.zeros((len(constants), J.shape[-1]))
     for side, constant in zip(sides, constants, strict=True):
-        change = constant.readings[:, None] * read - state.b[:, None] * constant.torques
+        change = constant.readings[:, None] * read - constant.torques / solution.gains[:, None]
         side[:] = np.einsum("ujpk,ujp,j->k", of_blocks, change, weights**2) + known.T @ constant.known
-    T = to_gains(state, fit.free_gains)
+    T = to_gains(values, len(solution.gains), fit.free_gains)
     return np.asarray(-(T @ back) @ (back.T @ sides.T))
 
 
@@ -194,7 +194,7 @@ def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
     of_known[:, :size] = jacobian_of_known(problem, True)
     of_known[:, -1] = problem.known[:, :-1] @ solution.theta - problem.known[:, -1]
     R = triangle(rows, of_known)
-    T = to_gains(solution.iterate, True)[problem.gain_rows] / fit.gains[:, None]
+    T = to_gains(solution.values, len(solution.gains), True)[problem.gain_rows] / fit.gains[:, None]
     scales = []
     for k, sensor in enumerate(sensors):
         columns = [*range(size), size + k]
@@ -216,9 +216,9 @@ def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
 
 def _with_sensors(fit: Fit, blocks: np.ndarray) -> np.ndarray:
     """Build weighted rows ``[J | sensor torques | residuals]`` (., size + m + 1) of all channels in blocks."""
-    problem, state = fit.system.problem, fit.solution.iterate
-    sensors, weights = problem.sensor_channels, state.b / np.maximum(fit.solution.sigma, problem.smallest_sigma)
-    torques = modelled(blocks, state.theta) * weights[:, None]
+    problem, solution, sensors = fit.system.problem, fit.solution, fit.system.problem.sensor_channels
+    weights = 1 / (solution.gains * np.maximum(solution.sigma, problem.smallest_sigma))
+    torques = modelled(blocks, solution.theta) * weights[:, None]
     offered = np.zeros((*torques.shape, len(sensors)))
     offered[sensors, :, range(len(sensors))] = -torques[sensors]
     e, J = weighted(fit, blocks)

@@ -15,8 +15,7 @@ from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Solve
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.regression.dataset import System
-from gtau.estimation.regression.equations import delayed
-from gtau.estimation.regression.factors import Factors
+from gtau.estimation.regression.factors import Factors, delayed
 from gtau.progress import Progress, silent
 from gtau.signals.storage import block, rows_at, spans, stride_of
 
@@ -74,7 +73,7 @@ def _fit(system: System, gains: np.ndarray | None = None, progress: Progress = s
     fixed = ml(system.problem)
     factor = sandwich_factor(system.dataset.factors)
     solution = replace(fixed, covariance=factor**2 * fixed.covariance, replicates=lambda: factor * fixed.replicates())
-    return replace(fit_by(ml, system, True, fixed), solution=solution, unweighted=unweighted)
+    return replace(fit_by(ml, system, True, solution), unweighted=unweighted)
 
 
 HUBER = Estimator(

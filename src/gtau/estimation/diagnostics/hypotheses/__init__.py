@@ -36,7 +36,7 @@ def find_alternatives(fit: Fit, hypotheses: Sequence[Hypothesis] = HYPOTHESES) -
     linear = linearise(fit, windows, side_by_side(offers))
     ends = np.cumsum([0, *(len(columns) for _, columns in tried)]).tolist()
     others = _other_causes(fit, linear, tried)
-    T = to_gains(fit.solution.iterate, fit.free_gains)
+    T = to_gains(fit.solution.values, len(fit.solution.gains), fit.free_gains)
     alternatives: list[Alternative] = []
     for (hypothesis, columns), (start, stop) in zip(tried, pairwise(ends), strict=True):
         sizes, stds, shares, slopes = linear.score_tests(slice(start, stop), hypothesis.shared)
@@ -118,7 +118,7 @@ def _together(fit: Fit, hypothesis: Hypothesis, linear: Linearised, columns: ran
         return []
     each_left = [linear.fitted([k])[1] for k in columns]
     alone = np.array([1 - left_alone @ left_alone / (rest @ rest) for left_alone in each_left])
-    T = to_gains(fit.solution.iterate, fit.free_gains)
+    T = to_gains(fit.solution.values, len(fit.solution.gains), fit.free_gains)
     cause = hypothesis.describe(fit, step[len(before) :], alone / share)
     together = Alternative(hypothesis.name, (cause,), 1.0, None, "", share=float(share))
     return [together.moving(fit, T @ (step[: len(before)] - before))]

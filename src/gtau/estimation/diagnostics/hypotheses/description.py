@@ -18,10 +18,10 @@ from gtau.estimation.diagnostics.alternatives import Alternative, Cause, Hypothe
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, Moving, Offer, at_full_rate, motion_along
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.plausibility import stated_rate
-from gtau.estimation.regression.rows import Labels, external_torques
+from gtau.estimation.regression.rows import external_torques, instants
 from gtau.estimation.thresholds import Threshold
 from gtau.findings import Finding
-from gtau.robots.floating import WRENCH
+from gtau.robots.placement import WRENCH
 from gtau.signals.preparation.prepared_run import SampleWindow
 
 DEGREE, MILLIMETRE, PER_CENT = np.pi / 180, 1e-3, 1e-2
@@ -70,7 +70,7 @@ def _with_positions(fit: Fit, steps: Sequence[tuple[np.ndarray, np.ndarray]]) ->
         columns = np.zeros((len(steps), *before.shape))
         for k, (factor, shift) in enumerate(steps):
             q, qd, qdd = window.q * factor + shift, window.qd * factor, window.qdd * factor
-            moved, labels = replace(window, q=q, qd=qd, qdd=qdd, part_of=None), Labels(window.run.name, window.time)
+            moved, labels = replace(window, q=q, qd=qd, qdd=qdd, part_of=None), instants(window.run.name, window.time)
             try:  # from near the first configuration, so that loops are closed as before
                 path = model.path(np.ascontiguousarray(moved.q.T), labels, motion().c[:, 0])
                 after = regressor.torques_along(model.layout, motion_along(model, moved, path), values)

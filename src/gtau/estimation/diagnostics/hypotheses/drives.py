@@ -9,7 +9,7 @@
   per cent the gain is 12 per cent off. The shape of the residuals does show it.
 - A low-pass filter of the current and the elasticity of a transmission both add the second derivative of the torque, to
   first order. It is that of the model's torque: the measured current's is correlated with the noise of the current.
-- Friction may differ between runs, and has values of its own in each (:mod:`gtau.estimation.regression.friction`); a
+- Friction may differ between runs, and has values of its own in each (:mod:`.column_blocks`); a
   drive gain may not, as a payload is weighed by how loaded and unloaded runs differ. A motor that got warmer, by 2 per
   cent of its torque constant, can move the gain by 5. All that the payload does not add to is the same in all runs, and
   shows it: the current of the model is offered once more in these runs alone.
@@ -39,8 +39,8 @@ from gtau.estimation.diagnostics.linearisation import (
 )
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import jacobian_of_known, to_gains
-from gtau.estimation.regression.equations import KNOWN, modelled
-from gtau.estimation.regression.friction import is_transmitted
+from gtau.estimation.regression.column_blocks import is_transmitted
+from gtau.estimation.regression.factors import KNOWN, modelled
 from gtau.estimation.regression.rows import Rows
 from gtau.estimation.thresholds import Threshold
 from gtau.estimation.thresholds.estimates import ALTERNATIVE_PRIOR, DOMINANT, PLAUSIBLE_GAIN_CHANGE, SCALED, TIE
@@ -230,7 +230,7 @@ def gain_changes(fit: Fit) -> Iterator[Alternative]:
     Its size is the relative increase of the current, its share that of the residual variance of all joints where each
     has such a change in these runs. Changes that no motor makes, of sign or unit, are left to other checks.
     """
-    problem, state, gains = fit.system.problem, fit.solution.iterate, fit.gains
+    problem, solution, gains = fit.system.problem, fit.solution, fit.gains
     positions = fit.system.block_positions  # number of the run, and time from its beginning (0) to its end (1)
     runs, of_block = np.unique(positions[:, 0].astype(int), return_inverse=True)
     loaded = np.zeros(len(runs), dtype=bool)
@@ -241,8 +241,8 @@ def gain_changes(fit: Fit) -> Iterator[Alternative]:
         return
     tried = len(np.unique(groups ^ groups[:, :1], axis=0))  # larger in some runs is smaller in the others
     errors, J = weighted(fit, problem.blocks)
-    weights = state.b / np.maximum(fit.solution.sigma, problem.smallest_sigma)
-    current = modelled(problem.blocks, state.theta) * weights[:, None]
+    weights = 1 / (solution.gains * np.maximum(solution.sigma, problem.smallest_sigma))
+    current = modelled(problem.blocks, solution.theta) * weights[:, None]
     offered = -current[..., None] * groups[:, of_block].T[:, None, None, :]
     known = np.zeros(len(problem.known)), jacobian_of_known(problem, True)
     clusters = np.unique(problem.block_numbers, return_inverse=True)[1]
@@ -252,7 +252,7 @@ def gain_changes(fit: Fit) -> Iterator[Alternative]:
     worst = _first_largest(np.abs(t[:, : len(gains)]))
     if shares.max() > DOMINANT:  # the same runs for all joints
         worst[:] = _first_largest(shares)
-    T = to_gains(state, True)
+    T = to_gains(solution.values, len(solution.gains), True)
     for j, k in enumerate(worst):
         change, std = float(sizes[k, j]), float(stds[k, j])
         if not t[k, j] or abs(change) > SCALED:
