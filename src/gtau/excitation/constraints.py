@@ -169,9 +169,8 @@ def _workspace(point: Point) -> Iterator[ConstraintUsage]:
             weights[k] = 1.0 / half
             return point.rows_by_configuration(task.tool[1](motion.c, weights))
 
-        yield ConstraintUsage(
-            f"{axis} of the tool's frame", half, "m", (position[k] - middle) / half, rows, middle=middle
-        )
+        values = (position[k] - middle) / half
+        yield ConstraintUsage(f"{axis} of the tool's frame", half, "m", values, rows, middle=middle)
 
 
 def _clearances(point: Point, clearance: Clearance) -> Iterator[ConstraintUsage]:
