@@ -13,6 +13,7 @@ from bags import TOPIC, write_bag
 from typer.testing import CliRunner
 
 from gtau.cli.commands import app
+from gtau.cli.logs import Commands, experiment_of
 from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -120,7 +121,8 @@ def test_check_drafts_as_identify_does(tmp_path: Path, motion: Any, monkeypatch:
     assert loaded.payload is not None
     assert loaded.payload.mass == 0.75
     assert not any("payload masses come from" in words for words in said)
-    CliRunner().invoke(app, [*command, "--kind", "current"])  # a draft that nobody edited is replaced
+    sources, masses = [Path(log) for log in logs], [f"{LOADED}=0.75"]
+    experiment_of(sources, "arm.urdf", masses, Commands.current, None, Path("looked"))  # an unedited draft is replaced
     assert read_experiment(tmp_path / "looked" / "experiment.yaml").signals.kind == "current"
 
 
