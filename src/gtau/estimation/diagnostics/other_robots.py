@@ -51,8 +51,8 @@ from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.findings.words import RELATIVE
 from gtau.model.base_parameters import base_parameters
-from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.lengths import SAME, models_alike
+from gtau.model.inverse_dynamics import InverseDynamics, models_alike
+from gtau.model.kinematics import SAME_LENGTH
 from gtau.progress import Progress, silent
 from gtau.robots.geometry import moved_ends
 from gtau.robots.robot import Attachment, Joint, Mdh, Placement, Robot
@@ -191,7 +191,7 @@ def _longer(robot: Robot, step: float) -> Iterator[tuple[Finding, Robot]]:
     lengths: dict[float, list[str]] = {}
     for name, placement in places + sides:
         for length in _lengths(placement):
-            same = next((known for known in lengths if abs(known - length) < SAME * known), length)
+            same = next((known for known in lengths if abs(known - length) < SAME_LENGTH * known), length)
             if name not in lengths.setdefault(same, []):
                 lengths[same].append(name)
     longest = sorted((length for length in lengths if length > LENGTH_TRIED * max(lengths)), reverse=True)[:MOST]
@@ -217,9 +217,9 @@ def _scaled(placed: Placed, length: float, step: float) -> Placed:
     placement = placed.placement
     if isinstance(placement, Mdh):
         values = {name: getattr(placement, name) for name in ("d", "r", "b")}
-        longer = {k: v * (1 + step) for k, v in values.items() if abs(abs(v) - length) < SAME * length}
+        longer = {k: v * (1 + step) for k, v in values.items() if abs(abs(v) - length) < SAME_LENGTH * length}
         return replace(placed, placement=replace(placement, **longer))
-    if abs(float(np.linalg.norm(placement.xyz)) - length) < SAME * length:
+    if abs(float(np.linalg.norm(placement.xyz)) - length) < SAME_LENGTH * length:
         x, y, z = placement.xyz
         return replace(placed, placement=replace(placement, xyz=(x * (1 + step), y * (1 + step), z * (1 + step))))
     return placed
