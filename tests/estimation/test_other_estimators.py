@@ -126,6 +126,15 @@ def test_one_step_is_what_another_preparation_gives() -> None:
     assert np.corrcoef(exact[seen] / std[seen], moves[seen] / std[seen])[0, 1] > 0.9
 
 
+def test_an_estimator_whose_filter_leaves_no_rows_is_not_tried_and_the_others_are() -> None:
+    runs = logs()
+    fit = fit_of(runs, replace(choose_preparation(runs), bandwidth=0.02))
+    untested, *others = differences(fit)
+    assert isinstance(untested, Finding)
+    assert (untested.kind, [cause.kind for cause in untested.causes]) == (F.UNTESTED, [F.INSTRUMENTS])
+    assert [by.kind for by, _, _ in others] == [F.BANDWIDTH] * 2 + [F.SLOW_ROWS] * 2
+
+
 def test_alternatives_are_listed_with_the_result() -> None:
     result = identify(ROBOT, logs())
     listed = {each.hypothesis for each in result.alternatives}

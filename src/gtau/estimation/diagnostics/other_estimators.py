@@ -41,9 +41,10 @@ from gtau.estimation.regression.run_blocks import (
     Windows,
     central_windows,
     moving_stretches,
+    usable_rows,
     window_clusters,
 )
-from gtau.estimation.thresholds.estimates import DIFFERENT_STD, NOISE_STD, WEAK_INSTRUMENTS
+from gtau.estimation.thresholds.estimates import DIFFERENT_STD, FEWEST_FOR_TESTS, NOISE_STD, WEAK_INSTRUMENTS
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.findings.words import RELATIVE
@@ -142,13 +143,11 @@ def differences(fit: Fit) -> Iterator[tuple[Finding, np.ndarray, np.ndarray] | F
     cut = moving_stretches(dataset.prepared, WINDOWS)
     further, preparations = _filtered_further(dataset.preparation), _preparations(dataset.preparation)
     try:
-        filtered = dataset if further is None else _prepared_as(dataset, further)
-        pairs = _pairs(fit, windows, central_windows(filtered.prepared, WINDOWS, cut))
-    except GtauError as refusal:  # the loops do not close along motion that is filtered otherwise
-        yield _untested(refusal, Finding(F.INSTRUMENTS), *(changed for changed, _ in preparations))
-        return
-    if not pairs:
-        return
+        others = windows if further is None else _windows(fit, _prepared_as(dataset, further), cut)
+        pairs = _pairs(fit, windows, others)
+    except GtauError as refusal:  # its filter leaves no rows, or the loops do not close along that motion
+        yield _untested(refusal, Finding(F.INSTRUMENTS))
+        further, pairs = None, _pairs(fit, windows, windows)
     rows = [J for _, J, _ in pairs]
     known, clusters = known_rows(fit, windows)[1], window_clusters(windows, *dataset.prepared.places)
     back = whitening(np.concatenate([*rows, known]), np.zeros(len(fit.solution.gains)))
@@ -160,10 +159,8 @@ def differences(fit: Fit) -> Iterator[tuple[Finding, np.ndarray, np.ndarray] | F
         yield Finding(F.INSTRUMENTS), *difference
     for changed, preparation in preparations:
         other = replace(fit, system=replace(fit.system, dataset=_prepared_as(dataset, preparation)))
-        others = central_windows(other.dataset.prepared, WINDOWS, cut)
-        if len(others) != len(pairs):
-            continue  # its filters are longer than a window
         try:
+            others = _windows(fit, other.dataset, cut)
             linear = linearise(other, others)
         except GtauError as refusal:
             yield _untested(refusal, changed)
@@ -203,6 +200,15 @@ def _prepared_as(dataset: Dataset, preparation: Preparation) -> Dataset:
     """Prepare the same samples of the same runs with another preparation."""
     prepared = PreparedRuns(replace(run, preparation=preparation.at(run.run.rate)) for run in dataset.prepared)
     return replace(dataset, preparation=preparation, prepared=prepared)
+
+
+def _windows(fit: Fit, dataset: Dataset, cut: Sequence[list[range]]) -> Windows:
+    """Cut the windows of the fit from runs that are prepared otherwise; raises GtauError where few rows are left."""
+    windows = central_windows(dataset.prepared, WINDOWS, cut)
+    rows = usable_rows(windows, dataset.prepared)
+    if len(windows) < len(fit.dataset.windows(WINDOWS)) or rows < FEWEST_FOR_TESTS * len(fit.solution.values):
+        raise GtauError(f"its filters leave {rows} rows in the middle of these runs.")
+    return windows
 
 
 def _pairs(fit: Fit, usual: Windows, further: Windows) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
