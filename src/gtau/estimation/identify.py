@@ -209,7 +209,7 @@ def estimate(
     estimates = estimates_of(fit, examined, correlated=not as_paper)
     essential, reduced, loss = essential_fit(fit, ratio, correlated=not as_paper, joint=as_paper)
     bare: Fit | None = fit
-    audit = bodies = None
+    audit = bodies = lost = None
     if dataset.robot.inertias:
         from gtau.estimation.diagnostics.inertia_audit import audit_inertias, without_file_inertias
 
@@ -222,13 +222,17 @@ def estimate(
     if options.consistent:
         from gtau.estimation.estimators.physical_consistency import consistent
 
-        bodies = consistent(fit.system, fit.solution, options.priors or {}, fit.free_gains)
+        try:
+            bodies = consistent(fit.system, fit.solution, options.priors or {}, fit.free_gains)
+        except GtauError as refusal:  # what the data contradict, no bodies may have
+            lost = Finding(F.NO_BODIES, values={"why": str(refusal).rstrip(".")})
     progress("estimation", 1, 1)
     if as_paper:  # the gains that go with the essential parameters
         fit = replace(fit, system=replace(fit.system, problem=essential), solution=reduced)
         nothing = np.zeros_like(reduced.covariance)
         estimates = Estimates(essential.unknowns, reduced.values, reduced.covariance, nothing, nothing, None)
     findings = diagnose(fit, examined, estimates, payloads, options.gains, accuracy, audit)
+    findings += () if lost is None else (lost,)
     verdicts = channel_verdicts(fit, estimates, findings)
     predicting, curves, errors = (estimates, {}, {}) if as_paper else friction_step(fit, estimates)
     figures = {"reduction_loss": loss, "lack_of_fit": examined.lack_of_fit, "accuracy": float(accuracy)}
