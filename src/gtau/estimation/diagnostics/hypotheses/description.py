@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.alternatives import Alternative, Cause, Hypothesis
+from gtau.estimation.diagnostics.alternatives import Alternative, Hypothesis, candidate
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, Moving, Offer, at_full_rate, motion_along
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.plausibility import stated_rate
@@ -27,11 +27,11 @@ from gtau.signals.preparation.prepared_run import SampleWindow
 DEGREE, MILLIMETRE, PER_CENT = np.pi / 180, 1e-3, 1e-2
 STEP = 0.1  # of the unit: the torques' change is linear over this
 
-ZERO = Cause(
+ZERO = candidate(
     "encoder zero",
     Threshold(0.5, "error of an encoder's zero, degrees or mm", evidence="experience"),
 )
-SCALE = Cause(
+SCALE = candidate(
     "position scale",
     Threshold(
         1.0,
@@ -84,23 +84,23 @@ def _with_positions(fit: Fit, steps: Sequence[tuple[np.ndarray, np.ndarray]]) ->
 
 def _zeros_of(fit: Fit) -> list[Alternative]:
     joints = zip(fit.dataset.model.actuated, _units(fit), strict=True)
-    return [replace(ZERO.column(joint), unit=unit) for joint, unit in joints]
+    return [replace(ZERO.on(joint), unit=unit) for joint, unit in joints]
 
 
 def _scales_of(fit: Fit) -> list[Alternative]:
-    return [SCALE.column(joint) for joint in fit.dataset.model.actuated]
+    return [SCALE.on(joint) for joint in fit.dataset.model.actuated]
 
 
-ENCODER_ZEROS = Hypothesis("encoder zeros", True, _encoder_zeros, (ZERO,), _zeros_of, description=True)
-POSITION_SCALES = Hypothesis("position scales", True, _position_scales, (SCALE,), _scales_of, description=True)
+ENCODER_ZEROS = Hypothesis("encoder zeros", True, _encoder_zeros, _zeros_of, description=True)
+POSITION_SCALES = Hypothesis("position scales", True, _position_scales, _scales_of, description=True)
 
 
-TILT = Cause(
+TILT = candidate(
     "gravity tilt",
     Threshold(1.0, "tilt of the base, degrees", evidence="experience"),
     unit="deg",
 )
-STRENGTH = Cause(
+STRENGTH = candidate(
     "gravity strength",
     Threshold(
         0.2,
@@ -110,10 +110,10 @@ STRENGTH = Cause(
     ),
     unit="%",
 )
-OTHER_GRAVITY = Cause("gravity")
+OTHER_GRAVITY = candidate("gravity")
 # Time that runs s times too fast makes velocities s and accelerations s^2 times too large, and with them the inertial
 # torques against those of gravity, whose length on Earth is known to 0.3 %.
-CLOCK = Cause("clock")
+CLOCK = candidate("clock")
 CLOCK_SIZE = Threshold(
     0.9,
     "part of what another gravity explains that another strength of it explains alone: the clock is wrong",
@@ -153,8 +153,8 @@ def _changes_of_gravity(fit: Fit) -> np.ndarray:
 
 def _gravity_columns(fit: Fit) -> list[Alternative]:
     gravity = np.array(fit.dataset.robot.gravity)
-    tilts = [TILT.column(towards=direction.tolist()) for direction in _across(gravity)]
-    return [*tilts, STRENGTH.column()] if gravity.any() else []
+    tilts = [TILT.on(towards=direction.tolist()) for direction in _across(gravity)]
+    return [*tilts, STRENGTH] if gravity.any() else []
 
 
 def _gravity_found(fit: Fit, sizes: np.ndarray, shares: np.ndarray) -> Finding:
@@ -168,8 +168,7 @@ def _gravity_found(fit: Fit, sizes: np.ndarray, shares: np.ndarray) -> Finding:
     )
 
 
-CAUSES = TILT, STRENGTH, OTHER_GRAVITY, CLOCK
-GRAVITY = Hypothesis("gravity", True, _gravity, CAUSES, _gravity_columns, _gravity_found, description=True)
+GRAVITY = Hypothesis("gravity", True, _gravity, _gravity_columns, _gravity_found, description=True)
 
 Reading = Callable[[np.ndarray], np.ndarray]
 """From what the wrenches read (6 k, M) to by how much too large that may be, (m, 6 k, M)."""
@@ -177,7 +176,7 @@ Reading = Callable[[np.ndarray], np.ndarray]
 COMPONENTS = ("moment x", "moment y", "moment z", "force x", "force y", "force z")
 
 
-OFFSET = Cause(
+OFFSET = candidate(
     "wrench offset",
     Threshold(
         0.01,
@@ -215,7 +214,7 @@ def _offset_columns(fit: Fit) -> list[Alternative]:
     bodies = _sensed_bodies(fit)
     return [
         replace(
-            OFFSET.column(subject=body, component=component),
+            OFFSET.on(subject=body, component=component),
             unit="N m" if component.startswith("moment") else "N",
             plausible=float(OFFSET.plausible * level),
         )
@@ -230,12 +229,10 @@ def _offset_found(fit: Fit, sizes: np.ndarray, shares: np.ndarray) -> Finding:
     return Finding(OFFSET.kind, (), _sensed_bodies(fit)[worst], {"force": force, "moment": moment})
 
 
-WRENCH_OFFSETS = Hypothesis(
-    "wrench offsets", True, _offsets, (OFFSET,), _offset_columns, _offset_found, description=True
-)
+WRENCH_OFFSETS = Hypothesis("wrench offsets", True, _offsets, _offset_columns, _offset_found, description=True)
 
 
-POINT = Cause(
+POINT = candidate(
     "wrench point",
     Threshold(
         2.0,
@@ -270,10 +267,10 @@ def _point_found(fit: Fit, sizes: np.ndarray, shares: np.ndarray) -> Finding:
 
 
 def _point_columns(fit: Fit) -> list[Alternative]:
-    return [POINT.column(subject=body, axis=axis) for body in _sensed_bodies(fit) for axis in "xyz"]
+    return [POINT.on(subject=body, axis=axis) for body in _sensed_bodies(fit) for axis in "xyz"]
 
 
-WRENCH_POINTS = Hypothesis("wrench points", True, _points, (POINT,), _point_columns, _point_found, description=True)
+WRENCH_POINTS = Hypothesis("wrench points", True, _points, _point_columns, _point_found, description=True)
 
 
 def _felt(fit: Fit, read: Reading) -> Offer:

@@ -22,9 +22,10 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import (
+    GAIN_CHANGE,
     Alternative,
-    Cause,
     Hypothesis,
+    candidate,
     friction_levels,
     rms_speeds,
     rms_torques,
@@ -51,19 +52,19 @@ from gtau.robots.parameter import Parameter
 from gtau.signals.preparation.filters import differentiate
 from gtau.signals.preparation.prepared_run import SampleWindow
 
-CUBIC_FRICTION = Cause(
+CUBIC_FRICTION = candidate(
     "cubic friction",
     Threshold(0.2, "cubic friction at three times the rms speed, of the friction", evidence="experience"),
     unit="of its friction",
 )
-LOAD_FRICTION = Cause(
+LOAD_FRICTION = candidate(
     "load-dependent friction",
     Threshold(
         0.05, "friction coefficient of the load", healthy="0.02 to 0.1 in strain-wave gears", evidence="UR10e pairs"
     ),
     unit="of its load",
 )
-STRIBECK_FRICTION = Cause(
+STRIBECK_FRICTION = candidate(
     "Stribeck friction",
     Threshold(0.3, "Stribeck friction at rest, of the friction", evidence="experience"),
     unit="of its friction",
@@ -96,12 +97,12 @@ FRICTION = CUBIC_FRICTION, LOAD_FRICTION, STRIBECK_FRICTION
 FRICTION_SHAPE = Hypothesis("friction shape", False, _friction_shape, FRICTION)
 
 FRICTION_CHANGE = Threshold(0.1, "relative change of friction along a run", evidence="experience")
-VISCOUS_DRIFT = Cause(
+VISCOUS_DRIFT = candidate(
     "drifting viscous friction",
     FRICTION_CHANGE,
     unit=RELATIVE,
 )
-COULOMB_DRIFT = Cause(
+COULOMB_DRIFT = candidate(
     "drifting Coulomb friction",
     FRICTION_CHANGE,
     unit=RELATIVE,
@@ -141,7 +142,7 @@ def _along_runs(fit: Fit) -> Callable[[SampleWindow, np.ndarray], np.ndarray]:
 FRICTION_DRIFT = Hypothesis("friction drift", False, _friction_drift, (VISCOUS_DRIFT, COULOMB_DRIFT))
 
 LARGE = 2.0  # rms currents: where the fall is stated
-FALLING_CONSTANT = Cause(
+FALLING_CONSTANT = candidate(
     "saturation",
     Threshold(
         0.03,
@@ -170,7 +171,7 @@ def _saturation(fit: Fit) -> Offer:
 
 SATURATION = Hypothesis("saturation", False, _saturation, (FALLING_CONSTANT,))
 
-DRIFTING_CONSTANT = Cause(
+DRIFTING_CONSTANT = candidate(
     "gain drift",
     Threshold(
         0.005,
@@ -195,7 +196,7 @@ def _gain_drift(fit: Fit) -> Offer:
 
 GAIN_DRIFT = Hypothesis("gain drift", False, _gain_drift, (DRIFTING_CONSTANT,), description=True)
 
-FILTER_OR_ELASTICITY = Cause(
+FILTER_OR_ELASTICITY = candidate(
     "current lag",
     Threshold(
         1e-4,
@@ -221,7 +222,6 @@ def _current_lag(fit: Fit) -> Offer:
 
 
 CURRENT_LAG = Hypothesis("current lag", False, _current_lag, (FILTER_OR_ELASTICITY,))
-GAIN_CHANGE = "gain change"
 
 
 def gain_changes(fit: Fit) -> Iterator[Alternative]:
