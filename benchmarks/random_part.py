@@ -28,10 +28,9 @@ from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.regression.dataset import Dataset, System, reduce_runs
-from gtau.estimation.regression.equations import BLOCKS, SIGNALS, triangle
-from gtau.estimation.regression.factors import EXTRA, Factors
+from gtau.estimation.regression.factors import EXTRA, SIGNALS, Factors, triangle
 from gtau.estimation.regression.rows import stream_rows
-from gtau.estimation.regression.run_blocks import block_of
+from gtau.estimation.regression.run_blocks import BLOCKS, block_of
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.geometry import characteristic_length

@@ -36,8 +36,7 @@ from peers import PinocchioLoop, figaroh_regressor, random_parameters
 from table import Row, check, medians, motion
 from whole import excitation_gradient, orthoglide_gains, ur10e_parameters
 
-from gtau.estimation.regression.equations import triangle
-from gtau.estimation.regression.factors import reduce_run
+from gtau.estimation.regression.factors import reduce_run, triangle
 from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics

@@ -517,7 +517,9 @@ module.{function} = signing
 """
 
 
-@pytest.mark.parametrize(("module", "function"), [("preconditions", "reduce_runs"), ("regression.dataset", "prepare")])
+@pytest.mark.parametrize(
+    ("module", "function"), [("preconditions", "reduce_runs"), ("regression.plausibility", "prepare")]
+)
 def test_interrupted_as_a_program(here: Path, module: str, function: str) -> None:
     write_log(here / "long.csv", Plant().run("long", seconds=300.0, seed=1))
     (here / "long.yaml").write_text(EXPERIMENT.replace("free.csv", "long.csv"))

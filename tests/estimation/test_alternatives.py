@@ -237,7 +237,7 @@ def test_a_description_is_refuted_only_where_it_explains_more_than_missing_physi
         return Alternative(hypothesis, (), 10.0, 1.0, "", 1.0, share)
 
     def refuted(*alternatives: Alternative, repeating: float = 0.0) -> list[str]:
-        examined = Examination(1.0, alternatives, ripple=alternative("position ripple", repeating))
+        examined = Examination(alternatives, ripple=alternative("position ripple", repeating))
         return [each.hypothesis for each in examined.refuted]
 
     gravity, lag = alternative("gravity", 0.3), [alternative("current lag", 0.2)] * 2

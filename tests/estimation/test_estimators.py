@@ -16,7 +16,7 @@ from gtau.estimation.estimators.least_squares import ols, wls
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.total_least_squares import tls
 from gtau.estimation.estimators.two_stage import two_stage
-from gtau.estimation.regression.equations import delayed, leave_one_out, triangle
+from gtau.estimation.regression.factors import delayed, leave_one_out, triangle
 from gtau.estimation.regression.problem import Problem
 from gtau.robots.parameter import Parameter
 from gtau.signals.channel import MOTOR, Channel

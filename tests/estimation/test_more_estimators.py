@@ -21,8 +21,8 @@ from gtau.estimation.estimators.registry import ESTIMATORS, estimator_of
 from gtau.estimation.estimators.standard_parameters import standard_unknowns
 from gtau.estimation.estimators.two_stage import two_stage
 from gtau.estimation.identify import identify
+from gtau.estimation.regression.column_blocks import all_terms
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
-from gtau.estimation.regression.friction import all_terms
 from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
 from gtau.report.comparison import comparison_table

@@ -13,7 +13,7 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.maximum_likelihood import ML, ml
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
-from gtau.estimation.regression.equations import BLOCKS
+from gtau.estimation.regression.run_blocks import BLOCKS
 from gtau.findings import FindingKind as F
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run

@@ -18,7 +18,7 @@ from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.simulated_motion import POLE, reference_cutoff, resimulated
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import System, reduce_runs
-from gtau.estimation.regression.equations import triangle
+from gtau.estimation.regression.factors import triangle
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.results.result import Result
 from gtau.model.base_parameters import base_parameters

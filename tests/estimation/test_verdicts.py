@@ -33,7 +33,7 @@ from gtau.estimation.diagnostics.verdict import (
     worst,
 )
 from gtau.estimation.identify import identify
-from gtau.estimation.regression.equations import BLOCKS
+from gtau.estimation.regression.run_blocks import BLOCKS
 from gtau.estimation.results.conclusions import Reason, headline, reasons
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result

@@ -15,8 +15,7 @@ from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
-from gtau.estimation.regression.equations import BLOCKS
-from gtau.estimation.regression.run_blocks import block_edges, block_of, usable_rows
+from gtau.estimation.regression.run_blocks import BLOCKS, block_edges, block_of, usable_rows
 from gtau.estimation.thresholds.estimates import FEWEST_FOR_TESTS
 from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot

@@ -13,8 +13,7 @@ import pytest
 from numpy.testing import assert_allclose
 from robots_for_tests import hexapod, seven_r, trajectory
 
-from gtau.estimation.regression.equations import triangle
-from gtau.estimation.regression.factors import EXTRA, reduce_run
+from gtau.estimation.regression.factors import EXTRA, reduce_run, triangle
 from gtau.estimation.regression.rows import stream_rows
 from gtau.model import inverse_dynamics as inverse_dynamics_module
 from gtau.model.home import load_robot

@@ -15,8 +15,12 @@ from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import coordinates, poses
 from gtau.model.loop_closure import loop_errors
+from gtau.robots.readers.mjcf import as_written
+from gtau.robots.readers.mjcf_file import compile_mjcf
 from gtau.robots.readers.native import read_native
 from gtau.robots.readers.native_text import write_native
+from gtau.robots.readers.source import RobotSource
+from gtau.robots.readers.xml_document import read_xml
 from gtau.robots.robot import GROUND, INERTIAL, Coupling, Robot
 
 mujoco = pytest.importorskip("mujoco")
@@ -43,15 +47,10 @@ def load(text: str, tmp_path: Path) -> Robot:
 
 
 def read(text: str, tmp_path: Path, base: str | None = None) -> Robot:
-    """Without assembly, which would refuse what can still move."""
-    from gtau.robots.readers.mjcf import _robot
-    from gtau.robots.readers.mjcf_file import compile_mjcf
-    from gtau.robots.readers.source import RobotSource
-    from gtau.robots.readers.xml_document import read_xml
-
+    """With its idle pins, and without assembly, which would refuse what can still move."""
     path = tmp_path / "robot.xml"
     path.write_text(text)
-    return _robot(compile_mjcf(read_xml(path), path), path, RobotSource(file="", base=base).base)
+    return as_written(compile_mjcf(read_xml(path), path), path, RobotSource(file="", base=base).base)
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,7 @@ from threadpoolctl import threadpool_limits
 from gtau.errors import GtauError
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.regression.assembly import plain_problem
-from gtau.estimation.regression.equations import SIGNALS, triangle
-from gtau.estimation.regression.factors import EXTRA, Factors
+from gtau.estimation.regression.factors import EXTRA, SIGNALS, Factors, triangle
 from gtau.estimation.regression.rows import stream_rows
 from gtau.excitation.forecast import expected_runs
 from gtau.excitation.task import DesignProblem

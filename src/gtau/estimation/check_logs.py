@@ -19,7 +19,8 @@ from gtau.estimation.diagnostics.unit_checks import doubtful_currents, doubtful_
 from gtau.estimation.experiment_runs import Subject, describe, geometry_of, options_of, read_runs
 from gtau.estimation.preconditions import estimator_for, plan, reduced, require_inputs
 from gtau.estimation.regression.assembly import FEWEST_ROWS
-from gtau.estimation.regression.dataset import Dataset, model_of, prepare_runs, robot_notes
+from gtau.estimation.regression.dataset import Dataset, model_of, robot_notes
+from gtau.estimation.regression.plausibility import prepare_runs
 from gtau.estimation.regression.rows import Labels
 from gtau.estimation.results.conclusions import near_singularities, not_separated
 from gtau.estimation.results.estimate import Distances, NearestPose, distances_of, nearest_poses

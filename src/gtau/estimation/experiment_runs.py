@@ -12,7 +12,7 @@ from gtau.documents.validation import MAPPING, NUMBER, expect, read_group
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.estimators.registry import estimator_of
-from gtau.estimation.regression.priors import inertia_priors
+from gtau.estimation.regression.assembly import inertia_priors
 from gtau.estimation.thresholds.estimates import ACCURACY
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics

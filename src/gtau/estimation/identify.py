@@ -12,20 +12,20 @@ import numpy as np
 from gtau.display import late
 from gtau.documents.validation import FUNCTION, NUMBER, TEXT, TRUTH, takes
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.alternatives import TOOL_BODIES
 from gtau.estimation.diagnostics.diagnose import diagnose
 from gtau.estimation.diagnostics.examine import estimates_of, examine
-from gtau.estimation.diagnostics.inertia_audit import audit_inertias, without_file_inertias
-from gtau.estimation.diagnostics.log_checks import command_lag, require_payload_excitation
-from gtau.estimation.diagnostics.other_robots import TOOL_BODIES
+from gtau.estimation.diagnostics.log_checks import command_lag, lack_of_fit, require_payload_excitation
 from gtau.estimation.diagnostics.stated_constants import weigh_known
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.essential import essential_fit, select_friction
+from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.physical_consistency import consistent as find_consistent
 from gtau.estimation.experiment_runs import Options, Subject, geometry_of, options_of, read, read_runs
 from gtau.estimation.preconditions import Plan, plan, reduced, require_inputs, without_scale
 from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.plausibility import sensors_of
-from gtau.estimation.regression.unknowns import Estimates
+from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.results.build import evidence, fit_record, model_estimates
 from gtau.estimation.results.estimate import Requirement, TorqueError
 from gtau.estimation.results.friction_curves import friction_step
@@ -202,11 +202,15 @@ def estimate(dataset: Dataset, plan: Plan, options: Options, progress: Progress 
     examined = examine(fit, progress)
     estimates = estimates_of(fit, examined, correlated=not as_paper)
     essential, reduced, loss = essential_fit(fit, ratio, correlated=not as_paper, joint=as_paper)
-    bare = without_file_inertias(fit, estimates.covariance, estimates.effective_freedom)
-    # the file is not blamed for a body that it lacks
-    loaded = any(alternative.hypothesis == TOOL_BODIES for alternative in examined.alternatives)
-    audit = audit_inertias(*bare, fit.dataset.prior_inertias) if bare and not loaded else None
-    payloads = weigh_known(bare[0], estimator.name, accuracy) if bare else {}
+    lack = lack_of_fit(fit.system.problem, fit.solution)
+    bare: Fit | None = fit
+    audit = None
+    if dataset.robot.inertias:
+        from gtau.estimation.diagnostics.inertia_audit import audit_inertias
+
+        loaded = any(alternative.hypothesis == TOOL_BODIES for alternative in examined.alternatives)
+        bare, audit = audit_inertias(fit, estimates, loaded)
+    payloads = weigh_known(bare, estimator.name, accuracy) if bare else {}
     priors = options.priors or {}
     bodies = find_consistent(fit.system, fit.solution, priors, fit.free_gains) if options.consistent else None
     progress("estimation", 1, 1)
@@ -216,7 +220,7 @@ def estimate(dataset: Dataset, plan: Plan, options: Options, progress: Progress 
         estimates = Estimates(essential.unknowns, reduced.values, reduced.covariance, nothing, nothing, None)
     diagnosis = diagnose(fit, examined, estimates, payloads, options.gains, accuracy, audit)
     predicting, curves, errors = (estimates, {}, {}) if as_paper else friction_step(fit, estimates)
-    figures = {"reduction_loss": loss, "lack_of_fit": examined.lack_of_fit, "accuracy": float(accuracy)}
+    figures = {"reduction_loss": loss, "lack_of_fit": lack, "accuracy": float(accuracy)}
     return Result(
         Model(dataset.robot, sensors_of(dataset.robot, dataset.runs)),
         replace(model_estimates(fit, estimates, predicting, curves, diagnosis, essential), consistency=bodies),

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gtau.estimation.regression.equations import triangle
+from gtau.estimation.regression.factors import triangle
 from gtau.excitation.gradients import Slopes
 from gtau.excitation.information import Criterion, derivative
 from gtau.excitation.task import DesignProblem, close

@@ -10,8 +10,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.assembly import plain_problem
-from gtau.estimation.regression.equations import MODEL, SIGNALS, modelled, triangle
-from gtau.estimation.regression.factors import reduce_run
+from gtau.estimation.regression.factors import MODEL, SIGNALS, modelled, reduce_run, triangle
 from gtau.estimation.regression.problem import Problem
 from gtau.excitation.constraints import ConstraintUsage, whole_run
 from gtau.excitation.design import Design, check

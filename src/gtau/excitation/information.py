@@ -19,8 +19,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.assembly import plain_problem
-from gtau.estimation.regression.equations import MODEL, modelled, triangle
-from gtau.estimation.regression.factors import EXTRA, Factors
+from gtau.estimation.regression.factors import EXTRA, MODEL, Factors, modelled, triangle
 from gtau.excitation.prior import Prior
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics

@@ -16,7 +16,7 @@ from xml.etree.ElementTree import Comment
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.friction import TEMPERATURE_TERMS
+from gtau.estimation.regression.column_blocks import TEMPERATURE_TERMS
 from gtau.estimation.results.result import Result
 from gtau.model.singularities import random_motion
 from gtau.robots.parameter import Parameter, torque_unit

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
-from gtau.estimation.regression.friction import TEMPERATURE_TERMS
+from gtau.estimation.regression.column_blocks import TEMPERATURE_TERMS
 from gtau.estimation.results.estimate import Estimate, FrictionCurve
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.table import estimates_table

@@ -19,6 +19,7 @@ from gtau.errors import GtauError
 from gtau.robots.file import RobotFile
 
 GROUND = "ground"
+JointKind = Literal["revolute", "prismatic"]
 STANDARD_GRAVITY = 9.80665  # m/s2
 INERTIAL = ("xx", "xy", "xz", "yy", "yz", "zz", "mx", "my", "mz", "m")
 """Inertial parameters of a body in its own frame, at the frame's origin; ``xy = -int x y dm``."""
@@ -115,7 +116,7 @@ class Joint:
 
     name: str
     antecedent: str
-    kind: Literal["revolute", "prismatic"]
+    kind: JointKind
     placement: Placement = Mdh()
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
     actuated: bool = True

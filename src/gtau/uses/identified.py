@@ -20,7 +20,7 @@ import numpy as np
 from gtau.documents.files import identifier
 from gtau.errors import GtauError
 from gtau.estimation.friction.law import SHAPES, transmitted
-from gtau.estimation.regression.friction import TEMPERATURE_TERMS
+from gtau.estimation.regression.column_blocks import TEMPERATURE_TERMS
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.model import dynamics

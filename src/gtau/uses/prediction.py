@@ -14,8 +14,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.friction.law import SHAPES, transmitted
-from gtau.estimation.regression.column_blocks import known_values
-from gtau.estimation.regression.friction import TEMPERATURE_TERMS
+from gtau.estimation.regression.column_blocks import TEMPERATURE_TERMS, known_values
 from gtau.estimation.regression.rows import Law, stream_torques
 from gtau.estimation.results.predicted import Prediction
 from gtau.estimation.results.result import Result

@@ -9,8 +9,8 @@ from typing import Any
 
 from gtau.errors import GtauError
 from gtau.estimation.experiment_runs import describe
-from gtau.estimation.regression.dataset import at_rate_of, motor_to_joint_speed
-from gtau.estimation.regression.plausibility import check_wrenches
+from gtau.estimation.regression.dataset import at_rate_of
+from gtau.estimation.regression.plausibility import check_wrenches, motor_to_joint_speed
 from gtau.estimation.results.result import Result
 from gtau.robots.file import RobotFile
 from gtau.robots.robot import Limits, Robot

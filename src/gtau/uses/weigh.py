@@ -17,8 +17,7 @@ from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.experiment_runs import options_of, read
 from gtau.estimation.preconditions import given_gains
 from gtau.estimation.regression.dataset import at_rate_of, reduce_runs
-from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.unknowns import Estimates
+from gtau.estimation.regression.problem import Estimates, Problem
 from gtau.estimation.results.build import payload_estimates
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.results.result import Result

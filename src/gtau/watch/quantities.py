@@ -26,12 +26,11 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.friction.law import transmitted
 from gtau.estimation.regression.column_blocks import payload_columns
-from gtau.estimation.regression.dataset import at_rate_of, prepare_runs
-from gtau.estimation.regression.equations import BLOCKS, delayed
-from gtau.estimation.regression.factors import add_products
-from gtau.estimation.regression.plausibility import check_wrenches
+from gtau.estimation.regression.dataset import at_rate_of
+from gtau.estimation.regression.factors import add_products, delayed
+from gtau.estimation.regression.plausibility import check_wrenches, prepare_runs
 from gtau.estimation.regression.rows import Labels, Rows, stream_rows
-from gtau.estimation.regression.run_blocks import block_edges, block_of
+from gtau.estimation.regression.run_blocks import BLOCKS, block_edges, block_of
 from gtau.estimation.results.result import Result
 from gtau.robots.parameter import Parameter, unit_of
 from gtau.robots.robot import PLAIN_FRICTION

@@ -29,7 +29,7 @@ from gtau.estimation.diagnostics.stated_constants import (
 from gtau.estimation.diagnostics.unit_checks import units_and_signs, unlike_legs
 from gtau.estimation.diagnostics.verdict import GIVEN, GOOD, OUTCOMES, Outcome, Verdict, decide, delay_verdicts, motors
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.regression.unknowns import Estimates
+from gtau.estimation.regression.problem import Estimates
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import whole_mass
@@ -85,7 +85,7 @@ def diagnose(
         *impossible_parameters(fit, estimates),
         *unlike_legs(dataset, problem, fit.solution.theta, estimates.covariance),
         *_wrong_priors(fit, estimates, accuracy),
-        *prior_findings(audit),
+        *(prior_findings(audit) if audit else ()),
         *units_and_signs(fit, estimates, prior_gains, audit),
         *position_noise(fit, examined.alternatives),
         *(examined.ripple.causes if examined.ripple else ()),

@@ -26,8 +26,8 @@ import numpy as np
 
 from gtau.estimation.diagnostics.effort_rows import JointRows, basis_of, beside, joint_rows, unexplained
 from gtau.estimation.diagnostics.linearisation import least_squares_step
+from gtau.estimation.regression.assembly import stated_inertias
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.priors import stated_inertias
 from gtau.estimation.thresholds.estimates import (
     GRAVITY_MISFIT,
     HARDLY_NEGATIVE,
@@ -264,8 +264,8 @@ def _by_file(
         for row, (column, others) in enumerate(regressed):
             basis = basis_of(others)
             x, y = beside(basis, column), beside(basis, joint.effort[free, j])
-            size = float(x @ x)
-            if size > TINY * max(float(column @ column), 1e-300):  # and not rounding
+            size, rounding = float(x @ x), TINY * max(float(column @ column), 1e-300)
+            if size > rounding:
                 coefficient = float(x @ y) / size
                 rest = y - coefficient * x
                 estimates[row, j] = coefficient, float(rest @ rest) / count / size, size

@@ -14,7 +14,7 @@ import numpy as np
 
 from gtau.estimation.diagnostics.linearisation import window_motion
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.equations import triangle
+from gtau.estimation.regression.factors import triangle
 from gtau.estimation.regression.rows import stream_rows
 from gtau.robots.robot import INERTIAL
 from gtau.signals.preparation.prepared_run import SampleWindow

@@ -28,8 +28,8 @@ from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
 from gtau.estimation.diagnostics.verdict import unexplained_shares
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import degrees_of_freedom
+from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.regression.run_blocks import WINDOWS, usable_rows
-from gtau.estimation.regression.unknowns import Estimates
 from gtau.estimation.thresholds.estimates import (
     DIFFERENT_PROBABILITY,
     DOMINANT,

@@ -24,7 +24,7 @@ from gtau.estimation.diagnostics.examine import Examination
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
 from gtau.estimation.diagnostics.verdict import Verdict, judge_parameter, motors, unexplained_shares
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.regression.unknowns import Estimates
+from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.thresholds.estimates import (
     APART,
     APART_REFUTED,

@@ -15,8 +15,7 @@ import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import jacobian, jacobian_of_known, residuals, whitening
-from gtau.estimation.regression.equations import triangle
-from gtau.estimation.regression.factors import EXTRA, equations
+from gtau.estimation.regression.factors import EXTRA, equations, triangle
 from gtau.estimation.regression.rows import Labels, Rows, configurations, stream_rows
 from gtau.estimation.regression.run_blocks import Windows, window_clusters
 from gtau.model.inverse_dynamics import InverseDynamics

@@ -21,7 +21,7 @@ from gtau.estimation.diagnostics.alternatives import rms_torques
 from gtau.estimation.diagnostics.linearisation import window_motion
 from gtau.estimation.estimators.estimator import Fit, Solution
 from gtau.estimation.regression.dataset import Dataset, System
-from gtau.estimation.regression.equations import SIGNAL, SIGNALS
+from gtau.estimation.regression.factors import SIGNAL, SIGNALS
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.thresholds.estimates import MISFIT, UNFELT_PAYLOAD
 from gtau.estimation.thresholds.logs import (

@@ -33,8 +33,8 @@ from gtau.estimation.estimators.estimator import Fit, jackknife
 from gtau.estimation.estimators.newton import to_gains, whitening
 from gtau.estimation.estimators.two_stage import first_stage, two_stage
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.equations import SIGNALS, triangle
-from gtau.estimation.regression.friction import TERMS
+from gtau.estimation.regression.factors import SIGNALS, triangle
+from gtau.estimation.regression.rows import TERMS
 from gtau.estimation.regression.run_blocks import WINDOWS, Windows, central_windows, moving_stretches, window_clusters
 from gtau.estimation.thresholds.estimates import DIFFERENT_STD, NOISE_STD, WEAK_INSTRUMENTS
 from gtau.findings import Finding

@@ -186,7 +186,7 @@ def _longer(robot: Robot, step: float) -> Iterator[tuple[Finding, Robot]]:
     places += [(end.body, end.placement) for end in robot.ends]
     lengths: dict[float, list[str]] = {}
     for name, placement in places:
-        for length in filter(None, _lengths(placement)):
+        for length in filter(None, _lengths(placement).values()):
             same = next((known for known in lengths if isclose(known, length, rel_tol=SAME)), length)
             if name not in lengths.setdefault(same, []):
                 lengths[same].append(name)
@@ -198,21 +198,22 @@ def _longer(robot: Robot, step: float) -> Iterator[tuple[Finding, Robot]]:
         yield Finding(F.LENGTH, values={"length": length, "bodies": lengths[length]}), longer
 
 
-def _lengths(placement: Placement) -> list[float]:
-    mdh = isinstance(placement, Mdh)
-    return [abs(getattr(placement, name)) for name in OF_MDH] if mdh else [hypot(*placement.xyz)]
-
-
 OF_MDH = "d", "r", "b"  # lengths of Denavit and Hartenberg
+
+
+def _lengths(placement: Placement) -> dict[str, float]:
+    if isinstance(placement, Mdh):
+        return {name: abs(getattr(placement, name)) for name in OF_MDH}
+    return {"xyz": hypot(*placement.xyz)}
 
 
 def _scaled(placed: Placed, length: float, step: float) -> Placed:
     """Lengthen the lengths of this size in the placement of a joint or an end by a share ``step``."""
     placement, longer = placed.placement, dict[str, Any]()
-    for name, size in zip(OF_MDH if isinstance(placement, Mdh) else ("xyz",), _lengths(placement), strict=True):
+    for name, size in _lengths(placement).items():
         if isclose(size, length, rel_tol=SAME):
             value = np.multiply(getattr(placement, name), 1 + step).tolist()
-            longer[name] = tuple(value) if name == "xyz" else value
+            longer[name] = value if name in OF_MDH else tuple(value)
     return replace(placed, placement=replace(placement, **longer))
 
 

@@ -33,8 +33,8 @@ from gtau.estimation.diagnostics.linearisation import (
 )
 from gtau.estimation.estimators.estimator import Fit, jackknife
 from gtau.estimation.estimators.newton import to_gains
-from gtau.estimation.regression.equations import BLOCKS, triangle
-from gtau.estimation.regression.run_blocks import SAMPLES
+from gtau.estimation.regression.factors import triangle
+from gtau.estimation.regression.run_blocks import BLOCKS, SAMPLES
 from gtau.estimation.thresholds.estimates import CORRELATED, CORRELATED_STD, PROBABLE, RIPPLE_SHARE
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F

@@ -30,7 +30,7 @@ from gtau.estimation.estimators.newton import (
 )
 from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.regression.dataset import System
-from gtau.estimation.regression.equations import KNOWN, SIGNALS, delayed_signal, modelled, triangle
+from gtau.estimation.regression.factors import KNOWN, SIGNALS, delayed_signal, modelled, triangle
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.thresholds.estimates import APART, MISFIT_GIVEN, PAYLOAD_MOVES
 from gtau.findings import Finding

@@ -20,8 +20,7 @@ from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.diagnostics.verdict import motors
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.unknowns import Estimates
+from gtau.estimation.regression.problem import Estimates, Problem
 from gtau.estimation.thresholds.estimates import (
     EFFORT_FACTOR,
     FILE_FACTOR,

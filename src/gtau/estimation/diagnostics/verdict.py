@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit, Solution
-from gtau.estimation.regression.equations import SIGNALS, modelled
+from gtau.estimation.regression.factors import SIGNALS, modelled
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.thresholds.estimates import APART, NEGATIVE_STD, WEAK_PARAMETER
 from gtau.estimation.thresholds.logs import DELAY_MOTION, DELAY_STD

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit, Solution, Solve
+from gtau.estimation.regression.column_blocks import BEARING, TEMPERATURE_TERMS, all_terms
 from gtau.estimation.regression.dataset import Dataset, System
-from gtau.estimation.regression.equations import delayed_signal, triangle
-from gtau.estimation.regression.friction import BEARING, TEMPERATURE_TERMS, TERMS, all_terms
+from gtau.estimation.regression.factors import delayed_signal, triangle
 from gtau.estimation.regression.problem import Problem
+from gtau.estimation.regression.rows import TERMS
 from gtau.estimation.thresholds.estimates import FRICTION_TERM_GAIN, FRICTION_TERM_STD
 from gtau.progress import Progress
 from gtau.robots.parameter import Parameter

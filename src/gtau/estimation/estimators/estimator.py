@@ -11,8 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from gtau.estimation.regression.dataset import Dataset, System
-from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.unknowns import Unknowns
+from gtau.estimation.regression.problem import Problem, Unknowns
 from gtau.progress import Progress, silent
 
 

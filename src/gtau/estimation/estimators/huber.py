@@ -15,8 +15,7 @@ from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Solve
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.regression.dataset import System
-from gtau.estimation.regression.equations import delayed
-from gtau.estimation.regression.factors import Factors
+from gtau.estimation.regression.factors import Factors, delayed
 from gtau.progress import Progress, silent
 from gtau.signals.storage import block, rows_at, spans, stride_of
 

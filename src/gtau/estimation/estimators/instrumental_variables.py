@@ -24,11 +24,9 @@ from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.estimators.newton import jacobian, one_step, residuals, to_gains
 from gtau.estimation.estimators.simulated_motion import resimulated_runs
 from gtau.estimation.regression.dataset import System
-from gtau.estimation.regression.equations import SIGNALS, triangle
-from gtau.estimation.regression.factors import EXTRA, Factors, Triangles
-from gtau.estimation.regression.friction import TERMS
+from gtau.estimation.regression.factors import EXTRA, SIGNALS, Factors, Triangles, triangle
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.rows import stream_rows
+from gtau.estimation.regression.rows import TERMS, stream_rows
 from gtau.estimation.regression.run_blocks import block_of
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent

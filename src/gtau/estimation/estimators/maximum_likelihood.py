@@ -18,7 +18,7 @@ from gtau.estimation.estimators.estimator import Estimator, Gains, Iterate, Solu
 from gtau.estimation.estimators.least_squares import plain_fit, scarcity, with_given, wls
 from gtau.estimation.estimators.newton import solve
 from gtau.estimation.estimators.two_stage import two_stage
-from gtau.estimation.regression.equations import KNOWN, MODEL
+from gtau.estimation.regression.factors import KNOWN, MODEL
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.thresholds.estimates import HIDDEN_KNOWN, MISFIT
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from gtau.estimation.estimators.estimator import Iterate, Solution
-from gtau.estimation.regression.equations import FIXED, MODEL, SIGNAL, SIGNALS, delayed_signal, modelled, triangle
+from gtau.estimation.regression.factors import FIXED, MODEL, SIGNAL, SIGNALS, delayed_signal, modelled, triangle
 from gtau.estimation.regression.problem import Problem
 
 STEPS = 200

@@ -26,9 +26,9 @@ from gtau.estimation.estimators.standard_parameters import (
     pseudo_inertia,
     standard_unknowns,
 )
+from gtau.estimation.regression.assembly import of_theta
 from gtau.estimation.regression.dataset import System
-from gtau.estimation.regression.equations import leave_one_out, triangle
-from gtau.estimation.regression.priors import of_theta
+from gtau.estimation.regression.factors import leave_one_out, triangle
 from gtau.estimation.regression.problem import Problem
 from gtau.robots.robot import INERTIAL
 from gtau.signals.reading.statements import Prior

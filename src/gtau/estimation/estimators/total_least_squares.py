@@ -14,7 +14,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.estimators.estimator import Estimator, Gains, Solution
 from gtau.estimation.estimators.least_squares import plain_fit
-from gtau.estimation.regression.equations import delayed_signal, leave_one_out, modelled, triangle
+from gtau.estimation.regression.factors import delayed_signal, leave_one_out, modelled, triangle
 from gtau.estimation.regression.problem import Problem
 
 

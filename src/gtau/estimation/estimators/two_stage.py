@@ -14,7 +14,7 @@ from gtau.errors import GtauError
 from gtau.estimation.estimators.estimator import Estimator, Gains, Iterate, Solution
 from gtau.estimation.estimators.least_squares import plain_fit
 from gtau.estimation.estimators.newton import finish, least_squares, one_step, residuals, stacked
-from gtau.estimation.regression.equations import delayed_signal, triangle
+from gtau.estimation.regression.factors import delayed_signal, triangle
 from gtau.estimation.regression.problem import Problem
 
 EXPLAINED = 1e-10  # of the largest singular value: directions of the parameters that rounding leaves

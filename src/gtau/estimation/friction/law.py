@@ -33,7 +33,7 @@ from typing import Any
 
 import numpy as np
 
-from gtau.estimation.regression.dataset import motor_to_joint_speed
+from gtau.estimation.regression.plausibility import motor_to_joint_speed
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter

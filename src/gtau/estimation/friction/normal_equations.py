@@ -13,8 +13,7 @@ import numpy as np
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.friction.law import FrictionLaw, PreslidingState
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.equations import delayed_signal
-from gtau.estimation.regression.factors import add_products
+from gtau.estimation.regression.factors import add_products, delayed_signal
 from gtau.estimation.regression.rows import Law, Rows, stream_rows
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
 
 import numpy as np
 
@@ -14,15 +15,16 @@ from gtau.estimation.regression.column_blocks import (
     payload_columns,
     unknown_names,
 )
-from gtau.estimation.regression.equations import MODEL, SIGNAL, triangle
-from gtau.estimation.regression.factors import Factors
+from gtau.estimation.regression.factors import MODEL, SIGNAL, Factors, triangle
 from gtau.estimation.regression.problem import Problem
 from gtau.model.base_parameters import BaseParameters, independent_columns
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.robot import INERTIAL, Robot
 from gtau.signals.channel import Channel, channels_of
-from gtau.signals.reading.statements import Payload
+from gtau.signals.reading.statements import Payload, Prior
 
+RANK = 1e-9  # of the largest singular value: below it a combination is free of unknown parameters
 FEWEST_ROWS = 50  # of a joint, in all runs together
 
 
@@ -107,3 +109,117 @@ def unexcited(problem: Problem) -> tuple[Parameter, ...]:
     rows = (R[:, MODEL] / sigma for R, sigma in zip(problem.triangles, problem.own_sigma, strict=True))
     kept, _, _ = independent_columns(triangle(*rows, problem.known[:, :-1]))
     return tuple(name for k, name in enumerate(problem.parameters) if k not in kept)
+
+
+def stated_inertias(robot: Robot) -> dict[str, float]:
+    """Return the file's standard parameters of bodies and motors of the model, by name, SI units.
+
+    A body without inertia in a file that states those of others has no mass there.
+    """
+    stated = dict(robot.inertias)
+    if not stated:
+        return {}
+    inertial = [Parameter(kind, body) for body in _heavy(robot) for kind in INERTIAL]
+    found = {name: stated.get(name, 0.0) for name in inertial}
+    rotors = {Parameter("ia", each.name) for each in robot.joints if each.parameters in ("all", "drive")}
+    return found | {name: value for name, value in stated.items() if name in rotors}
+
+
+def sizes_of(stated: dict[str, float], body: str) -> dict[str, float] | None:
+    """Return the size of each inertial parameter of a body (a change of 100 %), by kind: m, m r and m r^2.
+
+    The radius r is the root mean square distance of its mass from the frame's origin, ``m r^2 = tr(I) / 2``: so a
+    centre of mass that the file puts at the origin may move too. None for a body without mass or extent.
+    """
+    mass = stated[Parameter("m", body)]
+    second = sum(stated[Parameter(kind, body)] for kind in ("xx", "yy", "zz")) / 2
+    if mass <= 0 or second <= 0:
+        return None
+    return {
+        kind: mass if kind == "m" else second if len(kind) == 2 and kind[0] != "m" else np.sqrt(mass * second)
+        for kind in INERTIAL
+    }
+
+
+def inertia_priors(robot: Robot, std: float) -> dict[str, Prior]:
+    """Take the file's inertias as priors with a relative standard deviation, each parameter by its own.
+
+    ``std`` is a share of m, m r and m r^2 of each body (see :func:`sizes_of`), and of the rotor inertias. Raises
+    GtauError where the file states no inertias, or the share is not positive.
+    """
+    if not 0 < std < np.inf:
+        raise GtauError(f"a relative standard deviation of {std:g} is impossible for inertias; write 0.3 for 30 %.")
+    stated = stated_inertias(robot)
+    if not stated:
+        where = f" ({robot.source})" if robot.source else ""
+        raise GtauError(
+            f"the file of robot '{robot.name}'{where} states no inertias, which 'prior_inertias' asks for; give a URDF "
+            "or MJCF file with <inertial> elements, or leave it out."
+        )
+    sizes: dict[str, float] = {}
+    for body in _heavy(robot):
+        sizes |= {Parameter(kind, body): size for kind, size in (sizes_of(stated, body) or {}).items()}
+    sizes |= {name: value for name, value in stated.items() if parameter_of(name).kind == "ia" and value > 0}
+    return {name: Prior(value=stated[name], std=std * size) for name, size in sizes.items()}
+
+
+def _heavy(robot: Robot) -> list[str]:
+    """List the bodies that have a mass in the model."""
+    return [each.name for each in robot.joints if each.has_mass] + [each.name for each in robot.platforms]
+
+
+def known_equations(
+    base: BaseParameters, standard: Sequence[str], parameters: Sequence[str], priors: Mapping[str, Prior]
+) -> np.ndarray:
+    """Write normal priors as equations ``[P | y]`` (k, n_theta + 1) for ``P theta = y`` with errors of unit variance.
+
+    A base parameter is a sum of ``standard`` ones, the columns of ``base.matrix``: ``chi = S x``. Some of these have
+    priors, with standard deviations, the others have none: so the equations are those of base-parameter combinations
+    free of the latter. ``parameters`` are theta, the base parameters first; bounds are not used here. Raises GtauError
+    where a prior names no parameter.
+    """
+    return np.vstack(
+        [_of_standard(base, standard, len(parameters), priors), of_theta(base, standard, parameters, priors)]
+    )
+
+
+def of_theta(
+    base: BaseParameters, standard: Sequence[str], parameters: Sequence[str], priors: Mapping[str, Prior]
+) -> np.ndarray:
+    """Build the equations of priors that name one of theta, no standard parameter; see :func:`known_equations`."""
+    rows = []
+    for name, prior in priors.items():
+        if name in standard:
+            continue
+        if name not in parameters:
+            close = get_close_matches(name, [*standard, *base.names], n=1)
+            raise GtauError(
+                f"'priors' names '{name}', which is no parameter of the robot; "
+                + (f"did you mean '{close[0]}'?" if close else f"write kind and joint, such as '{standard[0]}'.")
+            )
+        if prior.value is not None and prior.std is not None:
+            row = np.zeros(len(parameters) + 1)
+            row[list(parameters).index(name)], row[-1] = 1 / prior.std, prior.value / prior.std
+            rows.append(row)
+    return np.reshape(rows, (-1, len(parameters) + 1))
+
+
+def _of_standard(
+    base: BaseParameters, standard: Sequence[str], n_theta: int, priors: Mapping[str, Prior]
+) -> np.ndarray:
+    stated = {name: prior for name, prior in priors.items() if name in standard and prior.value is not None}
+    known = np.array([name in stated for name in standard])
+    if not known.any():
+        return np.zeros((0, n_theta + 1))
+    values = np.array([stated[name].value for name in standard if name in stated], dtype=float)
+    spread = np.array([stated[name].std for name in standard if name in stated], dtype=float)
+    lengths = np.linalg.norm(base.matrix, axis=0)
+    U = base.matrix[:, ~known & (lengths > 0)]
+    left, sizes, _ = np.linalg.svd(U / np.linalg.norm(U, axis=0))
+    P = left[:, int(np.count_nonzero(sizes > RANK * sizes.max(initial=0.0))) :].T  # P U = 0
+    S = P @ base.matrix[:, known]  # P chi = S x of the known x
+    L = np.linalg.cholesky((S * spread) @ (S * spread).T) if len(P) else np.zeros((0, 0))
+    rows = np.zeros((len(P), n_theta + 1))
+    rows[:, : base.count] = np.linalg.solve(L, P)
+    rows[:, -1] = np.linalg.solve(L, S @ values)
+    return rows

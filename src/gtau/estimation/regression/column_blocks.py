@@ -4,24 +4,47 @@ All runs have the same base columns. The columns of an effect (a payload, fricti
 temperature, the offset of a torque sensor) are combinations of them: so the factors of each channel and run become a
 block of the problem by one product with a small matrix. An effect is a :class:`ColumnBlock`; :func:`column_blocks`
 lists them.
+
+The paper's friction, viscous and Coulomb, is among the standard parameters of the model. Further terms are candidates
+for every actuated joint, and selected if its own equations support them: ``f3 qd^3``, cubic in speed, and
+``fl |tau_load| sign(qd)``, proportional to the torque that the joint transmits; where temperatures are logged,
+``fvt (T - T_mean) qd`` and ``fst (T - T_mean) sign(qd)``. Temperature changes so slowly that its mean over a block
+replaces it there: these columns are those of viscous and Coulomb friction in each block, times a number. The bearing of
+a joint's torque sensor may have friction of its own (``fv_2_sensor``).
+
+Warm-up makes friction drift between runs by per cents, which is invisible in a single run and ruins the drive gains; so
+viscous and Coulomb friction may have different values in every run.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from gtau.estimation.regression.equations import FIXED, KNOWN, SIGNALS
-from gtau.estimation.regression.factors import EXTRA
-from gtau.estimation.regression.friction import DRIFTING, TEMPERATURE_TERMS, TERMS
+from gtau.errors import GtauError
+from gtau.estimation.regression.factors import EXTRA, FIXED, KNOWN, SIGNALS
+from gtau.estimation.regression.rows import TERMS
+from gtau.estimation.regression.run_blocks import BLOCKS
 from gtau.model.base_parameters import BaseParameters, independent_columns, seen_by_sensor
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter
-from gtau.robots.robot import INERTIAL
+from gtau.robots.robot import INERTIAL, PLAIN_FRICTION
 from gtau.signals.channel import Channel
+from gtau.signals.preparation.prepared_run import PreparedRun
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
+
+TEMPERATURE_TERMS = {"fvt": "fv", "fst": "fs"}
+DRIFTING = ("fv", "fs")
+BEARING = ("fv", "fs")
+UNITS = {
+    "revolute": {"f3": "N m s3/rad3", "fl": "1", "fvt": "N m s/rad", "fst": "N m"},
+    "prismatic": {"f3": "N s3/m3", "fl": "1", "fvt": "N s/m", "fst": "N"},
+}
+"""Units of the terms; those of ``fvt`` and ``fst`` per unit of the temperature."""
+
+INSTANTS = 50  # of a block, over which the mean is taken
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,3 +222,60 @@ def column_map(
         if block.stated:
             M[..., KNOWN] += part[..., np.logical_not(free)] @ list(block.stated.values())
     return M
+
+
+def all_terms(joints: Sequence[str], terms: Iterable[str] = TERMS) -> tuple[Parameter, ...]:
+    """List every one of the ``terms`` of every joint, or torque sensor."""
+    return tuple(Parameter(term, joint) for joint in joints for term in terms)
+
+
+def is_transmitted(names: Sequence[Parameter]) -> np.ndarray:
+    """Mark the base parameters whose torque a joint transmits by 1, friction and offsets by 0, (n_b,)."""
+    return np.array([name.kind not in PLAIN_FRICTION for name in names], dtype=float)
+
+
+@dataclass(frozen=True, eq=False)
+class Temperatures:
+    """Mean temperatures of joints over all runs, in ``unit``, and differences from them.
+
+    ``reference`` are the means by joint, ``of_blocks`` the differences (blocks, n) in each run; those of joints
+    without a temperature are zero. ``prepared`` are the runs.
+    """
+
+    reference: dict[str, float]
+    of_blocks: tuple[np.ndarray, ...]
+    unit: str
+    prepared: tuple[PreparedRun, ...]
+
+    def between(self, run: int, begin: float, end: float) -> np.ndarray:
+        """Average the differences (n,) between two instants of a run."""
+        of, time = self.prepared[run].run, np.linspace(begin, end, INSTANTS)
+        assert of.temperature is not None  # all runs have one
+        means = {joint: of.temperature.at(joint, time).mean() - mean for joint, mean in self.reference.items()}
+        return np.array([means.get(joint, 0.0) for joint in of.joints])
+
+
+def temperatures_of(prepared: Sequence[PreparedRun], edges: Sequence[np.ndarray]) -> Temperatures | None:
+    """Compute the differences in all runs, with the ``edges`` of their blocks; None without temperatures.
+
+    Raises GtauError.
+    """
+    found = [each.run.temperature for each in prepared]
+    logged = [each for each in found if each is not None]
+    if not logged:
+        return None
+    if len(logged) < len(found):
+        lacking = next(each.run.name for each in prepared if each.run.temperature is None)
+        raise GtauError(f"run '{lacking}' has no temperature, but other runs have; log it in all runs, or in none.")
+    joints, means = prepared[0].run.joints, []
+    known = [joint for joint in joints if all(joint in each.of_joint for each in logged)]
+    for each, temperature, cut in zip(prepared, logged, edges, strict=True):
+        share = np.interp(np.linspace(0, BLOCKS, BLOCKS * INSTANTS), np.arange(BLOCKS + 1), cut)
+        time = each.time[0] + share * (each.time[-1] - each.time[0])
+        along = [temperature.at(joint, time).reshape(BLOCKS, INSTANTS).mean(axis=1) for joint in known]
+        means.append(np.reshape(along, (len(known), BLOCKS)).T)
+    reference = np.mean(np.concatenate(means), axis=0)
+    differences = np.zeros((len(prepared), BLOCKS, len(joints)))
+    differences[..., [joints.index(joint) for joint in known]] = np.array(means) - reference
+    by_joint = dict(zip(known, map(float, reference), strict=True))
+    return Temperatures(by_joint, tuple(differences), logged[0].unit, tuple(prepared))

@@ -10,22 +10,36 @@ from typing import Any, Literal
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.assembly import assemble_problem, require_base_wrench, unexcited
+from gtau.estimation.regression.assembly import (
+    assemble_problem,
+    inertia_priors,
+    known_equations,
+    require_base_wrench,
+    unexcited,
+)
 from gtau.estimation.regression.column_blocks import (
     ColumnBlock,
     PayloadColumns,
+    Temperatures,
     column_blocks,
     column_map,
+    is_transmitted,
     payload_columns,
+    temperatures_of,
 )
-from gtau.estimation.regression.equations import BLOCKS, KNOWN
-from gtau.estimation.regression.factors import Factors, reduce_rows
-from gtau.estimation.regression.friction import Temperatures, is_transmitted, temperatures_of
-from gtau.estimation.regression.plausibility import check_wrenches, sensors_of, within_limits
-from gtau.estimation.regression.priors import inertia_priors, known_equations
+from gtau.estimation.regression.factors import KNOWN, Factors, reduce_rows
+from gtau.estimation.regression.plausibility import check_wrenches, prepare_runs, sensors_of
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.rows import Rows, stream_rows
-from gtau.estimation.regression.run_blocks import Place, Windows, aligned_edges, block_of, central_windows, find_places
+from gtau.estimation.regression.run_blocks import (
+    BLOCKS,
+    Place,
+    Windows,
+    aligned_edges,
+    block_of,
+    central_windows,
+    find_places,
+)
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import BaseParameters, base_parameters
@@ -35,7 +49,7 @@ from gtau.robots.parameter import Parameter
 from gtau.robots.plausibility import oddities, tool_note
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.choice import choose_preparation
-from gtau.signals.preparation.prepared_run import Preparation, PreparedRun, SampleWindow, prepare
+from gtau.signals.preparation.prepared_run import Preparation, PreparedRun, SampleWindow
 from gtau.signals.reading.statements import Payload, Prior
 from gtau.signals.run import Run
 
@@ -342,25 +356,3 @@ def reduce_runs(
     prepared = prepare_runs(model, runs, preparation)
     dataset = Dataset(model, base, preparation, prepared, (), priors or {}, prior_inertias)
     return dataset.reduced(progress=progress)
-
-
-def prepare_runs(model: InverseDynamics, runs: Sequence[Run], preparation: Preparation) -> tuple[PreparedRun, ...]:
-    """Prepare runs with joints in the model's order; raises GtauError."""
-    ratios = motor_to_joint_speed(model)
-    return tuple(within_limits(model.robot, prepare(run, preparation.at(run.rate), ratios)) for run in runs)
-
-
-def motor_to_joint_speed(model: InverseDynamics) -> np.ndarray:
-    """Compute speeds (n_y, n) of the joints that each motor drives, through couplings too, for their friction.
-
-    The ratios do not change along a run. With closures each motor drives only its own joint.
-    """
-    n, robot = len(model.actuated), model.robot
-    without_friction = [robot.actuated.index(joint) for joint in robot.base]
-    if not robot.couplings or robot.closures:
-        ratios = np.eye(n)
-    else:
-        still = np.zeros((n, 1))
-        ratios = model.motion(still, still, still).J[:, :, 0]
-    ratios[:, without_friction] = 0.0
-    return ratios

@@ -22,9 +22,10 @@ from gtau.estimation.thresholds.logs import (
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.findings.words import clock_advice, write_limits
+from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import Joint, Robot
-from gtau.signals.preparation.prepared_run import PreparedRun
+from gtau.signals.preparation.prepared_run import Preparation, PreparedRun, prepare
 from gtau.signals.reading.columns import SampleRate
 from gtau.signals.run import Run
 from gtau.signals.storage import block, spans
@@ -157,3 +158,25 @@ def check_wrenches(robot: Robot, run: Run) -> None:
                 f"joint: {', '.join(bodies)}; write the joint that moves it{hint}, and, with 'axes: "
                 "body', 'at' in that joint's frame."
             )
+
+
+def prepare_runs(model: InverseDynamics, runs: Sequence[Run], preparation: Preparation) -> tuple[PreparedRun, ...]:
+    """Prepare runs with joints in the model's order; raises GtauError."""
+    ratios = motor_to_joint_speed(model)
+    return tuple(within_limits(model.robot, prepare(run, preparation.at(run.rate), ratios)) for run in runs)
+
+
+def motor_to_joint_speed(model: InverseDynamics) -> np.ndarray:
+    """Compute speeds (n_y, n) of the joints that each motor drives, through couplings too, for their friction.
+
+    The ratios do not change along a run. With closures each motor drives only its own joint.
+    """
+    n, robot = len(model.actuated), model.robot
+    without_friction = [robot.actuated.index(joint) for joint in robot.base]
+    if not robot.couplings or robot.closures:
+        ratios = np.eye(n)
+    else:
+        still = np.zeros((n, 1))
+        ratios = model.motion(still, still, still).J[:, :, 0]
+    ratios[:, without_friction] = 0.0
+    return ratios

@@ -9,7 +9,6 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from gtau.estimation.regression.friction import term_columns
 from gtau.model.inverse_dynamics import PATH, InverseDynamics, Regressor
 from gtau.model.loops import Motion
 from gtau.signals.preparation.filters import Decimator
@@ -17,9 +16,15 @@ from gtau.signals.preparation.prepared_run import PreparedRun, SampleWindow
 from gtau.signals.run import Run
 from gtau.signals.storage import spans
 
+TERMS = ("f3", "fl")
 SHORT = 16384  # samples of a run that is prepared once: longer ones would fill the memory
 ALL_SAMPLES = 4096  # of a block that is not decimated
 FAST_SAMPLES = 1024  # of a block, before decimation: enough to amortise Python, and few enough to stay in the cache
+
+
+def term_columns(qd: np.ndarray, effort: np.ndarray) -> np.ndarray:
+    """Build the columns of the terms, (2, n, N), from speeds and transmitted torques (n, N)."""
+    return np.stack([qd * qd * qd, np.abs(effort) * np.sign(qd)])  # a power would take ten times as long
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from gtau.estimation.regression.equations import BLOCKS
 from gtau.estimation.thresholds.logs import REPEATED, REPEATED_PART
 from gtau.signals.preparation.filters import STENCIL
 from gtau.signals.preparation.prepared_run import PreparedRun, SampleWindow, joined
 
+BLOCKS = 20  # of a run, which the jackknife leaves out in turn
 ASLEEP = 1e-6  # weight of a sample in a rest
 BLOCK_REST = 0.5  # of a block: shorter rests leave rows in it, and longer ones may leave none
 LONGEST = 1 << 16  # positions of a run that are compared, at most

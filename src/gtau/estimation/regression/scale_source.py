@@ -8,7 +8,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.dataset import System
-from gtau.estimation.regression.equations import KNOWN, MODEL, SIGNAL
+from gtau.estimation.regression.factors import KNOWN, MODEL, SIGNAL
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.thresholds.estimates import ANSWERED, OWN_BODY
 from gtau.model.base_parameters import independent_columns

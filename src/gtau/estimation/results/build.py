@@ -13,12 +13,10 @@ from gtau.estimation.diagnostics.stated_constants import scale_shares, sensor_ve
 from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, judge_parameter, parameter_verdict, verdict_of
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import residuals, stacked
-from gtau.estimation.regression.column_blocks import PayloadColumns, known_values
+from gtau.estimation.regression.column_blocks import BEARING, PayloadColumns, known_values
 from gtau.estimation.regression.dataset import System
-from gtau.estimation.regression.equations import triangle
-from gtau.estimation.regression.friction import BEARING
-from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.unknowns import Estimates
+from gtau.estimation.regression.factors import triangle
+from gtau.estimation.regression.problem import Estimates, Problem
 from gtau.estimation.results.estimate import (
     Estimate,
     FrictionCurve,

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
-from gtau.estimation.regression.friction import TEMPERATURE_TERMS
+from gtau.estimation.regression.column_blocks import TEMPERATURE_TERMS
 from gtau.estimation.results.estimate import Estimate, NearestPose, Requirement
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.results.result import Result

@@ -18,8 +18,8 @@ from gtau.estimation.friction.selection import (
     shape_values,
     with_shapes,
 )
-from gtau.estimation.regression.friction import TEMPERATURE_TERMS, UNITS
-from gtau.estimation.regression.unknowns import Estimates
+from gtau.estimation.regression.column_blocks import TEMPERATURE_TERMS, UNITS
+from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.results.estimate import FrictionCurve, ReferenceTemperatures
 from gtau.robots.parameter import Parameter, position_unit, unit_of
 from gtau.robots.robot import PLAIN_FRICTION, Robot

@@ -16,6 +16,8 @@ from gtau.robots.robot import Attachment, Pose
 if TYPE_CHECKING:
     import mujoco
 
+    from gtau.robots.readers.mjcf_file import MjcfFile
+
 TENSOR = [[0, 3, 4], [3, 1, 5], [4, 5, 2]]  # places of xx yy zz xy xz yz in a tensor
 TINY = 1e-9  # kg m2: smaller inertias are those of frames that have none
 SLACK = 1e-2  # by which the largest principal moment may exceed the sum of the others: files round to a few digits
@@ -47,18 +49,21 @@ def _urdf_bodies(root: Element) -> Iterator[tuple[str, RigidBody]]:
         yield name, RigidBody(weight, np.array(xyz), rotation @ np.array(entries)[TENSOR] @ rotation.T)
 
 
-def mjcf_bodies(spec: mujoco.MjSpec) -> list[tuple[mujoco.MjsBody, RigidBody]]:
-    """List the bodies of an MJCF file whose inertia it states, in the frames of the bodies.
+def mjcf_inertias(file: MjcfFile, carried: Mapping[int, Attachment]) -> tuple[tuple[str, float], ...]:
+    """Sum the inertias that an MJCF file states by what carries each body, with armatures of joints as rotor inertias.
 
     Inertias that MuJoCo would infer from shapes are ignored, as are orientations other than quaternions.
     """
     import mujoco
 
+    spec = file.spec
     from_shapes = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
-    stated = [] if from_shapes else [body for body in spec.bodies[1:] if body.explicitinertial]
-    if any(body.ialt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT for body in stated):
-        return []
-    return [(body, _mjcf_body(body)) for body in stated]
+    stated = [] if from_shapes else [(k, body) for k, body in enumerate(spec.bodies) if k and body.explicitinertial]
+    if any(body.ialt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT for _, body in stated):
+        return ()
+    inertias = _stated(lumped((carried[number], _mjcf_body(body)) for number, body in stated))
+    rotors = ((Parameter("ia", joint.name), float(joint.armature)) for joint in spec.joints if joint.armature)
+    return (*inertias, *rotors) if inertias else ()
 
 
 def _mjcf_body(body: mujoco.MjsBody) -> RigidBody:
@@ -68,15 +73,6 @@ def _mjcf_body(body: mujoco.MjsBody) -> RigidBody:
     tensor = np.diag(body.inertia) if np.isnan(full[0]) else full[TENSOR]
     rotation = Rotation.from_quat(body.iquat, scalar_first=True).as_matrix()
     return RigidBody(float(body.mass), np.array(body.ipos), rotation @ tensor @ rotation.T)
-
-
-def mjcf_inertias(
-    bodies: Mapping[int, RigidBody], carried: Mapping[int, Attachment], armatures: Mapping[str, float]
-) -> tuple[tuple[str, float], ...]:
-    """Sum the bodies of an MJCF file by their carriers, with armatures of joints as rotor inertias."""
-    stated = _stated(lumped((carried[number], body) for number, body in bodies.items() if number in carried))
-    rotors = ((Parameter("ia", joint), armature) for joint, armature in armatures.items() if armature)
-    return (*stated, *rotors) if stated else ()
 
 
 def _stated(parameters: Mapping[str, float]) -> tuple[tuple[str, float], ...]:

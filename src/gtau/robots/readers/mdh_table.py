@@ -7,14 +7,14 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import TypeVar
 
 from gtau.documents.files import read_at_most
 from gtau.errors import GtauError
 from gtau.robots.file import RobotFile
 from gtau.robots.geometry import DEGREES_ADVICE, compose, exact_angle, in_degrees, largest_change, short_angles_note
 from gtau.robots.readers.expressions import RESERVED, AffineInQ, evaluate, linear
-from gtau.robots.robot import GROUND, Attachment, Joint, Mdh, Robot
+from gtau.robots.robot import GROUND, Attachment, Joint, JointKind, Mdh, Robot
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def table_joints(rows: Sequence[MdhRow]) -> tuple[tuple[Joint, ...], dict[str, A
         if row.sigma == 2:
             frames[row.name] = Attachment(before.body, placement)
             continue
-        kind: Literal["revolute", "prismatic"] = "prismatic" if row.sigma else "revolute"
+        kind: JointKind = "prismatic" if row.sigma else "revolute"
         joints.append(Joint(row.name, before.body, kind, placement, actuated=row.mu == 1))
         frames[row.name] = Attachment(row.name)
     return tuple(joints), frames

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,11 +20,12 @@ from gtau.robots.file import RobotFile
 from gtau.robots.geometry import rounded
 from gtau.robots.parts import hold_joints, listed, without_idle_pins
 from gtau.robots.readers.inertias import mjcf_inertias, mjcf_masses
-from gtau.robots.readers.mjcf_bodies import fixed_tendons, read_bodies, read_ties, site_springs
+from gtau.robots.readers.mjcf_bodies import read_bodies, read_equalities
 from gtau.robots.readers.mjcf_file import MjcfFile, angle_notes, compile_mjcf, mjcf_rounding, name_in
+from gtau.robots.readers.mjcf_tendons import actuators, fixed_tendons, limited_tendons, site_springs, tied_tendons
 from gtau.robots.readers.source import Base, BaseChoice
 from gtau.robots.readers.xml_document import read_xml
-from gtau.robots.robot import GROUND, Coupling, Joint, Robot, base_rows
+from gtau.robots.robot import GROUND, Coupling, Joint, JointKind, Robot, base_rows
 
 if TYPE_CHECKING:
     import mujoco
@@ -51,58 +52,57 @@ def read_mjcf(path: str | Path, base: BaseChoice = None) -> Robot:
         if (root := read_xml(path)).tag != "mujoco":
             raise GtauError(f"the outermost element is <{root.tag}>, not <mujoco>; give an MJCF file.")
         file = compile_mjcf(root, path)
-        robot = replace(_robot(file, path, base), name=root.get("model") or path.stem)
+        robot = replace(as_written(file, path, base), name=root.get("model") or path.stem)
         return without_idle_pins(robot)
     except GtauError as error:
         raise GtauError(f"{path}: {error}") from None
 
 
-def _robot(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
-    qpos, home_given, notes = _home(file)
-    bodies = read_bodies(file.model, qpos, base)
+def as_written(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
+    """Make the robot of a compiled file, with its idle pins."""
+    model, qpos, left_out = file.model, file.model.qpos0, list[str]()
+    homes = [np.array(key.qpos) for key in file.spec.keys if key.name == HOME]
+    if home_given := bool(homes) and homes[0].size == model.nq:
+        qpos = homes[0]
+    elif homes:
+        left_out.append(f"keyframe '{HOME}' has {homes[0].size} positions for {model.nq} and was left out")
+    bodies = read_bodies(model, qpos, base)
+    closures, ties = read_equalities(model, bodies.carried)
+    ties += tied_tendons(file)
+    held = {tie.joint: tie.offset for tie in ties if not tie.ratios}
     kinds = {joint.name: joint.kind for joint in bodies.joints}
-    closures, tied_joints, held, ties_notes = read_ties(file, bodies.carried, kinds)
-    motors = read_motors(file, bodies.joints)
+    limited = list(limited_tendons(file, kinds, {tie.joint for tie in ties}))
+    motors = read_motors(file, kinds)
     joints = (*bodies.joints, *motors.shafts)
-    couplings = (*tied_joints, *motors.couplings)
-    rows = set(base_rows(bodies.floating))
-    driven = motors.driven if file.actuators else {joint.name for joint in joints} - {tie.joint for tie in couplings}
-    _check_motors(joints, driven - rows, bool(closures and not file.actuators))
+    couplings = [tie for tie in ties if tie.ratios] + [tie for tie, _ in limited] + motors.couplings
+    rows, has_motors = set(base_rows(bodies.floating)), bool(actuators(file.spec))
+    driven = motors.driven if has_motors else {joint.name for joint in joints} - {tie.joint for tie in couplings}
+    _check_motors(joints, driven - rows, bool(closures and not has_motors))
     tied = {end.body for closure in closures for end in (closure.a, closure.b)}
     loose = [platform.name for platform in bodies.platforms if platform.name not in tied]
-    springs = (
-        spring for spring in site_springs(file, bodies.carried) if {spring.a.body, spring.b.body}.isdisjoint(loose)
-    )
-    notes += [*bodies.notes, *_left_out(loose), *ties_notes, *motors.notes, *_simulated_alone(file, bodies.floating)]
+    springs, notes = site_springs(file, bodies.carried)
+    notes += [*file.notes, *left_out, *bodies.notes]
+    if loose:
+        notes.append(f"free {'bodies' if len(loose) > 1 else 'body'} {listed(loose)} attached to nothing: left out")
+    notes += [note for _, note in limited] + motors.notes + [*_simulated_alone(file, bodies.floating)]
     robot = Robot(
         path.stem,
         tuple(replace(joint, actuated=joint.name in driven | rows) for joint in joints),
         tuple(platform for platform in bodies.platforms if platform.name in tied),
         tuple(closures),
-        couplings,
-        _gravity(file.model),
-        tuple(springs),
+        tuple(couplings),
+        _gravity(model),
+        tuple(spring for spring in springs if {spring.a.body, spring.b.body}.isdisjoint(loose)),
         bodies.floating,
         file=RobotFile(
             path.name,
             tuple(notes),
             home_given,
-            inertias=mjcf_inertias(file.inertias, bodies.carried, file.armatures),
+            inertias=mjcf_inertias(file, bodies.carried),
             rounding=mjcf_rounding(file.elements),
         ),
     )
     return _without_idle_joints(robot, held, motors.pulled, base)
-
-
-def _home(file: MjcfFile) -> tuple[np.ndarray, bool, list[str]]:
-    """Take the positions of the keyframe ``home``, if it fits, else the reference; note the choice and omissions."""
-    given, needed = file.keys.get(HOME), file.model.nq
-    if given is None:
-        return file.model.qpos0, False, file.notes
-    if given.size == needed:
-        return given, True, file.notes
-    left_out = f"keyframe '{HOME}' has {given.size} positions for {needed} and was left out"
-    return file.model.qpos0, False, [*file.notes, left_out]
 
 
 def _check_motors(joints: Sequence[Joint], actuated: AbstractSet[str], loops_alone: bool) -> None:
@@ -127,11 +127,6 @@ def _weightless(model: mujoco.MjModel) -> bool:
     return bool(model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY)
 
 
-def _left_out(loose: Sequence[str]) -> Iterator[str]:
-    if loose:
-        yield f"free {'bodies' if len(loose) > 1 else 'body'} {listed(loose)} attached to nothing: left out"
-
-
 def _without_idle_joints(robot: Robot, held: Mapping[str, float], pulled: AbstractSet[str], base: BaseChoice) -> Robot:
     """Hold the joints that no modelled element moves."""
     for names, why in (
@@ -154,10 +149,10 @@ def _simulated_alone(file: MjcfFile, floating: str) -> Iterator[str]:
         yield "drag of the fluid around the robot (density, viscosity) acts in the simulator and is not modelled"
     if light := [name_in(model, "body", k) for k in range(1, model.nbody) if model.body_gravcomp[k]]:
         yield f"gravity compensation (gravcomp) acts in the simulator and is not modelled: body {listed(light)}"
-    balls = [k for k in range(model.njnt) if model.jnt_type[k] == 1 and np.any(model.jnt_stiffness[k])]
+    sprung = [k for k in range(model.njnt) if model.jnt_type[k] == 1 and np.any(model.jnt_stiffness[k])]
+    balls = [name_in(model, "joint", k) for k in sprung]
     if balls:
-        names = listed([name_in(model, "joint", k) for k in balls])
-        yield f"springs of balls act in the simulator and are not modelled: joint {names}"
+        yield f"springs of balls act in the simulator and are not modelled: joint {listed(balls)}"
     if floating and _braked(model, model.body(floating).jntadr[0]):
         yield f"damping, friction or armature of the floating '{floating}' acts in the simulator and is not modelled"
     yield from mjcf_masses(file.elements)
@@ -171,9 +166,6 @@ def _braked(model: mujoco.MjModel, free: int) -> bool:
     return any(np.any(effect) for effect in acting)
 
 
-Kind = Literal["revolute", "prismatic"]
-
-
 @dataclass(frozen=True)
 class Motors:
     """Joints and tendons driven by the actuators of a file.
@@ -182,141 +174,118 @@ class Motors:
     not modelled. ``shafts`` are motors of tendons, as joints on the ground, and ``couplings`` tie joints to them.
     """
 
-    driven: frozenset[str]
-    pulled: frozenset[str]
-    shafts: tuple[Joint, ...]
-    couplings: tuple[Coupling, ...]
-    notes: tuple[str, ...]
+    driven: set[str]
+    pulled: set[str]
+    shafts: list[Joint]
+    couplings: list[Coupling]
+    notes: list[str]
 
 
-def read_motors(file: MjcfFile, joints: Sequence[Joint]) -> Motors:
-    """Read the actuators; those that pull fixed tendons become motors only where no other drives a joint."""
-    tendons, notes = fixed_tendons(file), list[str]()
-    driven, pulled = _actuated_joints(file, tendons, notes)
-    if driven or not pulled:
-        return Motors(frozenset(driven), frozenset(pulled - driven), (), (), tuple(notes))
-    shafts, couplings = [], []
-    for shaft, coupling in _tendon_motors(file, tendons, {joint.name: joint.kind for joint in joints}):
-        shafts.append(shaft)
-        couplings.append(coupling)
-        notes.append(
-            f"'{shaft.name}' is the motor that pulls {listed([name for name, _ in coupling.ratios])} by a fixed "
-            "tendon; its position is the tendon's length"
-        )
-    driven = {shaft.name for shaft in shafts}
-    return Motors(frozenset(driven), frozenset(), tuple(shafts), tuple(couplings), tuple(notes))
+def read_motors(file: MjcfFile, kinds: Mapping[str, JointKind]) -> Motors:
+    """Read the actuators; those that pull fixed tendons become motors only where no other drives a joint.
 
-
-def _actuated_joints(
-    file: MjcfFile, tendons: Mapping[str, Mapping[str, float]], notes: list[str]
-) -> tuple[set[str], set[str]]:
-    """Name the joints that actuators drive, and those that they pull by fixed tendons; add notes."""
-    import mujoco
-
-    model, others = file.model, []
-    driven: set[str] = set()
-    pulled: set[str] = set()
-    turning_or_sliding = {
-        name_in(model, "joint", k)
-        for k in range(model.njnt)
-        if mujoco.mjtJoint(int(model.jnt_type[k])) in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
-    }
-    for name, transmission, target, gear in file.actuators:
-        of_joint = transmission in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-        if of_joint and target in turning_or_sliding:
-            driven.add(target)
-            if gear != 1.0:
-                notes.append(
-                    f"actuator of joint '{target}' has a gear of {gear:g} in the file; positions are those of the "
-                    "joint, and a drive gain is in N m (or N) at the joint per unit of the logged signal, gear included"
-                )
-        elif transmission == mujoco.mjtTrn.mjTRN_TENDON and target in tendons:
-            pulled |= tendons[target].keys()
-        else:
-            others.append(name or target)
-    if others:
-        s = "s" * (len(others) > 1)
-        notes.append(f"actuator{s} {listed(others)} on no hinge, slide or fixed tendon: left out")
-    return driven, pulled
-
-
-def _tendon_motors(
-    file: MjcfFile, tendons: Mapping[str, Mapping[str, float]], kinds: Mapping[str, Kind]
-) -> Iterator[tuple[Joint, Coupling]]:
-    """Convert motors that pull fixed tendons to shafts on the ground whose position is the tendon's length.
-
-    The force along a tendon acts on a joint by the coefficient of the joint in the tendon's length.
+    Such a motor is a shaft on the ground whose position is the tendon's length: the force along a tendon acts on a
+    joint by the coefficient of the joint in that length. ``kinds`` of joints are given by their names.
     """
     import mujoco
 
-    for number, (name, transmission, target, _) in enumerate(file.actuators, start=1):
-        if transmission == mujoco.mjtTrn.mjTRN_TENDON and target in tendons:
-            ratios = tuple((joint, factor) for joint, factor in tendons[target].items() if factor)
-            shaft = name if name and name not in kinds else f"motor {number}"
-            yield Joint(shaft, GROUND, kinds[ratios[0][0]], parameters="drive"), Coupling(shaft, ratios)
+    tendons, others, pulling = fixed_tendons(file.spec), [], []
+    motors = Motors(set(), set(), [], [], [])
+    joint_types = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+    movable = _hinges_and_slides(file.model)
+    for number, actuator in enumerate(actuators(file.spec), start=1):
+        target, gear = actuator.target, float(actuator.gear[0])
+        if actuator.trntype in joint_types and target in movable:
+            motors.driven.add(target)
+            if gear != 1.0:
+                motors.notes.append(
+                    f"actuator of joint '{target}' has a gear of {gear:g} in the file; positions are those of the "
+                    "joint, and a drive gain is in N m (or N) at the joint per unit of the logged signal, gear included"
+                )
+        elif actuator.trntype == mujoco.mjtTrn.mjTRN_TENDON and target in tendons:
+            pulling.append((number, actuator.name, tendons[target]))
+            motors.pulled.update(tendons[target])
+        else:
+            others.append(actuator.name or target)
+    if others:
+        s = "s" * (len(others) > 1)
+        motors.notes.append(f"actuator{s} {listed(others)} on no hinge, slide or fixed tendon: left out")
+    if motors.driven:
+        motors.pulled.difference_update(motors.driven)
+        return motors
+    for number, name, terms in pulling:
+        ratios = tuple((joint, factor) for joint, factor in terms.items() if factor)
+        shaft = name if name and name not in kinds else f"motor {number}"
+        motors.shafts.append(Joint(shaft, GROUND, kinds[ratios[0][0]], parameters="drive"))
+        motors.couplings.append(Coupling(shaft, ratios))
+        motors.notes.append(
+            f"'{shaft}' is the motor that pulls {listed([joint for joint, _ in ratios])} by a fixed tendon; its "
+            "position is the tendon's length"
+        )
+        motors.driven.add(shaft)
+    motors.pulled.clear()
+    return motors
+
+
+def _hinges_and_slides(model: mujoco.MjModel) -> set[str]:
+    import mujoco
+
+    types = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+    return {name_in(model, "joint", k) for k, kind in enumerate(model.jnt_type.tolist()) if kind in types}
 
 
 def scenery(robot: Robot) -> set[str]:
     """List the joints of doors, targets and the like: of trees from the ground in which no motor moves anything."""
     moved = _moved(robot)
-    idle: set[str] = set()
-    for tree in _trees(robot):
-        if tree.isdisjoint(moved):
-            idle |= tree
-    return idle
+    return set().union(*(tree for tree in _trees(robot) if tree.isdisjoint(moved)))
 
 
 def moving_base(robot: Robot) -> set[str]:
     """List unactuated joints that carry all actuated ones of their tree: those of a base that rolls or slides."""
-    before, moved, carrying = _carrying(robot), _moved(robot), set()
-    for tree in _trees(robot):
-        if carried := [before[name] for name in tree & moved]:
-            carrying |= set.intersection(*carried) - moved - {GROUND}
-    return carrying
+    carriers, moved = _carriers(robot), _moved(robot)
+    moved_trees = (tree & moved for tree in _trees(robot) if tree & moved)
+    shared = (set.intersection(*(carriers[name] for name in names)) for names in moved_trees)
+    return set().union(*shared) - moved - {GROUND}
 
 
 def with_linkages(robot: Robot, pulled: AbstractSet[str]) -> set[str]:
     """List the joints that tendons pull, and those of their loops, where no motor moves them."""
-    linked = set(pulled)
-    for group in _groups(robot):
-        if not group.isdisjoint(pulled) and group.isdisjoint(robot.actuated):
-            linked |= group
-    return linked & {joint.name for joint in robot.joints}
+    pulled_alone = (group for group in _groups(robot) if group & pulled and group.isdisjoint(robot.actuated))
+    return set(pulled).union(*pulled_alone) & {joint.name for joint in robot.joints}
 
 
-def _carrying(robot: Robot) -> dict[str, set[str]]:
+def _carriers(robot: Robot) -> dict[str, set[str]]:
     """List the joints, and the ground, that carry each joint."""
-    before: dict[str, set[str]] = {GROUND: set()}
+    carriers: dict[str, set[str]] = {GROUND: set()}
     for joint in robot.joints:
-        before[joint.name] = before[joint.antecedent] | {joint.antecedent}
-    return before
+        carriers[joint.name] = carriers[joint.antecedent] | {joint.antecedent}
+    return carriers
 
 
-def _trees(robot: Robot) -> Iterator[set[str]]:
+def _trees(robot: Robot) -> list[set[str]]:
     """Group the joints by the trees rooted at the ground."""
-    before = _carrying(robot)
-    for root in (joint.name for joint in robot.joints if joint.antecedent == GROUND):
-        yield {root} | {name for name, carriers in before.items() if root in carriers}
+    trees: dict[str, set[str]] = {}
+    for joint in robot.joints:
+        trees[joint.name] = trees.get(joint.antecedent, set())
+        trees[joint.name].add(joint.name)
+    return [trees[joint.name] for joint in robot.joints if joint.antecedent == GROUND]
 
 
 def _moved(robot: Robot) -> set[str]:
     """List the joints with motors, and those that loops and couplings tie to them."""
     driven = set(robot.actuated)
-    for group in _groups(robot):
-        if not group.isdisjoint(robot.actuated):
-            driven |= group
-    return driven
+    return driven.union(*(group for group in _groups(robot) if group & driven))
 
 
 def _groups(robot: Robot) -> list[set[str]]:
     """Group the joints (and platforms) that loops and couplings tie to each other."""
-    before = _carrying(robot) | {platform.name: {platform.name} for platform in robot.platforms}
+    carriers = _carriers(robot) | {platform.name: {platform.name} for platform in robot.platforms}
     ties = [{coupling.joint, *dict(coupling.ratios)} for coupling in robot.couplings]
     for closure in robot.closures:
-        a, b = (before[end.body] | {end.body} for end in (closure.a, closure.b))
+        a, b = (carriers[end.body] | {end.body} for end in (closure.a, closure.b))
         ties.append((a ^ b) - {GROUND})
     groups: list[set[str]] = []
     for tie in ties:
         apart = [group for group in groups if group.isdisjoint(tie)]
-        groups = [*apart, tie.union(*(group for group in groups if not group.isdisjoint(tie)))]
+        groups = [*apart, tie.union(*(group for group in groups if group & tie))]
     return groups

@@ -1,9 +1,8 @@
-"""The bodies of an MJCF file as a tree, and the equalities, fixed tendons and springs that tie them."""
+"""The bodies of an MJCF file as a tree, and the equalities that tie them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from collections.abc import Set as AbstractSet
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -12,11 +11,11 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.robots.floating import base_joints
 from gtau.robots.geometry import compose, pose_of, rounded, turn
-from gtau.robots.parts import listed
-from gtau.robots.readers.mjcf_file import MjcfFile, TiedTendons, name_in, pose_in, rotation_in
+from gtau.robots.readers.mjcf_file import name_in, pose_in, rotation_in
+from gtau.robots.readers.mjcf_tendons import attached_site
 from gtau.robots.readers.source import BASE_ADVICE, FLOATING, BaseChoice
 from gtau.robots.readers.urdf_tree import turning
-from gtau.robots.readers.xml_document import numbers, position_limits
+from gtau.robots.readers.xml_document import position_limits
 from gtau.robots.robot import (
     GROUND,
     ROTATIONS,
@@ -28,7 +27,6 @@ from gtau.robots.robot import (
     Limits,
     Platform,
     Pose,
-    Spring,
     base_rows,
 )
 
@@ -56,32 +54,26 @@ def read_bodies(model: mujoco.MjModel, qpos: np.ndarray, base: BaseChoice) -> Bo
     """Walk the tree of a compiled model, whose joints are at home at ``qpos``."""
     import mujoco
 
-    bodies, carriers = Bodies(), _carriers(model)
+    bodies = Bodies()
+    carriers = set[int]()  # of joints, their own not counted
+    for body in map(int, model.jnt_bodyid):
+        while body := int(model.body_parentid[body]):
+            carriers.add(body)
     for body in range(1, model.nbody):
         before = bodies.carried[int(model.body_parentid[body])]
         at = Attachment(before.body, compose(before.placement, pose_in(model.body_pos[body], model.body_quat[body])))
-        numbers = range(int(model.body_jntadr[body]), int(model.body_jntadr[body]) + int(model.body_jntnum[body]))
-        for number in numbers:
-            if mujoco.mjtJoint(int(model.jnt_type[number])) == mujoco.mjtJoint.mjJNT_FREE:
+        joints = np.flatnonzero(model.jnt_bodyid == body).tolist()
+        for number in joints:
+            if model.jnt_type[number] == mujoco.mjtJoint.mjJNT_FREE:
                 start = int(model.jnt_qposadr[number])
                 pose = pose_in(qpos[start : start + 3], qpos[start + 3 : start + 7])
                 at = _freed(bodies, name_in(model, "body", body), pose, body in carriers, base)
             else:
-                made, at = _joints(model, number, at, qpos, number == numbers[-1])
+                made, at = _joints(model, number, at, qpos, number == joints[-1])
                 bodies.joints += made
         bodies.carried[body] = at
     bodies.joints.sort(key=lambda joint: joint.name not in base_rows(bodies.floating))
     return bodies
-
-
-def _carriers(model: mujoco.MjModel) -> set[int]:
-    """Find the bodies that carry joints, their own not counted."""
-    carriers = set()
-    for body in range(1, model.nbody):
-        if model.body_jntnum[body]:
-            while body := int(model.body_parentid[body]):
-                carriers.add(body)
-    return carriers
 
 
 def _freed(bodies: Bodies, name: str, pose: Pose, carries: bool, base: BaseChoice) -> Attachment:
@@ -108,13 +100,12 @@ def _joints(
     import mujoco
 
     name, start = name_in(model, "joint", number), int(model.jnt_qposadr[number])
-    kind, axis = mujoco.mjtJoint(int(model.jnt_type[number])), model.jnt_axis[number]
-    if kind == mujoco.mjtJoint.mjJNT_SLIDE:
+    kind, axis, anchor = model.jnt_type[number], model.jnt_axis[number], model.jnt_pos[number]
+    slides, reference = kind == mujoco.mjtJoint.mjJNT_SLIDE, Pose()
+    if slides:
         anchor, reference = np.zeros(3), pose_of(np.eye(3), -axis * model.qpos0[start])
     elif kind == mujoco.mjtJoint.mjJNT_HINGE:
-        anchor, reference = model.jnt_pos[number], pose_of(turn(axis, -model.qpos0[start]), np.zeros(3))
-    else:
-        anchor, reference = model.jnt_pos[number], Pose()
+        reference = pose_of(turn(axis, -model.qpos0[start]), np.zeros(3))
     placement = compose(compose(at.placement, pose_of(np.eye(3), anchor)), reference)
     after = Attachment(name, pose_of(np.eye(3), -anchor))
     if kind == mujoco.mjtJoint.mjJNT_BALL:
@@ -126,7 +117,7 @@ def _joints(
     joint = Joint(
         name,
         at.body,
-        "prismatic" if kind == mujoco.mjtJoint.mjJNT_SLIDE else "revolute",
+        "prismatic" if slides else "revolute",
         placement,
         tuple(rounded(component) for component in axis),  # type: ignore[arg-type]
         home=rounded(qpos[start]),
@@ -138,153 +129,51 @@ def _joints(
     return [joint], after
 
 
-PLAY = {"revolute": (0.1, "rad"), "prismatic": (1e-3, "m")}
-"""The most that the limits of a tendon may leave a joint that follows others.
+def read_equalities(model: mujoco.MjModel, carried: Mapping[int, Attachment]) -> tuple[list[Closure], list[Coupling]]:
+    """Read closures and couplings; ``carried`` places the frames of the bodies.
 
-ToddlerBot's waist has 0.06 and 0.002 rad; the Shadow hands of Gymnasium, with 0.28 rad at the fingertips, are left out.
-Of slides no file was at hand; MuJoCo's grippers have joint limits of 20 to 50 mm.
-"""
-
-
-def read_ties(
-    file: MjcfFile, carried: Mapping[int, Attachment], kinds: Mapping[str, str]
-) -> tuple[list[Closure], list[Coupling], dict[str, float], list[str]]:
-    """Read the active equalities, and tendons with limits as narrow; ``carried`` places the frames of the bodies.
-
-    Returns closures, couplings, the positions at which an equality holds joints, and notes; ``kinds`` of joints are
-    given by their names.
+    A coupling with no other joint holds its joint at a position.
     """
-    closures, couplings, held = _equalities(file.model, carried)
-    tendons = fixed_tendons(file)
-    for tied in file.tied_tendons:
-        coupling = _tendon_coupling(file.model, tendons, tied)
-        if coupling.ratios:
-            couplings.append(coupling)
-        else:
-            held[coupling.joint] = coupling.offset
-    notes = []
-    for coupling, note in _within_limits(
-        file, tendons, kinds, {coupling.joint for coupling in couplings} | held.keys()
-    ):
-        couplings.append(coupling)
-        notes.append(note)
-    return closures, couplings, held, notes
-
-
-def _equalities(
-    model: mujoco.MjModel, carried: Mapping[int, Attachment]
-) -> tuple[list[Closure], list[Coupling], dict[str, float]]:
-    """Read closures, couplings, and the positions of joints that an equality holds."""
     import mujoco
 
-    closures, couplings, held = [], [], {}
+    closures, couplings, tie = [], [], mujoco.mjtEq
     for number in range(model.neq):
-        name, kind = name_in(model, "equality", number), mujoco.mjtEq(int(model.eq_type[number]))
-        ends, data = (int(model.eq_obj1id[number]), int(model.eq_obj2id[number])), model.eq_data[number]
-        if kind in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD):
-            if int(model.eq_objtype[number]) == int(mujoco.mjtObj.mjOBJ_SITE):
-                bodies = [int(model.site_bodyid[site]) for site in ends]
-                poses = [pose_in(model.site_pos[site], model.site_quat[site]) for site in ends]
-            elif kind == mujoco.mjtEq.mjEQ_CONNECT:
-                bodies, poses = list(ends), [pose_of(np.eye(3), data[k : k + 3]) for k in (0, 3)]
-            else:
-                bodies, poses = list(ends), [pose_in(data[3:6], data[6:10]), pose_of(np.eye(3), data[:3])]
-            a, b = (
-                Attachment(carried[body].body, compose(carried[body].placement, pose))
-                for body, pose in zip(bodies, poses, strict=True)
-            )
+        kind, data = tie(int(model.eq_type[number])), model.eq_data[number]
+        ends = int(model.eq_obj1id[number]), int(model.eq_obj2id[number])
+        if kind in (tie.mjEQ_CONNECT, tie.mjEQ_WELD):
+            a, b = _ends(model, number, ends, carried)
             if a.body != b.body:
-                closures.append(Closure("connect" if kind == mujoco.mjtEq.mjEQ_CONNECT else "weld", a, b))
-        elif kind == mujoco.mjtEq.mjEQ_JOINT and not (ends[1] >= 0 and np.any(data[2:5])):
-            zeros = [float(model.qpos0[model.jnt_qposadr[end]]) for end in ends if end >= 0]
-            slave = name_in(model, "joint", ends[0])
-            if ends[1] < 0:
-                held[slave] = zeros[0] + float(data[0])
-                continue
-            offset, ratio = zeros[0] + float(data[0]) - float(data[1]) * zeros[1], float(data[1])
-            if ratio:
-                couplings.append(Coupling(slave, ((name_in(model, "joint", ends[1]), ratio),), offset))
-            else:
-                held[slave] = offset
+                closures.append(Closure("connect" if kind == tie.mjEQ_CONNECT else "weld", a, b))
+        elif kind == tie.mjEQ_JOINT and (ends[1] < 0 or not np.any(data[2:5])):
+            (joint, zero), *others = (
+                (name_in(model, "joint", end), float(model.qpos0[model.jnt_qposadr[end]])) for end in ends if end >= 0
+            )
+            offset, ratio = zero + float(data[0]), float(data[1])
+            ratios = tuple((other, ratio) for other, _ in others if ratio)
+            couplings.append(Coupling(joint, ratios, offset - sum(ratio * other_zero for _, other_zero in others)))
         else:
             raise GtauError(
-                f"equality '{name}' is neither connect, weld nor a linear joint coupling of two joints; remove it, or "
-                "describe the mechanism by these."
+                f"equality '{name_in(model, 'equality', number)}' is neither connect, weld nor a linear joint coupling "
+                "of two joints; remove it, or describe the mechanism by these."
             )
-    return closures, couplings, held
+    return closures, couplings
 
 
-def site_springs(file: MjcfFile, carried: Mapping[int, Attachment]) -> list[Spring]:
-    """Read the springs between sites of different bodies."""
-    model, springs = file.model, []
-    joints = {name_in(model, "joint", k) for k in range(model.njnt)} | {end.body for end in carried.values()}
-    for tendon in file.springs:
-        a, b = (_attached_site(model, model.site(name).id, carried) for name in tendon.sites)
-        if a.body != b.body:
-            name = f"tendon {tendon.name}" if tendon.name in joints else tendon.name
-            springs.append(Spring(name, a, b, tendon.parameters))
-    return springs
+def _ends(
+    model: mujoco.MjModel, number: int, ends: tuple[int, int], carried: Mapping[int, Attachment]
+) -> tuple[Attachment, Attachment]:
+    """Place the two frames that an equality ``connect`` or ``weld`` ties: sites, or points of bodies and the poses."""
+    import mujoco
 
-
-def _attached_site(model: mujoco.MjModel, site: int, carried: Mapping[int, Attachment]) -> Attachment:
-    at = carried[int(model.site_bodyid[site])]
-    return Attachment(at.body, compose(at.placement, pose_in(model.site_pos[site], model.site_quat[site])))
-
-
-def fixed_tendons(file: MjcfFile) -> dict[str, dict[str, float]]:
-    """Read the joints of the fixed tendons and their coefficients in the tendon's length."""
-    return {
-        tendon.get("name", ""): {
-            joint.get("joint", ""): numbers(joint.get("coef", ""), 1, "coef of a fixed tendon")[0]
-            for joint in tendon.iter("joint")
-        }
-        for root in file.elements
-        for tendon in root.iter("fixed")
-    }
-
-
-def _tendon_coupling(model: mujoco.MjModel, tendons: Mapping[str, Mapping[str, float]], tied: TiedTendons) -> Coupling:
-    """Make the coupling of joints by two fixed tendons whose lengths are tied, or by one of constant length."""
-    constant, factor, *higher = tied.polynomial
-    known = tied.tendon in tendons and (not tied.other or tied.other in tendons)
-    if not known or (tied.other and any(higher)):
-        raise GtauError(
-            f"equality '{tied.name}' ties tendons other than fixed ones, or not linearly, which is not modelled; "
-            "remove it, or tie joints by an equality 'joint'."
-        )
-    terms = dict(tendons[tied.tendon])
-    for name, coefficient in tendons.get(tied.other, {}).items():
-        terms[name] = terms.get(name, 0.0) - factor * coefficient
-    zeros = {name: float(model.qpos0[int(model.joint(name).qposadr[0])]) for name in terms}
-    length = constant + sum(value * zeros[name] for name, value in terms.items())
-    return _solved(terms, next(name for name, value in terms.items() if value), length)
-
-
-def _solved(terms: Mapping[str, float], joint: str, length: float) -> Coupling:
-    """Make the coupling that gives a joint from the others whose sum, each by its factor, is a length."""
-    factor = terms[joint]
-    ratios = tuple((name, -value / factor) for name, value in terms.items() if value and name != joint)
-    return Coupling(joint, ratios, length / factor)
-
-
-def _within_limits(
-    file: MjcfFile, tendons: Mapping[str, Mapping[str, float]], kinds: Mapping[str, str], tied: AbstractSet[str]
-) -> Iterator[tuple[Coupling, str]]:
-    """Couple joints without a motor that a fixed tendon lets move only a little against its others, as gears do."""
-    targets = {target for _, _, target, _ in file.actuators}
-    known = targets | tied | {joint for target in targets for joint in tendons.get(target, {})}
-    for tendon, low, high in file.limited_tendons if targets else ():
-        terms = {name: value for name, value in tendons.get(tendon, {}).items() if value}
-        if not tendon or len(terms) < 2:
-            continue
-        for joint in [name for name in terms if name in kinds and name not in known]:
-            play, (most, unit) = (high - low) / abs(terms[joint]), PLAY[kinds[joint]]
-            if play <= most:
-                known |= {joint}
-                coupling = _solved(terms, joint, (low + high) / 2)
-                yield (
-                    coupling,
-                    f"'{joint}' follows {listed([name for name, _ in coupling.ratios])} within the limits of tendon "
-                    f"'{tendon}'; the play of {play:g} {unit} is not modelled",
-                )
-                break
+    data = model.eq_data[number]
+    if model.eq_objtype[number] == mujoco.mjtObj.mjOBJ_SITE:
+        return attached_site(model, ends[0], carried), attached_site(model, ends[1], carried)
+    if model.eq_type[number] == mujoco.mjtEq.mjEQ_CONNECT:
+        poses = pose_of(np.eye(3), data[:3]), pose_of(np.eye(3), data[3:6])
+    else:
+        poses = pose_in(data[3:6], data[6:10]), pose_of(np.eye(3), data[:3])
+    a, b = (
+        Attachment(carried[body].body, compose(carried[body].placement, pose))
+        for body, pose in zip(ends, poses, strict=True)
+    )
+    return a, b

@@ -1,9 +1,10 @@
-"""Compile an MJCF file by MuJoCo without elements irrelevant to a robot's geometry, and check its angles."""
+"""Compile the geometry of an MJCF file by MuJoCo, and check its numbers and angles."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import chain, count
 from math import pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,10 +25,8 @@ from gtau.robots.geometry import (
     short_angles_note,
     smallest_unit,
 )
-from gtau.robots.parameter import RigidBody
-from gtau.robots.readers.inertias import mjcf_bodies
 from gtau.robots.readers.xml_document import LARGEST, all_numbers, decimals, line_of, read_xml
-from gtau.robots.robot import DAMPING, PRELOAD, SPRING, STIFFNESS, Pose
+from gtau.robots.robot import Pose
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -56,13 +55,14 @@ def _check_copies(roots: Iterable[Element]) -> None:
     """Refuse files that ask for more copies of a body than a robot can have."""
 
     def copies(element: Element) -> float:
-        count = 1.0
-        if element.tag in ("replicate", "composite", "flexcomp"):
-            try:
-                count = float(np.prod([float(word) for word in element.get("count", "1").split()]))
-            except ValueError:
-                return 0.0  # MuJoCo reports the error
-        return count * max([1.0, sum(copies(child) for child in element if child.tag in NESTED)])
+        inside = sum(copies(child) for child in element if child.tag in NESTED)
+        if element.tag not in ("replicate", "composite", "flexcomp"):
+            return max(1.0, inside)
+        try:
+            repeated = np.prod([float(word) for word in element.get("count", "1").split()])
+        except ValueError:
+            return 0.0  # MuJoCo reports the error
+        return float(repeated) * max(1.0, inside)
 
     for root in roots:
         if (most := copies(root)) > MOST_COPIES:
@@ -82,125 +82,26 @@ def _check_numbers(roots: Iterable[Element]) -> None:
     """Refuse implausible numbers before MuJoCo accepts some of them and warns of others."""
     for element in (part for root in roots for part in root.iter() if part.tag != "flag"):  # its gravity is a word
         for key in NUMBERS:
-            if decimals(element.get(key, ""), endless=key == "range") is None:
-                text = element.get(key, "")
+            text = element.get(key, "")
+            if decimals(text, endless=key == "range") is None:
                 raise GtauError(
-                    f"line {line_of(element)}: {key} of <{element.tag}> is '{text if len(text) < 80 else text[:80]}'; "
+                    f"line {line_of(element)}: {key} of <{element.tag}> is '{text[:80]}'; "
                     f"write plain decimal numbers, at most {LARGEST:g} in size."
                 )
 
 
 @dataclass(frozen=True)
-class TiedTendons:
-    """An equality: the length of a tendon is a polynomial in that of another, or of nothing, both from their zeros."""
-
-    name: str
-    tendon: str
-    other: str
-    polynomial: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class SiteSpring:
-    """A tendon straight from one site to another that is a spring or a damper, and which parameters it has."""
-
-    name: str
-    sites: tuple[str, str]
-    parameters: tuple[str, ...]
-
-
-@dataclass(frozen=True)
 class MjcfFile:
-    """Compiled model of a file, and the elements removed before compilation.
+    """An MJCF file: as specified, and the geometry of that compiled, bodies and joints being the same in both.
 
-    ``elements`` are the outermost elements of the file and of those it includes, ``keys`` the positions of the
-    keyframes by name, ``actuators`` name, transmission, target and gear of each. ``tied_tendons`` are active equalities
-    between tendons, ``limited_tendons`` the name of each tendon with limits of its length, and these. ``notes`` say
-    what was omitted. ``inertias`` are the bodies whose inertia the file states, by number, and ``armatures`` those of
-    joints by name.
+    ``elements`` are the outermost elements of the file and of those it includes; ``notes`` say what was changed or left
+    out before compilation.
     """
 
+    spec: mujoco.MjSpec
     model: mujoco.MjModel
     elements: list[Element]
-    keys: dict[str, np.ndarray]
-    actuators: list[tuple[str, mujoco.mjtTrn, str, float]]
-    tied_tendons: list[TiedTendons]
-    limited_tendons: list[tuple[str, float, float]]
-    springs: list[SiteSpring]
     notes: list[str]
-    inertias: dict[int, RigidBody]
-    armatures: dict[str, float]
-
-
-def _name_tendons(spec: mujoco.MjSpec, elements: list[Element]) -> None:
-    """Give the tendons without a name numbers, in the specification and in the file, where one file has them all."""
-    files = [[tendon for root in file.iter("tendon") for tendon in root if not tendon.get("name")] for file in elements]
-    unnamed, names = [tendon for tendon in spec.tendons if not tendon.name], {tendon.name for tendon in spec.tendons}
-    written = [tendon for file in files for tendon in file]
-    if sum(map(bool, files)) == 1 and len(written) == len(unnamed):  # files may be included in any order
-        free = (name for number in range(1, len(names) + len(unnamed) + 1) if (name := f"tendon {number}") not in names)
-        for tendon, element, name in zip(unnamed, written, free, strict=False):
-            tendon.name = name
-            element.set("name", name)
-
-
-def _straight(elements: list[Element]) -> dict[str, tuple[str, str]]:
-    """Find the two sites of each tendon that runs straight from one to the other."""
-    sites = {}
-    for tendon in (element for root in elements for element in root.iter("spatial")):
-        if [point.tag for point in tendon] == ["site", "site"]:
-            first, second = (point.get("site", "") for point in tendon)
-            sites[tendon.get("name", "")] = (first, second)
-    return sites
-
-
-def _biased(spec: mujoco.MjSpec, elements: list[Element]) -> tuple[list[int], dict[str, np.ndarray]]:
-    """Find the actuators whose force along a straight tendon no control changes, and the forces by tendon.
-
-    A force (3,) is affine in the length and the speed of the tendon.
-    """
-    import mujoco
-
-    straight, numbers = _straight(elements), []
-    forces: dict[str, np.ndarray] = {}
-    for k, actuator in enumerate(spec.actuators):
-        affine = actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE and not np.any(actuator.gainprm)
-        if affine and actuator.trntype == mujoco.mjtTrn.mjTRN_TENDON and actuator.target in straight:
-            numbers.append(k)
-            terms = np.asarray(actuator.biasprm[:3], dtype=float)
-            forces[actuator.target] = forces.get(actuator.target, np.zeros(3)) + terms
-    return numbers, forces
-
-
-def _springs(
-    spec: mujoco.MjSpec, elements: list[Element], biased: Mapping[str, np.ndarray]
-) -> tuple[list[SiteSpring], list[str]]:
-    """Find the tendons that are springs between two sites, and note others that are springs too."""
-    straight, springs, notes = _straight(elements), [], []
-    for tendon in spec.tendons:
-        k, c = (np.asarray(getattr(tendon, key), dtype=float).ravel() for key in ("stiffness", "damping"))
-        f0, by_length, by_speed = biased.get(tendon.name, np.zeros(3))
-        linear = not (np.any(k[1:]) or np.any(c[1:]) or np.any(tendon.frictionloss))
-        has = {PRELOAD: f0 or k[0], STIFFNESS: by_length or k[0], DAMPING: by_speed or c[0]}
-        rest = np.asarray(tendon.springlength, dtype=float).ravel()
-        if tendon.name in straight and tendon.name and linear and rest[0] == rest[-1] and any(has.values()):
-            parameters = tuple(kind for kind in SPRING if has[kind])
-            springs.append(SiteSpring(tendon.name, straight[tendon.name], parameters))
-        elif np.any(k) or np.any(c) or tendon.frictionloss:
-            notes.append(
-                f"tendon '{tendon.name}' acts as a spring, damper or friction in the simulator, which is not modelled, "
-                "as it is no linear spring straight between two sites"
-            )
-    return springs, notes
-
-
-def _is_limited(spec: mujoco.MjSpec, tendon: mujoco.MjsTendon) -> bool:
-    import mujoco
-
-    kind = mujoco.mjtLimited(int(tendon.limited))
-    if kind == mujoco.mjtLimited.mjLIMITED_AUTO:
-        return bool(spec.compiler.autolimits and np.any(tendon.range))
-    return kind == mujoco.mjtLimited.mjLIMITED_TRUE
 
 
 def _with_exact_orientations(spec: mujoco.MjSpec) -> tuple[str, ...]:
@@ -235,34 +136,41 @@ def _with_exact_orientations(spec: mujoco.MjSpec) -> tuple[str, ...]:
     )
 
 
-def _tied_tendons(spec: mujoco.MjSpec, notes: list[str]) -> list[TiedTendons]:
-    """Take the equalities between tendons out of ``spec``, and those that are not active, with a note."""
+def _reduce_to_geometry(spec: mujoco.MjSpec, sites: Iterable[str]) -> list[str]:
+    """Delete what does not matter to geometry; keep ``sites``, and note equalities that are not active."""
     import mujoco
 
-    tied = []
+    notes = []
     for equality in list(spec.equalities):
         if not equality.active:
             notes.append(f"equality '{equality.name}' is not active in the file and was left out")
-        elif equality.type == mujoco.mjtEq.mjEQ_TENDON:
-            polynomial = tuple(map(float, equality.data[:5]))
-            tied.append(TiedTendons(equality.name, equality.name1, equality.name2, polynomial))
-        else:
-            continue
-        spec.delete(equality)
-    return tied
-
-
-def _delete_idle(spec: mujoco.MjSpec, kept: set[str]) -> None:
-    """Delete what does not matter to geometry, and the sites that neither equalities nor ``kept`` name."""
-    kept = kept | {name for equality in spec.equalities for name in (equality.name1, equality.name2)}
+        if not equality.active or equality.type == mujoco.mjtEq.mjEQ_TENDON:
+            spec.delete(equality)
     for kind in DELETED:
         for element in list(getattr(spec, kind)):
             spec.delete(element)
+    kept = {name for equality in spec.equalities for name in (equality.name1, equality.name2)}.union(sites)
     for site in list(spec.sites):
         if site.name in kept:
             site.material = ""
         else:
             spec.delete(site)
+    for body in spec.bodies[1:]:
+        body.explicitinertial, body.mass, body.inertia = True, 1.0, (1.0, 1.0, 1.0)
+        body.iquat, body.fullinertia[0] = (1.0, 0.0, 0.0, 0.0), np.nan
+    return notes
+
+
+def straight_tendons(spec: mujoco.MjSpec) -> dict[str, tuple[str, str]]:
+    """Find the two sites of each tendon that runs straight from one to the other."""
+    import mujoco
+
+    site, tendons = mujoco.mjtWrap.mjWRAP_SITE, {}
+    for tendon in spec.tendons:
+        path = list(tendon.path)
+        if [point.type for point in path] == [site, site] and all(point.target for point in path):
+            tendons[tendon.name] = (path[0].target.name, path[1].target.name)
+    return tendons
 
 
 def compile_mjcf(root: Element, path: Path) -> MjcfFile:
@@ -275,30 +183,17 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
     except ImportError:
         raise missing_extra("reading an MJCF file", "mujoco", "mujoco") from None
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
+        # read twice: a copy lacks the equalities with a name that is nowhere else, which are errors
+        spec, geometry = (mujoco.MjSpec.from_file(str(path)) for _ in range(2))
         if len(spec.flexes):
             raise GtauError("it holds a flexible body (flex); only rigid bodies are read, so remove it.")
-        keys = {key.name: np.array(key.qpos, dtype=float) for key in spec.keys}
-        _name_tendons(spec, elements)
-        parts, biased = _biased(spec, elements)
-        springs, notes = _springs(spec, elements, biased)
-        notes += _with_exact_orientations(spec)
-        actuators = [
-            (actuator.name, actuator.trntype, actuator.target, float(actuator.gear[0]))
-            for k, actuator in enumerate(spec.actuators)
-            if k not in parts
-        ]
-        tied = _tied_tendons(spec, notes)
-        limits = [(tendon.name, *map(float, tendon.range)) for tendon in spec.tendons if _is_limited(spec, tendon)]
-        _delete_idle(spec, {site for spring in springs for site in spring.sites})
-        stated = mjcf_bodies(spec)
-        for body in spec.bodies[1:]:
-            body.explicitinertial, body.mass, body.inertia = True, 1.0, (1.0, 1.0, 1.0)
-            body.iquat, body.fullinertia[0] = (1.0, 0.0, 0.0, 0.0), np.nan
-        model = spec.compile()
-        inertias = {body.id: inertia for body, inertia in stated}
-        armatures = {joint.name: float(joint.armature) for joint in spec.joints}
-        return MjcfFile(model, elements, keys, actuators, tied, limits, springs, notes, inertias, armatures)
+        names = {tendon.name for tendon in spec.tendons}
+        free = (name for number in count(1) if (name := f"tendon {number}") not in names)
+        for tendon in spec.tendons:
+            tendon.name = tendon.name or next(free)
+        notes = [*_with_exact_orientations(geometry)]
+        notes += _reduce_to_geometry(geometry, chain(*straight_tendons(spec).values()))
+        return MjcfFile(spec, geometry.compile(), elements, notes)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         said = " ".join(str(error).split()).rstrip(".")
         raise GtauError(f"MuJoCo refuses the file ({said}); correct it.") from None

@@ -26,6 +26,7 @@ from gtau.robots.robot import (
     Closure,
     Coupling,
     Joint,
+    JointKind,
     Limits,
     Mdh,
     Placement,
@@ -127,7 +128,7 @@ class _JointEntry(_PlacedEntry, _BodyEntry):
     antecedent: str
     theta: Coordinate = (0.0, 0.0)
     r: Coordinate = (0.0, 0.0)
-    type: Literal["revolute", "prismatic"] | None = None
+    type: JointKind | None = None
     axis: Triple = (0.0, 0.0, 1.0)
     actuated: bool | None = None
     home: Number = 0.0
@@ -272,7 +273,7 @@ def _constants(document: Document) -> dict[str, float]:
 def _joint(name: str, entry: _JointEntry, actuated_by_default: bool) -> Joint:
     placement: Placement
     if entry.type is None:
-        kind: Literal["revolute", "prismatic"] = "revolute" if entry.theta[0] else "prismatic"
+        kind: JointKind = "revolute" if entry.theta[0] else "prismatic"
         placement = Mdh(entry.gamma, entry.b, entry.alpha, entry.d, entry.theta[1], entry.r[1])
     else:
         kind, placement = entry.type, Pose(entry.xyz, entry.rpy)

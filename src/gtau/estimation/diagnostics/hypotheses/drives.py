@@ -9,7 +9,7 @@
   per cent the gain is 12 per cent off. The shape of the residuals does show it.
 - A low-pass filter of the current and the elasticity of a transmission both add the second derivative of the torque, to
   first order. It is that of the model's torque: the measured current's is correlated with the noise of the current.
-- Friction may differ between runs, and has values of its own in each (:mod:`gtau.estimation.regression.friction`); a
+- Friction may differ between runs, and has values of its own in each (:mod:`.column_blocks`); a
   drive gain may not, as a payload is weighed by how loaded and unloaded runs differ. A motor that got warmer, by 2 per
   cent of its torque constant, can move the gain by 5. All that the payload does not add to is the same in all runs, and
   shows it: the current of the model is offered once more in these runs alone.
@@ -40,8 +40,8 @@ from gtau.estimation.diagnostics.linearisation import (
 )
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import jacobian_of_known, to_gains
-from gtau.estimation.regression.equations import KNOWN, modelled
-from gtau.estimation.regression.friction import is_transmitted
+from gtau.estimation.regression.column_blocks import is_transmitted
+from gtau.estimation.regression.factors import KNOWN, modelled
 from gtau.estimation.regression.rows import Rows
 from gtau.estimation.thresholds import Threshold
 from gtau.estimation.thresholds.estimates import ALTERNATIVE_PRIOR, DOMINANT, PLAUSIBLE_GAIN_CHANGE, SCALED, TIE

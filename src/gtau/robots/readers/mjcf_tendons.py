@@ -1,0 +1,155 @@
+"""Tendons of an MJCF file: fixed ones tie joints, straight ones between two sites are springs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from collections.abc import Set as AbstractSet
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.robots.geometry import compose
+from gtau.robots.parts import listed
+from gtau.robots.readers.mjcf_file import MjcfFile, name_in, pose_in, straight_tendons
+from gtau.robots.robot import DAMPING, PRELOAD, SPRING, STIFFNESS, Attachment, Coupling, Spring
+
+if TYPE_CHECKING:
+    import mujoco
+
+PLAY = {"revolute": (0.1, "rad"), "prismatic": (1e-3, "m")}
+"""The most that the limits of a tendon may leave a joint that follows others.
+
+ToddlerBot's waist has 0.06 and 0.002 rad; the Shadow hands of Gymnasium, with 0.28 rad at the fingertips, are left out.
+Of slides no file was at hand; MuJoCo's grippers have joint limits of 20 to 50 mm.
+"""
+
+
+def fixed_tendons(spec: mujoco.MjSpec) -> dict[str, dict[str, float]]:
+    """Read the joints of the fixed tendons and their coefficients in the tendon's length."""
+    import mujoco
+
+    tendons = {}
+    for tendon in spec.tendons:
+        parts = [part for part in tendon.path if part.type == mujoco.mjtWrap.mjWRAP_JOINT and part.target]
+        if parts:
+            tendons[tendon.name] = {part.target.name: float(part.coef) for part in parts}
+    return tendons
+
+
+def actuators(spec: mujoco.MjSpec) -> list[mujoco.MjsActuator]:
+    """List the actuators, without those that are parts of springs."""
+    return [actuator for actuator in spec.actuators if not _is_spring(spec, actuator)]
+
+
+def _is_spring(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> bool:
+    """Decide whether an actuator pulls a straight tendon by a force that no control changes.
+
+    This force is affine in the length and the speed of the tendon.
+    """
+    import mujoco
+
+    affine = actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE and not np.any(actuator.gainprm)
+    pulls = affine and actuator.trntype == mujoco.mjtTrn.mjTRN_TENDON
+    return bool(pulls and actuator.target in straight_tendons(spec))
+
+
+def site_springs(file: MjcfFile, carried: Mapping[int, Attachment]) -> tuple[list[Spring], list[str]]:
+    """Read the springs straight between sites of different bodies, and note tendons that are springs otherwise."""
+    model, springs, notes = file.model, list[Spring](), list[str]()
+    straight, forces = straight_tendons(file.spec), dict[str, np.ndarray]()
+    for actuator in file.spec.actuators:
+        if _is_spring(file.spec, actuator):
+            force = np.asarray(actuator.biasprm[:3], dtype=float)
+            forces[actuator.target] = forces.get(actuator.target, np.zeros(3)) + force
+    taken = {name_in(model, "joint", k) for k in range(model.njnt)} | {at.body for at in carried.values()}
+    for tendon in file.spec.tendons:
+        k, c, rest = (np.ravel(getattr(tendon, key)) for key in ("stiffness", "damping", "springlength"))
+        f0, by_length, by_speed = forces.get(tendon.name, np.zeros(3))
+        has = {PRELOAD: f0 or k[0], STIFFNESS: by_length or k[0], DAMPING: by_speed or c[0]}
+        linear = not (np.any(k[1:]) or np.any(c[1:]) or tendon.frictionloss) and rest[0] == rest[-1]
+        if tendon.name in straight and linear and any(has.values()):
+            a, b = (attached_site(model, model.site(name).id, carried) for name in straight[tendon.name])
+            name = f"tendon {tendon.name}" if tendon.name in taken else tendon.name
+            if a.body != b.body:
+                springs.append(Spring(name, a, b, tuple(kind for kind in SPRING if has[kind])))
+        elif np.any(k) or np.any(c) or tendon.frictionloss:
+            notes.append(
+                f"tendon '{tendon.name}' acts as a spring, damper or friction in the simulator, which is not modelled, "
+                "as it is no linear spring straight between two sites"
+            )
+    return springs, notes
+
+
+def attached_site(model: mujoco.MjModel, site: int, carried: Mapping[int, Attachment]) -> Attachment:
+    """Find what carries a site."""
+    at = carried[int(model.site_bodyid[site])]
+    return Attachment(at.body, compose(at.placement, pose_in(model.site_pos[site], model.site_quat[site])))
+
+
+def tied_tendons(file: MjcfFile) -> list[Coupling]:
+    """Couple the joints of fixed tendons whose lengths an active equality ties, or of one that it keeps constant.
+
+    The length of one tendon is a polynomial in that of the other, both from their zeros.
+    """
+    import mujoco
+
+    tendons, couplings = fixed_tendons(file.spec), []
+    for equality in file.spec.equalities:
+        if equality.type != mujoco.mjtEq.mjEQ_TENDON or not equality.active:
+            continue
+        first, second = equality.name1, equality.name2
+        constant, factor, *higher = map(float, equality.data[:5])
+        if first not in tendons or (second and (second not in tendons or any(higher))):
+            raise GtauError(
+                f"equality '{equality.name}' ties tendons other than fixed ones, or not linearly, which is not "
+                "modelled; remove it, or tie joints by an equality 'joint'."
+            )
+        terms = dict(tendons[first])
+        for name, coefficient in tendons.get(second, {}).items():
+            terms[name] = terms.get(name, 0.0) - factor * coefficient
+        for name, value in terms.items():
+            constant += value * float(file.model.qpos0[int(file.model.joint(name).qposadr[0])])
+        couplings.append(_solved(terms, next(name for name, value in terms.items() if value), constant))
+    return couplings
+
+
+def _solved(terms: Mapping[str, float], joint: str, length: float) -> Coupling:
+    """Make the coupling that gives a joint from the others whose sum, each by its factor, is a length."""
+    factor = terms[joint]
+    ratios = tuple((name, -value / factor) for name, value in terms.items() if value and name != joint)
+    return Coupling(joint, ratios, length / factor)
+
+
+def limited_tendons(file: MjcfFile, kinds: Mapping[str, str], tied: AbstractSet[str]) -> Iterator[tuple[Coupling, str]]:
+    """Couple joints without a motor that a fixed tendon lets move only a little against its others, as gears do.
+
+    ``kinds`` of joints are by name; those ``tied`` otherwise are not coupled again. Each coupling has its note.
+    """
+    tendons, targets = fixed_tendons(file.spec), {actuator.target for actuator in actuators(file.spec)}
+    known = targets | tied | {joint for target in targets for joint in tendons.get(target, {})}
+    for tendon in file.spec.tendons if targets else ():
+        terms = {name: value for name, value in tendons.get(tendon.name, {}).items() if value}
+        if len(terms) < 2 or not _is_limited(file.spec, tendon):
+            continue
+        low, high = map(float, tendon.range)
+        for joint in [name for name in terms if name in kinds and name not in known]:
+            play, (most, unit) = (high - low) / abs(terms[joint]), PLAY[kinds[joint]]
+            if play <= most:
+                known |= {joint}
+                coupling = _solved(terms, joint, (low + high) / 2)
+                others = listed([name for name, _ in coupling.ratios])
+                yield (
+                    coupling,
+                    f"'{joint}' follows {others} within the limits of tendon '{tendon.name}'; the play of {play:g} "
+                    f"{unit} is not modelled",
+                )
+                break
+
+
+def _is_limited(spec: mujoco.MjSpec, tendon: mujoco.MjsTendon) -> bool:
+    import mujoco
+
+    if tendon.limited == mujoco.mjtLimited.mjLIMITED_AUTO:
+        return bool(spec.compiler.autolimits and np.any(tendon.range))
+    return bool(tendon.limited == mujoco.mjtLimited.mjLIMITED_TRUE)
