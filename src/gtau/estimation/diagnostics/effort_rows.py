@@ -166,7 +166,8 @@ def _lags(
     basis, most = basis_of(own), round(COARSE * reach / slowest)
     coarse = slowest / COARSE * np.arange(-most, most + 1)
     shares = unexplained(basis, shifted(coarse))
-    within = np.abs(coarse) <= slowest * (1 + 1e-9)  # and rounding
+    longest = slowest * (1 + 1e-9)  # and rounding
+    within = np.abs(coarse) <= longest
     stated, k = float(coarse[np.argmin(np.where(within, shares, np.inf))]), int(np.argmin(shares))
     if within[k] or not 0 < k < len(coarse) - 1:
         return stated, stated
