@@ -12,7 +12,7 @@ they support it, its full shift counts. Alternatives that would explain the resi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -222,7 +222,7 @@ class Hypothesis:
     name: str
     shared: bool
     torques: Callable[[Fit], Offer]
-    columns: tuple[Alternative, ...] | Callable[[Fit], Sequence[Alternative]]
+    columns: tuple[Alternative, ...] | Callable[[Fit], Iterable[Alternative]]
     describe: Callable[[Fit, np.ndarray, np.ndarray], Finding] | None = None
     description: bool = False
 

@@ -19,7 +19,6 @@ from gtau.estimation.diagnostics.gain_checks import (
 )
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit, prior_findings
 from gtau.estimation.diagnostics.other_estimators import position_noise
-from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings
 from gtau.estimation.diagnostics.stated_constants import (
     SensorScale,
     prior_contradictions,
@@ -89,8 +88,11 @@ def diagnose(
         *units_and_signs(fit, estimates, prior_gains, audit),
         *position_noise(fit, examined.alternatives),
         *(examined.ripple.causes if examined.ripple else ()),
-        *repeated_motion_findings(fit, examined.alternatives),
     ]
+    if len({place.group for place in dataset.places}) < len(dataset.places):  # runs that repeat a motion
+        from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings
+
+        findings += repeated_motion_findings(fit, examined.alternatives)
     if fit.free_gains:
         findings += [
             *estimated_gains(fit, examined, estimates, accuracy, prior_gains),

@@ -51,17 +51,19 @@ class Linearised:
     known: tuple[np.ndarray, np.ndarray]
     clusters: np.ndarray
 
-    @property
+    @cached_property
     def rows(self) -> tuple[np.ndarray, np.ndarray]:
         """Errors (.,) and Jacobian (., k) of all windows, and then of the known parameters."""
-        J = self.jacobian.reshape(-1, self.jacobian.shape[-1])
-        return np.concatenate([self.errors.ravel(), self.known[0]]), np.concatenate([J, self.known[1]])
+        e, J = self.known
+        rows = self.jacobian.reshape(-1, J.shape[1])
+        return np.append(self.errors, e), np.concatenate([rows, J])
 
     def fitted(self, columns: slice | Sequence[int] = ()) -> tuple[np.ndarray, np.ndarray]:
         """Fit all unknowns together with some candidate columns: their step (k + m,), and the errors (.,) left."""
         e, J = self.rows
         offered = self.offered[..., columns].reshape(self.errors.size, -1)
-        wide = np.hstack([J, np.pad(offered, ((0, len(self.known[0])), (0, 0)))])
+        beside = np.zeros((len(self.known[0]), offered.shape[1]))
+        wide = np.hstack([J, np.concatenate([offered, beside])])
         step = least_squares_step(wide, e)
         return step, e + wide @ step
 
@@ -76,7 +78,8 @@ class Linearised:
         W = self.jacobian @ self.back
         W_e = np.einsum("wjpk,wjp->k", W, self.errors)
         left = self.errors - W @ W_e
-        return W, W_e, left, np.einsum("wipk,wip->wk", W, left), np.einsum("wipk,wipl->wkl", W, W, optimize=True)
+        W_left = np.einsum("wipk,wip->wk", W, left)
+        return W, W_e, left, W_left, np.einsum("wipk,wipl->wkl", W, W, optimize=True)
 
     def score_tests(self, columns: slice, shared: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Test each candidate column alone, in each channel's equations alone or ``shared`` by all channels.
@@ -126,17 +129,20 @@ def linearise(
 
     Another ``model`` of the robot has the same base columns. Raises GtauError where the model refuses a sample.
     """
-    model = fit.dataset.model if model is None else model
+    model = model or fit.dataset.model
     reduced = []
     for run, window in windows:
-        motion, values = cache(partial(window_motion, model, window)), fit.system.motion(run, fit.solution.theta)
-        A, keep = window_rows(fit, run, window, None if offer is None else offer(window, motion, values), model)
+        candidates = None
+        if offer is not None:
+            motion = cache(partial(window_motion, model, window))
+            candidates = offer(window, motion, fit.system.motion(run, fit.solution.theta))
+        A, keep = window_rows(fit, run, window, candidates, model)
         reduced.append([triangle(of_channel[kept]) for of_channel, kept in zip(A, keep, strict=True)])
     T = stacked_triangles(reduced)
     parts = [errors_and_jacobian(fit, run, window, rows) for (run, window), rows in zip(windows, T, strict=True)]
     e, J = (np.stack(part) for part in zip(*parts, strict=True))
-    weights = fit.solution.iterate.b / np.maximum(fit.solution.sigma, fit.system.problem.smallest_sigma)
-    offered = -weights[:, None, None] * T[..., fit.dataset.base.count + EXTRA :]
+    candidates_of_currents = T[..., fit.dataset.base.count + EXTRA :]
+    offered = -(fit.solution.iterate.b * weights_of(fit))[:, None, None] * candidates_of_currents
     return Linearised(e, J, offered, known_rows(fit, windows), window_clusters(windows, fit.dataset.places))
 
 
@@ -153,16 +159,16 @@ def window_rows(
 
     Their columns are those of :class:`gtau.estimation.regression.factors.Factors`, and m candidates.
     """
-    regressor, c = model.columns(fit.dataset.base.standard), len(fit.system.problem.channels)
+    regressor, channels = model.columns(fit.dataset.base.standard), fit.system.problem.channels
     loaded = any(term.kind == "fl" for term in fit.system.terms)
     load = fit.system.load(run, fit.solution.theta) if loaded else None
     decimator = fit.dataset.preparation.at(window.run.rate).decimator
-    parts, keep = [], []
+    rows, keep = [], []
     for part in stream_rows(model, regressor, window, decimator, load):
-        torques = np.zeros((c, len(part.time), 0)) if candidates is None else candidates(part)
-        parts.append(np.concatenate([equations(regressor, fit.system.problem.channels, part), torques], axis=-1))
+        A = equations(regressor, channels, part)
+        rows.append(A if candidates is None else np.concatenate([A, candidates(part)], axis=-1))
         keep.append(part.keep)
-    return np.concatenate(parts, axis=1), np.concatenate(keep, axis=1)
+    return np.concatenate(rows, axis=1), np.concatenate(keep, axis=1)
 
 
 def errors_and_jacobian(fit: Fit, run: int, window: SampleWindow, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -170,19 +176,22 @@ def errors_and_jacobian(fit: Fit, run: int, window: SampleWindow, rows: np.ndarr
 
     ``rows`` (c, p, .) begin with the columns of the factors.
     """
-    system, problem = fit.system, fit.system.problem
-    columns = system.whole.columns_of(problem.parameters)
-    warm, time = fit.dataset.temperatures, window.time
-    maps = system.map(run, None if warm is None else warm.between(run, time[0], time[-1]))[..., columns]
+    system, warm, time = fit.system, fit.dataset.temperatures, window.time
+    above = None if warm is None else warm.between(run, time[0], time[-1])
+    maps = system.map(run, above)[..., system.whole.columns_of(system.problem.parameters)]
     return weighted(fit, rows[..., : maps.shape[1]] @ maps)
 
 
 def weighted(fit: Fit, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Compute errors (..., c, p) of a problem's blocks and their Jacobian (..., c, p, k), in standard deviations."""
-    problem, state = fit.system.problem, fit.solution.iterate
-    weights = 1 / np.maximum(fit.solution.sigma, problem.smallest_sigma)
-    e, J = residuals(blocks, state), jacobian(blocks, state, problem, fit.free_gains)
-    return e * weights[:, None], J * weights[:, None, None]
+    state, weights = fit.solution.iterate, weights_of(fit)[:, None]
+    J = jacobian(blocks, state, fit.system.problem, fit.free_gains)
+    return residuals(blocks, state) * weights, J * weights[..., None]
+
+
+def weights_of(fit: Fit) -> np.ndarray:
+    """Compute the weights of the channels' errors, (c,)."""
+    return np.asarray(1 / np.maximum(fit.solution.sigma, fit.system.problem.smallest_sigma))
 
 
 def window_motion(model: InverseDynamics, window: SampleWindow) -> Motion:
@@ -193,8 +202,8 @@ def window_motion(model: InverseDynamics, window: SampleWindow) -> Motion:
 def motion_along(model: InverseDynamics, window: SampleWindow, c: np.ndarray) -> Motion:
     """Compute the motion with configurations ``c`` (n_c, N) along a window."""
     samples = window.samples()
-    qd, qdd = (np.ascontiguousarray(rates.T) for rates in (samples.qd, samples.qdd))
-    return model.rates(np.ascontiguousarray(c), qd, qdd, Labels(window.run.name, samples.time))
+    c, qd, qdd = map(np.ascontiguousarray, (c, samples.qd.T, samples.qdd.T))
+    return model.rates(c, qd, qdd, Labels(window.run.name, samples.time))
 
 
 def least_squares_step(J: np.ndarray, e: np.ndarray) -> np.ndarray:
@@ -209,9 +218,8 @@ def known_rows(fit: Fit, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
 
     They count against as many rows as the windows have.
     """
-    problem, dataset = fit.system.problem, fit.dataset
-    share = sum(len(window) for _, window in windows) / sum(map(len, dataset.prepared))
-    weight = np.sqrt(min(share, 1.0))
+    problem, samples = fit.system.problem, sum(map(len, fit.dataset.prepared))
+    weight = np.sqrt(min(sum(len(window) for _, window in windows) / samples, 1.0))
     errors = problem.known[:, :-1] @ fit.solution.theta - problem.known[:, -1]
     return weight * errors, weight * jacobian_of_known(problem, fit.free_gains)
 

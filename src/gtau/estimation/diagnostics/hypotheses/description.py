@@ -8,7 +8,7 @@ x f``, so that one which is off adds a moment proportional to the force.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -88,7 +88,7 @@ def _zeros_of(fit: Fit) -> list[Alternative]:
 
 
 def _scales_of(fit: Fit) -> list[Alternative]:
-    return [SCALE.on(joint) for joint in fit.dataset.model.actuated]
+    return list(map(SCALE.on, fit.dataset.model.actuated))
 
 
 ENCODER_ZEROS = Hypothesis("encoder zeros", True, _encoder_zeros, _zeros_of, description=True)
@@ -158,22 +158,18 @@ def _gravity_columns(fit: Fit) -> list[Alternative]:
 
 
 def _gravity_found(fit: Fit, sizes: np.ndarray, shares: np.ndarray) -> Finding:
-    factor = 1 + sizes[-1] / 100
-    # as where gravity points up
-    reversed_ = factor < CLOCK_REVERSED or bool(np.any(fit.gains < 0))
+    factor = float(1 + sizes[-1] / 100)
+    reversed_ = factor < CLOCK_REVERSED or bool(np.any(fit.gains < 0))  # as where gravity points up
     if shares[-1] > CLOCK_SIZE and not reversed_:
-        return Finding(CLOCK.kind, values={"factor": float(factor), "rate": stated_rate(fit.dataset.runs[0])})
-    return Finding(
-        OTHER_GRAVITY.kind, values={"gravity": (fit.dataset.robot.gravity + sizes @ _changes_of_gravity(fit)).tolist()}
-    )
+        return Finding(CLOCK.kind, values={"factor": factor, "rate": stated_rate(fit.dataset.runs[0])})
+    gravity = fit.dataset.robot.gravity + sizes @ _changes_of_gravity(fit)
+    return Finding(OTHER_GRAVITY.kind, values={"gravity": gravity.tolist()})
 
 
 GRAVITY = Hypothesis("gravity", True, _gravity, _gravity_columns, _gravity_found, description=True)
 
 Reading = Callable[[np.ndarray], np.ndarray]
 """From what the wrenches read (6 k, M) to by how much too large that may be, (m, 6 k, M)."""
-
-COMPONENTS = ("moment x", "moment y", "moment z", "force x", "force y", "force z")
 
 
 OFFSET = candidate(
@@ -204,28 +200,26 @@ def _sensed_bodies(fit: Fit) -> list[str]:
 
 
 def _levels(fit: Fit) -> np.ndarray:
-    """Compute the rms moment and force of each wrench in all runs, once for each of its components, (k, 6)."""
+    """Compute the rms moment and force of each wrench in all runs, (k, 2)."""
     squares = [np.mean(run.command[:, run.given] ** 2, axis=0) for run in fit.dataset.runs]
-    levels = np.sqrt(np.mean(squares, axis=0)).reshape(-1, 2, 3)
-    return np.asarray((np.sqrt(np.sum(levels**2, axis=2, keepdims=True)) * np.ones(3)).reshape(-1, 6))
+    return np.asarray(np.sqrt(np.mean(squares, axis=0).reshape(-1, 2, 3).sum(axis=2)))
 
 
-def _offset_columns(fit: Fit) -> list[Alternative]:
+def _offset_columns(fit: Fit) -> Iterator[Alternative]:
     bodies = _sensed_bodies(fit)
-    return [
-        replace(
-            OFFSET.on(subject=body, component=component),
-            unit="N m" if component.startswith("moment") else "N",
-            plausible=float(OFFSET.plausible * level),
-        )
-        for body, of_body in zip(bodies, _levels(fit) if bodies else [], strict=True)
-        for component, level in zip(COMPONENTS, of_body, strict=True)
-    ]
+    for body, levels in zip(bodies, _levels(fit) if bodies else (), strict=True):
+        for quantity, unit, level in zip(("moment", "force"), ("N m", "N"), levels, strict=True):
+            plausible = float(OFFSET.plausible * level)
+            for axis in "xyz":
+                column = OFFSET.on(subject=body, component=f"{quantity} {axis}")
+                yield replace(column, unit=unit, plausible=plausible)
 
 
 def _offset_found(fit: Fit, sizes: np.ndarray, shares: np.ndarray) -> Finding:
-    worst = int(np.argmax(np.max(np.abs(sizes.reshape(-1, 6)) / np.maximum(_levels(fit), 1e-12), axis=1)))
-    moment, force = sizes.reshape(-1, 2, 3)[worst].tolist()
+    sizes = sizes.reshape(-1, 2, 3)
+    relative = np.abs(sizes) / np.maximum(_levels(fit), 1e-12)[..., None]
+    worst = int(np.argmax(relative.max(axis=(1, 2))))
+    moment, force = sizes[worst].tolist()
     return Finding(OFFSET.kind, (), _sensed_bodies(fit)[worst], {"force": force, "moment": moment})
 
 
@@ -246,23 +240,23 @@ POINT = candidate(
 
 def _points(fit: Fit) -> Offer:
     """Add another point about which a measured moment is stated."""
-    count = len(_sensed_bodies(fit))
+    bodies = np.arange(len(_sensed_bodies(fit)))
 
     def read(measured: np.ndarray) -> np.ndarray:
         """Compute the errors of the moments for a force that acts 1 mm further back; (3 k, 6 k, M)."""
-        errors = np.zeros((3 * count, *measured.shape))
-        for k in range(count):
-            force = measured[6 * k + 3 : 6 * k + 6].T
-            for axis, direction in enumerate(np.eye(3)):
-                errors[3 * k + axis, 6 * k : 6 * k + 3] = -MILLIMETRE * np.cross(direction, force).T
-        return errors
+        force = measured.reshape(len(bodies), 2, 1, 3, -1)[:, 1]
+        moments = np.cross(np.eye(3)[:, :, None], force, axis=2)  # (k, axes, 3, M)
+        errors = np.zeros((len(bodies), 3, len(bodies), 6, measured.shape[1]))
+        errors[bodies, :, bodies, :3] = -MILLIMETRE * moments
+        return errors.reshape(3 * len(bodies), *measured.shape)
 
     return _felt(fit, read)
 
 
 def _point_found(fit: Fit, sizes: np.ndarray, shares: np.ndarray) -> Finding:
-    worst = int(np.argmax(np.max(np.abs(sizes.reshape(-1, 3)), axis=1)))
-    shift = (MILLIMETRE * sizes.reshape(-1, 3)[worst]).tolist()
+    sizes = sizes.reshape(-1, 3)
+    worst = int(np.argmax(np.abs(sizes).max(axis=1)))
+    shift = (MILLIMETRE * sizes[worst]).tolist()
     return Finding(POINT.kind, (), _sensed_bodies(fit)[worst], {"shift": shift})
 
 

@@ -37,6 +37,7 @@ from gtau.estimation.diagnostics.linearisation import (
     Offer,
     at_full_rate,
     weighted,
+    weights_of,
 )
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import jacobian_of_known, to_gains
@@ -93,37 +94,26 @@ def _friction_shape(fit: Fit) -> Offer:
     return offer
 
 
-FRICTION = CUBIC_FRICTION, LOAD_FRICTION, STRIBECK_FRICTION
-FRICTION_SHAPE = Hypothesis("friction shape", False, _friction_shape, FRICTION)
+FRICTION_SHAPE = Hypothesis(
+    "friction shape", False, _friction_shape, (CUBIC_FRICTION, LOAD_FRICTION, STRIBECK_FRICTION)
+)
 
 FRICTION_CHANGE = Threshold(0.1, "relative change of friction along a run", evidence="experience")
-VISCOUS_DRIFT = candidate(
-    "drifting viscous friction",
-    FRICTION_CHANGE,
-    unit=RELATIVE,
-)
-COULOMB_DRIFT = candidate(
-    "drifting Coulomb friction",
-    FRICTION_CHANGE,
-    unit=RELATIVE,
-)
+VISCOUS_DRIFT = candidate("drifting viscous friction", FRICTION_CHANGE, RELATIVE)
+COULOMB_DRIFT = candidate("drifting Coulomb friction", FRICTION_CHANGE, RELATIVE)
 
 
 def _friction_drift(fit: Fit) -> Offer:
     """Add viscous or Coulomb friction that changes along the runs."""
-    joints, terms = fit.dataset.model.actuated, fit.system.terms
+    terms, along = fit.system.terms, _along_runs(fit)
     # friction that depends on the temperature has a slope of its own for this
-    fv, fs = friction_levels(fit) * np.array(
-        [Parameter("fvt", j) not in terms and Parameter("fst", j) not in terms for j in joints]
-    )
-    along = _along_runs(fit)
+    free = [{Parameter("fvt", j), Parameter("fst", j)}.isdisjoint(terms) for j in fit.dataset.model.actuated]
+    fv, fs = friction_levels(fit) * np.array(free)
 
     def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
         samples = window.samples()
-        change = along(window, samples.time)
-        return at_full_rate(
-            window, fit, np.stack([(fv * samples.qd).T * change, (fs * np.sign(samples.qd)).T * change])
-        )
+        friction = np.stack([fv * samples.qd, fs * np.sign(samples.qd)]).swapaxes(1, 2)
+        return at_full_rate(window, fit, friction * along(window, samples.time))
 
     return offer
 
@@ -230,9 +220,8 @@ def gain_changes(fit: Fit) -> Iterator[Alternative]:
     Its size is the relative increase of the current, its share that of the residual variance of all joints where each
     has such a change in these runs. Changes that no motor makes, of sign or unit, are left to other checks.
     """
-    problem, state, gains = fit.system.problem, fit.solution.iterate, fit.gains
-    positions = fit.system.block_positions  # number of the run, and time from its beginning (0) to its end (1)
-    runs, of_block = np.unique(positions[:, 0].astype(int), return_inverse=True)
+    problem, state = fit.system.problem, fit.solution.iterate
+    runs, of_block = np.unique(fit.system.block_positions[:, 0].astype(int), return_inverse=True)
     loaded = np.zeros(len(runs), dtype=bool)
     np.logical_or.at(loaded, of_block, np.any(problem.blocks[..., KNOWN], axis=(1, 2)))
     groups = np.unique(np.vstack([np.eye(len(runs), dtype=bool), loaded]), axis=0)
@@ -241,36 +230,28 @@ def gain_changes(fit: Fit) -> Iterator[Alternative]:
         return
     tried = len(np.unique(groups ^ groups[:, :1], axis=0))  # larger in some runs is smaller in the others
     errors, J = weighted(fit, problem.blocks)
-    weights = state.b / np.maximum(fit.solution.sigma, problem.smallest_sigma)
-    current = modelled(problem.blocks, state.theta) * weights[:, None]
+    current = modelled(problem.blocks, state.theta) * (state.b * weights_of(fit))[:, None]
     offered = -current[..., None] * groups[:, of_block].T[:, None, None, :]
     known = np.zeros(len(problem.known)), jacobian_of_known(problem, True)
     clusters = np.unique(problem.block_numbers, return_inverse=True)[1]
     linear = Linearised(errors, J, offered, known, clusters)
     sizes, stds, of_joints, slopes = linear.score_tests(slice(None), shared=False)
-    t, shares = sizes / np.maximum(stds, 1e-300), of_joints.sum(axis=1)
-    worst = _first_largest(np.abs(t[:, : len(gains)]))
+    t, shares = np.abs(sizes) / np.maximum(stds, 1e-300), of_joints.sum(axis=1)
+    worst = _first_largest(t[:, : len(fit.gains)])
     if shares.max() > DOMINANT:  # the same runs for all joints
         worst[:] = _first_largest(shares)
-    T = to_gains(state, True)
+    T, prior = to_gains(state, True), float(ALTERNATIVE_PRIOR) / tried  # the largest of several is larger by chance
     for j, k in enumerate(worst):
         change, std = float(sizes[k, j]), float(stds[k, j])
         if not t[k, j] or abs(change) > SCALED:
             continue  # reversed, or in another unit: other checks name these better
         names = [fit.dataset.runs[run].name for run in runs[groups[k]]]
         cause = Finding(F.GAIN_CHANGE, (problem.joints[j],), "", {"runs": names, "change": change})
+        share, plausible = float(shares[k]), float(PLAUSIBLE_GAIN_CHANGE)
+        effect = Alternative(GAIN_CHANGE, (cause,), change, std, RELATIVE, prior, share, plausible=plausible)
         of_gains = np.zeros(len(T))
         of_gains[problem.gain_rows] = (T @ slopes[k, j])[problem.gain_rows]
-        yield Alternative(
-            GAIN_CHANGE,
-            (cause,),
-            change,
-            std,
-            RELATIVE,
-            float(ALTERNATIVE_PRIOR) / tried,  # the largest of several changes is larger by chance
-            float(shares[k]),
-            plausible=float(PLAUSIBLE_GAIN_CHANGE),
-        ).moving(fit, of_gains)
+        yield effect.moving(fit, of_gains)
 
 
 def _first_largest(values: np.ndarray) -> np.ndarray:
