@@ -207,7 +207,7 @@ class Hypothesis:
         Whether a column acts on all joints with one size, or on each joint with a size of its own. Common effects
         are of the links, and reach torque sensors too; those of a single joint are of its drive.
     torques : callable
-        From a fit to the candidate torques, a column for each alternative. What they add is its docstring.
+        From a window of a fit to the candidate torques, a column for each alternative. What they add is its docstring.
     columns : tuple of Alternative, or callable
         What the columns are, before their sizes are known; of a fit where that depends on the robot, none where the
         hypothesis does not apply to it.
@@ -221,7 +221,7 @@ class Hypothesis:
 
     name: str
     shared: bool
-    torques: Callable[[Fit], Offer]
+    torques: Offer
     columns: tuple[Alternative, ...] | Callable[[Fit], Iterable[Alternative]]
     describe: Callable[[Fit, np.ndarray, np.ndarray], Finding] | None = None
     description: bool = False

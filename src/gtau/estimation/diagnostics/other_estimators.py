@@ -22,11 +22,10 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.linearisation import (
-    errors_and_jacobian,
+    FitWindow,
     known_rows,
     linearise,
     stacked_triangles,
-    window_rows,
 )
 from gtau.estimation.diagnostics.log_checks import lack_of_fit
 from gtau.estimation.estimators.estimator import Fit, jackknife
@@ -199,19 +198,20 @@ def _pairs(fit: Fit, usual: Windows, further: Windows) -> list[tuple[np.ndarray,
     Rows of a joint are reduced together, so that products of their columns remain. The sign of a speed that is filtered
     further changes at other samples, which is no noise: columns of Coulomb friction are the usual ones in both.
     """
-    model, pairs = fit.dataset.model, []
+    pairs = []
     dry = [k for k, name in enumerate(fit.dataset.base.standard) if name.kind == "fs"]
     dry.append(fit.dataset.base.count + TERMS.index("fl"))
     for (run, window), (_, filtered) in zip(usual, further, strict=True):
-        (A, keep), (Z, kept) = (window_rows(fit, run, rows, None, model) for rows in (window, filtered))
+        usual_window = FitWindow(fit, run, window)
+        (A, keep), (Z, kept) = usual_window.rows(), FitWindow(fit, run, filtered).rows()
         b = A.shape[-1] - 3
         Z[..., dry] = A[..., dry]
         both = np.concatenate([Z[..., :b], A], axis=-1)
         factors = [triangle(rows[used]) for rows, used in zip(both, keep & kept, strict=True)]
         R = stacked_triangles([factors])[0]
-        e, J = errors_and_jacobian(fit, run, window, R[..., b:])
+        e, J = usual_window.errors_and_jacobian(R[..., b:])
         R_filtered = np.concatenate([R[..., :b], R[..., SIGNALS]], axis=-1)
-        _, J_filtered = errors_and_jacobian(fit, run, window, R_filtered)
+        _, J_filtered = usual_window.errors_and_jacobian(R_filtered)
         k = J.shape[-1]
         pairs.append((J_filtered.reshape(-1, k), J.reshape(-1, k), e.ravel()))
     return pairs

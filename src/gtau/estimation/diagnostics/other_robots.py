@@ -175,7 +175,9 @@ def _explaining(fit: Fit, progress: Progress) -> Iterator[Alternative]:
 
 def _fitted(fit: Fit, model: InverseDynamics) -> tuple[float, np.ndarray]:
     """Fit another ``model`` to first order: sum of its squared residuals, and its gains (n,)."""
-    step, rest = linearise(fit, fit.dataset.windows(), model=model).fitted()
+    dataset = replace(fit.dataset, model=model, alike=fit.dataset)
+    other = replace(fit, system=replace(fit.system, dataset=dataset))
+    step, rest = linearise(other, dataset.windows()).fitted()
     change = step[fit.system.problem.gain_rows] if fit.free_gains else np.zeros(len(fit.gains))
     return float(np.sum(rest**2)), fit.gains - fit.gains**2 * change
 
@@ -309,7 +311,7 @@ def _freely(at: Fit) -> Iterator[Fit]:
         columns = GRAVITY.offered(at)
         if not columns:
             return
-        linear = linearise(at, windows, on_channels(GRAVITY.torques(at), GRAVITY.shared))  # type: ignore[arg-type]
+        linear = linearise(at, windows, on_channels(GRAVITY.torques, GRAVITY.shared))  # type: ignore[arg-type]
         tilt = DEGREE * linear.fitted(slice(2))[0][-2:]
         gravity = np.array(at.dataset.robot.gravity)
         size = float(np.linalg.norm(gravity))

@@ -22,15 +22,12 @@ from gtau.estimation.diagnostics.alternatives import RIPPLE, Alternative
 from gtau.estimation.diagnostics.hypotheses.drives import FALLING_CONSTANT, LOAD_FRICTION
 from gtau.estimation.diagnostics.linearisation import (
     CandidateColumns,
+    FitWindow,
     Linearised,
-    Moving,
-    at_full_rate,
-    errors_and_jacobian,
     least_squares_step,
     linearise,
     on_channels,
     weights_of,
-    window_rows,
 )
 from gtau.estimation.estimators.estimator import Fit, jackknife
 from gtau.estimation.estimators.newton import to_gains
@@ -39,7 +36,6 @@ from gtau.estimation.regression.run_blocks import BLOCKS, SAMPLES
 from gtau.estimation.thresholds.estimates import CORRELATED, CORRELATED_STD, PROBABLE, RIPPLE_SHARE
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
-from gtau.signals.preparation.prepared_run import SampleWindow
 
 KNOTS = 24  # of the piecewise linear function, over a joint's range in all runs
 LARGEST = 10.0  # times the joint's error: how large such a torque may be, more or less
@@ -58,10 +54,10 @@ def position_ripple(fit: Fit) -> Alternative:
     knots = np.linspace(low, high, KNOTS)  # (KNOTS, n)
     width = np.maximum(knots[1] - knots[0], 1e-300)
 
-    def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
-        q = window.samples().q.T
+    def offer(at: FitWindow) -> CandidateColumns:
+        q = at.window.samples().q.T
         hats = np.maximum(0.0, 1 - np.abs(q[:, None, :] - knots.T[:, :, None]) / width[:, None, None])
-        return at_full_rate(window, fit, hats.swapaxes(0, 1))
+        return at.decimated(hats.swapaxes(0, 1))
 
     linear = linearise(fit, pieces, on_channels(offer, felt=False))
     even, odd = np.arange(0, len(pieces), 2), np.arange(1, len(pieces), 2)
@@ -160,8 +156,9 @@ def _residuals(fit: Fit, run: int) -> tuple[np.ndarray, np.ndarray]:
     middle = int((0.5 * (place.begin + place.end) - float(prepared.time[0])) * prepared.run.rate)
     start = min(max(middle - size // 2, 0), len(prepared) - size)
     window = prepared.samples(start, start + size)
-    A, keep = window_rows(fit, run, window, None, fit.dataset.model)
-    e, _ = errors_and_jacobian(fit, run, window, A)
+    fit_window = FitWindow(fit, run, window)
+    A, keep = fit_window.rows()
+    e, _ = fit_window.errors_and_jacobian(A)
     decimator = prepared.preparation.decimator
     return window.time[decimator.instants(size)], np.where(keep, e, np.nan)
 

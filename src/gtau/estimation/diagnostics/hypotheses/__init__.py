@@ -32,7 +32,7 @@ def find_alternatives(fit: Fit, hypotheses: Sequence[Hypothesis] = HYPOTHESES) -
     if not windows:
         return []
     tried = [(hypothesis, columns) for hypothesis in hypotheses if (columns := hypothesis.offered(fit))]
-    offers = [on_channels(hypothesis.torques(fit), hypothesis.shared) for hypothesis, _ in tried]
+    offers = [on_channels(hypothesis.torques, hypothesis.shared) for hypothesis, _ in tried]
     linear = linearise(fit, windows, side_by_side(offers))
     ends = np.cumsum([0, *(len(columns) for _, columns in tried)]).tolist()
     causes = _all_causes(fit, linear, tried)

@@ -8,21 +8,20 @@ x f``, so that one which is off adds a moment proportional to the force.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.alternatives import Alternative, Hypothesis, candidate
-from gtau.estimation.diagnostics.linearisation import CandidateColumns, Moving, Offer, at_full_rate, motion_along
+from gtau.estimation.diagnostics.linearisation import CandidateColumns, FitWindow, motion_along
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.plausibility import stated_rate
 from gtau.estimation.regression.rows import Labels, external_torques
 from gtau.estimation.thresholds import Threshold
 from gtau.findings import Finding
 from gtau.robots.floating import WRENCH
-from gtau.signals.preparation.prepared_run import SampleWindow
 
 DEGREE, MILLIMETRE, PER_CENT = np.pi / 180, 1e-3, 1e-2
 STEP = 0.1  # of the unit: the torques' change is linear over this
@@ -44,42 +43,37 @@ SCALE = candidate(
 )
 
 
-def _encoder_zeros(fit: Fit) -> Offer:
+def _encoder_zeros(at: FitWindow) -> CandidateColumns:
     """Add a constant error of a joint's position."""
-    steps = np.diag([STEP * (DEGREE if unit == "deg" else MILLIMETRE) for unit in _units(fit)])
-    return _with_positions(fit, [(np.ones(len(steps)), step) for step in steps])
+    steps = np.diag([STEP * (DEGREE if unit == "deg" else MILLIMETRE) for unit in _units(at.fit)])
+    return _with_positions(at, np.ones_like(steps), steps)
 
 
-def _position_scales(fit: Fit) -> Offer:
+def _position_scales(at: FitWindow) -> CandidateColumns:
     """Scale a joint's positions, velocities and accelerations, as a wrong gear ratio does."""
-    joints = np.eye(len(fit.dataset.model.actuated))
-    return _with_positions(fit, [(1 + STEP * PER_CENT * joint, 0 * joint) for joint in joints])
+    joints = np.eye(len(at.fit.dataset.model.actuated))
+    return _with_positions(at, 1 + STEP * PER_CENT * joints, 0 * joints)
 
 
 def _units(fit: Fit) -> list[str]:
     return ["deg" if fit.dataset.robot.joint(joint).turns else "mm" for joint in fit.dataset.model.actuated]
 
 
-def _with_positions(fit: Fit, steps: Sequence[tuple[np.ndarray, np.ndarray]]) -> Offer:
-    """Move the positions of each joint in turn by a factor and a shift, both (n,), a ``STEP`` of its unit."""
-    model = fit.dataset.model
-    regressor = model.columns(fit.dataset.base.standard)
-
-    def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
-        before = regressor.torques_along(model.layout, motion(), values)
-        columns = np.zeros((len(steps), *before.shape))
-        for k, (factor, shift) in enumerate(steps):
-            q, qd, qdd = window.q * factor + shift, window.qd * factor, window.qdd * factor
-            moved, labels = replace(window, q=q, qd=qd, qdd=qdd, part_of=None), Labels(window.run.name, window.time)
-            try:  # from near the first configuration, so that loops are closed as before
-                path = model.path(np.ascontiguousarray(moved.q.T), labels, motion().c[:, 0])
-                after = regressor.torques_along(model.layout, motion_along(model, moved, path), values)
-            except GtauError:
-                continue  # the loops do not close there: nothing is said of this joint
-            columns[k] = (after - before) / STEP
-        return at_full_rate(window, fit, columns)
-
-    return offer
+def _with_positions(at: FitWindow, factors: np.ndarray, shifts: np.ndarray) -> CandidateColumns:
+    """Move the positions of each joint in turn by factors and shifts, both (., n), a ``STEP`` of its unit."""
+    model, window = at.fit.dataset.model, at.window
+    before = at.torques_along(at.motion, at.values)
+    columns = np.zeros((len(shifts), *before.shape))
+    for column, factor, shift in zip(columns, factors, shifts, strict=True):
+        q, qd, qdd = window.q * factor + shift, window.qd * factor, window.qdd * factor
+        moved, labels = replace(window, q=q, qd=qd, qdd=qdd, part_of=None), Labels(window.run.name, window.time)
+        try:  # from near the first configuration, so that loops are closed as before
+            path = model.path(np.ascontiguousarray(q.T), labels, at.motion.c[:, 0])
+            after = at.torques_along(motion_along(model, moved, path), at.values)
+        except GtauError:
+            continue  # the loops do not close there: nothing is said of this joint
+        column[:] = (after - before) / STEP
+    return at.decimated(columns)
 
 
 def _zeros_of(fit: Fit) -> list[Alternative]:
@@ -128,16 +122,13 @@ CLOCK_REVERSED = Threshold(
 )
 
 
-def _gravity(fit: Fit) -> Offer:
+def _gravity(at: FitWindow) -> CandidateColumns:
     """Add a tilt of the base, or another strength of gravity (a wrong clock)."""
-    model, n = fit.dataset.model, len(fit.dataset.model.actuated)
-    regressor, changes = model.gravity_torques(fit.dataset.base.standard), _changes_of_gravity(fit)
-
-    def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
-        entries = regressor(model.layout, motion(), values)
-        return at_full_rate(window, fit, np.stack([regressor.torques(entries, change, n) for change in changes]))
-
-    return offer
+    model, n = at.fit.dataset.model, len(at.fit.dataset.model.actuated)
+    regressor = model.gravity_torques(at.fit.dataset.base.standard)
+    entries = regressor(model.layout, at.motion, at.values)
+    changes = _changes_of_gravity(at.fit)
+    return at.decimated(np.stack([regressor.torques(entries, change, n) for change in changes]))
 
 
 def _across(gravity: np.ndarray) -> np.ndarray:
@@ -168,10 +159,6 @@ def _gravity_found(fit: Fit, sizes: np.ndarray, shares: np.ndarray) -> Finding:
 
 GRAVITY = Hypothesis("gravity", True, _gravity, _gravity_columns, _gravity_found, description=True)
 
-Reading = Callable[[np.ndarray], np.ndarray]
-"""From what the wrenches read (6 k, M) to by how much too large that may be, (m, 6 k, M)."""
-
-
 OFFSET = candidate(
     "wrench offset",
     Threshold(
@@ -184,15 +171,10 @@ OFFSET = candidate(
 )
 
 
-def _offsets(fit: Fit) -> Offer:
+def _offsets(at: FitWindow) -> CandidateColumns:
     """Add a constant error of a measured force or moment."""
-    unit = np.eye(len(WRENCH) * len(_sensed_bodies(fit)))
-
-    def read(measured: np.ndarray) -> np.ndarray:
-        """Offset each component in turn by one unit; (m, 6 k, M)."""
-        return np.broadcast_to(unit[:, :, None], (*unit.shape, measured.shape[-1]))
-
-    return _felt(fit, read)
+    unit = np.eye(len(WRENCH) * len(_sensed_bodies(at.fit)))
+    return _felt(at, np.broadcast_to(unit[:, :, None], (*unit.shape, len(at.window))))
 
 
 def _sensed_bodies(fit: Fit) -> list[str]:
@@ -238,19 +220,15 @@ POINT = candidate(
 )
 
 
-def _points(fit: Fit) -> Offer:
+def _points(at: FitWindow) -> CandidateColumns:
     """Add another point about which a measured moment is stated."""
-    bodies = np.arange(len(_sensed_bodies(fit)))
-
-    def read(measured: np.ndarray) -> np.ndarray:
-        """Compute the errors of the moments for a force that acts 1 mm further back; (3 k, 6 k, M)."""
-        force = measured.reshape(len(bodies), 2, 1, 3, -1)[:, 1]
-        moments = np.cross(np.eye(3)[:, :, None], force, axis=2)  # (k, axes, 3, M)
-        errors = np.zeros((len(bodies), 3, len(bodies), 6, measured.shape[1]))
-        errors[bodies, :, bodies, :3] = -MILLIMETRE * moments
-        return errors.reshape(3 * len(bodies), *measured.shape)
-
-    return _felt(fit, read)
+    bodies = np.arange(len(_sensed_bodies(at.fit)))
+    measured = at.window.samples().command.T[at.window.run.given]
+    # of a force that acts 1 mm further back
+    force = measured.reshape(len(bodies), 2, 1, 3, -1)[:, 1]
+    errors = np.zeros((len(bodies), 3, len(bodies), 6, measured.shape[1]))
+    errors[bodies, :, bodies, :3] = -MILLIMETRE * np.cross(np.eye(3)[:, :, None], force, axis=2)
+    return _felt(at, errors.reshape(3 * len(bodies), *measured.shape))
 
 
 def _point_found(fit: Fit, sizes: np.ndarray, shares: np.ndarray) -> Finding:
@@ -267,15 +245,9 @@ def _point_columns(fit: Fit) -> list[Alternative]:
 WRENCH_POINTS = Hypothesis("wrench points", True, _points, _point_columns, _point_found, description=True)
 
 
-def _felt(fit: Fit, read: Reading) -> Offer:
-    """Compute the joint torques that errors of the wrench readings cause."""
-    model = fit.dataset.model
-
-    def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
-        run = window.run
-        extra = read(window.samples().command.T[run.given])
-        padded = np.zeros((len(extra), len(run.channels), extra.shape[-1]))
-        padded[:, run.given] = extra
-        return at_full_rate(window, fit, external_torques(model, run, motion(), padded))
-
-    return offer
+def _felt(at: FitWindow, errors: np.ndarray) -> CandidateColumns:
+    """Compute the joint torques that errors (m, 6 k, N) of the wrench readings cause."""
+    run = at.window.run
+    padded = np.zeros((len(errors), len(run.channels), errors.shape[-1]))
+    padded[:, run.given] = errors
+    return at.decimated(external_torques(at.fit.dataset.model, run, at.motion, padded))

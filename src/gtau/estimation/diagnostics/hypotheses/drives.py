@@ -17,7 +17,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -32,10 +32,8 @@ from gtau.estimation.diagnostics.alternatives import (
 )
 from gtau.estimation.diagnostics.linearisation import (
     CandidateColumns,
+    FitWindow,
     Linearised,
-    Moving,
-    Offer,
-    at_full_rate,
     weighted,
     weights_of,
 )
@@ -51,7 +49,6 @@ from gtau.findings import FindingKind as F
 from gtau.findings.words import RELATIVE
 from gtau.robots.parameter import Parameter
 from gtau.signals.preparation.filters import differentiate
-from gtau.signals.preparation.prepared_run import SampleWindow
 
 CUBIC_FRICTION = candidate(
     "cubic friction",
@@ -73,25 +70,20 @@ STRIBECK_FRICTION = candidate(
 STRIBECK_SPEED = Threshold(0.1, "Stribeck speed, in rms speeds", evidence="experience")
 
 
-def _friction_shape(fit: Fit) -> Offer:
+def _friction_shape(at: FitWindow) -> CandidateColumns:
     """Add cubic, load-dependent or Stribeck friction where the model has none."""
-    joints, speeds = fit.dataset.model.actuated, rms_speeds(fit)
-    fv, fs = friction_levels(fit)
-    level = np.maximum(fv * speeds + fs, 0.02 * rms_torques(fit))
-    model, base = fit.dataset.model, fit.dataset.base
-    regressor, acting = model.columns(base.standard), is_transmitted(base.names)
-    absent = {term: np.array([Parameter(term, j) not in fit.system.terms for j in joints]) for term in ("f3", "fl")}
-
-    def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
-        samples = window.samples()
-        ratio, sign = samples.qd / np.where(speeds > 0, speeds, 1.0), np.sign(samples.qd)
-        cubic = level * ratio**3 / 3 * absent["f3"]
-        torques = regressor.torques_along(model.layout, motion(), values * acting)
-        load = np.abs(torques.T) * sign * absent["fl"]
-        stribeck = level * np.exp(-np.abs(ratio) / STRIBECK_SPEED) * sign
-        return at_full_rate(window, fit, np.stack([cubic.T, load.T, stribeck.T]))
-
-    return offer
+    dataset, terms, qd = at.fit.dataset, at.fit.system.terms, at.window.samples().qd
+    joints, speeds = dataset.model.actuated, rms_speeds(at.fit)
+    fv, fs = friction_levels(at.fit)
+    level = np.maximum(fv * speeds + fs, 0.02 * rms_torques(at.fit))
+    no_cubic, no_load = (np.array([Parameter(term, j) not in terms for j in joints]) for term in ("f3", "fl"))
+    ratio, sign = qd / np.where(speeds > 0, speeds, 1.0), np.sign(qd)
+    transmitted = at.values * is_transmitted(dataset.base.names)
+    torques = at.torques_along(at.motion, transmitted).T
+    cubic = level * ratio**3 / 3 * no_cubic
+    load = np.abs(torques) * sign * no_load
+    stribeck = level * np.exp(-np.abs(ratio) / STRIBECK_SPEED) * sign
+    return at.decimated(np.stack([cubic.T, load.T, stribeck.T]))
 
 
 FRICTION_SHAPE = Hypothesis(
@@ -103,30 +95,21 @@ VISCOUS_DRIFT = candidate("drifting viscous friction", FRICTION_CHANGE, RELATIVE
 COULOMB_DRIFT = candidate("drifting Coulomb friction", FRICTION_CHANGE, RELATIVE)
 
 
-def _friction_drift(fit: Fit) -> Offer:
+def _friction_drift(at: FitWindow) -> CandidateColumns:
     """Add viscous or Coulomb friction that changes along the runs."""
-    terms, along = fit.system.terms, _along_runs(fit)
+    terms, samples = at.fit.system.terms, at.window.samples()
     # friction that depends on the temperature has a slope of its own for this
-    free = [{Parameter("fvt", j), Parameter("fst", j)}.isdisjoint(terms) for j in fit.dataset.model.actuated]
-    fv, fs = friction_levels(fit) * np.array(free)
-
-    def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
-        samples = window.samples()
-        friction = np.stack([fv * samples.qd, fs * np.sign(samples.qd)]).swapaxes(1, 2)
-        return at_full_rate(window, fit, friction * along(window, samples.time))
-
-    return offer
+    joints = at.fit.dataset.model.actuated
+    free = [{Parameter("fvt", j), Parameter("fst", j)}.isdisjoint(terms) for j in joints]
+    fv, fs = friction_levels(at.fit) * np.array(free)
+    friction = np.stack([(fv * samples.qd).T, (fs * np.sign(samples.qd)).T])
+    return at.decimated(friction * _along_run(at, samples.time))
 
 
-def _along_runs(fit: Fit) -> Callable[[SampleWindow, np.ndarray], np.ndarray]:
-    """Return a function that takes instants in a window's run to -0.5 at its beginning, 0.5 at its end."""
-    spans = {id(run.run): (run.time[0], run.time[-1]) for run in fit.dataset.prepared}
-
-    def along(window: SampleWindow, time: np.ndarray) -> np.ndarray:
-        begin, end = spans[id(window.run)]
-        return np.asarray((time - begin) / max(end - begin, 1e-12) - 0.5)
-
-    return along
+def _along_run(at: FitWindow, time: np.ndarray) -> np.ndarray:
+    """Map instants in a window's run to -0.5 at its beginning, 0.5 at its end."""
+    begin, *_, end = at.fit.dataset.prepared[at.run].time[[0, -1]]
+    return np.asarray((time - begin) / max(end - begin, 1e-12) - 0.5)
 
 
 FRICTION_DRIFT = Hypothesis("friction drift", False, _friction_drift, (VISCOUS_DRIFT, COULOMB_DRIFT))
@@ -144,19 +127,15 @@ FALLING_CONSTANT = candidate(
 )
 
 
-def _saturation(fit: Fit) -> Offer:
+def _saturation(at: FitWindow) -> CandidateColumns:
     """Add a torque constant that falls with the current, ``tau abs(tau)``."""
-    regressor, n = fit.dataset.model.columns(fit.dataset.base.standard), len(fit.gains)
-    scale = LARGE * rms_torques(fit)
+    scale = LARGE * rms_torques(at.fit)[:, None]
 
-    def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
-        def columns(rows: Rows) -> np.ndarray:
-            tau = regressor.torques(rows.entries, values, n)
-            return (np.abs(tau) * tau / scale[:, None])[:, :, None]
+    def columns(rows: Rows) -> np.ndarray:
+        tau = at.torques(rows)
+        return (np.abs(tau) * tau / scale)[:, :, None]
 
-        return columns
-
-    return offer
+    return columns
 
 
 SATURATION = Hypothesis("saturation", False, _saturation, (FALLING_CONSTANT,))
@@ -173,15 +152,9 @@ DRIFTING_CONSTANT = candidate(
 )
 
 
-def _gain_drift(fit: Fit) -> Offer:
+def _gain_drift(at: FitWindow) -> CandidateColumns:
     """Add a torque constant that changes along the runs."""
-    regressor, n = fit.dataset.model.columns(fit.dataset.base.standard), len(fit.gains)
-    along = _along_runs(fit)
-
-    def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
-        return lambda rows: (regressor.torques(rows.entries, values, n) * along(window, rows.time))[:, :, None]
-
-    return offer
+    return lambda rows: (at.torques(rows) * _along_run(at, rows.time))[:, :, None]
 
 
 GAIN_DRIFT = Hypothesis("gain drift", False, _gain_drift, (DRIFTING_CONSTANT,), description=True)
@@ -198,17 +171,11 @@ FILTER_OR_ELASTICITY = candidate(
 )
 
 
-def _current_lag(fit: Fit) -> Offer:
+def _current_lag(at: FitWindow) -> CandidateColumns:
     """Add a low-pass filter of the current, or an elastic transmission: the torque's second derivative."""
-    model = fit.dataset.model
-    regressor = model.columns(fit.dataset.base.standard)
-
-    def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
-        torques = regressor.torques_along(model.layout, motion(), values)
-        _, change = differentiate(torques.T, window.run.rate)
-        return at_full_rate(window, fit, change.T[None])
-
-    return offer
+    torques = at.torques_along(at.motion, at.values)
+    _, change = differentiate(torques.T, at.window.run.rate)
+    return at.decimated(change.T[None])
 
 
 CURRENT_LAG = Hypothesis("current lag", False, _current_lag, (FILTER_OR_ELASTICITY,))
