@@ -120,7 +120,7 @@ def report(source: str) -> None:
         found = {}
         for key, fit in {**fits, "mask": masked}.items():
             problem = fit.system.problem
-            T = to_gains(fit.solution.iterate, True)[problem.gain_rows] / case.gains[:, None]
+            T = to_gains(fit.solution.values, len(fit.solution.gains), True)[problem.gain_rows] / case.gains[:, None]
             rows = jacobians(fit)
             if key == "all":
                 found["bound"] = bound(rows, coloured, T)

@@ -166,7 +166,7 @@ def fix(data: Dataset, k: int) -> Fixed:
     regressor = data.model.columns(data.base.standard)
     parts = list(stream_rows(data.model, regressor, prepared, decimator))
     entries, keep = np.hstack([p.entries for p in parts]), np.hstack([p.keep for p in parts])
-    block = block_of(data.edges[k], entries.shape[1])
+    block = block_of(data.prepared.edges[k], entries.shape[1])
     rows = []
     for s in range(BLOCKS):
         of_joints = []

@@ -21,7 +21,7 @@ from gtau.estimation.diagnostics.hypotheses import (
     ranked,
     same_effects,
 )
-from gtau.estimation.diagnostics.linearisation import CandidateColumns, Offer
+from gtau.estimation.diagnostics.linearisation import CandidateColumns, FitWindow
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.maximum_likelihood import ML
@@ -30,8 +30,6 @@ from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.thresholds.estimates import ALTERNATIVE_PRIOR
 from gtau.findings import Finding
 from gtau.model.home import load_robot
-from gtau.model.loops import Motion
-from gtau.signals.preparation.prepared_run import SampleWindow
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
@@ -112,14 +110,9 @@ def test_clean_logs_support_no_alternative(runs: list[Run]) -> None:
 def under_another_name(hypothesis: Hypothesis) -> Hypothesis:
     """The same effects in other words, and sizes in another unit."""
 
-    def torques(fit: Fit) -> Offer:
-        offer = hypothesis.torques(fit)
-
-        def larger(window: SampleWindow, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
-            columns = offer(window, motion, values)
-            return lambda rows: 3.0 * columns(rows)
-
-        return larger
+    def torques(at: FitWindow) -> CandidateColumns:
+        columns = hypothesis.torques(at)
+        return lambda rows: 3.0 * columns(rows)
 
     def columns(fit: Fit) -> list[Alternative]:
         return [

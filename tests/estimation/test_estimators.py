@@ -391,10 +391,10 @@ def test_slow_motion_under_white_noise_settles(rng: np.random.Generator, monkeyp
         np.full((20, 1), samples // 10),
         0.5,
     )
-    far = newton.Iterate(theta, np.array([1 / gain]), np.array([0.05]))
+    far = np.array([*theta, gain, 0.05])
 
-    def weights(state: newton.Iterate, errors: np.ndarray) -> np.ndarray:
-        return 1 / np.sqrt(errors / problem.total_rows)
+    def weights(squares: np.ndarray) -> np.ndarray:
+        return 1 / np.sqrt(squares / problem.total_rows)
 
     solution = newton.solve(problem, far, weights, True, steps=25)
     np.testing.assert_allclose(solution.values, ml(problem).values, rtol=1e-5)

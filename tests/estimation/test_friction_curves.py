@@ -12,12 +12,13 @@ from friction_logs import PLAIN, experiment, robot, run
 from models_to_export import of_equations
 
 import gtau
-from gtau.estimation.friction.law import FrictionLaw, PreslidingState, Shape, stop
+from gtau.estimation.friction.law import FrictionLaw, PreslidingState, stop
 from gtau.estimation.friction.normal_equations import WIDTHS, FrictionJoint
 from gtau.estimation.friction.selection import parameter_columns
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import PLAIN_FRICTION
 
-SHAPES = {"left": Shape(width=1.5e-3), "right": Shape(speed=0.2)}
+SHAPES = {Parameter("width", "left"): 1.5e-3, Parameter("vs", "right"): 0.2}
 VALUES = {"fb_right": 0.6, "fl_left": 0.05}
 
 
@@ -83,7 +84,7 @@ def test_friction_has_one_value_a_name(result: gtau.Result) -> None:
         assert np.sqrt(variances[name]) == pytest.approx(estimate.std or 0.0)
     assert set(result.equation_friction) == {
         "fl_left",
-        *(f"{kind}_{side}" for kind in PLAIN_FRICTION for side in SHAPES),
+        *(f"{kind}_{side}" for kind in PLAIN_FRICTION for side in ("left", "right")),
     }
     assert result.equation_friction["fs_left"].value != result.parameters["fs_left"].value
 

@@ -20,7 +20,7 @@ from gtau.estimation.compare import compare
 from gtau.estimation.diagnostics import hypotheses
 from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.verdict import worst
-from gtau.estimation.estimators.registry import ESTIMATORS, NAMES
+from gtau.estimation.estimators.registry import NAMES, estimators
 from gtau.estimation.identify import identify
 from gtau.estimation.thresholds import Threshold
 
@@ -45,11 +45,11 @@ def experiment(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "ml",
         "tls",
         "wls",
-        *(pytest.param(m, marks=pytest.mark.slow) for m in ESTIMATORS if m not in ("ml", "tls", "wls")),
+        *(pytest.param(m, marks=pytest.mark.slow) for m in NAMES if m not in ("ml", "tls", "wls")),
     ],
 )
 def test_compare_says_what_identify_says(method: str, experiment: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gtau.estimation.compare.ESTIMATORS", {method: ESTIMATORS[method]})
+    monkeypatch.setattr("gtau.estimation.compare.NAMES", (method,))
     (row,) = compare(experiment).rows
     if row.refusal:
         with pytest.raises(GtauError, match=re.escape(row.refusal)):
@@ -67,7 +67,7 @@ def test_compare_says_what_identify_says(method: str, experiment: Path, monkeypa
 def test_the_command_line_offers_every_estimator() -> None:
     from gtau.cli.console import METHODS
 
-    assert METHODS.split("|") == list(NAMES) == [each.name for each in ESTIMATORS.values()]
+    assert METHODS.split("|") == list(NAMES) == [each.name for each in estimators().values()]
 
 
 def test_every_threshold_says_what_it_rests_on() -> None:

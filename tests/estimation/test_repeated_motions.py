@@ -75,16 +75,16 @@ def test_a_repeated_motion_is_found_where_it_begins_and_ends_at_other_times() ->
     first, again = experiment((3, 3), 0)
     other = experiment((4, 4), 0)[0]
     data = reduce_runs(five_bar().robot, [cut(first, 0, 4300), other, cut(again, 650)])
-    assert [place.group for place in data.places] == [0, 1, 0]
-    assert [place.repeated for place in data.places] == [True, False, True]
-    assert data.places[0].begin - data.places[2].begin == pytest.approx(1.3, abs=0.02)
+    groups, spans = data.prepared.places
+    assert groups.tolist() == [0, 1, 0]
+    assert spans[0, 0] - spans[2, 0] == pytest.approx(1.3, abs=0.02)
 
 
 def test_stretches_of_a_repeated_motion_begin_at_the_same_positions() -> None:
     first, again = experiment((3, 3), 0)
     data = reduce_runs(five_bar().robot, [cut(first, 0, 4300), cut(again, 650)])
     starts = []
-    for prepared, edges in zip(data.prepared, data.edges, strict=True):
+    for prepared, edges in zip(data.prepared, data.prepared.edges, strict=True):
         at = np.round(edges[6:14] * (len(prepared) - 1)).astype(int)
         starts.append([prepared.samples(k, k + 1).q[0] for k in at])
     assert np.abs(np.subtract(*starts)).max() < 0.02  # rad, 1 % of the range and less
@@ -95,7 +95,7 @@ def test_stretches_of_a_repeated_motion_begin_at_the_same_positions() -> None:
 @pytest.mark.parametrize("seeds", [(3, 4), (5, 6)])
 def test_runs_of_other_motions_are_left_out_one_at_a_time(seeds: tuple[int, int]) -> None:
     data: Dataset = reduce_runs(five_bar().robot, experiment(seeds, 0))
-    assert not any(place.repeated for place in data.places)
+    assert data.prepared.places[0].tolist() == [0, 1]
     assert len(data.system(per_run=True).problem.units) == 2 * BLOCKS
 
 

@@ -29,7 +29,7 @@ from gtau.estimation.estimators.essential import select_friction
 from gtau.estimation.estimators.estimator import Fit, Solution
 from gtau.estimation.estimators.maximum_likelihood import ML, ml, own_share
 from gtau.estimation.estimators.newton import solve
-from gtau.estimation.estimators.registry import ESTIMATORS
+from gtau.estimation.estimators.registry import estimators
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.problem import Problem
@@ -232,7 +232,7 @@ def test_derivatives_by_the_constants_are_those_of_the_full_solve(method: str) -
     steel, lead = (Payload(name=name, mass=m, mass_std=0.01) for name, m in zip(("steel", "lead"), masses, strict=True))
     dataset = reduce_runs(ARM, [arm().run(1), arm().run(2, STEEL, steel), arm().run(3, heavy, lead)])
     known = np.array(ARM_GAINS) if method == "wls" else None
-    fit = ESTIMATORS[method].fit(dataset.system(per_run=True), known)
+    fit = estimators()[method].fit(dataset.system(per_run=True), known)
 
     def solved(of_steel: float, of_lead: float) -> np.ndarray:
         pair = steel.model_copy(update={"mass": of_steel}), lead.model_copy(update={"mass": of_lead})

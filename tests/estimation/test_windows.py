@@ -15,7 +15,7 @@ from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
-from gtau.estimation.regression.run_blocks import BLOCKS, block_edges, block_of, usable_rows
+from gtau.estimation.regression.run_blocks import BLOCKS, PreparedRuns, block_edges, block_of, usable_rows
 from gtau.estimation.thresholds.estimates import FEWEST_FOR_TESTS
 from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
@@ -57,7 +57,7 @@ def test_windows_hold_as_many_rows_where_the_robot_rests(pieces: int) -> None:
 
 def test_tests_of_runs_that_hardly_move_are_skipped_and_say_so() -> None:
     data = dataset(0.0)
-    few = tuple(replace(each, speeds=each.speeds * 1e6) for each in data.prepared)
+    few = PreparedRuns(replace(each, speeds=each.speeds * 1e6) for each in data.prepared)
     fit = ML.fit(data.system())
     examined = examine(replace(fit, system=replace(fit.system, dataset=replace(data, prepared=few))))
     ((said,), rows) = examined.findings, usable_rows(data.windows(10), data.prepared)

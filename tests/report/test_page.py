@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from itertools import pairwise
 from xml.etree import ElementTree
 
 import numpy as np
@@ -11,9 +12,9 @@ import pytest
 from matplotlib.colors import to_hex
 
 from gtau.model.home import load_robot
-from gtau.report.chart import Axis, Chart, Panel, Rule, Series, colour, intervals
+from gtau.report.chart import MINUS, Axis, Chart, Panel, Rule, Series, colour, envelope, intervals
 from gtau.report.page import Column, Facts, Kind, Page, Text, page, section, table
-from gtau.report.render.charts import MINUS, envelope, figure_of, palette
+from gtau.report.render.charts import figure_of, palette
 from gtau.report.render.html import arrays_for, frame, html, minus, spec_of
 from gtau.report.render.svg import svg_of
 from gtau.report.render.terminal import plain
@@ -167,18 +168,33 @@ def test_an_svg_takes_the_colours_of_the_page_and_keeps_its_words(whole: Page) -
     assert {"--predicted", "--prior", "--soft", "--grid", "--page"} == set(re.findall(r"var\((.*?)\)", text))
     assert not re.search(r"#[0-9a-f]{6}|\d\.\d{3,}|<style|font-family", text)
     root = ElementTree.fromstring(text.replace("xlink:href", "href"))
-    assert {"left", NASTY, "gain, %", "0.8"} < {each.text for each in root.iter("text")}
+    assert {"left", NASTY, "gain, %", "1"} < {each.text for each in root.iter("text")}
     assert len(text) < 8000
 
 
-def test_drawings_of_a_page_share_no_ids_and_refer_to_their_own(whole: Page) -> None:
+@pytest.mark.parametrize(("low", "high"), [(-1e-5, 2e-5), (1e6, 1e6 + 3), (1.0, 1.0), (0.3, 7e8), (2.0, 3.0)])
+@pytest.mark.parametrize("log", [False, True])
+def test_words_at_ticks_do_not_touch(low: float, high: float, log: bool) -> None:
+    axis, ends = Axis("", log), np.array([low, high])
+    root = ElementTree.fromstring(svg_of(Panel(axis, axis, (Series("", ends, ends),)), alone=False))
+    words = [(word.attrib, word.text or "") for word in root.iter("text")]
+    across = sorted((float(at["x"]), 3.0 * len(text)) for at, text in words if at["text-anchor"] == "middle")
+    up = sorted(float(at["y"]) for at, _ in words if at["text-anchor"] == "end")
+    assert min(len(across), len(up)) >= (1 if log and low < 0 else 2)
+    assert all(b - a > half + other for (a, half), (b, other) in pairwise(across))
+    assert all(b - a > 10 for a, b in pairwise(up))
+
+
+def test_an_svg_draws_a_matrix_spans_and_steps_without_ids() -> None:
     x, y = Axis("x"), Axis("y")
-    panels = [Panel(x, y, (Series("", np.arange(3.0), np.arange(3.0) ** k, mark="points"),)) for k in (1, 2)]
-    found = [svg_of(each, alone=False) for each in panels]
-    named = [set(re.findall(r' id="(.*?)"', text)) for text in found]
-    assert named[0].isdisjoint(named[1])
-    for names, text in zip(named, found, strict=True):
-        assert set(re.findall(r'(?:"#|url\(#)(.*?)[")]', text)) == names
+    spans = Series("", np.array([[0.0, 1.0], [2.0, 3.0]]), np.array([0.0]), mark="spans")
+    steps = Series("", np.arange(4.0), np.ones(3), mark="steps")
+    matrix = Panel(x, y, matrix=np.array([[1.0, -0.5], [-0.5, 1.0]]))
+    for panel, colours in ((matrix, "positive negative"), (Panel(x, y, (spans,)), "grid predicted"),
+                           (Panel(x, y, (steps,)), "grid predicted")):  # fmt: skip
+        text = svg_of(panel, alone=True)
+        assert " id=" not in text
+        assert set(colours.split()) < set(re.findall(r"var\(--(.*?)\)", text))
 
 
 # Figures

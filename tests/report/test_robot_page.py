@@ -232,8 +232,7 @@ def test_picture_hides_no_name_under_a_joint_or_another_name(name: str) -> None:
     names = [text for text in axes.texts if set(text.get_text().split(", ")) <= robot.driven]
     assert sorted(", ".join(text.get_text() for text in names).split(", ")) == sorted(robot.driven)
     boxes = [text.get_window_extent(canvas.get_renderer()) for text in names]
-    lines = [line for line in axes.get_lines() if line.get_marker() != "None"]
-    marks = axes.transData.transform(np.vstack([line.get_xydata() for line in lines]))
+    marks = axes.transData.transform([patch.get_xy()[:-1].mean(axis=0) for patch in axes.patches])
     whole = figure.bbox
     for k, box in enumerate(boxes):
         assert not any(box.overlaps(other) for other in boxes[:k])

@@ -16,9 +16,10 @@ from scipy.optimize import brentq
 
 import gtau
 from gtau.errors import GtauError
-from gtau.estimation.friction.law import FrictionLaw, Shape
+from gtau.estimation.friction.law import FrictionLaw
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Joint, Robot
 from gtau.simulation import mujoco_plant
 from gtau.simulation.experiment_files import simulate_experiment
@@ -33,7 +34,9 @@ PERIOD = 1e-3
 def sliding(values: dict[str, float], width: float | None = None, speed: float | None = None, mass: float = 2.0):
     """A body on a slide."""
     model = InverseDynamics(SLIDE)
-    return model, {"m_1": mass}, JointFriction(FrictionLaw(model, {}, {"1": Shape(width, speed)}), values, WIDTH)
+    shapes = {Parameter("width", "1"): width, Parameter("vs", "1"): speed}
+    law = FrictionLaw(model, {}, {name: value for name, value in shapes.items() if value})
+    return model, {"m_1": mass}, JointFriction(law, values, WIDTH)
 
 
 def five_bar() -> gtau.Result:
@@ -157,7 +160,7 @@ HARDWARE = {joint: {"gain": gain, "position_quantum": 1e-6} for joint, gain in (
 
 def test_an_identified_model_is_simulated_with_its_friction(tmp_path: Path) -> None:
     """And predicts what it simulates."""
-    shapes = {"left": Shape(width=1.5e-3), "right": Shape(speed=0.2)}
+    shapes = {Parameter("width", "left"): 1.5e-3, Parameter("vs", "right"): 0.2}
     found = gtau.identify(robot(), experiment(shapes, {"fb_right": 0.6, "fl_left": 0.05}))
     found.save(tmp_path / "model.json")
     runs = [{"name": "moves", "trajectory": {"moves": {"duration": 4}}}]

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 from five_bar_logs import CHI, GAINS, JOINTS, RATE, STEEL, TOOL, five_bar, path
 
-from gtau.estimation.friction.law import FrictionLaw, Shape
+from gtau.estimation.friction.law import FrictionLaw
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
@@ -24,7 +25,7 @@ def robot() -> Robot:
 
 def run(
     name: str,
-    shapes: Mapping[str, Shape],
+    shapes: Mapping[Parameter, float],
     values: Mapping[str, float],
     seed: int,
     loaded: bool = False,
@@ -46,6 +47,6 @@ def run(
     return replace(made, payload=Payload(name="steel", mass=STEEL["m"])) if loaded else made
 
 
-def experiment(shapes: Mapping[str, Shape], values: Mapping[str, float], seed: int = 1) -> list[Run]:
+def experiment(shapes: Mapping[Parameter, float], values: Mapping[str, float], seed: int = 1) -> list[Run]:
     """A run without and one with the known payload."""
     return [run("free", shapes, values, seed), run("loaded", shapes, values, seed + 1, loaded=True)]

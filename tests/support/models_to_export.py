@@ -11,7 +11,7 @@ from robots_for_tests import slider_crank
 from gtau.estimation.diagnostics.verdict import GOOD
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.results.estimate import Estimate, FrictionCurve
-from gtau.estimation.results.groups import FitRecord, Model, ModelEstimates
+from gtau.estimation.results.groups import FitRecord, ModelEstimates
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.model.base_parameters import base_parameters
@@ -85,7 +85,7 @@ def model_of(
         logged_speeds=dict.fromkeys(joints, 100.0),
         statistics={"lack_of_fit": 1.0, "reduction_loss": 0.0},
     )
-    return Result(Model(robot), estimates, fit)
+    return Result(robot, estimates, fit)
 
 
 def preslid(result: Result) -> Result:

@@ -21,7 +21,7 @@ from gtau.estimation.preconditions import estimator_for, plan, reduced, require_
 from gtau.estimation.regression.assembly import FEWEST_ROWS
 from gtau.estimation.regression.dataset import Dataset, model_of, robot_notes
 from gtau.estimation.regression.plausibility import prepare_runs
-from gtau.estimation.regression.rows import Labels
+from gtau.estimation.regression.rows import instants
 from gtau.estimation.results.conclusions import near_singularities, not_separated
 from gtau.estimation.results.estimate import Distances, NearestPose, distances_of, nearest_poses
 from gtau.findings import Finding, Severity
@@ -251,13 +251,13 @@ def _together(subject: Subject, dataset: Dataset) -> list[Finding]:
     system = dataset.system()
     notes = [*command_lag(dataset, system), *not_separated(system.unexcited)]
     try:
-        planned = plan(subject, dataset, system)
+        _, gains = plan(subject, dataset, system)
     except GtauError as error:
         payloads = [run.payload for run in dataset.runs if run.payload is not None]
         if system.problem.scaled or not payloads or any(payload.mass is not None for payload in payloads):
             return [*notes, refusal(error, F.SCALE)]
         return [*notes, Finding(F.WEIGHING, (), payloads[0].name)]
-    if planned.gains is None:
+    if gains is None:
         with _noted(notes, F.MODEL):
             require_payload_excitation(system)
     return notes
@@ -275,7 +275,7 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
         part, at = decimator.samples(outputs, len(prepared)), decimator.at(outputs)
         samples = prepared.samples(part.start, part.stop)
         masks.append(decimator.keep(samples.usable[:, :n], outputs))
-        q, labels = samples.q[at].T.copy(), Labels(run.name, samples.time[at])
+        q, labels = samples.q[at].T.copy(), instants(run.name, samples.time[at])
         path = model.path(q, labels, None if path is None else path[:, -1])
         still = np.zeros_like(q)
         distances.append(singularities(model).distances(model.rates(path, still, still, labels)).T)

@@ -15,7 +15,7 @@ from gtau.documents.validation import FUNCTION, NUMBER, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome, worst
 from gtau.estimation.estimators.estimator import Gains
-from gtau.estimation.estimators.registry import ESTIMATORS, estimator_of
+from gtau.estimation.estimators.registry import NAMES, estimator_of
 from gtau.estimation.experiment_runs import options_of, read
 from gtau.estimation.identify import estimate
 from gtau.estimation.preconditions import plan, reduced, require_inputs
@@ -113,7 +113,7 @@ def compare(
             estimator = require_inputs(replace(subject, options=options))
             planned = plan(replace(subject, options=options), dataset, system)
             usable = dataset if estimator.takes_priors else replace(dataset, priors={})
-            result = estimate(usable, planned, options, progress)
+            result = estimate(usable, *planned, options, progress)
         except GtauError as refusal:
             return Row(method, refusal=str(refusal))
         seconds, gains = perf_counter() - start, list(result.drive_gains.values())
@@ -131,10 +131,10 @@ def compare(
         system = dataset.system()
         plan(subject, dataset, system)  # refuses runs that do not fix the scale
         rows = []
-        for k, name in enumerate(ESTIMATORS):
-            progress("estimators", k, len(ESTIMATORS))
+        for k, name in enumerate(NAMES):
+            progress("estimators", k, len(NAMES))
             rows.append(row(name))
-        progress("estimators", len(ESTIMATORS), len(ESTIMATORS))
+        progress("estimators", len(NAMES), len(NAMES))
     robot, kind = subject.robot, dataset.runs[0].kind
     units = tuple(gain_unit(robot, joint, kind) for joint in robot.motors)
     return EstimatorComparison(robot.motors, tuple(rows), units, robot.name)

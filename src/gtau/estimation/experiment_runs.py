@@ -6,11 +6,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gtau.documents.validation import MAPPING, NUMBER, expect, read_group
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.regression.assembly import inertia_priors
 from gtau.estimation.thresholds.estimates import ACCURACY
@@ -20,9 +19,11 @@ from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
 from gtau.signals.reading.experiment import Experiment, check_robot, read_experiment
 from gtau.signals.reading.logged_run import LoggedRun
-from gtau.signals.reading.side_signals import read_poses
 from gtau.signals.reading.statements import Prior, StatedGain, as_priors
 from gtau.signals.run import Run, read_run
+
+if TYPE_CHECKING:
+    from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 
 OF_RUNS = "the runs of a robot are a list of runs; read each log with gtau.read_run."
 
@@ -195,6 +196,7 @@ def geometry_of(
     if signals.pose is None:
         return None
     from gtau.estimation.diagnostics.geometry import geometry_test
+    from gtau.signals.reading.side_signals import read_poses
 
     logged = [read_poses(run.log, signals, experiment.units, run.part) for run in runs]
     return geometry_test(model, signals.pose, signals.joints, logged, progress)

@@ -19,17 +19,15 @@ from gtau.estimation.diagnostics.log_checks import command_lag, lack_of_fit, req
 from gtau.estimation.diagnostics.stated_constants import weigh_known
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.essential import essential_fit, select_friction
-from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.estimators.physical_consistency import consistent as find_consistent
+from gtau.estimation.estimators.estimator import Estimator, Fit
+from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.experiment_runs import Options, Subject, geometry_of, options_of, read, read_runs
-from gtau.estimation.preconditions import Plan, plan, reduced, require_inputs, without_scale
+from gtau.estimation.preconditions import given_gains, plan, reduced, require_inputs
 from gtau.estimation.regression.dataset import Dataset, System
-from gtau.estimation.regression.plausibility import sensors_of
 from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.results.build import evidence, fit_record, model_estimates
 from gtau.estimation.results.estimate import Requirement, TorqueError
 from gtau.estimation.results.friction_curves import friction_step
-from gtau.estimation.results.groups import Model
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import ACCURACY
 from gtau.findings import Finding
@@ -140,10 +138,10 @@ def identify(
 def _identified(subject: Subject, dataset: Dataset, system: System, progress: Progress) -> Result:
     """Estimate as planned, and again by given gains where the runs turn out not to show the scale of torques."""
 
-    def estimated(by: Plan) -> Result:
+    def estimated(estimator: Estimator, gains: np.ndarray | None) -> Result:
         """Estimate, and refuse a payload that the currents never felt where no gain can be believed."""
         try:
-            result = estimate(dataset, by, subject.options, progress)
+            result = estimate(dataset, estimator, gains, options, progress)
         except GtauError:
             require_payload_excitation(system)
             raise
@@ -151,11 +149,12 @@ def _identified(subject: Subject, dataset: Dataset, system: System, progress: Pr
             require_payload_excitation(system)
         return result
 
-    planned = plan(subject, dataset, system)
-    if subject.options.method is not None or planned.gains is not None or dataset.runs[0].kind == "current":
-        return estimated(planned)
+    options = subject.options
+    estimator, gains = plan(subject, dataset, system)
+    if options.method is not None or gains is not None or dataset.runs[0].kind == "current":
+        return estimated(estimator, gains)
     try:
-        result = estimated(planned)
+        result = estimated(estimator, None)
         first, *_ = result.drive_gains.values()
         lost = first.verdict.finding
         if lost is None or {gain.verdict.outcome for gain in result.drive_gains.values()} != {Outcome.NOT_IDENTIFIABLE}:
@@ -163,11 +162,13 @@ def _identified(subject: Subject, dataset: Dataset, system: System, progress: Pr
         untested = Finding(F.SCALE_UNTESTED, values={"joint": first.name}, causes=(lost,))
     except GtauError as refusal:
         untested = Finding(F.SCALE_UNTESTED, values={"why": str(refusal).rstrip(".")})
-    result = estimated(without_scale(subject, dataset))
+    result = estimated(estimator_of("wls"), given_gains(dataset.robot, dataset.runs, options.gains, "wls"))
     return result.replaced(notes=(untested, *result.notes))
 
 
-def estimate(dataset: Dataset, plan: Plan, options: Options, progress: Progress = silent) -> Result:
+def estimate(
+    dataset: Dataset, estimator: Estimator, gains: np.ndarray | None, options: Options, progress: Progress = silent
+) -> Result:
     """Estimate parameters, drive gains and their uncertainties from reduced runs, with verdicts.
 
     As in the paper friction is viscous and Coulomb friction, the same in all runs, without delays, covariances are by
@@ -179,8 +180,10 @@ def estimate(dataset: Dataset, plan: Plan, options: Options, progress: Progress 
     ----------
     dataset : Dataset
         The reduced runs (eqs. 19 and 20).
-    plan : Plan
-        The estimator, and the gains that it is given.
+    estimator : Estimator
+        The method.
+    gains : ndarray, optional
+        Those that it is given, (n,); estimated if None.
     options : Options
         What is asked.
     progress : callable
@@ -191,28 +194,30 @@ def estimate(dataset: Dataset, plan: Plan, options: Options, progress: Progress 
     GtauError
         Where the data do not suit the estimator.
     """
-    estimator, as_paper, ratio, accuracy = plan.estimator, options.as_paper, options.ratio, options.accuracy
+    as_paper, ratio, accuracy = options.as_paper, options.ratio, options.accuracy
     if as_paper:
         system = dataset.system(delays=False)  # eqs. (29) to (33)
         ratio = PAPER_RATIO if ratio is None else ratio
     else:
-        system = select_friction(dataset, estimator.solver(plan.gains), progress)
+        system = select_friction(dataset, estimator.solver(gains), progress)
     progress("estimation", 0, 1)
-    fit = estimator.fit(system, plan.gains, progress)  # eqs. (24) to (28), or (34) to (39)
+    fit = estimator.fit(system, gains, progress)  # eqs. (24) to (28), or (34) to (39)
     examined = examine(fit, progress)
     estimates = estimates_of(fit, examined, correlated=not as_paper)
     essential, reduced, loss = essential_fit(fit, ratio, correlated=not as_paper, joint=as_paper)
     lack = lack_of_fit(fit.system.problem, fit.solution)
     bare: Fit | None = fit
-    audit = None
+    audit = bodies = None
     if dataset.robot.inertias:
         from gtau.estimation.diagnostics.inertia_audit import audit_inertias
 
-        loaded = any(alternative.hypothesis == TOOL_BODIES for alternative in examined.alternatives)
+        loaded = TOOL_BODIES in {alternative.hypothesis for alternative in examined.alternatives}
         bare, audit = audit_inertias(fit, estimates, loaded)
-    payloads = weigh_known(bare, estimator.name, accuracy) if bare else {}
-    priors = options.priors or {}
-    bodies = find_consistent(fit.system, fit.solution, priors, fit.free_gains) if options.consistent else None
+    payloads = {} if bare is None else weigh_known(bare, estimator.name, accuracy)
+    if options.consistent:
+        from gtau.estimation.estimators.physical_consistency import consistent
+
+        bodies = consistent(fit.system, fit.solution, options.priors or {}, fit.free_gains)
     progress("estimation", 1, 1)
     if as_paper:  # the gains that go with the essential parameters
         fit = replace(fit, system=replace(fit.system, problem=essential), solution=reduced)
@@ -222,7 +227,7 @@ def estimate(dataset: Dataset, plan: Plan, options: Options, progress: Progress 
     predicting, curves, errors = (estimates, {}, {}) if as_paper else friction_step(fit, estimates)
     figures = {"reduction_loss": loss, "lack_of_fit": lack, "accuracy": float(accuracy)}
     return Result(
-        Model(dataset.robot, sensors_of(dataset.robot, dataset.runs)),
+        dataset.robot,
         replace(model_estimates(fit, estimates, predicting, curves, diagnosis, essential), consistency=bodies),
         fit_record(fit, estimator.name, errors, figures),
         replace(evidence(fit, estimates, examined, diagnosis, curves), audit=audit),

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.estimators.estimator import Estimator, Gains
-from gtau.estimation.estimators.registry import ESTIMATORS, estimator_of
+from gtau.estimation.estimators.registry import estimator_of, estimators
 from gtau.estimation.experiment_runs import Options, Subject
 from gtau.estimation.regression.dataset import Dataset, System, reduce_runs
 from gtau.estimation.regression.scale_source import require_scale
@@ -17,14 +16,6 @@ from gtau.progress import Progress
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.prepared_run import Preparation
 from gtau.signals.run import Run
-
-
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """The estimator, and the gains (n,), N m/A or N/A, that it is given; None where it estimates them."""
-
-    estimator: Estimator
-    gains: np.ndarray | None = None
 
 
 def estimator_for(options: Options, runs: Sequence[Run]) -> Estimator:
@@ -45,7 +36,7 @@ def require_inputs(subject: Subject) -> Estimator:
     """
     options, estimator = subject.options, estimator_for(subject.options, subject.runs)
     if options.as_paper and not estimator.in_paper:
-        of_paper = ", ".join(other.name for other in ESTIMATORS.values() if other.in_paper)
+        of_paper = ", ".join(other.name for other in estimators().values() if other.in_paper)
         raise GtauError(
             f"the paper has no method '{estimator.name}'; leave out --as-paper, or choose from {of_paper} with it."
         )
@@ -61,8 +52,8 @@ def require_inputs(subject: Subject) -> Estimator:
     return estimator
 
 
-def plan(subject: Subject, dataset: Dataset, system: System) -> Plan:
-    """Plan an identification: its estimator, and its gains where nothing fixes their scale.
+def plan(subject: Subject, dataset: Dataset, system: System) -> tuple[Estimator, np.ndarray | None]:
+    """Plan an identification: its estimator, and the gains (n,) that it is given; None where it estimates them.
 
     Where nothing tests the scale of logged torques it is set to 1, except by an estimator of gains that was asked for;
     known parameters alone test it only for the latter, as they may be rough.
@@ -90,14 +81,9 @@ def plan(subject: Subject, dataset: Dataset, system: System) -> Plan:
                 raise
         else:
             if demanded or tests_torques(system):
-                return Plan(estimator)
+                return estimator, None
         estimator = estimator if asked else estimator_of("wls")
-    return Plan(estimator, given_gains(dataset.robot, runs, options.gains, estimator.name))
-
-
-def without_scale(subject: Subject, dataset: Dataset) -> Plan:
-    """Plan least squares with the gains 1, or prior ones, for torques whose scale the runs do not show."""
-    return Plan(estimator_of("wls"), given_gains(dataset.robot, dataset.runs, subject.options.gains, "wls"))
+    return estimator, given_gains(dataset.robot, runs, options.gains, estimator.name)
 
 
 def tests_torques(system: System) -> bool:
@@ -109,7 +95,7 @@ def tests_torques(system: System) -> bool:
 def _refuse_priors(estimator: Estimator, subject: Subject) -> None:
     """Refuse torque sensors, known parameters and floating bases for an estimator that takes none; raises GtauError."""
     robot, runs = subject.robot, subject.runs
-    takers = ", ".join(other.name for other in ESTIMATORS.values() if other.takes_priors)
+    takers = ", ".join(other.name for other in estimators().values() if other.takes_priors)
     inertias = dict(robot.inertias)
     valued = {name: prior.value for name, prior in subject.stated.items() if prior.value is not None}
     of_file = all(name in inertias and inertias[name] == value for name, value in valued.items())

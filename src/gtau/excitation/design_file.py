@@ -194,7 +194,8 @@ def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
         raise GtauError("limits.current needs the drive gains; add prior.gains or prior.model, or limit torques.")
     limits = _limits(file.limits, robot, assumed)
     stated = None if file.limits.shapes == "none" else _shapes(file.limits.shapes)
-    poses = model.motion(*(values[:, None] for values in (rest, 0 * rest, 0 * rest))).c
+    still = np.zeros((len(rest), 1))
+    poses = model.motion(rest[:, None], still, still).c
     guarded = guard(model, poses, file.limits.clearance, stated, file.limits.floor, Path(file.robot))
     limits = replace(limits, guarded=Guarded(guarded.clearance, (*guarded.said, *said)))
     for name, pose, (low, high) in zip(robot.actuated, rest, limits.position, strict=True):

@@ -16,7 +16,7 @@ from gtau.model.dynamics import parameter_names, torques, wrench_torques
 from gtau.model.interpreter.program import NONE, Program, compile_program, share
 from gtau.model.kinematics import Coordinates, coordinates
 from gtau.model.loop_paths import follow
-from gtau.model.loops import Labels, Loops, Motion, Numbers, close_loops, differentiate
+from gtau.model.loops import Labels, Loops, Motion, close_loops, differentiate, numbers
 from gtau.robots.floating import WRENCH, WrenchFrame
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
@@ -162,7 +162,7 @@ class InverseDynamics:
     ) -> Motion:
         """Compute the state of the whole virtual tree along a path of actuated samples (n, N).
 
-        ``labels[k]`` is the name of sample k in messages; the path begins at the closed configuration
+        ``labels(k)`` is the name of sample k in messages; the path begins at the closed configuration
         ``start`` (n_c,), home if left out.
         """
         return self.rates(self.path(q, labels, start), qd, qdd, labels)
@@ -293,7 +293,7 @@ class InverseDynamics:
         c: np.ndarray | None = None
         for start in range(0, q.shape[1], PATH):
             chunk = slice(start, min(start + PATH, q.shape[1]))
-            c = self.path(q[:, chunk], Numbers(start), None if c is None else c[:, -1])
+            c = self.path(q[:, chunk], numbers(start), None if c is None else c[:, -1])
             self._share_blocks(start, c, qd[:, chunk], qdd[:, chunk], work)
 
     def _share_blocks(
@@ -305,7 +305,7 @@ class InverseDynamics:
                 block = slice(offset + part.start, offset + part.stop)
                 # blocks are copied, as fresh memory for whole paths would cost more than the copies
                 now, speed, push = (np.ascontiguousarray(samples[:, part]) for samples in (c, qd, qdd))
-                work(block, self.rates(now, speed, push, Numbers(block.start)))
+                work(block, self.rates(now, speed, push, numbers(block.start)))
 
         share(stretch, c.shape[1])
 

@@ -16,7 +16,7 @@ from gtau.errors import GtauError
 from gtau.model.interpreter.compiled import loops as compiled
 from gtau.model.interpreter.instructions import FOLLOWER, LANES, TILE
 from gtau.model.interpreter.program import Bound, address, addresses, aligned, share
-from gtau.model.loops import Labels, Loops, Numbers, pose_words
+from gtau.model.loops import Labels, Loops, numbers, pose_words
 
 RESIDUAL = 1e-12  # of a closed loop: rad, or lengths over the characteristic length
 CONTRACTION = 0.3  # a step is too long if Newton's second correction is not this much smaller
@@ -92,7 +92,7 @@ def follow(
     GtauError where a sample cannot be reached within the assembly mode.
     """
     q, samples = np.ascontiguousarray(q, dtype=float), q.shape[1]
-    labels = labels or Numbers()
+    labels = labels or numbers()
     begin = loops.home if start is None else start
     c = np.repeat(begin[:, None], samples, axis=1)
     if not samples:
@@ -101,7 +101,7 @@ def follow(
     starts = np.arange(0, samples, length)
     c[:, [0]], first_reached = advance(loops, begin[:, None], q[:, [0]])
     if not first_reached[0]:
-        raise _unreachable(loops, q[:, 0], labels[0])
+        raise _unreachable(loops, q[:, 0], labels(0))
     reached = np.ones(starts.size, dtype=bool)
     half = 1 << (starts.size - 1).bit_length()
     while half := half // 2:  # the head in the middle of the way, those of its halves, and so on
@@ -127,7 +127,7 @@ def follow(
             lost |= _follow_segments(loops, q, c, starts[[k]], length)
     if lost:
         first = min(lost)
-        raise _unreachable(loops, q[:, first], labels[first])
+        raise _unreachable(loops, q[:, first], labels(first))
     return c
 
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Protocol
 
 import casadi as ca
 import numpy as np
@@ -22,20 +21,13 @@ CONDITION = 1e3  # of the scaled passive columns: above this a pose counts as si
 CLOSER = "correct the placements or give the passive joints a 'home' closer to the assembled robot"
 
 
-class Labels(Protocol):
-    """Names of the samples in messages."""
-
-    def __getitem__(self, sample: int) -> str: ...
+Labels = Callable[[int], str]
+"""Name of each sample in messages."""
 
 
-@dataclass(frozen=True)
-class Numbers:
-    """Samples called by their numbers, counted from ``first``."""
-
-    first: int = 0
-
-    def __getitem__(self, sample: int) -> str:
-        return f"sample {self.first + sample}"
+def numbers(first: int = 0) -> Labels:
+    """Call samples by their numbers, counted from ``first``."""
+    return lambda sample: f"sample {first + sample}"
 
 
 @dataclass(frozen=True)
@@ -223,7 +215,7 @@ def differentiate(
     singular = condition >= CONDITION
     if singular.any():
         worst = int(np.argmax(condition))
-        label, pose = (labels or Numbers())[worst], pose_words(layout.robot, c[layout.actuated, worst])
+        label, pose = (labels or numbers())(worst), pose_words(layout.robot, c[layout.actuated, worst])
         raise GtauError(
             f"robot '{layout.robot.name}': at {label} ({pose}) the pose is too close to a singularity of type 2, "
             "where passive joints can move although the actuated ones stand still "

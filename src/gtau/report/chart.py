@@ -1,4 +1,4 @@
-"""Charts as data: axes, series, bands and rules; :mod:`gtau.report.render` draws them."""
+"""Charts and sketches as data: what is drawn in which colour; :mod:`gtau.report.render` draws them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,11 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
+
+MINUS = "\N{MINUS SIGN}"
+BUCKETS = 600  # of a line, each drawn by its extremes
+DASHES: tuple[tuple[float, ...], ...] = ((), (5, 1.6), (5, 1.4, 1, 1.4), (1, 1.3), (8, 2), (3, 1, 1, 1))
+"""How lines of the colours c0, c1, ... are dashed, in widths of the line, so that they differ in grey too."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +40,18 @@ class Series:
     width: float = 1.3
     half: np.ndarray | None = None
     upright: bool = False
+
+    @property
+    def dashes(self) -> tuple[float, ...]:
+        """Strokes and gaps of a line, in its widths; none of a solid one."""
+        return DASHES[int(self.colour[1:]) % len(DASHES)] if self.colour[1:].isdigit() else ()
+
+    def thinned(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the points (K,) and (K,) of a line, thinned along time or frequency, not along a path."""
+        if not np.all(np.diff(self.x) >= 0):
+            return self.x, self.y
+        x, y = envelope(self.x, self.y[:, None], BUCKETS)
+        return x, y.reshape(-1)
 
 
 @dataclass(frozen=True)
@@ -85,6 +102,39 @@ class Chart:
         return {series.label: series for panel in self.panels for series in panel.series if series.label}
 
 
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A line through ``points`` (K, 2), or an area where it is ``closed``; colours are names of the palette."""
+
+    points: np.ndarray
+    stroke: str
+    width: float = 1.2
+    closed: bool = False
+    fill: str = ""
+    opacity: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Word:
+    """Words at a place (2,), which is at their ``side`` and at their middle height."""
+
+    text: str
+    place: np.ndarray
+    side: Literal["start", "middle", "end"] = "middle"
+    colour: str = "ink"
+    size: float = 7.5
+    bold: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Sketch:
+    """What is drawn on a sheet, points, the later above the earlier; ``corner`` is its lower left, y points up."""
+
+    corner: np.ndarray
+    size: np.ndarray
+    items: tuple[Shape | Word, ...]
+
+
 def colour(k: int) -> str:
     """Choose the colour of the k-th line; a ninth begins again."""
     return f"c{k % 8}"
@@ -122,3 +172,29 @@ def _numbers(values: Sequence[float | None], count: int) -> np.ndarray:
     """Return values (count,), NaN where there is none."""
     padded = [*values, *[None] * (count - len(values))]
     return np.array(padded, dtype=float)
+
+
+def envelope(time: np.ndarray, values: np.ndarray, buckets: int) -> tuple[np.ndarray, np.ndarray]:
+    """Thin series (K, m) over ``time`` (K,) to the extremes of each bucket, in the order in which they occur.
+
+    Returns two instants a bucket, which all series share, (2 buckets,), and (2 buckets, m); the input itself where it
+    is no longer than that. NaN is left out.
+    """
+    samples, m = values.shape
+    size = -(-samples // buckets)
+    if size <= 2:
+        return time, values
+    count = -(-samples // size)
+    padded = np.full((count * size, m), np.nan)
+    padded[:samples] = values
+    padded = padded.reshape(count, size, m)
+    gaps = np.isnan(padded)
+    low = np.where(gaps, np.inf, padded).argmin(axis=1)
+    high = np.where(gaps, -np.inf, padded).argmax(axis=1)
+    first, last = np.minimum(low, high), np.maximum(low, high)
+    pairs = np.stack([np.take_along_axis(padded, at[:, None], axis=1)[:, 0] for at in (first, last)], axis=1)
+    instants = np.full(count * size, time[-1])
+    instants[:samples] = time
+    instants = instants.reshape(count, size)
+    shared = np.stack([instants[:, 0], instants[:, size // 2]], axis=1)
+    return shared.reshape(-1), pairs.reshape(-1, m)

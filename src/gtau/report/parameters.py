@@ -138,8 +138,8 @@ def _curves(result: Result, runs: Sequence[RunEvidence]) -> list[Panel]:
         shown = np.flatnonzero(valid)
         shown = shown[:: max(1, len(shown) // POINTS)]
         series = (
-            Series("left to friction", speed[shown], rest[shown], "measured", "points"),
-            Series("predicted", speed[shown], friction[shown], "predicted", "points"),
+            Series("predicted", speed[shown], friction[shown], "predicted", "points", width=2.4),
+            Series("left to friction", speed[shown], rest[shown], "measured", "points", width=0.0),
         )
         x = Axis(f"speed, {position_unit(result.robot, joint)}/s")
         y = Axis(f"friction, {torque_unit(result.robot, joint)}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from math import cos, floor, log10, radians, sin
 from typing import TYPE_CHECKING, Any
 
@@ -10,30 +10,35 @@ import numpy as np
 
 from gtau.model.home import close_home
 from gtau.model.kinematics import coordinates, poses
-from gtau.report.render.charts import Colours, new_figure, palette, styled
+from gtau.report.chart import Shape, Sketch, Word
+from gtau.report.render.charts import figure_of_sketch
 from gtau.robots.geometry import Frame, attached
 from gtau.robots.robot import GROUND, Joint, Robot
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 INK, BLUE, RED, GREEN, ORANGE, SKY, GREY = "c3", "c0", "c1", "c2", "c4", "c5", "c7"
 WIDTH, TALLEST = 302.0, 274.0  # points, of the sheet, and of the robot on it
 MARGIN, HEAD = 12.0, 32.0  # points, around the robot, and above it
 STRIP, ROW, GAP = 66.0, 13.0, 24.0  # points: what holds axes and key, a row of the key, and what is above them
-WORDS = 7.5  # points
 LETTER, AWAY = (4.6, 9.0), 6.0  # points: a letter of a name, width and height, and how far off its joint a name stands
 CORNERS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)])  # of a joint, in which its name may stand
 LETTERS = 14  # of a name in the key
-HALO = 2.4  # points, of the page's colour around words
 DRIVEN, PASSIVE = (8.2, RED), (6.1, "page")  # size and colour of marks
+OUTLINES = {"disc": (24, 0.0, 0.5), "square": (4, 0.5, 0.71), "diamond": (4, 0.0, 0.71), "hexagon": (6, 0.0, 0.5)}
+"""Corners of marks, by how much of one they are turned, and their radius, as a share of the size."""
 COILS = 8  # turns of a spring
 FLAT = 0.05  # a robot thinner than this share of its size is looked at from the front
 
 
-def robot_figure(robot: Robot, colours: Colours | None = None) -> Figure:
-    """Draw a robot at home, gravity pointing down the page, in ``colours`` by name, or those of figures.
+def robot_figure(robot: Robot) -> Figure:
+    """Draw a robot at home, gravity pointing down the page; see :func:`sketch_of`."""
+    return figure_of_sketch(sketch_of(robot))
+
+
+def sketch_of(robot: Robot) -> Sketch:
+    """Sketch a robot at home, gravity pointing down the page.
 
     Pale lines are the base, grey ones the travel of prismatic joints, blue ones links, from a joint to the next, and
     filled faces platforms; the body that carries the payload is green, with the axes of its frame. Discs are revolute
@@ -45,80 +50,65 @@ def robot_figure(robot: Robot, colours: Colours | None = None) -> Figure:
     GtauError
         The loops close nowhere.
     """
-    scene = scene_of(robot)
-    colours = palette() if colours is None else colours
-    with styled(colours, WORDS):
-        figure = new_figure(1.0, 1.0, layout=None)
-        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-        pen = Pen(axes, colours)
-        _draw_robot(pen, scene)
-        _draw_names(pen, scene)
-        low, high = axes.dataLim.get_points()
-        handles = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
-        strip = max(STRIP, ROW * ((len(handles) + 1) // 2 + 1))
-        width, height = max(WIDTH, high[0] - low[0] + 2 * MARGIN), strip + GAP + high[1] - low[1] + HEAD
-        x, y = (low[0] + high[0] - width) / 2, low[1] - GAP - strip
-        _draw_scale(pen, scene, np.array([x + MARGIN, y + strip + 8.0]))
-        _draw_compass(pen, scene, np.array([x + 34.0, y + strip / 2 + 4.0]))
-        pen.word(robot.name, np.array([x + 6.0, y + height - 9.0]), "left", fontsize=9.5, fontweight="bold")
-        for order, artist in enumerate(axes.get_children()):  # the later above the earlier
-            artist.set_zorder(order)
-        axes.set(xlim=(x, x + width), ylim=(y, y + height))
-        axes.set_axis_off()
-        figure.set_size_inches(width / 72, height / 72)
-        key = figure.legend(
-            list(handles.values()),
-            list(handles),
-            loc="center left",
-            bbox_to_anchor=(86.0 / width, strip / 2 / height),
-            ncols=2,
-            fontsize=7.0,
-            markerscale=0.85,
-            handlelength=1.6,
-            columnspacing=1.2,
-        )
-        for words in key.get_texts():
-            words.set_color(colours["soft"])
-    return figure
+    scene, pen = scene_of(robot), Pen()
+    _draw_robot(pen, scene)
+    _draw_names(pen, scene)
+    points = np.vstack([item.points if isinstance(item, Shape) else _box(item) for item in pen.items])
+    low, high = points.min(axis=0), points.max(axis=0)
+    rows = (len(pen.key) + 1) // 2
+    strip = max(STRIP, ROW * (rows + 1))
+    size = np.array([max(WIDTH, high[0] - low[0] + 2 * MARGIN), strip + GAP + high[1] - low[1] + HEAD])
+    corner = np.array([(low[0] + high[0] - size[0]) / 2, low[1] - GAP - strip])
+    _draw_scale(pen, scene, corner + np.array([MARGIN, strip + 8.0]))
+    _draw_compass(pen, scene, corner + np.array([34.0, strip / 2 + 4.0]))
+    pen.items.append(Word(robot.name, corner + np.array([6.0, size[1] - 9.0]), "start", size=9.5, bold=True))
+    wide = 30.0 + 0.8 * LETTER[0] * max(map(len, list(pen.key)[:rows]))
+    for k, (label, sample) in enumerate(pen.key.items()):
+        place = corner + np.array([92.0 + k // rows * wide, strip - ROW * (k % rows + 1)])
+        pen.items.append(replace(sample, points=sample.points + place))
+        pen.items.append(Word(label, place + np.array([12.0, 0.0]), "start", "soft", 7.0))
+    return Sketch(corner, size, tuple(pen.items))
+
+
+def _box(word: Word) -> np.ndarray:
+    """Return two corners (2, 2) of a word."""
+    start = 0.0 if word.side == "start" else -LETTER[0] * len(word.text) / 2
+    return word.place + np.array([(start, -LETTER[1] / 2), (start + LETTER[0] * len(word.text), LETTER[1] / 2)])
 
 
 @dataclass(frozen=True, eq=False)
 class Pen:
-    """Draws in points, in colours by name; what has a label is explained in the key."""
+    """Draws in points, in colours by name; what has a label is explained in the key, by a sample around the origin."""
 
-    axes: Axes
-    colours: Colours
+    items: list[Shape | Word] = field(default_factory=list)
+    key: dict[str, Shape] = field(default_factory=dict)
 
-    def line(self, points: Any, colour: str, width: float = 1.2, end: str = "round", label: str = "") -> None:
+    def line(self, points: Any, colour: str, width: float = 1.2, label: str = "") -> None:
         """Draw a line through points (K, 2)."""
-        self.axes.plot(
-            *np.transpose(points), color=self.colours[colour], linewidth=width, solid_capstyle=end, label=label
-        )
+        self.items.append(Shape(np.asarray(points), colour, width))
+        if label:
+            self.key.setdefault(label, Shape(np.array([(-7.0, 0.0), (7.0, 0.0)]), colour, width))
 
     def mark(self, place: np.ndarray, look: tuple[str, float, str], edge: str = INK, label: str = "") -> None:
         """Draw a mark of a shape, size and colour at a place (2,)."""
         shape, size, fill = look
-        self.axes.plot(*place, shape, markersize=size, markerfacecolor=self.colours.get(fill, "none"), label=label,
-                       markeredgecolor=self.colours[edge], markeredgewidth=1.0 if fill else 2.4)  # fmt: skip
+        corners, turn, radius = OUTLINES[shape]
+        angle = 2 * np.pi * (np.arange(corners) + turn) / corners
+        outline = size * radius * np.column_stack([np.sin(angle), np.cos(angle)])
+        mark = Shape(outline, edge, 1.0 if fill else 2.4, True, fill)
+        self.items.append(replace(mark, points=place + outline))
+        if label:
+            self.key.setdefault(label, mark)
 
-    def word(self, text: str, place: np.ndarray, side: str = "center", colour: str = "ink", **more: Any) -> None:
-        """Write words about or to the right of a place (2,)."""
-        from matplotlib.patheffects import withStroke
-
-        left = 0.0 if side == "left" else -LETTER[0] * len(text) / 2
-        box = np.array([(left, -LETTER[1] / 2), (left + LETTER[0] * len(text), LETTER[1] / 2)])
-        self.axes.update_datalim(place + box)
-        halo = withStroke(linewidth=HALO, foreground=self.colours["page"])
-        self.axes.text(
-            place[0], place[1], text, ha=side, va="center", color=self.colours[colour], path_effects=[halo], **more
-        )
+    def word(self, text: str, place: np.ndarray, colour: str = "ink") -> None:
+        """Write words about a place (2,)."""
+        self.items.append(Word(text, place, colour=colour))
 
     def triad(self, origin: np.ndarray, ends: np.ndarray, colour: str) -> None:
         """Draw three axes with their names; ``ends`` (2, 3) relative to ``origin`` (2,)."""
-        for end in ends.T:
-            self.line([origin, origin + end], colour)
         for end, name in zip(ends.T, "xyz", strict=True):
-            self.word(name, origin + end, colour=colour)
+            self.line([origin, origin + end], colour)
+            self.word(name, origin + end, colour)
 
 
 def _draw_robot(pen: Pen, scene: Scene) -> None:
@@ -132,7 +122,7 @@ def _draw_robot(pen: Pen, scene: Scene) -> None:
         pen.line([(x, y), (x, y - 0.06 * reach)], "measured")
         pen.line([(x - 0.03 * reach, y - 0.06 * reach), (x + 0.03 * reach, y - 0.06 * reach)], "measured", 2.4)
     for joint, rail in scene.rails:
-        pen.line(scene.on_page(rail), GREY, 5.0, "butt", "travel" if joint.limits.position else "")
+        pen.line(scene.on_page(rail), GREY, 5.0, "travel" if joint.limits.position else "")
     for body, line in scene.lines:
         colour, label = (GREEN, payload) if body == robot.tool else (BLUE, "link")
         pen.line(scene.on_page(line), colour, 2.4, label=label)
@@ -141,7 +131,7 @@ def _draw_robot(pen: Pen, scene: Scene) -> None:
         _draw_platform(pen, scene, platform.name, colour, label)
     R, place = frames[robot.tool]
     if robot.tool not in {body for body, _ in scene.lines} | {platform.name for platform in robot.platforms}:
-        pen.mark(scene.on_page(place), ("o", 13.0, ""), GREEN, payload)
+        pen.mark(scene.on_page(place), ("disc", 13.0, ""), GREEN, payload)
     for joint in sorted(scene.joints, key=lambda joint: joint.name in robot.driven):  # driven ones on top
         driven, centre = joint.name in robot.driven, scene.centre(joint)
         if joint.turns:
@@ -149,13 +139,13 @@ def _draw_robot(pen: Pen, scene: Scene) -> None:
             pen.line(scene.on_page(np.array([centre - half, centre + half])), INK, 1.0)
         size, fill = DRIVEN if driven else PASSIVE
         words = ("motor, " if driven else "passive, ") + ("turns" if joint.turns else "slides")
-        pen.mark(scene.on_page(centre), ("o" if joint.turns else "s", size, fill), label=words)
+        pen.mark(scene.on_page(centre), ("disc" if joint.turns else "square", size, fill), label=words)
     pen.triad(scene.on_page(place), 0.13 * reach * scene.view @ R, GREEN)
     for spring in robot.springs:
         start, end = (scene.on_page(attached(side, frames)[1]) for side in (spring.a, spring.b))
         pen.line(zigzag(start, end, 0.025 * reach), INK, label="spring")
     for closure in robot.closures:
-        pen.mark(scene.on_page(attached(closure.a, frames)[1]), ("D", 6.0, ORANGE), label="closes a loop")
+        pen.mark(scene.on_page(attached(closure.a, frames)[1]), ("diamond", 6.0, ORANGE), label="closes a loop")
 
 
 def _draw_platform(pen: Pen, scene: Scene, name: str, colour: str, label: str) -> None:
@@ -164,20 +154,22 @@ def _draw_platform(pen: Pen, scene: Scene, name: str, colour: str, label: str) -
     points = np.array([attached(end, scene.frames)[1] for end in ends])
     corners = points - points.mean(axis=0)
     if np.linalg.norm(corners, axis=1).max() < 1e-6:
-        pen.mark(scene.on_page(points.mean(axis=0)), ("h", 11.0, colour), label=label)
+        pen.mark(scene.on_page(points.mean(axis=0)), ("hexagon", 11.0, colour), label=label)
         return
     normal = np.linalg.svd(corners)[2]
     order = np.argsort(np.arctan2(corners @ normal[1], corners @ normal[0]))
-    pen.axes.fill(*scene.on_page(points[order]).T, facecolor=pen.colours[colour], edgecolor=pen.colours[INK],
-                  linewidth=1.0, alpha=0.6, label=label)  # fmt: skip
+    face = Shape(scene.on_page(points[order]), INK, 1.0, True, colour, 0.6)
+    pen.items.append(face)
+    pen.key.setdefault(label, replace(face, points=np.array([(-7.0, -3.0), (7.0, -3.0), (7.0, 3.0), (-7.0, 3.0)])))
 
 
 def _draw_names(pen: Pen, scene: Scene) -> None:
     """Name what motors move, each in the corner with the fewest marks, then lines, under it."""
-    lines = [(line.get_marker(), np.asarray(line.get_xydata())) for line in pen.axes.get_lines()]
-    marks = np.vstack([points for marker, points in lines if marker != "None"])
+    shapes = [item for item in pen.items if isinstance(item, Shape)]
+    marks = np.array([shape.points.mean(axis=0) for shape in shapes if shape.closed])
     along = np.linspace(0, 1, 30)[:, None]
-    strokes = np.vstack([ends[:1] + along * (ends[1:2] - ends[:1]) for marker, ends in lines if marker == "None"])
+    lines = [shape.points for shape in shapes if not shape.closed]
+    strokes = np.vstack([ends[:1] + along * (ends[1:2] - ends[:1]) for ends in lines])
     named: dict[tuple[float, ...], tuple[np.ndarray, list[str]]] = {}
     for joint in scene.joints:
         if joint.name in scene.robot.driven:
@@ -215,7 +207,8 @@ def _draw_scale(pen: Pen, scene: Scene, start: np.ndarray) -> None:
     length = max(step * decade for step in (1, 2, 5) if step * decade <= 0.25 * size)
     (x, y), end = start, start[0] + scene.scale * length
     pen.line([(x, y + 2.5), (x, y - 2.5), (x, y), (end, y), (end, y + 2.5), (end, y - 2.5)], INK)
-    pen.word(f"{length:g} m" if length >= 0.1 else f"{1e3 * length:g} mm", np.array([end + 6.0, y]), "left")
+    words = f"{length:g} m" if length >= 0.1 else f"{1e3 * length:g} mm"
+    pen.items.append(Word(words, np.array([end + 6.0, y]), "start"))
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,8 +31,8 @@ def correlation_of(result: Result) -> tuple[tuple[str, ...], np.ndarray]:
 def correlation_chart(names: tuple[str, ...], matrix: np.ndarray) -> Chart:
     """Draw a correlation matrix; names are beside it where they fit."""
     shown = {float(k): name for k, name in enumerate(names)} if len(names) <= SHOWN else {}
-    label = "" if shown else "number of the estimate"
-    return Chart((Panel(Axis(label, names=shown), Axis(label, names=shown), matrix=matrix, height=5.2),))
+    axis = Axis("" if shown else "number of the estimate", names=shown)
+    return Chart((Panel(axis, axis, matrix=matrix, height=5.2),), "Correlations")
 
 
 def correlation_section(result: Result) -> Section | None:

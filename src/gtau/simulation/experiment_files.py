@@ -14,7 +14,7 @@ from gtau.documents.files import folder_of, write_atomically
 from gtau.documents.validation import FUNCTION, PATH, takes
 from gtau.documents.yaml_document import yaml_text
 from gtau.errors import GtauError
-from gtau.estimation.friction.law import FrictionLaw, Shape
+from gtau.estimation.friction.law import FrictionLaw
 from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -65,7 +65,10 @@ def truth(simulation: Simulation, model: InverseDynamics) -> tuple[dict[str, flo
             )
         return of_model(result, smoothing)
     values = dict(simulation.parameters)
-    shapes = {joint: Shape(curve.width, curve.speed) for joint, curve in simulation.curves.items()}
+    curves = simulation.curves.items()
+    stated = {Parameter("width", joint): curve.width for joint, curve in curves}
+    stated |= {Parameter("vs", joint): curve.speed for joint, curve in curves}
+    shapes = {name: value for name, value in stated.items() if value}
     friction = JointFriction(FrictionLaw(model, {}, shapes), values, smoothing)
     return {name: value for name, value in values.items() if parameter_of(name).kind not in TERMS}, friction
 
@@ -91,8 +94,11 @@ def make_run(
     motion, duration = make_trajectory(described.trajectory, model.robot, f"run '{described.name}'")
     reference = sample(motion, duration, simulation.rate)
     engine, plant, parts = apparatus(simulation, model, described.payload)
-    labels = [f"{time:.3f} s of run '{described.name}'" for time in reference.time]
-    c = model.motion(reference.q.T, reference.qd.T, reference.qdd.T, labels).c
+
+    def label(sample: int) -> str:
+        return f"{reference.time[sample]:.3f} s of run '{described.name}'"
+
+    c = model.motion(reference.q.T, reference.qd.T, reference.qdd.T, label).c
     for row, joint in enumerate(model.robot.joints):  # passive ones too
         check_positions(c[row], joint, f"run '{described.name}'")
     inertia = np.stack([plant.mass_matrix(pose) for pose in c.T[::HELD]]).repeat(HELD, axis=0)[: c.shape[1]]

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.friction.law import FrictionLaw, Shape
+from gtau.estimation.friction.law import FrictionLaw
 from gtau.estimation.results.result import Result
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter, parameter_of
@@ -45,10 +45,10 @@ class JointFriction:
         robot, actuated = self.law.model.robot, self.law.model.actuated
         joints = [joint.name for joint in robot.joints]
         shares = dict.fromkeys(actuated, 0.0)
-        for joint, shape in self.law.shapes.items():
+        for kind, joint in ((name.kind, name.body) for name in self.law.shapes):
             if joint not in joints:
                 raise GtauError(f"robot '{robot.name}' has no joint '{joint}', whose friction has a curve; correct it.")
-            if shape.width and not self.law.ratios[joints.index(joint)].any():
+            if kind == "width" and not self.law.ratios[joints.index(joint)].any():
                 raise GtauError(
                     f"joint '{joint}' of robot '{robot.name}' moves at no constant ratio to the motors, so that its "
                     "presliding cannot be followed; give a width to actuated joints only."
@@ -57,7 +57,7 @@ class JointFriction:
             kind, joint = parameter_of(name).kind, parameter_of(name).body
             if kind in TERMS and joint not in joints:
                 raise GtauError(f"robot '{robot.name}' has no joint '{joint}' for the friction '{name}'; correct it.")
-            if kind == "fb" and value and not self.law.shapes.get(joint, Shape()).speed:
+            if kind == "fb" and value and Parameter("vs", joint) not in self.law.shapes:
                 raise GtauError(f"friction '{name}' falls with no speed; give the 'speed' of joint '{joint}'.")
             if kind == "fl" and value:
                 motor = self.law.motor_of(joint)

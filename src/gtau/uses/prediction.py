@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.friction.law import SHAPES, transmitted
 from gtau.estimation.regression.column_blocks import TEMPERATURE_TERMS, known_values
 from gtau.estimation.regression.rows import Law, stream_torques
-from gtau.estimation.results.predicted import Prediction
 from gtau.estimation.results.result import Result
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter
@@ -27,6 +26,9 @@ from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 from gtau.signals.storage import spans
 from gtau.uses.runs import prepared_for
+
+if TYPE_CHECKING:
+    from gtau.estimation.results.predicted import Prediction
 
 SAMPLES = 1 << 14  # of all runs together, from the middle of each
 STEP = np.sqrt(2.0)  # between the cut-offs tried
@@ -41,6 +43,8 @@ def predict(result: Result, run: Run, external: np.ndarray | None = None) -> Pre
 
     ``external`` (N, n) are torques of the environment on the joints: load for their friction, N m or N.
     """
+    from gtau.estimation.results.predicted import Prediction
+
     prepared, moving = prepared_for(result, run)
     run, decimator, time = prepared.run, prepared.preparation.decimator, np.asarray(prepared.time)
     chi = loaded_parameters(result, run.payload, f"run '{run.name}'")

@@ -29,7 +29,7 @@ from gtau.estimation.regression.column_blocks import payload_columns
 from gtau.estimation.regression.dataset import at_rate_of
 from gtau.estimation.regression.factors import add_products, delayed
 from gtau.estimation.regression.plausibility import check_wrenches, prepare_runs
-from gtau.estimation.regression.rows import Labels, Rows, stream_rows
+from gtau.estimation.regression.rows import Rows, instants, stream_rows
 from gtau.estimation.regression.run_blocks import BLOCKS, block_edges, block_of
 from gtau.estimation.results.result import Result
 from gtau.robots.parameter import Parameter, unit_of
@@ -187,7 +187,7 @@ def _of_zeros(model: Result, part: Rows, load: np.ndarray, run: str) -> np.ndarr
     """Differentiate the torques (n, K) with respect to each encoder zero, (n, n, K), per degree or millimetre."""
     idm = model.idm
     n, actuated = len(idm.actuated), idm.layout.actuated
-    regressor, motion, labels = idm.columns(model.base.standard), part.motion, Labels(run, part.time)
+    regressor, motion, labels = idm.columns(model.base.standard), part.motion, instants(run, part.time)
     q, qd, qdd = (np.ascontiguousarray(each[actuated]) for each in (motion.c, motion.yd, motion.ydd))
     before = regressor.torques_along(idm.layout, motion, load)
     columns = np.zeros((n, n, len(part.time)))

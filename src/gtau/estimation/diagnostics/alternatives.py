@@ -170,7 +170,7 @@ def refitted(
         solution = fit.solve(system.problem)
     except GtauError:
         return None
-    return replace(fit, system=system, solution=solution, unrefined=solution)
+    return replace(fit, system=system, solution=solution)
 
 
 def residual_ratio(other: Fit, own: Fit) -> float:

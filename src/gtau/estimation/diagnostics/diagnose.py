@@ -89,7 +89,7 @@ def diagnose(
         *position_noise(fit, examined.alternatives),
         *(examined.ripple.causes if examined.ripple else ()),
     ]
-    if len({place.group for place in dataset.places}) < len(dataset.places):  # runs that repeat a motion
+    if len(set(dataset.prepared.places[0].tolist())) < len(dataset.runs):  # some repeat a motion
         from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings
 
         findings += repeated_motion_findings(fit, examined.alternatives)

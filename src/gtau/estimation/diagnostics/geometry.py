@@ -24,7 +24,7 @@ from gtau.estimation.diagnostics.pose_fit import (
     first_frames,
     fit_poses,
 )
-from gtau.estimation.regression.rows import Labels
+from gtau.estimation.regression.rows import instants
 from gtau.estimation.thresholds.logs import (
     GEOMETRY_ALIKE,
     GEOMETRY_CHANGE,
@@ -227,7 +227,7 @@ def _fit_delayed(
         qd = (q[at + APART] - q[at - APART]) / step[:, None]
         stretch = STRETCHES * k + np.arange(len(at)) * STRETCHES // len(at)
         earlier = np.stack([np.interp(time[at] - delay, time, column) for column in q.T])
-        c = model.path(earlier, Labels(log.run, time[at]))
+        c = model.path(earlier, instants(log.run, time[at]))
         parts.append((np.asarray(log.values[at]), qd, time[at] - time[0], np.full(len(at), k), stretch, c.T))
     values, qd, time, run, stretch, c = (np.concatenate(log) for log in zip(*parts, strict=True))
     weights = np.ones(len(component_names(columns)))

@@ -14,8 +14,8 @@ from typing import Literal
 import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import refitted
-from gtau.estimation.estimators.estimator import Fit, Iterate
-from gtau.estimation.estimators.newton import degrees_of_freedom, residuals, stacked
+from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.estimators.newton import degrees_of_freedom, squared, stacked
 from gtau.estimation.regression.assembly import inertia_priors, sizes_of, stated_inertias
 from gtau.estimation.regression.factors import MODEL
 from gtau.estimation.regression.problem import Estimates
@@ -122,7 +122,7 @@ def audit_inertias(fit: Fit, estimates: Estimates, loaded: bool) -> tuple[Fit | 
     """
     covariance, freedom, prior = estimates.covariance, estimates.effective_freedom, fit.dataset.prior_inertias
     if prior:
-        dataset = replace(fit.dataset, priors=fit.dataset.stated_priors, prior_inertias=0.0, alike=fit.dataset)
+        dataset = replace(fit.dataset, priors=fit.dataset.stated_priors, prior_inertias=0.0)
         bare = refitted(fit, dataset=dataset)
         if bare is None:
             return None, None
@@ -162,8 +162,8 @@ def _file_values(fit: Fit, identified: np.ndarray) -> tuple[np.ndarray, np.ndarr
 def _errors(fit: Fit, theta: np.ndarray) -> dict[str, float]:
     """Compute the torque errors of the joints, per cent of their rms torque."""
     whole, solution = fit.system.whole, fit.solution
-    left = residuals(stacked(whole), Iterate(theta, 1 / solution.gains, solution.delays))
-    rms = np.sqrt(np.sum(left**2, axis=-1) / whole.total_rows)
+    squares = squared(stacked(whole), np.concatenate([theta, solution.gains, solution.delays]))
+    rms = np.sqrt(squares / whole.total_rows)
     return dict(zip(whole.joints, (100 * rms / whole.balance(theta)).tolist(), strict=False))
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import jacobian, jacobian_of_known, residuals, whitening
 from gtau.estimation.regression.factors import EXTRA, equations, triangle
-from gtau.estimation.regression.rows import Labels, Rows, configurations, stream_rows
+from gtau.estimation.regression.rows import Rows, configurations, instants, stream_rows
 from gtau.estimation.regression.run_blocks import Windows, window_clusters
 from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.loops import Motion
@@ -202,9 +202,9 @@ def linearise(fit: Fit, windows: Windows, offer: Offer | None = None) -> Lineari
     T = stacked_triangles(reduced)
     parts = [window.errors_and_jacobian(rows) for window, rows in zip(fit_windows, T, strict=True)]
     e, J = (np.stack(part) for part in zip(*parts, strict=True))
-    weights = fit.solution.iterate.b * weights_of(fit)
+    weights = weights_of(fit) / fit.solution.gains
     offered = -weights[:, None, None] * T[..., fit.dataset.base.count + EXTRA :]
-    clusters = window_clusters(windows, fit.dataset.places)
+    clusters = window_clusters(windows, *fit.dataset.prepared.places)
     return Linearised(e, J, offered, known_rows(fit, windows), clusters)
 
 
@@ -216,9 +216,9 @@ def stacked_triangles(reduced: Sequence[Sequence[np.ndarray]]) -> np.ndarray:
 
 def weighted(fit: Fit, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Compute errors (..., c, p) of a problem's blocks and their Jacobian (..., c, p, k), in standard deviations."""
-    state, weights = fit.solution.iterate, weights_of(fit)[:, None]
-    J = jacobian(blocks, state, fit.system.problem, fit.free_gains)
-    return residuals(blocks, state) * weights, J * weights[..., None]
+    values, weights = fit.solution.values, weights_of(fit)[:, None]
+    J = jacobian(blocks, values, fit.system.problem, fit.free_gains)
+    return residuals(blocks, values) * weights, J * weights[..., None]
 
 
 def weights_of(fit: Fit) -> np.ndarray:
@@ -235,7 +235,7 @@ def motion_along(model: InverseDynamics, window: SampleWindow, c: np.ndarray) ->
     """Compute the motion with configurations ``c`` (n_c, N) along a window."""
     samples = window.samples()
     c, qd, qdd = map(np.ascontiguousarray, (c, samples.qd.T, samples.qdd.T))
-    return model.rates(c, qd, qdd, Labels(window.run.name, samples.time))
+    return model.rates(c, qd, qdd, instants(window.run.name, samples.time))
 
 
 def least_squares_step(J: np.ndarray, e: np.ndarray) -> np.ndarray:

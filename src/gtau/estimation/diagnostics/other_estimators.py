@@ -34,7 +34,14 @@ from gtau.estimation.estimators.two_stage import first_stage, two_stage
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import SIGNALS, triangle
 from gtau.estimation.regression.rows import TERMS
-from gtau.estimation.regression.run_blocks import WINDOWS, Windows, central_windows, moving_stretches, window_clusters
+from gtau.estimation.regression.run_blocks import (
+    WINDOWS,
+    PreparedRuns,
+    Windows,
+    central_windows,
+    moving_stretches,
+    window_clusters,
+)
 from gtau.estimation.thresholds.estimates import DIFFERENT_STD, NOISE_STD, WEAK_INSTRUMENTS
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
@@ -133,11 +140,11 @@ def differences(fit: Fit) -> Iterator[tuple[Finding, np.ndarray, np.ndarray] | F
         return
     if not pairs:
         return
-    known, clusters = known_rows(fit, windows)[1], window_clusters(windows, dataset.places)
+    known, clusters = known_rows(fit, windows)[1], window_clusters(windows, *dataset.prepared.places)
     jacobians = [J for _, J, _ in pairs]
     back = whitening(np.concatenate([*jacobians, known]), np.zeros(len(fit.solution.gains)))
     usual, white = [(J.T @ J, J.T @ e) for _, J, e in pairs], known @ back
-    T = to_gains(fit.solution.iterate, fit.free_gains) @ back
+    T = to_gains(fit.solution.values, len(fit.solution.gains), fit.free_gains) @ back
 
     def compared(weighed: Sequence[Moments]) -> tuple[np.ndarray, np.ndarray]:
         first, second = ([(back.T @ A @ back, back.T @ g) for A, g in moments] for moments in (usual, weighed))
@@ -188,7 +195,7 @@ def _filtered_further(chosen: Preparation) -> Preparation | None:
 
 def _prepared_as(dataset: Dataset, preparation: Preparation) -> Dataset:
     """Prepare the same samples of the same runs with another preparation."""
-    prepared = tuple(replace(run, preparation=preparation.at(run.run.rate)) for run in dataset.prepared)
+    prepared = PreparedRuns(replace(run, preparation=preparation.at(run.run.rate)) for run in dataset.prepared)
     return replace(dataset, preparation=preparation, prepared=prepared)
 
 

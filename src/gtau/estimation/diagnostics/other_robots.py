@@ -41,6 +41,7 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.estimators.newton import degrees_of_freedom
+from gtau.estimation.regression.run_blocks import PreparedRuns
 from gtau.estimation.thresholds.estimates import (
     GRAVITY_ALIKE,
     GRAVITY_LEAST,
@@ -66,7 +67,8 @@ from gtau.signals.reading.statements import Payload
 
 def other_loads(fit: Fit) -> Alternative | None:
     """Find the runs whose bodies at the tool are other than declared, with their masses; None without any."""
-    own = replace(fit, solution=replace(fit.solution, sigma=fit.unrefined.sigma))  # residuals as ``solve`` leaves them
+    unrefined = fit.solve(fit.system.problem)  # residuals as those of the others
+    own = replace(fit, solution=replace(fit.solution, sigma=unrefined.sigma))
     runs, carried, left = range(len(fit.dataset.runs)), tuple[int, ...](), 1.0
     best: Fit | None = None
     while best is None or len(carried) < len(runs) - 1:
@@ -175,7 +177,7 @@ def _explaining(fit: Fit, progress: Progress) -> Iterator[Alternative]:
 
 def _fitted(fit: Fit, model: InverseDynamics) -> tuple[float, np.ndarray]:
     """Fit another ``model`` to first order: sum of its squared residuals, and its gains (n,)."""
-    dataset = replace(fit.dataset, model=model, alike=fit.dataset)
+    dataset = replace(fit.dataset, model=model)
     other = replace(fit, system=replace(fit.system, dataset=dataset))
     step, rest = linearise(other, dataset.windows()).fitted()
     change = step[fit.system.problem.gain_rows] if fit.free_gains else np.zeros(len(fit.gains))
@@ -231,7 +233,7 @@ def likeliest_gravity(fit: Fit, missing: bool, turned: bool, progress: Progress 
     windows = [window for _, window in fit.dataset.windows()]  # the middle of the runs bounds the time
     if not windows:
         return None
-    middle = replace(fit.dataset, prepared=tuple(windows))  # type: ignore[arg-type]  # used as prepared runs
+    middle = replace(fit.dataset, prepared=PreparedRuns(windows))  # type: ignore[arg-type]  # used as prepared runs
     own = _with_gravity(replace(fit, system=replace(fit.system, dataset=middle)), np.array(fit.dataset.robot.gravity))
     without = _without_gravity(fit, own) if missing else None
     other = _other_gravity(fit, own, progress) if turned else None
@@ -251,7 +253,7 @@ def _with_gravity(fit: Fit, gravity: np.ndarray) -> Fit:
         base = base_parameters(model, sensors=dataset.runs[0].sensors)
     gains = None if fit.free_gains else fit.gains
     terms = tuple(term for term in fit.system.terms if term.kind != "fl")
-    other = replace(dataset, model=model, base=base, factors=(), alike=dataset).reduced()
+    other = replace(dataset, model=model, base=base, factors=()).reduced()
     return fit_by(ml_or_wls(gains), fit.system.again(other, terms), fit.free_gains)
 
 

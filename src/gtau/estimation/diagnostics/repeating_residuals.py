@@ -74,7 +74,7 @@ def position_ripple(fit: Fit) -> Alternative:
         return nothing
     # what of a joint does not repeat would only take up what its parameters explain
     moved, _ = _fit(linear, [even, odd], np.where(shares > 0, heights, np.inf))
-    shifts = to_gains(solution.iterate, fit.free_gains) @ (moved - step)
+    shifts = to_gains(solution.values, len(solution.gains), fit.free_gains) @ (moved - step)
     return replace(nothing, causes=(_ripple(fit, shares, shifts),), shifts=shifts)
 
 
@@ -122,8 +122,8 @@ def residual_correlations(fit: Fit) -> tuple[np.ndarray, np.ndarray] | None:
 
     The correlations (n,) have standard deviations (n,) from the scatter over blocks.
     """
-    places, runs, n = fit.dataset.places, fit.dataset.runs, len(fit.system.problem.joints)
-    kinds = [(place.group, run.payload and run.payload.name) for place, run in zip(places, runs, strict=True)]
+    (groups, spans), runs, n = fit.dataset.prepared.places, fit.dataset.runs, len(fit.system.problem.joints)
+    kinds = [(group, run.payload and run.payload.name) for group, run in zip(groups, runs, strict=True)]
     pairs = [(k, m) for k, m in combinations(range(len(runs)), 2) if kinds[k][0] == kinds[m][0]]
     pairs = [(k, m) for k, m in pairs if kinds[k] != kinds[m]]
     if not pairs:
@@ -132,7 +132,7 @@ def residual_correlations(fit: Fit) -> tuple[np.ndarray, np.ndarray] | None:
     sums = np.zeros((BLOCKS, 3, n))
     for k, m in pairs:
         (t, e), (t_m, e_m) = series[k], series[m]
-        again = t + places[m].begin - places[k].begin
+        again = t + spans[m, 0] - spans[k, 0]
         block = np.clip((BLOCKS * (t - t[0]) / (t[-1] - t[0])).astype(int), 0, BLOCKS - 1)
         for j in range(n):
             one, other = e[j], np.interp(again, t_m, e_m[j], left=np.nan, right=np.nan)
@@ -151,9 +151,9 @@ def _correlation(sums: np.ndarray) -> np.ndarray:
 
 def _residuals(fit: Fit, run: int) -> tuple[np.ndarray, np.ndarray]:
     """Compute residuals (c, K) in the middle of a run, NaN where a row is not kept, and their instants (K,)."""
-    prepared, place = fit.dataset.prepared[run], fit.dataset.places[run]
+    prepared, span = fit.dataset.prepared[run], fit.dataset.prepared.places[1][run]
     size = min(SAMPLES // len(fit.dataset.prepared), len(prepared))
-    middle = int((0.5 * (place.begin + place.end) - float(prepared.time[0])) * prepared.run.rate)
+    middle = int((span.mean() - float(prepared.time[0])) * prepared.run.rate)
     start = min(max(middle - size // 2, 0), len(prepared) - size)
     window = prepared.samples(start, start + size)
     fit_window = FitWindow(fit, run, window)

@@ -124,18 +124,18 @@ def _wrenches(problem: Problem) -> str:
 
 def estimate_slopes(fit: Fit, constants: Sequence[StatedConstant]) -> np.ndarray:
     """Differentiate (theta, gains, delays) with respect to stated constants, (k, m), at the solution."""
-    problem, state, weights = fit.system.problem, fit.solution.iterate, weights_of(fit)
+    problem, solution, weights = fit.system.problem, fit.solution, weights_of(fit)
     triangles, known = stacked(problem), jacobian_of_known(problem, fit.free_gains)
     J = weighted(fit, triangles)[1].reshape(-1, known.shape[1])
-    back = whitening(np.concatenate([J, known]), curvature_of_delays(triangles, state, problem, weights))
-    of_blocks = jacobian(problem.blocks, state, problem, fit.free_gains)
+    back = whitening(np.concatenate([J, known]), curvature_of_delays(triangles, solution.values, problem, weights))
+    of_blocks = jacobian(problem.blocks, solution.values, problem, fit.free_gains)
     sides = []
     for constant in constants:
-        read, torques = delayed_signal(constant.columns, state.delays), constant.columns[..., KNOWN]
-        change = read - state.b[:, None] * torques
+        read, torques = delayed_signal(constant.columns, solution.delays), constant.columns[..., KNOWN]
+        change = read - torques / solution.gains[:, None]
         side = np.einsum("ujpk,ujp,j->k", of_blocks, change, weights**2)
         sides.append(side + known.T @ constant.known)
-    T = to_gains(state, fit.free_gains)
+    T = to_gains(solution.values, len(solution.gains), fit.free_gains)
     return np.asarray(-(T @ back) @ (back.T @ np.reshape(sides, (-1, len(back))).T))
 
 
@@ -200,7 +200,7 @@ def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
     of_known[:, :size] = jacobian_of_known(problem, True)
     of_known[:, -1] = problem.known[:, :-1] @ solution.theta - problem.known[:, -1]
     R = triangle(rows, of_known)
-    T = to_gains(solution.iterate, True)[problem.gain_rows] / fit.gains[:, None]
+    T = to_gains(solution.values, len(solution.gains), True)[problem.gain_rows] / fit.gains[:, None]
     scales = []
     for k, sensor in enumerate(sensors):
         columns, channel = [*range(size), size + k], problem.channels[sensor]
@@ -222,8 +222,8 @@ def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
 
 def _with_sensors(fit: Fit, blocks: np.ndarray) -> np.ndarray:
     """Build weighted rows ``[J | sensor torques | residuals]`` (., size + m + 1) of all channels in blocks."""
-    state, sensors = fit.solution.iterate, fit.system.problem.sensor_channels
-    torques = modelled(blocks, state.theta) * (state.b * weights_of(fit))[:, None]
+    solution, sensors = fit.solution, fit.system.problem.sensor_channels
+    torques = modelled(blocks, solution.theta) * (weights_of(fit) / solution.gains)[:, None]
     offered = np.zeros((*torques.shape, len(sensors)))
     offered[sensors, :, range(len(sensors))] = -torques[sensors]
     e, J = weighted(fit, blocks)

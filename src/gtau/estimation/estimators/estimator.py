@@ -16,26 +16,6 @@ from gtau.progress import Progress, silent
 
 
 @dataclass(frozen=True, eq=False)
-class Iterate:
-    """Unknowns in the domain of the currents: ``theta`` (n_theta,), ``b = 1 / g`` (c,) and ``delays`` (c,) in s."""
-
-    theta: np.ndarray
-    b: np.ndarray
-    delays: np.ndarray
-
-    @property
-    def values(self) -> np.ndarray:
-        """Parameters, gains and delays, (k,)."""
-        return np.concatenate([self.theta, 1 / self.b, self.delays])
-
-    def moved(self, step: np.ndarray) -> Iterate:
-        """Move by a step in theta, b (if it is free) and the delays."""
-        end, n = len(self.theta), len(self.b)
-        b = self.b if len(step) == end + n else self.b + step[end : end + n]
-        return Iterate(self.theta + step[:end], b, self.delays + step[-n:])
-
-
-@dataclass(frozen=True, eq=False)
 class Solution:
     """Estimates of one method.
 
@@ -86,11 +66,6 @@ class Solution:
         """Compute the covariance (k, k) from the steps (U, k) that leaving out each unit makes."""
         return jackknife(self.replicates()) + self.of_prior
 
-    @property
-    def iterate(self) -> Iterate:
-        """The estimates as unknowns in the domain of the currents."""
-        return Iterate(self.theta, 1 / self.gains, self.delays)
-
 
 def jackknife(replicates: np.ndarray) -> np.ndarray:
     """Compute the delete-one jackknife covariance (k, k) of k estimates from their replicates (U, k)."""
@@ -115,8 +90,7 @@ class Fit:
     """A fit of an estimator to the data.
 
     ``system`` are the equations solved: those given, or the same reweighted or along simulated motion. ``solve``
-    solves the same equations with other known payload values, for sensitivities; its result for ``system`` is
-    ``unrefined``, which differs from ``solution`` if the estimator refines it. ``solve_fixed`` solves for fewer
+    solves the same equations with other known payload values, for sensitivities. ``solve_fixed`` solves for fewer
     parameters with the gains of ``solution``, which were estimated if ``free_gains``. ``noise_free`` estimates are
     free of bias from position noise. ``unweighted`` are the equations with every row at full weight, if the estimator
     weighted rows.
@@ -125,7 +99,6 @@ class Fit:
     system: System
     solution: Solution
     solve: Solve
-    unrefined: Solution
     solve_fixed: Solve
     free_gains: bool
     noise_free: bool = False

@@ -73,7 +73,7 @@ def _fit(system: System, gains: np.ndarray | None = None, progress: Progress = s
     fixed = ml(system.problem)
     factor = sandwich_factor(system.dataset.factors)
     solution = replace(fixed, covariance=factor**2 * fixed.covariance, replicates=lambda: factor * fixed.replicates())
-    return replace(fit_by(ml, system, True, fixed), solution=solution, unweighted=unweighted)
+    return replace(fit_by(ml, system, True, solution), unweighted=unweighted)
 
 
 HUBER = Estimator(

@@ -14,14 +14,14 @@ coarse or noisy, or the filter is poor.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Iterate, Solution
+from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Solution
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
-from gtau.estimation.estimators.newton import jacobian, one_step, residuals, to_gains
+from gtau.estimation.estimators.newton import jacobian, moved, one_step, residuals, squared, to_gains
 from gtau.estimation.estimators.simulated_motion import resimulated_runs
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.factors import EXTRA, SIGNALS, Factors, Triangles, triangle
@@ -81,19 +81,19 @@ def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
     Raises GtauError.
     """
     problem, n = pair.measured, len(pair.measured.joints)
-    state = Iterate(np.zeros(len(problem.parameters)), 1 / start.gains, start.delays)
+    values = np.concatenate([np.zeros(problem.n_theta), start.gains, start.delays])
 
     def linear(blocks: np.ndarray, instruments: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Linearise: weighted errors (., n p), their Jacobian (., n p, k) and that of the instruments."""
-        e = residuals(blocks, state) * weights[:, None]
-        J, Z = (jacobian(each, state, problem, free) * weights[:, None, None] for each in (blocks, instruments))
+        e = residuals(blocks, values) * weights[:, None]
+        J, Z = (jacobian(rows, values, problem, free) * weights[:, None, None] for rows in (blocks, instruments))
         axes = (*e.shape[:-2], -1)
         return e.reshape(axes), J.reshape(*axes, J.shape[-1]), Z.reshape(*axes, Z.shape[-1])
 
     for k in range(STEPS):
         free = free_gains and k > 0  # theta comes first: without it the model gives no currents for gains
-        errors = np.sum(residuals(pair.whole[0], state) ** 2, axis=-1)
-        weights = 1 / np.maximum(np.sqrt(errors / problem.total_rows), problem.smallest_sigma)
+        errors = squared(pair.whole[0], values)
+        weights = problem.weights(errors)
         e, J, Z = linear(*pair.whole)
         norms = np.linalg.norm(Z, axis=0)
         norms[norms == 0] = 1.0
@@ -101,7 +101,7 @@ def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
         back = np.linalg.inv(R) / norms[:, None]
         A = Q.T @ J @ back  # not Z^T J, in which half of the digits would be lost
         step = -np.linalg.solve(A, Q.T @ e)
-        state = state.moved(back @ step)
+        values = moved(values, back @ step, n)
         if k > 0 and np.linalg.norm(step) < CONVERGED * np.sqrt(len(step)):
             break
     else:
@@ -110,18 +110,18 @@ def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
             "measured one; use --method ml, or add runs that excite the parameters better."
         )
     sigma = np.sqrt(errors / np.maximum(problem.total_rows - len(step) / n, 1))
-    T, inverse = to_gains(state, free_gains) @ back, np.linalg.inv(A)
+    T, inverse = to_gains(values, n, free_gains) @ back, np.linalg.inv(A)
     white = inverse @ (Q * np.repeat(sigma * weights, len(Q) // n)[:, None]).T
 
     def replicates() -> np.ndarray:
         blocks = []
         for block, other in zip(pair.measured.units, pair.simulated.units, strict=True):
             e_u, J_u, Z_u = linear(block, other)
-            left = inverse @ (Z_u @ back).T
-            blocks.append((left @ J_u @ back, left @ e_u))
+            weighed = inverse @ (Z_u @ back).T
+            blocks.append((weighed @ J_u @ back, weighed @ e_u))
         return one_step(blocks) @ T.T
 
-    return Solution(problem.unknowns, state.values, sigma, T @ white @ white.T @ T.T, replicates)
+    return Solution(problem.unknowns, values, sigma, T @ white @ white.T @ T.T, replicates)
 
 
 def paired(system: System, solution: Solution) -> Pair:
@@ -130,9 +130,11 @@ def paired(system: System, solution: Solution) -> Pair:
     loads, preparation, columns = system.loads(solution.theta), dataset.preparation, dataset.base.standard
     pairs = [
         _reduced(dataset.model, columns, measured, other, preparation.at(measured.run.rate).decimator, load, edges)
-        for measured, other, load, edges in zip(dataset.prepared, simulated, loads, dataset.edges, strict=True)
+        for measured, other, load, edges in zip(dataset.prepared, simulated, loads, dataset.prepared.edges, strict=True)
     ]
-    measured, instruments = (system.again(dataset.with_factors(factors)).whole for factors in zip(*pairs, strict=True))
+    measured, instruments = (
+        system.again(replace(dataset, factors=factors)).whole for factors in zip(*pairs, strict=True)
+    )
     whole, of_instruments, b = [], [], len(measured.parameters) + 1
     for j in range(len(measured.joints)):
         R = triangle(*np.concatenate([instruments.blocks[:, j, :, :b], measured.blocks[:, j]], axis=-1))
@@ -178,13 +180,12 @@ def _reduced(
 
 def _fit(system: System, gains: np.ndarray | None = None, progress: Progress = silent) -> Fit:
     solver, free_gains = ml_or_wls(gains), gains is None
-    unrefined = solver(system.problem)
-    pair, solution = instrumental(system, unrefined, free_gains, progress)
+    pair, solution = instrumental(system, solver(system.problem), free_gains, progress)
 
     def solve_fixed(problem: Problem) -> Solution:
         return with_instruments(pair.of(problem.parameters), solution, free_gains=False)
 
-    return Fit(system, solution, solver, unrefined, solve_fixed, free_gains, noise_free=True)
+    return Fit(system, solution, solver, solve_fixed, free_gains, noise_free=True)
 
 
 IV = Estimator(

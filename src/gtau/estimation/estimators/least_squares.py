@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.estimator import Estimator, Fit, FitSystem, Gains, Iterate, Solution, Solve
+from gtau.estimation.estimators.estimator import Estimator, Fit, FitSystem, Gains, Solution, Solve
 from gtau.estimation.estimators.newton import solve
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.problem import Problem
@@ -24,7 +24,8 @@ from gtau.progress import Progress, silent
 
 def ols(problem: Problem, gains: np.ndarray) -> Solution:
     """Solve ordinary least squares with given ``gains`` (n,): all torque errors weighted alike (eq. 24)."""
-    return _with_given(problem, gains, lambda state, errors: np.abs(1 / state.b), "ordinary")
+    weights = np.abs(np.asarray(gains, dtype=float))
+    return _with_given(problem, gains, lambda squares: weights, "ordinary")
 
 
 def wls(problem: Problem, gains: np.ndarray, delays: np.ndarray | None = None) -> Solution:
@@ -32,11 +33,10 @@ def wls(problem: Problem, gains: np.ndarray, delays: np.ndarray | None = None) -
 
     The iteration starts from ``delays`` (c,), if these are known from a similar problem.
     """
-    own, silent = problem.own_sigma, problem.silent
 
-    def weights(state: Iterate, errors: np.ndarray) -> np.ndarray:
+    def weights(squares: np.ndarray) -> np.ndarray:
         # a silent channel by its residuals, as with maximum likelihood: it has no error level of its own
-        return 1 / np.where(silent & (errors > 0), np.sqrt(errors / problem.total_rows), own)
+        return 1 / np.where(problem.silent & (squares > 0), np.sqrt(squares / problem.total_rows), problem.own_sigma)
 
     return _with_given(problem, gains, weights, "weighted", delays)
 
@@ -44,12 +44,12 @@ def wls(problem: Problem, gains: np.ndarray, delays: np.ndarray | None = None) -
 def _with_given(
     problem: Problem,
     gains: np.ndarray,
-    weigh: Callable[[Iterate, np.ndarray], np.ndarray],
+    weigh: Callable[[np.ndarray], np.ndarray],
     name: str,
     delays: np.ndarray | None = None,
 ) -> Solution:
     delays = problem.own_delays if delays is None else delays
-    start = Iterate(np.zeros(len(problem.parameters)), 1 / np.asarray(gains, dtype=float), delays)
+    start = np.concatenate([np.zeros(problem.n_theta), gains, delays])
     solution = solve(problem, start, weigh, free_gains=False)
     if not solution.converged:
         raise GtauError(
@@ -72,11 +72,11 @@ def with_given(solver: Callable[[Problem, np.ndarray], Solution], gains: np.ndar
     return lambda problem: solver(problem, np.append(gains, np.ones(len(problem.channels) - len(gains))))
 
 
-def fit_by(solve: Solve, system: System, free_gains: bool, unrefined: Solution | None = None) -> Fit:
-    """Fit by ``solve``, whose solution for ``system`` may be known."""
-    solution = solve(system.problem) if unrefined is None else unrefined
+def fit_by(solve: Solve, system: System, free_gains: bool, solution: Solution | None = None) -> Fit:
+    """Fit by ``solve``, whose ``solution`` for ``system`` may be refined."""
+    solution = solve(system.problem) if solution is None else solution
     solve_fixed = partial(wls, gains=solution.gains, delays=solution.delays)
-    return Fit(system, solution, solve, solution, solve_fixed, free_gains)
+    return Fit(system, solution, solve, solve_fixed, free_gains)
 
 
 def plain_fit(solver: Callable[[np.ndarray | None], Solve]) -> FitSystem:

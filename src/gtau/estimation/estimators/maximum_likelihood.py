@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.estimator import Estimator, Gains, Iterate, Solution, Solve
+from gtau.estimation.estimators.estimator import Estimator, Gains, Solution, Solve
 from gtau.estimation.estimators.least_squares import plain_fit, scarcity, with_given, wls
 from gtau.estimation.estimators.newton import solve
 from gtau.estimation.estimators.two_stage import two_stage
@@ -29,13 +29,7 @@ def ml(problem: Problem) -> Solution:
     Raises GtauError where the iteration does not converge though the model explains the currents (where it does not
     explain them, the verdicts say so), or if only known parameters with little effect fix the scale.
     """
-    first = two_stage(problem)
-    start = Iterate(first.theta, 1 / first.gains, first.delays)
-
-    def weights(state: Iterate, errors: np.ndarray) -> np.ndarray:
-        return 1 / np.maximum(np.sqrt(errors / problem.total_rows), problem.smallest_sigma)
-
-    solution = solve(problem, start, weights, True)
+    solution = solve(problem, two_stage(problem).values, problem.weights, True)
     if not solution.converged:
         loaded = bool(problem.blocks[..., KNOWN].any())
         alone = len(problem.known) and problem.unknown_gains.all() and not (loaded or problem.wrenches)

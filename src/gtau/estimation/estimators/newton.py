@@ -1,6 +1,7 @@
 """Newton's method for currents that are bilinear in the parameters and 1/g, and covariances of the estimates.
 
-The errors are ``e_j = v(t - d_j) - (W_theta theta + known) / g_j``, the unknowns theta, ``b = 1 / g`` and the delays d.
+The errors are ``e_j = v(t - d_j) - (W_theta theta + known) / g_j`` at the estimates (theta, g, d), a vector (k,); steps
+and Jacobians are in theta, ``1 / g`` and the delays d.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gtau.estimation.estimators.estimator import Iterate, Solution
+from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.regression.factors import FIXED, MODEL, SIGNAL, SIGNALS, delayed_signal, modelled, triangle
 from gtau.estimation.regression.problem import Problem
 
@@ -29,19 +30,39 @@ def least_squares(A: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.linalg.lstsq(A / norms, y, rcond=None)[0] / norms
 
 
-def residuals(blocks: np.ndarray, state: Iterate) -> np.ndarray:
+def split(values: np.ndarray, channels: int) -> list[np.ndarray]:
+    """Split estimates (k,) into parameters, and gains and delays of the ``channels``."""
+    return np.split(values, [-2 * channels, -channels])
+
+
+def moved(values: np.ndarray, step: np.ndarray, channels: int) -> np.ndarray:
+    """Move estimates (k,) by a step in theta, 1 / g (if it is free) and the delays."""
+    theta, gains, delays = split(values, channels)
+    if len(step) == len(values):
+        gains = 1 / (1 / gains + step[len(theta) : -channels])
+    return np.concatenate([theta + step[: len(theta)], gains, delays + step[-channels:]])
+
+
+def residuals(blocks: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Compute residuals (..., n, p) of blocks (..., n, p, n_theta + 4)."""
-    return delayed_signal(blocks, state.delays) - state.b[:, None] * modelled(blocks, state.theta)
+    theta, gains, delays = split(values, blocks.shape[-3])
+    return delayed_signal(blocks, delays) - modelled(blocks, theta) / gains[:, None]
 
 
-def jacobian(blocks: np.ndarray, state: Iterate, problem: Problem, free_gains: bool) -> np.ndarray:
-    """Differentiate the residuals with respect to (theta, b, d) or (theta, d), (..., n, p, parameters)."""
-    eye = np.eye(len(state.b))[:, None, :]
-    parts = [-state.b[:, None, None] * blocks[..., MODEL]]
+def squared(blocks: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Sum the squared residuals of each channel, (..., n)."""
+    return np.asarray(np.sum(residuals(blocks, values) ** 2, axis=-1))
+
+
+def jacobian(blocks: np.ndarray, values: np.ndarray, problem: Problem, free_gains: bool) -> np.ndarray:
+    """Differentiate the residuals with respect to (theta, 1 / g, d) or (theta, d), (..., n, p, parameters)."""
+    theta, gains, delays = split(values, len(problem.channels))
+    eye = np.eye(len(gains))[:, None, :]
+    parts = [-blocks[..., MODEL] / gains[:, None, None]]
     if free_gains:
-        parts.append(-modelled(blocks, state.theta)[..., None] * (eye * problem.unknown_gains))
+        parts.append(-modelled(blocks, theta)[..., None] * (eye * problem.unknown_gains))
     _, rate, change = np.moveaxis(blocks[..., SIGNALS], -1, 0)
-    shift = (state.delays[:, None] * change - rate) * (problem.slowest > 0)
+    shift = (delays[:, None] * change - rate) * (problem.slowest > 0)
     parts.append(shift[..., None] * eye)
     return np.concatenate(parts, axis=-1)
 
@@ -56,60 +77,54 @@ def stacked(problem: Problem) -> np.ndarray:
 
 def solve(
     problem: Problem,
-    start: Iterate,
-    weigh: Callable[[Iterate, np.ndarray], np.ndarray],
+    values: np.ndarray,
+    weigh: Callable[[np.ndarray], np.ndarray],
     free_gains: bool,
     steps: int = STEPS,
 ) -> Solution:
-    """Iterate Newton's method with re-estimated weights, then compute the covariances.
+    """Iterate Newton's method from ``values`` (k,) with re-estimated weights, then compute the covariances.
 
-    ``converged`` of the solution is whether it converged within ``steps``.
+    ``weigh`` makes weights (c,) from the squared residuals (c,) of the channels; ``converged`` of the solution is
+    whether it converged within ``steps``.
     """
-    triangles, state = stacked(problem), start
-    sizes = np.abs(triangles)
-    known, J_known = problem.known, jacobian_of_known(problem, free_gains)
-
-    def errors(at: Iterate) -> np.ndarray:
-        return np.sum(residuals(triangles, at) ** 2, axis=-1)
-
-    def cost(at: Iterate) -> float:
-        return float(weights**2 @ errors(at) + np.sum((known[:, :-1] @ at.theta - known[:, -1]) ** 2))
-
+    triangles, n, end = stacked(problem), len(problem.channels), problem.n_theta
+    sizes, J_known = np.abs(triangles), jacobian_of_known(problem, free_gains)
+    P, y = problem.known[:, :-1], problem.known[:, -1]
     for _ in range(steps):
-        weights = weigh(state, errors(state))
-        J = (jacobian(triangles, state, problem, free_gains) * weights[:, None, None]).reshape(-1, J_known.shape[1])
+        weights = weigh(squared(triangles, values))
+        J = (jacobian(triangles, values, problem, free_gains) * weights[:, None, None]).reshape(-1, J_known.shape[1])
         J = np.concatenate([J, J_known])
-        e = (residuals(triangles, state) * weights[:, None]).reshape(-1)
-        e = np.concatenate([e, known[:, :-1] @ state.theta - known[:, -1]])
+        e = (residuals(triangles, values) * weights[:, None]).reshape(-1)
+        e = np.concatenate([e, P @ values[:end] - y])
         # without parameters the whole signal is error, and its curvature that of no model
-        curvature = curvature_of_delays(triangles, state, problem, weights) * state.theta.any()
+        curvature = curvature_of_delays(triangles, values, problem, weights) * values[:end].any()
         back = whitening(J, curvature)
         step = -back @ (back.T @ (J.T @ e))
-        before, share = cost(state), 1.0
-        terms = sizes[:, :, SIGNAL] + np.abs(state.b)[:, None] * modelled(sizes, np.abs(state.theta))
+        before, share = float(e @ e), 1.0
+        terms = sizes[:, :, SIGNAL] + modelled(sizes, np.abs(values[:end])) / np.abs(values[end : end + n, None])
         rounding = ROUNDING * float(np.linalg.norm(terms * weights[:, None]))
         highest = (np.sqrt(before) + rounding) ** 2
-        while share > 1e-6 and cost(state.moved(share * step)) > highest:
+        while True:
+            after = moved(values, share * step, n)
+            cost = weights**2 @ squared(triangles, after) + np.sum((P @ after[:end] - y) ** 2)
+            if share <= 1e-6 or cost <= highest:
+                break
             share /= 2
-        state = state.moved(share * step)
+        values = after
         smallest = max(CONVERGED * np.sqrt(before / problem.total_rows.sum()), rounding)
-        if np.linalg.norm(J @ step) < smallest * np.sqrt(J.shape[1]):
-            converged = True
+        if converged := bool(np.linalg.norm(J @ step) < smallest * np.sqrt(J.shape[1])):
             break
-    else:
-        converged = False
-    solution = finish(problem, triangles, state, weigh(state, errors(state)), errors(state), free_gains)
-    return replace(solution, converged=converged)
+    weights = weigh(squared(triangles, values))
+    return replace(finish(problem, values, weights, free_gains), converged=converged)
 
 
-def curvature_of_delays(blocks: np.ndarray, state: Iterate, problem: Problem, weights: np.ndarray) -> np.ndarray:
+def curvature_of_delays(blocks: np.ndarray, values: np.ndarray, problem: Problem, weights: np.ndarray) -> np.ndarray:
     """Compute what ``e e'' `` adds to the curvature of the cost in each joint's delay, (..., n).
 
     Where motions are slow and the current's noise white, ``v'`` is mostly noise; the Gauss-Newton approximation then
     overestimates the curvature, and its steps in the delays are a hundred times too short.
     """
-    e = residuals(blocks, state)
-    second = np.einsum("...jp,...jp->...j", e, blocks[..., -1])
+    second = np.einsum("...jp,...jp->...j", residuals(blocks, values), blocks[..., -1])
     return np.asarray(second * weights**2 * (problem.slowest > 0))
 
 
@@ -159,48 +174,47 @@ def jacobian_of_known(problem: Problem, free_gains: bool) -> np.ndarray:
     return np.pad(problem.known[:, :-1], ((0, 0), (0, (2 if free_gains else 1) * len(problem.channels))))
 
 
-def finish(
-    problem: Problem, triangles: np.ndarray, state: Iterate, weights: np.ndarray, errors: np.ndarray, free_gains: bool
-) -> Solution:
-    """Compute the covariances at ``state``."""
-    J_known = jacobian_of_known(problem, free_gains)
+def finish(problem: Problem, values: np.ndarray, weights: np.ndarray, free_gains: bool) -> Solution:
+    """Compute the covariances at the estimates ``values`` (k,)."""
+    triangles, J_known = stacked(problem), jacobian_of_known(problem, free_gains)
     n, size = len(problem.channels), J_known.shape[1]
     # eqs. (25) and (26), joint by joint
-    sigma = np.sqrt(errors / np.maximum(problem.total_rows - size / n, 1))
-    J = jacobian(triangles, state, problem, free_gains) * weights[:, None, None]  # (c, p, size)
+    sigma = np.sqrt(squared(triangles, values) / np.maximum(problem.total_rows - size / n, 1))
+    J = jacobian(triangles, values, problem, free_gains) * weights[:, None, None]  # (c, p, size)
     rows = np.concatenate([J.reshape(-1, size), J_known])
     # from whitened to physical parameters
-    back = whitening(rows, curvature_of_delays(triangles, state, problem, weights))
+    back = whitening(rows, curvature_of_delays(triangles, values, problem, weights))
     white = (J @ back * (sigma * weights)[:, None, None]).reshape(-1, back.shape[1])
     of_prior = back @ (back.T @ (J_known.T @ J_known) @ back) @ back.T
     # eq. (27), with the errors' own variance in every joint
     formula = back @ (white.T @ white) @ back.T + of_prior
-    T = to_gains(state, free_gains)
+    T = to_gains(values, n, free_gains)
 
     def curvature(blocks: np.ndarray) -> np.ndarray:
         added = back[size - n :]
-        return np.asarray((added.T * curvature_of_delays(blocks, state, problem, weights)) @ added)
+        return np.asarray((added.T * curvature_of_delays(blocks, values, problem, weights)) @ added)
 
     def replicates() -> np.ndarray:
         # one step from the solution, with unit u left out
         whitened, second, blocks = rows @ back, curvature(triangles), []
         gauss = whitened.T @ whitened
         for block in problem.units:
-            J_u = (jacobian(block, state, problem, free_gains) * weights[:, None, None]).reshape(-1, size) @ back
-            e_u = (residuals(block, state) * weights[:, None]).reshape(-1)
-            left = curved(gauss - J_u.T @ J_u, second - curvature(block))
-            blocks.append((np.eye(len(left)) - left, J_u.T @ e_u))
+            J_u = (jacobian(block, values, problem, free_gains) * weights[:, None, None]).reshape(-1, size) @ back
+            e_u = (residuals(block, values) * weights[:, None]).reshape(-1)
+            others = curved(gauss - J_u.T @ J_u, second - curvature(block))
+            blocks.append((np.eye(len(others)) - others, J_u.T @ e_u))
         return one_step(blocks) @ (T @ back).T
 
     formula, of_prior = T @ formula @ T.T, T @ of_prior @ T.T
-    return Solution(problem.unknowns, state.values, sigma, formula, replicates, {}, of_prior)
+    return Solution(problem.unknowns, values, sigma, formula, replicates, {}, of_prior)
 
 
-def to_gains(state: Iterate, free_gains: bool) -> np.ndarray:
-    """Differentiate (theta, g, d) with respect to the unknowns of :func:`jacobian`, (k, .)."""
-    end, n = len(state.theta), len(state.b)
-    T = np.diag(np.concatenate([np.ones(end), -1 / state.b**2, np.ones(n)]))
-    return T if free_gains else np.delete(T, slice(end, end + n), axis=1)
+def to_gains(values: np.ndarray, channels: int, free_gains: bool) -> np.ndarray:
+    """Differentiate estimates (theta, g, d) with respect to the unknowns of :func:`jacobian`, (k, .)."""
+    slopes = np.ones(len(values))
+    slopes[-2 * channels : -channels] = -(values[-2 * channels : -channels] ** 2)
+    T = np.diag(slopes)
+    return T if free_gains else np.delete(T, np.s_[-2 * channels : -channels], axis=1)
 
 
 def one_step(blocks: Iterable[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
@@ -231,25 +245,26 @@ def degrees_of_freedom(problem: Problem, solution: Solution, free_gains: bool) -
     McCaffrey use it): ``(sum s_u^2)^2 / sum s_u^4`` with s_u^2 the variance that leaving out block u contributes, for
     independent residuals. Known parameters belong to no block; their standard deviations count as known.
     """
-    state, blocks = solution.iterate, len(problem.units)
+    values, n = solution.values, len(problem.channels)
     weights = 1 / np.maximum(solution.sigma, problem.smallest_sigma)
 
     def rows(blocks: np.ndarray) -> np.ndarray:
-        J = jacobian(blocks, state, problem, free_gains) * weights[:, None, None]
+        J = jacobian(blocks, values, problem, free_gains) * weights[:, None, None]
         return np.asarray(J.reshape(-1, J.shape[-1]))
 
     every = np.concatenate([rows(stacked(problem)), jacobian_of_known(problem, free_gains)])
-    back = whitening(every, np.zeros(len(problem.channels)))
-    named = to_gains(state, free_gains) @ back
+    back = whitening(every, np.zeros(n))
+    named = to_gains(values, n, free_gains) @ back
     variances = []
     for block in problem.units:
         J = rows(block) @ back
-        left = np.eye(J.shape[1]) - J.T @ J
+        others = np.eye(J.shape[1]) - J.T @ J
         try:
-            of_rows = np.linalg.solve(left, J.T)
+            of_rows = np.linalg.solve(others, J.T)
         except np.linalg.LinAlgError:  # identified by this block alone
-            of_rows = np.linalg.pinv(left, rcond=1e-10, hermitian=True) @ J.T
+            of_rows = np.linalg.pinv(others, rcond=1e-10, hermitian=True) @ J.T
         variances.append(np.sum((named @ of_rows) ** 2, axis=1))
     total, squares = np.sum(variances, axis=0), np.sum(np.square(variances), axis=0)
-    share = np.divide(total**2, squares, out=np.full(len(total), float(blocks)), where=squares > 0)
-    return np.asarray(np.clip(share - 1, 1.0, blocks - 1.0))
+    count = float(len(problem.units))
+    share = np.divide(total**2, squares, out=np.full(len(total), count), where=squares > 0)
+    return np.asarray(np.clip(share - 1, 1.0, count - 1))

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.estimator import Iterate, Solution, jackknife
-from gtau.estimation.estimators.newton import jacobian, residuals, stacked
+from gtau.estimation.estimators.estimator import Solution, jackknife
+from gtau.estimation.estimators.newton import jacobian, moved, residuals, squared, stacked
 from gtau.estimation.estimators.standard_parameters import (
     StandardUnknowns,
     constrained_least_squares,
@@ -87,20 +87,16 @@ def consistent(system: System, solution: Solution, priors: Mapping[str, Prior], 
     problem, n, base = system.whole, len(system.whole.joints), system.dataset.base
     of_base = of_theta(base, system.dataset.model.parameter_names, problem.parameters, priors)
     unknowns, triangles = standard_unknowns(system, solution, priors), stacked(problem)
-    free = Iterate(system.full(solution.theta)[:-1], 1 / solution.gains, solution.delays)
-    stated = np.insert(of_base, [len(free.theta)] * ((2 if free_gains else 1) * len(problem.channels)), 0.0, axis=1)
-
-    def errors(at: Iterate) -> np.ndarray:
-        return np.sum(residuals(triangles, at) ** 2, axis=-1)
-
-    state = free
+    free, channels = np.concatenate([system.full(solution.theta)[:-1], solution.gains, solution.delays]), len(triangles)
+    stated = np.insert(of_base, [problem.n_theta] * ((2 if free_gains else 1) * channels), 0.0, axis=1)
+    values = free
     for _ in range(STEPS):
-        weights = 1 / np.maximum(np.sqrt(errors(state) / problem.total_rows), problem.smallest_sigma)
-        linear = _linear(triangles, state, problem, weights, free_gains)
+        weights = problem.weights(squared(triangles, values))
+        linear = _linear(triangles, values, problem, weights, free_gains)
         x, rest = _programme(triangle(linear, stated), unknowns)
-        step = np.concatenate([unknowns.S @ x - state.theta, rest])
-        state = state.moved(step)
-        J = jacobian(triangles, state, problem, free_gains) * weights[:, None, None]
+        step = np.concatenate([unknowns.S @ x - values[: problem.n_theta], rest])
+        values = moved(values, step, channels)
+        J = jacobian(triangles, values, problem, free_gains) * weights[:, None, None]
         if np.linalg.norm(J.reshape(-1, step.size) @ step) < CONVERGED * np.sqrt(step.size):
             break
     else:
@@ -108,27 +104,27 @@ def consistent(system: System, solution: Solution, priors: Mapping[str, Prior], 
             "the search for physically consistent parameters did not converge; give 'priors' for the parameters that "
             "the data leave open, or identify without --consistent."
         )
-    gain_std = _gain_std(problem, state, weights, unknowns, stated) if free_gains else np.zeros(n)
+    gain_std = _gain_std(problem, values, weights, unknowns, stated) if free_gains else np.zeros(n)
     if free_gains and np.ndim(solution.of_prior):  # leaving out data does not show the uncertainty of priors
         gain_std = np.sqrt(gain_std**2 + np.diag(np.asarray(solution.of_prior))[system.problem.gain_rows])
     bodies = {body.name: body.values(x) for body in unknowns.rigid.bodies}
     payloads = [f"L{payload.run + 1}" for payload in system.payloads]
-    shares = 100 * (np.sqrt(errors(state) / errors(free))[:n] - 1)
-    gains = zip(problem.joints, 1 / state.b[:n], gain_std, strict=True)
+    shares = 100 * (np.sqrt(squared(triangles, values) / squared(triangles, free))[:n] - 1)
+    gains = zip(problem.joints, values[problem.gain_rows], gain_std, strict=True)
     return Consistency(
         standard=dict(zip(system.dataset.model.parameter_names, map(float, x), strict=False)),
         payloads={label: dict(zip(INERTIAL, map(float, bodies[label]), strict=True)) for label in payloads},
         gains={joint: (float(gain), float(std)) for joint, gain, std in gains},
-        moves=_moves(system, solution, state, free_gains),
+        moves=_moves(system, solution, values, free_gains),
         eigenvalues={body: float(np.linalg.eigvalsh(pseudo_inertia(values))[0]) for body, values in bodies.items()},
         loss=dict(zip(problem.joints, map(float, shares), strict=True)),
         open=base.without_effect,
     )
 
 
-def _moves(system: System, solution: Solution, state: Iterate, free_gains: bool) -> tuple[Move, ...]:
+def _moves(system: System, solution: Solution, values: np.ndarray, free_gains: bool) -> tuple[Move, ...]:
     """List how far each parameter, and each gain that is free, is moved from its ``solution``, the most moved first."""
-    consistent = dict(zip(system.whole.unknowns, state.values, strict=True))
+    consistent = dict(zip(system.whole.unknowns, values, strict=True))
     names = [name for name in system.problem.parameters if name.run is None]
     names += system.problem.unknowns[system.problem.gain_rows] if free_gains else ()
     std = np.sqrt(np.diag(solution.jackknife))
@@ -141,12 +137,14 @@ def _moves(system: System, solution: Solution, state: Iterate, free_gains: bool)
     return tuple(sorted(moves, key=lambda move: -move.deviations))
 
 
-def _linear(blocks: np.ndarray, state: Iterate, problem: Problem, weights: np.ndarray, free_gains: bool) -> np.ndarray:
+def _linear(
+    blocks: np.ndarray, values: np.ndarray, problem: Problem, weights: np.ndarray, free_gains: bool
+) -> np.ndarray:
     """Build rows ``[J_theta J_rest | y]`` (., size + 1), linear in theta and in steps of 1/g and the delays."""
-    J = jacobian(blocks, state, problem, free_gains) * weights[:, None, None]
-    J = J.reshape(-1, J.shape[-1])
-    e = (residuals(blocks, state) * weights[:, None]).reshape(-1)
-    return np.column_stack([J, J[:, : len(state.theta)] @ state.theta - e])
+    J = jacobian(blocks, values, problem, free_gains) * weights[:, None, None]
+    J, theta = J.reshape(-1, J.shape[-1]), values[: problem.n_theta]
+    e = (residuals(blocks, values) * weights[:, None]).reshape(-1)
+    return np.column_stack([J, J[:, : len(theta)] @ theta - e])
 
 
 def _programme(R: np.ndarray, unknowns: StandardUnknowns) -> tuple[np.ndarray, np.ndarray]:
@@ -163,11 +161,11 @@ def _programme(R: np.ndarray, unknowns: StandardUnknowns) -> tuple[np.ndarray, n
 
 
 def _gain_std(
-    problem: Problem, state: Iterate, weights: np.ndarray, unknowns: StandardUnknowns, stated: np.ndarray
+    problem: Problem, values: np.ndarray, weights: np.ndarray, unknowns: StandardUnknowns, stated: np.ndarray
 ) -> np.ndarray:
     """Compute standard deviations of the gains (n,) under the constraints, by the delete-one jackknife."""
     n = len(problem.joints)
-    factors = [triangle(_linear(unit, state, problem, weights, True)) for unit in problem.units]
-    left = (triangle(R, stated) for R in leave_one_out(factors))
-    gains = np.array([1 / (state.b[:n] + _programme(R, unknowns)[1][:n]) for R in left])
+    factors = [triangle(_linear(unit, values, problem, weights, True)) for unit in problem.units]
+    steps = [_programme(triangle(R, stated), unknowns)[1][:n] for R in leave_one_out(factors)]
+    gains = 1 / (1 / values[problem.gain_rows] + np.array(steps))
     return np.sqrt(np.diag(jackknife(gains)))

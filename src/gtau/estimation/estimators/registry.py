@@ -15,9 +15,6 @@ from gtau.extensions import added, registered
 if TYPE_CHECKING:
     from gtau.estimation.estimators.estimator import Estimator
 
-    ESTIMATORS: dict[str, Estimator]
-    """All estimators, by name."""
-
 PLACES = {
     "ml": "maximum_likelihood.ML",
     "huber": "huber.HUBER",
@@ -52,8 +49,6 @@ def _built_in(name: str) -> Any:
     return getattr(import_module(f"gtau.estimation.estimators.{module}"), constant)
 
 
-def __getattr__(name: str) -> Any:
-    """Import the estimators at the first access to ``ESTIMATORS``."""
-    if name == "ESTIMATORS":
-        return {name: _built_in(name) for name in PLACES}
-    raise AttributeError(name)
+def estimators() -> dict[str, Estimator]:
+    """Import all built-in estimators, by name."""
+    return {name: _built_in(name) for name in PLACES}

@@ -24,8 +24,9 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.regression.dataset import System
-from gtau.estimation.regression.rows import Labels
+from gtau.estimation.regression.rows import instants
 from gtau.model.inverse_dynamics import PATH, InverseDynamics, Regressor
+from gtau.model.loops import Labels
 from gtau.signals.preparation.bandwidth import spectra
 from gtau.signals.preparation.filters import below_nyquist, filter_edge, position_filter
 from gtau.signals.preparation.prepared_run import Preparation, PreparedRun, SampleWindow
@@ -83,7 +84,7 @@ def resimulated(
         for start, stop in spans(samples, PATH):
             reference = position_filter(run.position, rate, cutoff, kept.start + start, kept.start + stop)
             before = [block(each, start, stop) for each in motion] or reference
-            labels = Labels(run.name, block(prepared.time, start, stop))
+            labels = instants(run.name, block(prepared.time, start, stop))
             disturbance, c = _disturbance(idm, regressor, values, before, reference[1], labels, c)
             following = [r - e for r, e in zip(reference, loop.errors(disturbance), strict=True)]
             for each, part in zip(stores, following, strict=True):
@@ -149,7 +150,7 @@ def _disturbance(
     lowest = np.linalg.eigvalsh(M / np.sqrt(np.einsum("ti,tj->tij", *2 * [np.abs(np.einsum("tii->ti", M))])))[:, 0]
     if not lowest.min() > 0:
         raise GtauError(
-            f"the estimated inertia is not positive ({here[int(lowest.argmin())]}), so the robot cannot be "
+            f"the estimated inertia is not positive ({here(int(lowest.argmin()))}), so the robot cannot be "
             "simulated; use --method ml, or add runs that excite the parameters better."
         )
     return np.linalg.solve(M, h.T[:, :, None])[:, :, 0], c[:, -1]

@@ -11,9 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.estimator import Estimator, Gains, Iterate, Solution
+from gtau.estimation.estimators.estimator import Estimator, Gains, Solution
 from gtau.estimation.estimators.least_squares import plain_fit
-from gtau.estimation.estimators.newton import finish, least_squares, one_step, residuals, stacked
+from gtau.estimation.estimators.newton import finish, least_squares, one_step, residuals, squared, stacked
 from gtau.estimation.regression.factors import delayed_signal, triangle
 from gtau.estimation.regression.problem import Problem
 
@@ -46,10 +46,8 @@ def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
             raise GtauError(
                 "the currents of some joint are unrelated to its motion; check the columns of the current references."
             )
-    state = Iterate(x[of_theta], 1 / gains, delays)
-    errors = np.sum(residuals(stacked(problem), state) ** 2, axis=-1)
-    weights = 1 / np.maximum(np.sqrt(errors / problem.total_rows), problem.smallest_sigma)
-    solution = finish(problem, stacked(problem), state, weights, errors, True)
+    values = np.concatenate([x[of_theta], gains, delays])
+    solution = finish(problem, values, problem.weights(squared(stacked(problem), values)), True)
 
     def replicates() -> np.ndarray:
         norms = np.linalg.norm(A[:, :-1], axis=0)
@@ -59,7 +57,7 @@ def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
         for block in problem.units:
             # the projected currents of a unit are its regressor's rows with the coefficients of all units
             A_u = np.concatenate([_rows(problem, j, block[j], coefficients[j]) * scale[j] for j in range(n)])
-            e_u = (residuals(block, state) * (scale * gains)[:, None]).reshape(-1)
+            e_u = (residuals(block, values) * (scale * gains)[:, None]).reshape(-1)
             white = A_u[:, :-1] @ back
             blocks.append((white.T @ white, white.T @ e_u))
         return np.hstack(

@@ -40,7 +40,11 @@ from gtau.robots.parameter import Parameter
 from gtau.robots.robot import DAMPING, PLAIN_FRICTION
 
 SHAPES = ("width", "vs")
-"""Kinds of the parameters of a :class:`Shape`."""
+"""Kinds of the parameters in which a joint's friction is nonlinear.
+
+The width of presliding, rad or m, of one that does not slide at once; the speed v_s by which friction falls or rises
+from that at rest to that of sliding, rad/s or m/s, of friction with ``fb``.
+"""
 LEAST_POWER = 1e-300  # W: keeps 0/0 out of a joint at rest
 SPEEDS = 200  # at which a straight line is fitted
 
@@ -93,18 +97,6 @@ def _turns(step: np.ndarray) -> np.ndarray:
     return moved[1:][step[moved[1:]] * step[moved[:-1]] < 0]
 
 
-@dataclass(frozen=True)
-class Shape:
-    """Parameters in which a joint's friction is nonlinear.
-
-    ``width`` of presliding, rad or m, None where the joint slides at once; ``speed`` v_s by which friction falls or
-    rises from that at rest to that of sliding, rad/s or m/s, None for friction without ``fb``.
-    """
-
-    width: float | None = None
-    speed: float | None = None
-
-
 @dataclass(frozen=True, eq=False)
 class FrictionLaw:
     """Friction of a robot as a function of its parameters, some of which may add energy.
@@ -116,24 +108,24 @@ class FrictionLaw:
     logged_speeds : dict
         Actuated joint to V, rad/s or m/s; 0 where it is missing, so that its ``f3`` does not count.
     shapes : dict
-        Joint to its shape; one that is missing slides at once.
+        Widths and speeds by name, see ``SHAPES``; a joint without a width slides at once.
     """
 
     model: InverseDynamics
     logged_speeds: Mapping[str, float]
-    shapes: Mapping[str, Shape] = field(default_factory=dict)
+    shapes: Mapping[Parameter, float] = field(default_factory=dict)
 
     @cached_property
     def states(self) -> tuple[int, ...]:
         """The joints with presliding, by their rows among the robot's: those of ``z``, in order."""
-        shapes = [self.shapes.get(joint.name, Shape()) for joint in self.model.robot.joints]
-        return tuple(row for row, shape in enumerate(shapes) if shape.width)
+        names = [Parameter("width", joint.name) for joint in self.model.robot.joints]
+        return tuple(row for row, name in enumerate(names) if name in self.shapes)
 
     @property
     def widths(self) -> np.ndarray:
         """Widths (s,) of the presliding of ``states``, rad or m."""
         joints = self.model.robot.joints
-        return np.array([self.shapes[joints[row].name].width for row in self.states], dtype=float)
+        return np.array([self.shapes[Parameter("width", joints[row].name)] for row in self.states])
 
     def followers(self, path: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
         """Make the followers of a run in blocks: from times (N,) to states z (s, N), by actuated positions."""
@@ -191,10 +183,9 @@ class FrictionLaw:
             viscous, height, more, of_load = (
                 values.get(Parameter(kind, joint.name), 0.0) for kind in ("fv", "fs", "fb", "fl")
             )
-            shape, motor = self.shapes.get(joint.name, Shape()), self.motor(row)
-            if shape.speed:
-                height = height + more * math.exp(-math.fabs(speed) / shape.speed)
-            if motor is not None:
+            if v_s := self.shapes.get(Parameter("vs", joint.name)):
+                height = height + more * math.exp(-math.fabs(speed) / v_s)
+            if (motor := self.motor(row)) is not None:
                 height = height + of_load * math.fabs(load[motor] / self.ratios[row, motor])
             forces.append(viscous * speed + height * (math.sign(speed) if z is None else z[row]))
         for j, name in enumerate(self.model.actuated):
@@ -242,7 +233,7 @@ class FrictionLaw:
 
         viscous, coulomb, more, cubic = (values.get(Parameter(k, joint), 0.0) for k in ("fv", "fs", "fb", "f3"))
         speed = np.linspace(0.0, self.fastest(joint), SPEEDS)[1:]
-        falling = np.exp(-speed / (self.shapes.get(joint, Shape()).speed or np.inf)) if more else 0.0
+        falling = np.exp(-speed / self.shapes.get(Parameter("vs", joint), np.inf)) if more else 0.0
         friction = np.maximum(viscous * speed + coulomb + more * falling + cubic * speed**3, 0.0)
         (viscous, coulomb), _ = nnls(np.stack([speed, np.ones_like(speed)], axis=1), friction)
         return float(viscous), float(coulomb)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import InitVar, astuple, dataclass, field, replace
+from dataclasses import astuple, dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any, Literal
 
@@ -31,15 +31,7 @@ from gtau.estimation.regression.factors import KNOWN, Factors, reduce_rows
 from gtau.estimation.regression.plausibility import check_wrenches, prepare_runs, sensors_of
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.rows import Rows, stream_rows
-from gtau.estimation.regression.run_blocks import (
-    BLOCKS,
-    Place,
-    Windows,
-    aligned_edges,
-    block_of,
-    central_windows,
-    find_places,
-)
+from gtau.estimation.regression.run_blocks import BLOCKS, PreparedRuns, Windows, block_of
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import BaseParameters, base_parameters
@@ -71,50 +63,21 @@ def base_of(robot: Robot, sensors: tuple[str, ...] = ()) -> BaseParameters:
     return base_parameters(model_of(robot), sensors=sensors)
 
 
-class Motions:
-    """What follows from the motions of runs alone, computed once: groups, blocks and windows."""
-
-    def __init__(self, prepared: Sequence[PreparedRun]):
-        self.prepared = prepared
-        self._windows: dict[int, Windows] = {}
-
-    @cached_property
-    def places(self) -> tuple[Place, ...]:
-        """Place of each run among those that repeat its motion."""
-        return find_places(self.prepared)
-
-    @cached_property
-    def edges(self) -> tuple[np.ndarray, ...]:
-        """Edges of the blocks of each run, as shares of its samples, (BLOCKS + 1,)."""
-        return aligned_edges(self.prepared, self.places)
-
-    def windows(self, pieces: int) -> Windows:
-        """Cut the middle of every run into windows."""
-        if pieces not in self._windows:
-            self._windows[pieces] = central_windows(self.prepared, pieces)
-        return self._windows[pieces]
-
-
 @dataclass(frozen=True, eq=False)
 class Dataset:
     """All runs of an experiment, read and reduced, with the priors, before any estimation.
 
     ``priors`` are those of standard or base parameters, by name; with the inertias of the robot's file among them,
-    ``prior_inertias`` is their relative standard deviation, else 0. ``alike`` is a dataset of the same prepared runs.
+    ``prior_inertias`` is their relative standard deviation, else 0.
     """
 
     model: InverseDynamics
     base: BaseParameters
     preparation: Preparation
-    prepared: tuple[PreparedRun, ...]
+    prepared: PreparedRuns
     factors: tuple[Factors, ...] = ()
     priors: Mapping[str, Prior] = field(default_factory=dict)
     prior_inertias: float = 0.0
-    motions: Motions = field(init=False)
-    alike: InitVar[Dataset | None] = None
-
-    def __post_init__(self, alike: Dataset | None) -> None:
-        object.__setattr__(self, "motions", Motions(self.prepared) if alike is None else alike.motions)
 
     @property
     def robot(self) -> Robot:
@@ -135,21 +98,11 @@ class Dataset:
     @cached_property
     def temperatures(self) -> Temperatures | None:
         """Differences of the joints from their mean temperatures, where these are logged."""
-        return temperatures_of(self.prepared, self.edges)
-
-    @property
-    def places(self) -> tuple[Place, ...]:
-        """Place of each run among those that repeat its motion."""
-        return self.motions.places
-
-    @property
-    def edges(self) -> tuple[np.ndarray, ...]:
-        """Edges of the blocks of each run, as shares of its samples, (BLOCKS + 1,)."""
-        return self.motions.edges
+        return temperatures_of(self.prepared, self.prepared.edges)
 
     def windows(self, pieces: int = 1) -> Windows:
         """Cut the middle of every run into windows; see :func:`.run_blocks.central_windows`."""
-        return self.motions.windows(pieces)
+        return self.prepared.windows(pieces)
 
     @property
     def notes(self) -> tuple[Finding, ...]:
@@ -180,7 +133,7 @@ class Dataset:
         require_base_wrench(self.model, self.factors)
         slowest = 0.5 / (2 * np.pi * self.preparation.bandwidth) if delays else 0.0
         warm = None if self.temperatures is None else self.temperatures.of_blocks
-        plain = assemble_problem(effects, channels, self.factors, slowest, warm, [place.group for place in self.places])
+        plain = assemble_problem(effects, channels, self.factors, slowest, warm, self.prepared.places[0].tolist())
         known = known_equations(self.base, self.model.parameter_names, plain.parameters, self.priors)
         whole = replace(plain, known=known, wrenches=tuple(dict.fromkeys(given)), factored=plain.triangles)
         return System(self, whole.without(unexcited(whole)), whole, effects, of_payloads, terms)
@@ -211,7 +164,7 @@ class Dataset:
 
         for k, run in enumerate(runs):
             decimator = self.preparation.at(run.run.rate).decimator
-            blocks = block_of(self.edges[k], decimator.outputs(len(run)))
+            blocks = block_of(self.prepared.edges[k], decimator.outputs(len(run)))
             regressor, load = self.model.columns(columns), None if loads is None else loads[k]
             rows = counted(stream_rows(self.model, regressor, run, decimator, load), blocks, len(run))
             weights = None if weigh is None else weigh[k]
@@ -219,11 +172,7 @@ class Dataset:
             factors.append(factor if along is None else replace(factor, distances=self.factors[k].distances))
             begun += len(run)
         progress("model along the runs", total, total)
-        return self.with_factors(factors)
-
-    def with_factors(self, factors: Sequence[Factors]) -> Dataset:
-        """Take other factors of the same runs, cut at the same rows."""
-        return replace(self, factors=tuple(factors), alike=self)
+        return replace(self, factors=tuple(factors))
 
 
 @dataclass(frozen=True, eq=False)

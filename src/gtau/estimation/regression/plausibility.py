@@ -9,6 +9,7 @@ from difflib import get_close_matches
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.regression.run_blocks import PreparedRuns
 from gtau.estimation.thresholds.logs import (
     BEYOND_LIMITS,
     FAR_BEYOND_LIMITS,
@@ -160,10 +161,10 @@ def check_wrenches(robot: Robot, run: Run) -> None:
             )
 
 
-def prepare_runs(model: InverseDynamics, runs: Sequence[Run], preparation: Preparation) -> tuple[PreparedRun, ...]:
+def prepare_runs(model: InverseDynamics, runs: Sequence[Run], preparation: Preparation) -> PreparedRuns:
     """Prepare runs with joints in the model's order; raises GtauError."""
     ratios = motor_to_joint_speed(model)
-    return tuple(within_limits(model.robot, prepare(run, preparation.at(run.rate), ratios)) for run in runs)
+    return PreparedRuns(within_limits(model.robot, prepare(run, preparation.at(run.rate), ratios)) for run in runs)
 
 
 def motor_to_joint_speed(model: InverseDynamics) -> np.ndarray:

@@ -280,13 +280,13 @@ class Problem:
         # without a signal its own model gives no error level: start with that of the least weight
         return np.where(self.silent, found.max() or 1.0, found)
 
-    @property
+    @cached_property
     def signal(self) -> np.ndarray:
         """Each channel's current or torque, rms, (c,)."""
         norms = [np.linalg.norm(R[:, SIGNAL]) for R in self.triangles]
         return np.asarray(norms / np.sqrt(self.total_rows))
 
-    @property
+    @cached_property
     def silent(self) -> np.ndarray:
         """Mask of the channels without a signal, (c,), such as a direction without external forces on a base."""
         return self.signal == 0.0
@@ -304,6 +304,10 @@ class Problem:
     def smallest_sigma(self) -> np.ndarray:
         """Rounding error of each channel, (c,): the lower limit of its error level."""
         return 1e-10 * self.signal
+
+    def weights(self, squares: np.ndarray) -> np.ndarray:
+        """Return one over the rms of each channel's residuals, (c,), from the sums of their ``squares`` (c,)."""
+        return np.asarray(1 / np.maximum(np.sqrt(squares / self.total_rows), self.smallest_sigma))
 
     def total_rows_of(self, block: np.ndarray, j: int, signal: np.ndarray | None = None) -> np.ndarray:
         """Build rows ``[-W_theta  V_tau  -known]`` of ``W_tot`` (eq. 33) from a block (., n_theta + 4) of channel j.

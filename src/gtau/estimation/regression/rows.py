@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from gtau.model.inverse_dynamics import PATH, InverseDynamics, Regressor
-from gtau.model.loops import Motion
+from gtau.model.loops import Labels, Motion
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import PreparedRun, SampleWindow
 from gtau.signals.run import Run
@@ -129,7 +127,7 @@ def _measured(idm: InverseDynamics, run: Run, of: SampleWindow, c: np.ndarray) -
 
     All external forces on a base are one signal, its command, wherever they are applied.
     """
-    motion = idm.rates(c, of.qd.T.copy(), of.qdd.T.copy(), Labels(run.name, of.time))
+    motion = idm.rates(c, of.qd.T.copy(), of.qdd.T.copy(), instants(run.name, of.time))
     measured = np.stack([of.command.T, of.command_d.T, of.command_dd.T])
     external = external_torques(idm, run, motion, measured)
     base = [idm.actuated.index(joint) for joint in idm.robot.base]
@@ -141,7 +139,7 @@ def _measured(idm: InverseDynamics, run: Run, of: SampleWindow, c: np.ndarray) -
 def stream_motions(idm: InverseDynamics, prepared: PreparedRun) -> Iterator[tuple[SampleWindow, Motion]]:
     """Compute the motion at every sample of a run, behind no low-pass but that of the positions; raises GtauError."""
     for of, c in _along(idm, prepared, _every_sample(prepared)):
-        yield of, idm.rates(c, of.qd.T.copy(), of.qdd.T.copy(), Labels(prepared.run.name, of.time))
+        yield of, idm.rates(c, of.qd.T.copy(), of.qdd.T.copy(), instants(prepared.run.name, of.time))
 
 
 def external_torques(idm: InverseDynamics, run: Run, motion: Motion, measured: np.ndarray) -> np.ndarray:
@@ -162,22 +160,15 @@ def external_torques(idm: InverseDynamics, run: Run, motion: Motion, measured: n
 def configurations(idm: InverseDynamics, window: SampleWindow) -> np.ndarray:
     """Compute the configurations (n_c, N) of a model along a window; raises GtauError."""
     whole, first = window.part_of or (window, 0)
-    return _along_whole(idm, whole)[1][:, first : first + len(window)]
+    return _along_whole(idm, whole)[:, first : first + len(window)]
 
 
-# Factors, friction, and windows of hypotheses are streamed along the same paths: they live as long as their runs.
-_PATHS: WeakKeyDictionary[Any, WeakKeyDictionary[InverseDynamics, tuple[SampleWindow | None, np.ndarray]]]
-_PATHS = WeakKeyDictionary()
-
-
-def _along_whole(idm: InverseDynamics, prepared: PreparedRun | SampleWindow) -> tuple[SampleWindow | None, np.ndarray]:
-    """Compute the configurations along a whole run, and keep them with the samples of a prepared one."""
-    known = _PATHS.setdefault(prepared, WeakKeyDictionary())
-    if idm not in known:
-        of = prepared.samples()
-        path = idm.path(of.q.T.copy(), Labels(prepared.run.name, of.time))
-        known[idm] = of if isinstance(prepared, PreparedRun) else None, path
-    return known[idm]
+def _along_whole(idm: InverseDynamics, prepared: PreparedRun | SampleWindow) -> np.ndarray:
+    """Compute the configurations along a whole run, which factors, friction and windows of hypotheses share."""
+    if idm not in prepared.paths:
+        samples = prepared.samples()
+        prepared.paths[idm] = idm.path(samples.q.T.copy(), instants(prepared.run.name, samples.time))
+    return prepared.paths[idm]
 
 
 def _along(
@@ -187,9 +178,7 @@ def _along(
     begin, end = 0, 0  # the stretch that ``of`` and ``c`` are for
     c = np.zeros((idm.layout.n_c, 0))
     if isinstance(prepared, PreparedRun) and len(prepared) <= SHORT:
-        end, (kept, c) = len(prepared), _along_whole(idm, prepared)
-        assert kept is not None
-        of = kept
+        end, c, of = len(prepared), _along_whole(idm, prepared), prepared.all_samples
     for at in blocks:
         if at.stop > end:
             known = max(end - at.start, 0) if c.size else 0
@@ -198,19 +187,13 @@ def _along(
             if isinstance(prepared, SampleWindow) and prepared.part_of is not None:
                 c = configurations(idm, prepared)[:, at.start : stop]
             else:
-                labels = Labels(prepared.run.name, of.time[known:])
+                labels = instants(prepared.run.name, of.time[known:])
                 path = idm.path(of.q[known:].T.copy(), labels, c[:, -1] if c.size else None)
                 c = np.hstack([c[:, c.shape[1] - known :], path])
             begin, end = at.start, stop
         yield of[at.start - begin : at.stop - begin], c[:, at.start - begin : at.stop - begin]
 
 
-@dataclass(frozen=True)
-class Labels:
-    """Labels of a run's samples in messages: its name and the time."""
-
-    run: str
-    time: np.ndarray
-
-    def __getitem__(self, sample: int) -> str:
-        return f"t = {self.time[sample]:.4f} s of run '{self.run}'"
+def instants(run: str, time: np.ndarray) -> Labels:
+    """Call the samples of a run by the time, (N,), in messages."""
+    return lambda sample: f"t = {time[sample]:.4f} s of run '{run}'"

@@ -11,7 +11,8 @@ blocks are left out together: common errors then cancel in each unit, and differ
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -55,47 +56,59 @@ def block_of(edges: np.ndarray, outputs: int) -> np.ndarray:
     return np.asarray(np.searchsorted(np.round(edges[1:-1] * outputs, 6), np.arange(outputs), side="right"))
 
 
-@dataclass(frozen=True)
-class Place:
-    """Place of a run in the motion of its group: the ``group``'s number, and its ``begin`` and ``end``.
+class PreparedRuns(tuple[PreparedRun, ...]):
+    """Prepared runs, with what follows from their motions alone: groups, blocks and windows."""
 
-    They are the instants (s), by the clock of the run, at which the first run of the group begins to move and the last
-    one ends. ``repeated`` says whether the group has more than one run.
-    """
+    @cached_property
+    def places(self) -> tuple[np.ndarray, np.ndarray]:
+        """Place of each run among those that repeat its motion; see :func:`find_places`."""
+        return find_places(self)
 
-    group: int
-    begin: float
-    end: float
-    repeated: bool
+    @cached_property
+    def edges(self) -> tuple[np.ndarray, ...]:
+        """Edges of the blocks of each run, as shares of its samples, (BLOCKS + 1,)."""
+        return aligned_edges(self, *self.places)
+
+    @cached_property
+    def _windows(self) -> dict[int, Windows]:
+        return {}
+
+    def windows(self, pieces: int) -> Windows:
+        """Cut the middle of every run into windows; see :func:`central_windows`."""
+        if pieces not in self._windows:
+            self._windows[pieces] = central_windows(self, pieces)
+        return self._windows[pieces]
 
 
-def aligned_edges(prepared: Sequence[PreparedRun], places: Sequence[Place]) -> tuple[np.ndarray, ...]:
+def aligned_edges(prepared: Sequence[PreparedRun], groups: np.ndarray, spans: np.ndarray) -> tuple[np.ndarray, ...]:
     """Cut runs into blocks, those that repeat a motion at the same positions; shares, (BLOCKS + 1,) each.
 
     They are the blocks of the longest run of each group.
     """
-    found = []
-    for each, place in zip(prepared, places, strict=True):
-        group = [k for k, other in enumerate(places) if other.group == place.group]
-        longest = max(group, key=lambda k: len(prepared[k]) / prepared[k].run.rate)
+    cut = []
+    for run, group, (begin, _) in zip(prepared, groups, spans, strict=True):
+        members = np.flatnonzero(groups == group).tolist()
+        longest = max(members, key=lambda k: len(prepared[k]) / prepared[k].run.rate)
         edges = block_edges(prepared[longest])
-        if prepared[longest] is not each:
-            time, begin = prepared[longest].time, places[longest].begin
-            since = time[0] + edges[1:-1] * (time[-1] - time[0]) - begin
-            edges[1:-1] = np.clip((place.begin + since - each.time[0]) / (each.time[-1] - each.time[0]), 0.0, 1.0)
-        found.append(edges)
-    return tuple(found)
+        if prepared[longest] is not run:
+            time = prepared[longest].time
+            since = time[0] + edges[1:-1] * (time[-1] - time[0]) - spans[longest, 0]
+            edges[1:-1] = np.clip((begin + since - run.time[0]) / (run.time[-1] - run.time[0]), 0.0, 1.0)
+        cut.append(edges)
+    return tuple(cut)
 
 
-def find_places(prepared: Sequence[PreparedRun]) -> tuple[Place, ...]:
-    """Group the runs by their motions.
+def find_places(prepared: Sequence[PreparedRun]) -> tuple[np.ndarray, np.ndarray]:
+    """Group the runs by their motions: the number of the group of each, (R,), and its begin and end, (R, 2).
 
-    Runs belong together where the rms difference of their positions after a shift in time, over those of the motion,
-    is below ``REPEATED``, of ``REPEATED_PART`` of the longer one at least. Each is compared with the first of every
-    group. Runs in memory, which are synthetic, form groups of one.
+    They are the instants (s), by the clock of the run, at which the first run of the group begins to move and the last
+    one ends. Runs belong together where the rms difference of their positions after a shift in time, over those of the
+    motion, is below ``REPEATED``, of ``REPEATED_PART`` of the longer one at least. Each is compared with the first of
+    every group. Runs in memory, which are synthetic, form groups of one.
     """
-    if not all(isinstance(each, PreparedRun) for each in prepared):
-        return tuple(Place(k, 0.0, 0.0, False) for k in range(len(prepared)))
+    numbers, spans = np.arange(len(prepared)), np.zeros((len(prepared), 2))
+    if not all(isinstance(run, PreparedRun) for run in prepared):
+        return numbers, spans
     step, paths = _paths(prepared)
     groups = list[list[tuple[int, float]]]()
     for k, other in enumerate(prepared):
@@ -107,14 +120,13 @@ def find_places(prepared: Sequence[PreparedRun]) -> tuple[Place, ...]:
                 break
         else:
             groups.append([(k, 0.0)])
-    found = {}
     for number, members in enumerate(groups):
         # an instant t of the first run is t + shift by the clock of another
-        first = min(float(prepared[k].time[0]) - shift for k, shift in members)
-        last = max(float(prepared[k].time[-1]) - shift for k, shift in members)
-        for k, shift in members:
-            found[k] = Place(number, first + shift, last + shift, len(members) > 1)
-    return tuple(found[k] for k in range(len(prepared)))
+        runs, shifts = (np.array(part) for part in zip(*members, strict=True))
+        ends = np.array([prepared[k].time[[0, -1]] for k in runs]) - shifts[:, None]
+        numbers[runs] = number
+        spans[runs] = np.array([ends[:, 0].min(), ends[:, 1].max()]) + shifts[:, None]
+    return numbers, spans
 
 
 def _paths(prepared: Sequence[PreparedRun]) -> tuple[float, list[np.ndarray]]:
@@ -211,16 +223,16 @@ def _middle(stretches: Sequence[range], count: int) -> list[range]:
     return [each for each in cut if each]
 
 
-def window_clusters(windows: Windows, places: Sequence[Place]) -> np.ndarray:
+def window_clusters(windows: Windows, groups: np.ndarray, spans: np.ndarray) -> np.ndarray:
     """Assign numbers (W,) to the windows, equal ones to the nearest windows of runs that repeat a motion."""
     numbers: list[int] = []
     first: dict[int, tuple[int, list[tuple[float, int]]]] = {}  # of a group, its first run and that one's windows
     for run, window in windows:
-        middle = float(window.time[len(window) // 2]) - places[run].begin
-        leader, numbered = first.setdefault(places[run].group, (run, []))
+        middle = float(window.time[len(window) // 2]) - spans[run, 0]
+        leader, numbered = first.setdefault(int(groups[run]), (run, []))
         if run == leader:
             numbered.append((middle, max(numbers, default=-1) + 1))
-        numbers.append(min(numbered, key=lambda each: abs(each[0] - middle))[1])
+        numbers.append(min(numbered, key=lambda window: abs(window[0] - middle))[1])
     return np.array(numbers)
 
 

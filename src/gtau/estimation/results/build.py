@@ -12,7 +12,7 @@ from gtau.estimation.diagnostics.examine import Examination
 from gtau.estimation.diagnostics.stated_constants import scale_shares, sensor_verdict
 from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, judge_parameter, parameter_verdict, verdict_of
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.estimators.newton import residuals, stacked
+from gtau.estimation.estimators.newton import squared, stacked
 from gtau.estimation.regression.column_blocks import BEARING, PayloadColumns, known_values
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.factors import triangle
@@ -224,13 +224,12 @@ def _logged_speeds(fit: Fit) -> dict[str, float]:
 
 def _levels(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
     """Compute rms residual and rms signal of each channel, (c,), over rows that all count alike."""
-    sigma, state, problem = fit.solution.sigma, fit.solution.iterate, fit.unweighted or fit.system.problem
-    if fit.unweighted is not None:
-        squares = [
-            np.sum(residuals(stacked(equations), state) ** 2, axis=-1) for equations in (fit.system.problem, problem)
-        ]
-        sigma = sigma * np.sqrt(squares[1] / np.maximum(squares[0], 1e-300))
-    return sigma, problem.balance(state.theta)
+    problem, solution = fit.system.problem, fit.solution
+    if fit.unweighted is None:
+        return solution.sigma, problem.balance(solution.theta)
+    weighted, unweighted = (squared(stacked(rows), solution.values) for rows in (problem, fit.unweighted))
+    ratio = np.sqrt(unweighted / np.maximum(weighted, 1e-300))
+    return solution.sigma * ratio, fit.unweighted.balance(solution.theta)
 
 
 def _sensors(

@@ -1,18 +1,14 @@
-"""Groups of a result: the model, its estimates, how they were fitted, and the evidence for and against them."""
+"""Groups of a result: the estimates, how they were fitted, and the evidence for and against them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import Alternative
-from gtau.estimation.diagnostics.geometry_findings import GeometryTest
-from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
-from gtau.estimation.estimators.physical_consistency import Consistency
-from gtau.estimation.regression.dataset import base_of, model_of
 from gtau.estimation.results.estimate import (
     Distances,
     FrictionCurve,
@@ -25,33 +21,14 @@ from gtau.estimation.results.estimate import (
 )
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.findings import Finding
-from gtau.model.base_parameters import BaseParameters
-from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter
-from gtau.robots.robot import Robot
 from gtau.signals.preparation.prepared_run import Preparation
 from gtau.signals.run import Run
 
-
-@dataclass(frozen=True, eq=False)
-class Model:
-    """A robot with its inverse dynamic model and its base parameters, which are derived when asked for.
-
-    ``sensors`` are the joints with a torque sensor, which separate more base parameters.
-    """
-
-    robot: Robot
-    sensors: tuple[str, ...] = ()
-
-    @cached_property
-    def idm(self) -> InverseDynamics:
-        """The inverse dynamic identification model."""
-        return model_of(self.robot)
-
-    @cached_property
-    def base(self) -> BaseParameters:
-        """The base parameters, of motors and torque sensors together."""
-        return base_of(self.robot, self.sensors)
+if TYPE_CHECKING:
+    from gtau.estimation.diagnostics.geometry_findings import GeometryTest
+    from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
+    from gtau.estimation.estimators.physical_consistency import Consistency
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +82,7 @@ class FitRecord:
     Attributes
     ----------
     method, kind : str
-        A name of :data:`gtau.estimation.estimators.registry.ESTIMATORS`; whether logs hold currents or torques.
+        A name of :data:`gtau.estimation.estimators.registry.NAMES`; whether logs hold currents or torques.
     runs : tuple of str
         Names of the runs.
     preparation : Preparation

@@ -42,7 +42,7 @@ from gtau.estimation.results.estimate import (
     SensorEstimate,
     TorqueError,
 )
-from gtau.estimation.results.groups import Evidence, FitRecord, Model, ModelEstimates
+from gtau.estimation.results.groups import Evidence, FitRecord, ModelEstimates
 from gtau.estimation.results.payload import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.extensions import registered
@@ -341,8 +341,7 @@ class ModelDocument(_Group):
             {field.name: values[field.name] for field in fields(group) if field.name in values}
             for group in (ModelEstimates, FitRecord, Evidence)
         )
-        model = Model(robot, tuple(sensor.joint for sensor in self.sensors))
-        return Result(model, ModelEstimates(**estimates), FitRecord(**fit), Evidence(**evidence))
+        return Result(robot, ModelEstimates(**estimates), FitRecord(**fit), Evidence(**evidence))
 
 
 def to_document(result: Result) -> dict[str, Any]:

@@ -6,17 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar, overload
 
 import numpy as np
 
 from gtau.display import late, views
 from gtau.estimation.diagnostics.alternatives import Alternative
-from gtau.estimation.diagnostics.geometry_findings import GeometryTest
-from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.estimators.physical_consistency import Consistency
-from gtau.estimation.friction.law import SHAPES, FrictionLaw, Shape
+from gtau.estimation.friction.law import SHAPES, FrictionLaw
+from gtau.estimation.regression.dataset import base_of, model_of
 from gtau.estimation.results.estimate import (
     Distances,
     Estimate,
@@ -28,9 +26,8 @@ from gtau.estimation.results.estimate import (
     SensorEstimate,
     TorqueError,
 )
-from gtau.estimation.results.groups import Evidence, FitRecord, Model, ModelEstimates
+from gtau.estimation.results.groups import Evidence, FitRecord, ModelEstimates
 from gtau.estimation.results.payload import PayloadEstimate
-from gtau.estimation.results.predicted import Prediction, torque_errors
 from gtau.findings import Finding
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -43,6 +40,10 @@ from gtau.signals.run import Run
 if TYPE_CHECKING:
     import polars as pl
 
+    from gtau.estimation.diagnostics.geometry_findings import GeometryTest
+    from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
+    from gtau.estimation.estimators.physical_consistency import Consistency
+    from gtau.estimation.results.predicted import Prediction
 
 T = TypeVar("T")
 
@@ -73,8 +74,8 @@ class Result:
 
     Attributes
     ----------
-    model : Model
-        The robot, its inverse dynamic model and its base parameters.
+    robot : Robot
+        The robot.
     estimates : ModelEstimates
         Estimates with which the model predicts.
     fit : FitRecord
@@ -85,7 +86,7 @@ class Result:
     All fields of these groups are properties of the result, too.
     """
 
-    model: Model
+    robot: Robot
     estimates: ModelEstimates
     fit: FitRecord
     evidence: Evidence = field(default_factory=Evidence)
@@ -105,7 +106,9 @@ class Result:
     temperatures = Forwarded[ReferenceTemperatures | None](
         "estimates", "Temperatures at which friction has its values."
     )
-    consistency = Forwarded[Consistency | None]("estimates", "Physically consistent standard parameters.")
+    consistency: ClassVar[Forwarded[Consistency | None]] = Forwarded(
+        "estimates", "Physically consistent standard parameters."
+    )
     method = Forwarded[str]("fit", "Name of the estimator.")
     kind = Forwarded[str]("fit", "``current`` or ``torque``: what was logged.")
     runs = Forwarded[tuple[str, ...]]("fit", "Names of the runs.")
@@ -128,8 +131,12 @@ class Result:
     equation_friction = Forwarded[Named[Parameter]](
         "evidence", "Friction in the equations that give gains and inertia."
     )
-    geometry = Forwarded[GeometryTest | None]("evidence", "What logged poses say of the robot's geometry.")
-    audit = Forwarded[InertiaAudit | None]("evidence", "How well the inertias of the robot's file predict.")
+    geometry: ClassVar[Forwarded[GeometryTest | None]] = Forwarded(
+        "evidence", "What logged poses say of the robot's geometry."
+    )
+    audit: ClassVar[Forwarded[InertiaAudit | None]] = Forwarded(
+        "evidence", "How well the inertias of the robot's file predict."
+    )
     requirements = Forwarded[tuple[Requirement, ...]](
         "evidence", "What the experiment file requires, and what was found of it."
     )
@@ -151,30 +158,21 @@ class Result:
             groups.setdefault(getattr(type(self), name).group, {})[name] = value
         return replace(self, **{group: replace(getattr(self, group), **fields) for group, fields in groups.items()})
 
-    @property
-    def robot(self) -> Robot:
-        """Its robot."""
-        return self.model.robot
-
-    @property
+    @cached_property
     def idm(self) -> InverseDynamics:
-        """Its inverse dynamic identification model."""
-        return self.model.idm
+        """Inverse dynamic identification model of the robot."""
+        return model_of(self.robot)
 
-    @property
+    @cached_property
     def base(self) -> BaseParameters:
-        """Its base parameters."""
-        return self.model.base
+        """Base parameters of motors and torque sensors together."""
+        return base_of(self.robot, tuple(sensor.joint for sensor in self.sensors))
 
     @cached_property
     def friction_law(self) -> FrictionLaw:
         """Friction of the robot at any speed, for these and other parameters."""
-        values = {name: estimate.value for name, estimate in self.friction.items()}
-        shapes = {
-            joint: Shape(values.get(Parameter("width", joint)), values.get(Parameter("vs", joint)))
-            for joint in self.curves
-        }
-        return FrictionLaw(self.idm, self.logged_speeds, shapes)
+        shapes = {name: estimate.value for name, estimate in self.friction.items() if name.kind in SHAPES}
+        return FrictionLaw(self.idm, self.logged_speeds, {name: value for name, value in shapes.items() if value})
 
     @property
     def gains(self) -> np.ndarray:
@@ -264,6 +262,8 @@ class Result:
 
     def validate(self, run: Run) -> tuple[TorqueError, ...]:
         """Compute torque errors of each joint on a run: against the raw torque, by frequency, and in the fit's band."""
+        from gtau.estimation.results.predicted import torque_errors
+
         return torque_errors(self.predict(run), self.robot, self.preparation.bandwidth)
 
     @property

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from importlib.resources import files
@@ -15,17 +15,16 @@ import numpy as np
 
 from gtau.documents.files import write_atomically
 from gtau.errors import GtauError
-from gtau.report.chart import Axis, Chart, Panel, Series
+from gtau.report.chart import MINUS, Axis, Chart, Panel, Series, Sketch, Word
 from gtau.report.page import number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Colours = Mapping[str, Any]
-"""Colours of the style sheet by name, as Matplotlib takes them."""
 STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
+    "font.size": 9.0,
     "text.parse_math": False,  # names of users may hold a $
     "font.sans-serif": ["DejaVu Sans"],  # comes with matplotlib, so that figures look the same everywhere
     "axes.titlesize": 9.5,
@@ -54,30 +53,26 @@ PARTS: dict[str, tuple[Any, ...]] = {
     "grid": ("grid.color",),
 }
 """Colours of the parts of a chart that its description does not name."""
-MINUS = "\N{MINUS SIGN}"
 WIDTH = 7.2  # inches, of a figure
 NAMES = 220.0  # points, that the names at an axis share
-BUCKETS = 600  # of a line, each drawn by its extremes
-DASHES: tuple[tuple[float, ...], ...] = ((), (5, 1.6), (5, 1.4, 1, 1.4), (1, 1.3), (8, 2), (3, 1, 1, 1))
-"""How lines of the colours c0, c1, ... are dashed, in widths of the line, so that they differ in grey too."""
+HALO = 2.4  # points, of the page's colour around words
 
 
 @contextmanager
-def styled(colours: Colours, size: float = 9.0) -> Iterator[None]:
-    """Draw in the style of the package, words of a ``size`` in points; afterwards the user's settings are as before."""
+def styled() -> Iterator[None]:
+    """Draw in the style of the package; afterwards the user's settings are as before."""
     import matplotlib
 
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(STYLE)
-        matplotlib.rcParams["font.size"] = size
-        matplotlib.rcParams.update({part: colours[name] for name, parts in PARTS.items() for part in parts})
+        matplotlib.rcParams.update({part: palette()[name] for name, parts in PARTS.items() for part in parts})
         yield
 
 
 @cache
-def palette() -> Colours:
-    """Read the colours of the style sheet by name."""
+def palette() -> dict[str, Any]:
+    """Read the colours of the style sheet by name, as Matplotlib takes them."""
     text = files("gtau.report.render").joinpath("assets", "light.css").read_text(encoding="utf-8")
     colours: dict[str, Any] = dict(re.findall(r"--([\w-]+): (#\w+);", text))
     for name, *parts in re.findall(r"--([\w-]+): rgba\((\d+), (\d+), (\d+), ([\d.]+)\)", text):
@@ -86,9 +81,9 @@ def palette() -> Colours:
     return colours
 
 
-def new_figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
+def new_figure(width: float, height: float) -> Figure:
     """Make an empty figure, inches, without a window and known to no pyplot; it shows itself in notebooks."""
-    return _shown_figure()(figsize=(width, height), layout=layout)
+    return _shown_figure()(figsize=(width, height))
 
 
 @cache
@@ -101,7 +96,7 @@ def _shown_figure() -> type[Figure]:
 
         def _repr_png_(self) -> bytes:
             content = BytesIO()
-            with styled(palette()):
+            with styled():
                 self.savefig(content, format="png")
             return content.getvalue()
 
@@ -112,14 +107,15 @@ def figure_of(chart: Chart) -> Figure:
     """Draw a chart as one figure, its panels in rows of ``columns``, its key above them."""
     rows = -(-len(chart.panels) // chart.columns)
     heights = [max(panel.height for panel in chart.panels[k * chart.columns :][: chart.columns]) for k in range(rows)]
-    with styled(palette()):
+    with styled():
         figure = new_figure(WIDTH, 0.5 + 1.15 * sum(heights))
+        figure.set_layout_engine("constrained")
         grid = figure.subplots(
             rows, chart.columns, squeeze=False, height_ratios=heights, sharex="col" if chart.live else "none"
         )
         places = grid.reshape(-1)
         for axes, panel in zip(places, chart.panels, strict=False):
-            draw(axes, panel, palette(), last=not chart.live or axes in grid[-1])
+            draw(axes, panel, last=not chart.live or axes in grid[-1])
         for axes in places[len(chart.panels) :]:
             axes.set_axis_off()
         first, label = places[0], chart.panels[0].title
@@ -133,8 +129,9 @@ def figure_of(chart: Chart) -> Figure:
     return figure
 
 
-def draw(axes: Axes, panel: Panel, colours: Colours, last: bool = True) -> None:
+def draw(axes: Axes, panel: Panel, last: bool = True) -> None:
     """Draw a panel; the horizontal axis is labelled on the ``last`` one."""
+    colours = palette()
     if panel.matrix is not None:
         _draw_matrix(axes, panel.matrix)
     if panel.band is not None:
@@ -152,7 +149,7 @@ def draw(axes: Axes, panel: Panel, colours: Colours, last: bool = True) -> None:
             axes.annotate(rule.label, (rule.x, 1.0), (-2.0, -2.0), **place, rotation=90, va="top", ha="right",
                           fontsize="small", color=colours["soft"])  # fmt: skip
     for series in panel.series:
-        _draw_series(axes, series, colours)
+        _draw_series(axes, series)
     _draw_axis(axes, panel.x, "x")
     _draw_axis(axes, panel.y, "y")
     axes.set(title=panel.title, xlabel=panel.x.label if last else "", ylabel=panel.y.label)
@@ -186,7 +183,8 @@ def _draw_axis(axes: Axes, axis: Axis, which: Literal["x", "y"]) -> None:
         axes.set(**{f"{which}lim": axis.limits})
 
 
-def _draw_series(axes: Axes, series: Series, colours: Colours) -> None:
+def _draw_series(axes: Axes, series: Series) -> None:
+    colours = palette()
     colour = colours[series.colour]
     look: dict[str, Any] = {"label": series.label or None}
     if series.mark == "steps":
@@ -195,9 +193,8 @@ def _draw_series(axes: Axes, series: Series, colours: Colours) -> None:
         spans = [(start, stop - start) for start, stop in series.x]
         axes.broken_barh(spans, (float(series.y[0]) - 0.35, 0.7), color=colour, linewidth=0)
     elif series.mark == "line":
-        dashes = DASHES[int(series.colour[1:]) % len(DASHES)] if series.colour[1:].isdigit() else ()
-        style = (0, dashes) if dashes else "-"
-        axes.plot(*thinned(series), color=colour, linewidth=series.width, linestyle=style, **look)
+        style = (0, series.dashes) if series.dashes else "-"
+        axes.plot(*series.thinned(), color=colour, linewidth=series.width, linestyle=style, **look)
     elif series.mark == "points":
         look |= {"markersize": 2 + series.width, "markeredgewidth": 0.0}
         axes.plot(series.x, series.y, "o", color=colour, **look)
@@ -224,38 +221,32 @@ def _draw_matrix(axes: Axes, values: np.ndarray) -> None:
     axes.imshow(image, interpolation="none", aspect="equal")
 
 
-def thinned(series: Series) -> tuple[np.ndarray, np.ndarray]:
-    """Return the points (K,) and (K,) of a line, thinned along time or frequency, not along a path."""
-    if not np.all(np.diff(series.x) >= 0):
-        return series.x, series.y
-    x, y = envelope(series.x, series.y[:, None], BUCKETS)
-    return x, y.reshape(-1)
+def figure_of_sketch(sketch: Sketch) -> Figure:
+    """Draw a sketch on axes that fill a figure of its size."""
+    from matplotlib.patheffects import withStroke
 
-
-def envelope(time: np.ndarray, values: np.ndarray, buckets: int) -> tuple[np.ndarray, np.ndarray]:
-    """Thin series (K, m) over ``time`` (K,) to the extremes of each bucket, in the order in which they occur.
-
-    Returns two instants a bucket, which all series share, (2 buckets,), and (2 buckets, m); the input itself where it
-    is no longer than that. NaN is left out.
-    """
-    samples, m = values.shape
-    size = -(-samples // buckets)
-    if size <= 2:
-        return time, values
-    count = -(-samples // size)
-    padded = np.full((count * size, m), np.nan)
-    padded[:samples] = values
-    padded = padded.reshape(count, size, m)
-    gaps = np.isnan(padded)
-    low = np.where(gaps, np.inf, padded).argmin(axis=1)
-    high = np.where(gaps, -np.inf, padded).argmax(axis=1)
-    first, last = np.minimum(low, high), np.maximum(low, high)
-    pairs = np.stack([np.take_along_axis(padded, at[:, None], axis=1)[:, 0] for at in (first, last)], axis=1)
-    instants = np.full(count * size, time[-1])
-    instants[:samples] = time
-    instants = instants.reshape(count, size)
-    shared = np.stack([instants[:, 0], instants[:, size // 2]], axis=1)
-    return shared.reshape(-1), pairs.reshape(-1, m)
+    colours = palette() | {"": "none"}
+    sides = {"start": "left", "middle": "center", "end": "right"}
+    look: dict[str, Any]
+    halo = withStroke(linewidth=HALO, foreground=colours["page"])
+    with styled():
+        figure = new_figure(*sketch.size / 72)
+        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        for order, item in enumerate(sketch.items):
+            if isinstance(item, Word):
+                look = {"fontsize": item.size, "fontweight": "bold" if item.bold else "normal"}
+                look |= {"color": colours[item.colour], "path_effects": [halo], "zorder": order}
+                axes.text(item.place[0], item.place[1], item.text, ha=sides[item.side], va="center", **look)
+            elif item.closed:
+                axes.fill(*item.points.T, facecolor=colours[item.fill], edgecolor=colours[item.stroke],
+                          linewidth=item.width, alpha=item.opacity, zorder=order)  # fmt: skip
+            else:
+                look = {"color": colours[item.stroke], "linewidth": item.width, "solid_capstyle": "round"}
+                axes.plot(*item.points.T, **look, zorder=order)
+        ends = np.column_stack([sketch.corner, sketch.corner + sketch.size])
+        axes.set(xlim=ends[0], ylim=ends[1])
+        axes.set_axis_off()
+    return figure
 
 
 def save(chart: Chart, path: Path) -> Path:
@@ -276,6 +267,6 @@ def save_figure(figure: Figure, path: str | Path) -> None:
     if kind not in ("png", "pdf"):
         raise GtauError(f"figures are written as PNG or PDF, so '{path}' would mislead; let its name end in .png.")
     content = BytesIO()
-    with styled(palette()):
+    with styled():
         figure.savefig(content, format=kind, metadata={"Software": None} if kind == "png" else {"CreationDate": None})
     write_atomically(path, content.getvalue())

@@ -14,10 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from gtau.report.chart import Chart, Panel
+from gtau.report.chart import MINUS, Chart, Panel, envelope
 from gtau.report.page import BADGES, NUMERIC, Column, Item, Kind, Page, Section
-from gtau.report.render.charts import MINUS, envelope
-from gtau.report.render.svg import svg, svg_of, variables
+from gtau.report.render.svg import svg_of, svg_of_sketch
 from gtau.robots.robot import Robot
 
 BUCKETS = 2000  # of a run, each drawn by its extremes: more than the pixels of a wide screen
@@ -101,9 +100,9 @@ def minus(words: str) -> str:
 
 
 def _robot(robot: Robot) -> str:
-    from gtau.report.robot_figure import robot_figure
+    from gtau.report.robot_figure import sketch_of
 
-    return svg(robot_figure(robot, variables()))
+    return svg_of_sketch(sketch_of(robot))
 
 
 def _style() -> str:

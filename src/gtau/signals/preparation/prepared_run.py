@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -90,6 +92,11 @@ class SampleWindow:
     def __len__(self) -> int:
         return len(self.time)
 
+    @cached_property
+    def paths(self) -> MutableMapping[object, np.ndarray]:
+        """Configurations (n_c, N) of models along these samples, kept as long as both live."""
+        return WeakKeyDictionary()
+
     def __getitem__(self, samples: slice) -> SampleWindow:
         return SampleWindow(self.run, *(getattr(self, name)[samples] for name in ARRAYS))
 
@@ -130,6 +137,16 @@ class PreparedRun:
     peaks: np.ndarray
     notes: tuple[Finding, ...] = ()
     cutoffs: tuple[float | None, ...] = ()
+
+    @cached_property
+    def paths(self) -> MutableMapping[object, np.ndarray]:
+        """Configurations (n_c, N) of models along the run, kept as long as both live."""
+        return WeakKeyDictionary()
+
+    @cached_property
+    def all_samples(self) -> SampleWindow:
+        """All samples, prepared once."""
+        return self.samples()
 
     def __len__(self) -> int:
         return len(self.kept)

@@ -36,7 +36,7 @@ def find_alternatives(fit: Fit, hypotheses: Sequence[Hypothesis] = HYPOTHESES) -
     linear = linearise(fit, windows, side_by_side(offers))
     ends = np.cumsum([0, *(len(columns) for _, columns in tried)]).tolist()
     causes = _all_causes(fit, linear, tried)
-    T = to_gains(fit.solution.iterate, fit.free_gains)
+    T = to_gains(fit.solution.values, len(fit.solution.gains), fit.free_gains)
     alternatives: list[Alternative] = []
     for (hypothesis, columns), (start, stop) in zip(tried, pairwise(ends), strict=True):
         sizes, stds, shares, slopes = linear.score_tests(slice(start, stop), hypothesis.shared)
@@ -119,5 +119,5 @@ def _together(fit: Fit, hypothesis: Hypothesis, linear: Linearised, columns: ran
         return []
     alone = np.array([explained([k])[1] for k in columns])
     cause = hypothesis.describe(fit, step[len(before) :], alone / share)
-    slopes = to_gains(fit.solution.iterate, fit.free_gains) @ (step[: len(before)] - before)
+    slopes = to_gains(fit.solution.values, len(fit.solution.gains), fit.free_gains) @ (step[: len(before)] - before)
     return [Alternative(hypothesis.name, (cause,), 1.0, None, "", share=share).moving(fit, slopes)]

@@ -18,7 +18,7 @@ from gtau.estimation.diagnostics.alternatives import Alternative, Hypothesis, ca
 from gtau.estimation.diagnostics.linearisation import CandidateColumns, FitWindow, motion_along
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.plausibility import stated_rate
-from gtau.estimation.regression.rows import Labels, external_torques
+from gtau.estimation.regression.rows import external_torques, instants
 from gtau.estimation.thresholds import Threshold
 from gtau.findings import Finding
 from gtau.robots.floating import WRENCH
@@ -66,7 +66,7 @@ def _with_positions(at: FitWindow, factors: np.ndarray, shifts: np.ndarray) -> C
     columns = np.zeros((len(shifts), *before.shape))
     for column, factor, shift in zip(columns, factors, shifts, strict=True):
         q, qd, qdd = window.q * factor + shift, window.qd * factor, window.qdd * factor
-        moved, labels = replace(window, q=q, qd=qd, qdd=qdd, part_of=None), Labels(window.run.name, window.time)
+        moved, labels = replace(window, q=q, qd=qd, qdd=qdd, part_of=None), instants(window.run.name, window.time)
         try:  # from near the first configuration, so that loops are closed as before
             path = model.path(np.ascontiguousarray(q.T), labels, at.motion.c[:, 0])
             after = at.torques_along(motion_along(model, moved, path), at.values)
@@ -227,7 +227,7 @@ def _points(at: FitWindow) -> CandidateColumns:
     # of a force that acts 1 mm further back
     force = measured.reshape(len(bodies), 2, 1, 3, -1)[:, 1]
     errors = np.zeros((len(bodies), 3, len(bodies), 6, measured.shape[1]))
-    errors[bodies, :, bodies, :3] = -MILLIMETRE * np.cross(np.eye(3)[:, :, None], force, axis=2)
+    errors[bodies, :, bodies, :3] = -MILLIMETRE * np.cross(np.eye(3)[:, :, None], force, axis=-2)
     return _felt(at, errors.reshape(3 * len(bodies), *measured.shape))
 
 

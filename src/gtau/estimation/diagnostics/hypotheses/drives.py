@@ -187,7 +187,7 @@ def gain_changes(fit: Fit) -> Iterator[Alternative]:
     Its size is the relative increase of the current, its share that of the residual variance of all joints where each
     has such a change in these runs. Changes that no motor makes, of sign or unit, are left to other checks.
     """
-    problem, state = fit.system.problem, fit.solution.iterate
+    problem, solution = fit.system.problem, fit.solution
     runs, of_block = np.unique(fit.system.block_positions[:, 0].astype(int), return_inverse=True)
     loaded = np.zeros(len(runs), dtype=bool)
     np.logical_or.at(loaded, of_block, np.any(problem.blocks[..., KNOWN], axis=(1, 2)))
@@ -197,7 +197,7 @@ def gain_changes(fit: Fit) -> Iterator[Alternative]:
         return
     tried = len(np.unique(groups ^ groups[:, :1], axis=0))  # larger in some runs is smaller in the others
     errors, J = weighted(fit, problem.blocks)
-    current = modelled(problem.blocks, state.theta) * (state.b * weights_of(fit))[:, None]
+    current = modelled(problem.blocks, solution.theta) * (weights_of(fit) / solution.gains)[:, None]
     offered = -current[..., None] * groups[:, of_block].T[:, None, None, :]
     known = np.zeros(len(problem.known)), jacobian_of_known(problem, True)
     clusters = np.unique(problem.block_numbers, return_inverse=True)[1]
@@ -207,7 +207,10 @@ def gain_changes(fit: Fit) -> Iterator[Alternative]:
     worst = _first_largest(t[:, : len(fit.gains)])
     if shares.max() > DOMINANT:  # the same runs for all joints
         worst[:] = _first_largest(shares)
-    T, prior = to_gains(state, True), float(ALTERNATIVE_PRIOR) / tried  # the largest of several is larger by chance
+    T, prior = (
+        to_gains(solution.values, len(solution.gains), True),
+        float(ALTERNATIVE_PRIOR) / tried,
+    )  # the largest of several is larger by chance
     for j, k in enumerate(worst):
         change, std = float(sizes[k, j]), float(stds[k, j])
         if not t[k, j] or abs(change) > SCALED:
