@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.estimators.newton import jacobian, jacobian_of_known, residuals, whitening
+from gtau.estimation.estimators.newton import jacobian, jacobian_of_known, residuals, to_gains, whitening
 from gtau.estimation.regression.factors import EXTRA, equations, triangle
 from gtau.estimation.regression.rows import Rows, configurations, instants, stream_rows
 from gtau.estimation.regression.run_blocks import Windows, window_clusters
@@ -224,6 +224,11 @@ def weighted(fit: Fit, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def weights_of(fit: Fit) -> np.ndarray:
     """Compute the weights of the channels' errors, (c,)."""
     return np.asarray(1 / np.maximum(fit.solution.sigma, fit.system.problem.smallest_sigma))
+
+
+def slopes_of(fit: Fit) -> np.ndarray:
+    """Differentiate (theta, gains, delays) by the unknowns of the Jacobian, (k, .)."""
+    return to_gains(fit.solution.values, len(fit.solution.gains), fit.free_gains)
 
 
 def window_motion(model: InverseDynamics, window: SampleWindow) -> Motion:

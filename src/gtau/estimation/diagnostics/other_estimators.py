@@ -25,11 +25,12 @@ from gtau.estimation.diagnostics.linearisation import (
     FitWindow,
     known_rows,
     linearise,
+    slopes_of,
     stacked_triangles,
 )
 from gtau.estimation.diagnostics.log_checks import lack_of_fit
 from gtau.estimation.estimators.estimator import Fit, jackknife
-from gtau.estimation.estimators.newton import to_gains, whitening
+from gtau.estimation.estimators.newton import whitening
 from gtau.estimation.estimators.two_stage import first_stage, two_stage
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import SIGNALS, triangle
@@ -75,7 +76,7 @@ def _alternatives(fit: Fit, estimator: Finding, moves: np.ndarray, stds: np.ndar
     counted[problem.gain_rows.stop :] = False
     for k in np.flatnonzero(counted):
         name, scale = problem.unknowns[k], abs(values[k])
-        joints, subject = ((problem.joints[k - len(fit.solution.theta)],), "") if name.kind == "gain" else ((), name)
+        joints, subject = ((name.body,), "") if name.kind == "gain" else ((), name)
         cause = replace(estimator, joints=joints, subject=subject)
         size, std = float(moves[k] / values[k]), float(stds[k] / scale)
         effect = Alternative(estimator.kind, (cause,), size, std, RELATIVE, plausible=float(plausible[k] / scale))
@@ -144,7 +145,7 @@ def differences(fit: Fit) -> Iterator[tuple[Finding, np.ndarray, np.ndarray] | F
     jacobians = [J for _, J, _ in pairs]
     back = whitening(np.concatenate([*jacobians, known]), np.zeros(len(fit.solution.gains)))
     usual, white = [(J.T @ J, J.T @ e) for _, J, e in pairs], known @ back
-    T = to_gains(fit.solution.values, len(fit.solution.gains), fit.free_gains) @ back
+    T = slopes_of(fit) @ back
 
     def compared(weighed: Sequence[Moments]) -> tuple[np.ndarray, np.ndarray]:
         first, second = ([(back.T @ A @ back, back.T @ g) for A, g in moments] for moments in (usual, weighed))

@@ -27,10 +27,10 @@ from gtau.estimation.diagnostics.linearisation import (
     least_squares_step,
     linearise,
     on_channels,
+    slopes_of,
     weights_of,
 )
 from gtau.estimation.estimators.estimator import Fit, jackknife
-from gtau.estimation.estimators.newton import to_gains
 from gtau.estimation.regression.factors import triangle
 from gtau.estimation.regression.run_blocks import BLOCKS, SAMPLES
 from gtau.estimation.thresholds.estimates import CORRELATED, CORRELATED_STD, PROBABLE, RIPPLE_SHARE
@@ -74,7 +74,7 @@ def position_ripple(fit: Fit) -> Alternative:
         return nothing
     # what of a joint does not repeat would only take up what its parameters explain
     moved, _ = _fit(linear, [even, odd], np.where(shares > 0, heights, np.inf))
-    shifts = to_gains(solution.values, len(solution.gains), fit.free_gains) @ (moved - step)
+    shifts = slopes_of(fit) @ (moved - step)
     return replace(nothing, causes=(_ripple(fit, shares, shifts),), shifts=shifts)
 
 

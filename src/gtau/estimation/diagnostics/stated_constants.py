@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from gtau.estimation.diagnostics.alternatives import refitted, residual_ratio
-from gtau.estimation.diagnostics.linearisation import weighted, weights_of
+from gtau.estimation.diagnostics.linearisation import slopes_of, weighted, weights_of
 from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, known_verdict, unexplained_shares, verdict_of
 from gtau.estimation.estimators.estimator import Fit, Solve, jackknife
 from gtau.estimation.estimators.newton import (
@@ -25,7 +25,6 @@ from gtau.estimation.estimators.newton import (
     jacobian_of_known,
     one_step,
     stacked,
-    to_gains,
     whitening,
 )
 from gtau.estimation.regression.column_blocks import known_values
@@ -135,7 +134,7 @@ def estimate_slopes(fit: Fit, constants: Sequence[StatedConstant]) -> np.ndarray
         change = read - torques / solution.gains[:, None]
         side = np.einsum("ujpk,ujp,j->k", of_blocks, change, weights**2)
         sides.append(side + known.T @ constant.known)
-    T = to_gains(solution.values, len(solution.gains), fit.free_gains)
+    T = slopes_of(fit)
     return np.asarray(-(T @ back) @ (back.T @ np.reshape(sides, (-1, len(back))).T))
 
 
@@ -200,7 +199,7 @@ def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
     of_known[:, :size] = jacobian_of_known(problem, True)
     of_known[:, -1] = problem.known[:, :-1] @ solution.theta - problem.known[:, -1]
     R = triangle(rows, of_known)
-    T = to_gains(solution.values, len(solution.gains), True)[problem.gain_rows] / fit.gains[:, None]
+    T = slopes_of(fit)[problem.gain_rows] / fit.gains[:, None]
     scales = []
     for k, sensor in enumerate(sensors):
         columns, channel = [*range(size), size + k], problem.channels[sensor]

@@ -11,9 +11,8 @@ from pkgutil import iter_modules
 import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import Alternative, Hypothesis, compete
-from gtau.estimation.diagnostics.linearisation import Linearised, linearise, on_channels, side_by_side
+from gtau.estimation.diagnostics.linearisation import Linearised, linearise, on_channels, side_by_side, slopes_of
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.estimators.newton import to_gains
 from gtau.estimation.regression.run_blocks import WINDOWS
 from gtau.estimation.thresholds.estimates import SAME_EFFECT, TOGETHER_SHARE
 from gtau.findings import Finding
@@ -36,7 +35,7 @@ def find_alternatives(fit: Fit, hypotheses: Sequence[Hypothesis] = HYPOTHESES) -
     linear = linearise(fit, windows, side_by_side(offers))
     ends = np.cumsum([0, *(len(columns) for _, columns in tried)]).tolist()
     causes = _all_causes(fit, linear, tried)
-    T = to_gains(fit.solution.values, len(fit.solution.gains), fit.free_gains)
+    T = slopes_of(fit)
     alternatives: list[Alternative] = []
     for (hypothesis, columns), (start, stop) in zip(tried, pairwise(ends), strict=True):
         sizes, stds, shares, slopes = linear.score_tests(slice(start, stop), hypothesis.shared)
@@ -119,5 +118,5 @@ def _together(fit: Fit, hypothesis: Hypothesis, linear: Linearised, columns: ran
         return []
     alone = np.array([explained([k])[1] for k in columns])
     cause = hypothesis.describe(fit, step[len(before) :], alone / share)
-    slopes = to_gains(fit.solution.values, len(fit.solution.gains), fit.free_gains) @ (step[: len(before)] - before)
+    slopes = slopes_of(fit) @ (step[: len(before)] - before)
     return [Alternative(hypothesis.name, (cause,), 1.0, None, "", share=share).moving(fit, slopes)]

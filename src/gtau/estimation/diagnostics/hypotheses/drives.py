@@ -34,11 +34,12 @@ from gtau.estimation.diagnostics.linearisation import (
     CandidateColumns,
     FitWindow,
     Linearised,
+    slopes_of,
     weighted,
     weights_of,
 )
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.estimators.newton import jacobian_of_known, to_gains
+from gtau.estimation.estimators.newton import jacobian_of_known
 from gtau.estimation.regression.column_blocks import is_transmitted
 from gtau.estimation.regression.factors import KNOWN, modelled
 from gtau.estimation.regression.rows import Rows
@@ -208,7 +209,7 @@ def gain_changes(fit: Fit) -> Iterator[Alternative]:
     if shares.max() > DOMINANT:  # the same runs for all joints
         worst[:] = _first_largest(shares)
     T, prior = (
-        to_gains(solution.values, len(solution.gains), True),
+        slopes_of(fit),
         float(ALTERNATIVE_PRIOR) / tried,
     )  # the largest of several is larger by chance
     for j, k in enumerate(worst):
