@@ -25,7 +25,7 @@ from zoo import ENTRIES
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
-from gtau.robots.floating import WrenchFrame
+from gtau.robots.placement import WrenchFrame
 from gtau.robots.robot import Pose
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import Run

@@ -32,7 +32,7 @@ from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import Motion
 from gtau.model.singularities import random_motion
-from gtau.robots.geometry import exact_angle
+from gtau.robots.placement import exact_angle
 from gtau.robots.readers.xml_document import read_xml
 from gtau.robots.robot import Robot
 

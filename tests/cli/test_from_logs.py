@@ -13,6 +13,7 @@ from bags import TOPIC, write_bag
 from typer.testing import CliRunner
 
 from gtau.cli.commands import app
+from gtau.cli.logs import Commands, experiment_of
 from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -120,7 +121,8 @@ def test_check_drafts_as_identify_does(tmp_path: Path, motion: Any, monkeypatch:
     assert loaded.payload is not None
     assert loaded.payload.mass == 0.75
     assert not any("payload masses come from" in words for words in said)
-    CliRunner().invoke(app, [*command, "--kind", "current"])  # a draft that nobody edited is replaced
+    sources, masses = [Path(log) for log in logs], [f"{LOADED}=0.75"]
+    experiment_of(sources, "arm.urdf", masses, Commands.current, None, Path("looked"))  # an unedited draft is replaced
     assert read_experiment(tmp_path / "looked" / "experiment.yaml").signals.kind == "current"
 
 
@@ -216,7 +218,7 @@ def test_episodes_of_lists(tmp_path: Path, motion: Any, arrays: bool) -> None:
     write_draft(draft, tmp_path / "experiment.yaml")
     experiment = read_experiment(tmp_path / "experiment.yaml")
     assert [run.episode for run in experiment.runs] == [0, 1, 2, 3]
-    third = read_run(log, experiment.signals, part=experiment.runs[2].part)
+    third = read_run(log, experiment.signals, part=experiment.runs[2])
     assert third.name == "file-000 episode 2"
     np.testing.assert_allclose(third.position, motion["empty"][1][2000:3000], atol=1e-9)
     np.testing.assert_allclose(third.command, motion["empty"][2][2000:3000], atol=1e-9)
@@ -226,7 +228,7 @@ def test_episodes_of_lists(tmp_path: Path, motion: Any, arrays: bool) -> None:
         read_experiment(tmp_path / "twice.yaml")
     (tmp_path / "none.yaml").write_text(text.replace("episode: 3", "episode: 7"))
     with pytest.raises(GtauError, match=r"has no episode 7; its episodes are 0 to 3"):
-        _ = read_experiment(tmp_path / "none.yaml").runs[-1].part
+        read_run(log, experiment.signals, part=read_experiment(tmp_path / "none.yaml").runs[-1])
 
 
 INFO = {

@@ -14,8 +14,9 @@ from gtau.estimation.diagnostics.unit_checks import leg_differences
 from gtau.model.base_parameters import base_parameters, regrouped, symmetric_order
 from gtau.model.home import close_home, load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.geometry import identical_legs, pose_of
-from gtau.robots.readers.urdf_tree import turning
+from gtau.robots.floating import turning
+from gtau.robots.geometry import identical_legs
+from gtau.robots.placement import pose_of
 from gtau.robots.robot import Attachment, Closure, Coupling, Joint, Mdh, Platform, Pose, Robot
 
 

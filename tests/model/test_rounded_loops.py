@@ -17,7 +17,7 @@ from gtau.model.base_parameters import base_parameters
 from gtau.model.home import close_home, load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import close_loops
-from gtau.robots.geometry import angles_of
+from gtau.robots.placement import angles_of
 from gtau.robots.robot import Attachment, Closure, Joint, Mdh, Placement, Platform, Pose, Robot
 
 TURNED = Rotation.from_euler("xyz", [0.3, -0.7, 1.1]).as_matrix()

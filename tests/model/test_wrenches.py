@@ -15,7 +15,8 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import poses
 from gtau.model.loops import Motion
 from gtau.model.singularities import random_motion
-from gtau.robots.floating import WrenchFrame, float_base
+from gtau.robots.floating import float_base
+from gtau.robots.placement import WrenchFrame
 from gtau.robots.robot import Robot
 
 ROBOTS = [

@@ -20,7 +20,7 @@ from gtau.report.render.terminal import plain
 from gtau.report.robot import robot_document, robot_page
 from gtau.report.robot_figure import robot_figure
 from gtau.robots.floating import float_base
-from gtau.robots.plausibility import oddities, tool_note
+from gtau.robots.geometry import oddities, tool_note
 from gtau.robots.readers.native import parse_native
 from gtau.robots.readers.native_text import native_text
 from gtau.robots.readers.read import catalog_names

@@ -13,13 +13,24 @@ from hypothesis import strategies as st
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.model.home import load_robot
-from gtau.robots.file import RobotFile
-from gtau.robots.geometry import exact_angle, in_degrees
+from gtau.robots.placement import exact_angle, in_degrees
 from gtau.robots.readers.native import read_native
 from gtau.robots.readers.native_text import native_text, write_native
 from gtau.robots.readers.read import catalog_names
 from gtau.robots.readers.urdf import read_urdf
-from gtau.robots.robot import GROUND, Attachment, Closure, Coupling, Joint, Limits, Mdh, Platform, Pose, Robot
+from gtau.robots.robot import (
+    GROUND,
+    Attachment,
+    Closure,
+    Coupling,
+    Joint,
+    Limits,
+    Mdh,
+    Platform,
+    Pose,
+    Robot,
+    RobotFile,
+)
 
 Frames = dict[str, tuple[np.ndarray, np.ndarray]]
 

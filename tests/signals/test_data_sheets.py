@@ -19,22 +19,28 @@ from gtau.signals.reading.statements import Drive, check_drives
 SHEET = "{gear_ratio: 50, torque_constant: 0.05, efficiency: 0.8, rotor_inertia: 2.0e-5}"
 
 
-def experiment(tmp_path: Path, drives: str, more: str = "", signal: str = "current", gain: float = 2.1) -> Path:
-    """A test bench, with and without a disc of 2 kg on it."""
+def bench(folder: Path, drives: str, gain: float = 2.1) -> Path:
+    """An experiment on a test bench, with and without a disc of 2 kg on it."""
     robot = load_robot("test-bench")
     rng = np.random.default_rng(0)
-    t = np.arange(0, 20, 0.002)
+    t = np.arange(0, 20, 0.004)
     w, phase = 2 * np.pi * np.array([0.2, 0.5, 0.9, 1.4, 2.1]), rng.uniform(0, 2 * np.pi, 5)
     angle, size = w * t[:, None] + phase, 0.9 / w
     motion = (np.sin(angle) @ size, np.cos(angle) @ (size * w), -np.sin(angle) @ (size * w**2))
     truth = {"mx_arm": 0.12, "yy_arm": 0.03, "ia_arm": 0.05, "fv_arm": 0.4, "fs_arm": 0.9}
     disc = {"m_arm": 2.0, "mx_arm": 0.5, "yy_arm": 0.13}
     for name, load in (("free", {}), ("loaded", disc)):
-        chi = {each: truth.get(each, 0.0) + load.get(each, 0.0) for each in truth | load}
-        tau = InverseDynamics(robot).torques(*(each[:, None] for each in motion), chi)[:, 0]
+        chi = {parameter: truth.get(parameter, 0.0) + load.get(parameter, 0.0) for parameter in truth | load}
+        tau = InverseDynamics(robot).torques(*(x[:, None] for x in motion), chi)[:, 0]
         columns = np.column_stack([t, motion[0], tau / gain + 0.02 * rng.normal(size=t.size)])
-        np.savetxt(tmp_path / f"{name}.csv", columns, delimiter=",", header="t,q,v", comments="", fmt="%.9g")
-    path = tmp_path / "experiment.yaml"
+        np.savetxt(folder / f"{name}.csv", columns, delimiter=",", header="t,q,v", comments="", fmt="%.9g")
+    return experiment(folder, drives)
+
+
+def experiment(folder: Path, drives: str, more: str = "", signal: str = "current") -> Path:
+    for name in ("free", "loaded"):
+        (folder / f"{name}.csv").touch()
+    path = folder / "experiment.yaml"
     path.write_text(f"""robot: test-bench
 signals: {{time: t, position: {{arm: q}}, {signal}: {{arm: v}}}}
 {more}
@@ -57,7 +63,7 @@ def test_what_is_expected_at_the_joint() -> None:
 
 
 def test_it_stands_beside_the_estimate_and_is_a_prior(tmp_path: Path) -> None:
-    path = experiment(tmp_path, SHEET)
+    path = bench(tmp_path, SHEET)
     described = read_experiment(path)
     assert described.expected_gains == {"arm": pytest.approx(2.0)}
     assert described.expected_parameters["ia_arm"].value == pytest.approx(0.05)
@@ -70,16 +76,16 @@ def test_it_stands_beside_the_estimate_and_is_a_prior(tmp_path: Path) -> None:
 
 
 def test_a_gain_far_off_the_data_sheet_is_contradictory(tmp_path: Path) -> None:
-    found = identify(experiment(tmp_path, "{gear_ratio: 5, torque_constant: 0.05}"))
+    found = identify(bench(tmp_path, "{gear_ratio: 5, torque_constant: 0.05}"))
     assert found.drive_gains["arm"].verdict.finding.kind == F.PRIOR_GAIN
 
 
 def test_motors_that_turn_against_their_joints_may_have_negative_gains(tmp_path: Path) -> None:
     """Which are contradictory where nobody expects them."""
-    expected = identify(experiment(tmp_path, SHEET.replace("50", "-50", 1), gain=-2.1)).drive_gains["arm"]
+    expected = identify(bench(tmp_path, SHEET.replace("50", "-50", 1), gain=-2.1)).drive_gains["arm"]
     assert expected.value == pytest.approx(-2.1, rel=0.01)
     assert expected.verdict.outcome == Outcome.GOOD
-    unexpected = identify(experiment(tmp_path, "{rotor_inertia: 2.0e-5}", gain=-2.1)).drive_gains["arm"]
+    unexpected = identify(bench(tmp_path, "{rotor_inertia: 2.0e-5}", gain=-2.1)).drive_gains["arm"]
     assert unexpected.verdict.finding.kind == F.ALL_NEGATIVE
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from typer.testing import CliRunner
 
 from gtau.cli.commands import app
 from gtau.errors import GtauError
+from gtau.estimation.identify import identify
 from gtau.model.home import load_robot
 from gtau.robots.robot import Joint, Mdh, Robot
 from gtau.signals.channel import SENSOR
@@ -204,9 +204,7 @@ def test_the_drafted_file_identifies(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert done.exit_code == 0, done.output
     assert "Then: gtau check e.yaml" in done.output
     assert "CHECK: kg, from the file name" in (tmp_path / "e.yaml").read_text()
-    result = CliRunner().invoke(app, ["identify", "e.yaml", "--json"])
-    assert result.exit_code == 0, result.output
-    gains = {each["joint"]: each["value"] for each in json.loads(result.output)["drive_gains"]}
+    gains = {joint: gain.value for joint, gain in identify("e.yaml").drive_gains.items()}
     assert gains == pytest.approx(dict(zip(("left", "right"), GAINS, strict=True)), rel=0.01)
     again = CliRunner().invoke(app, command)
     assert again.exit_code == 2

@@ -42,7 +42,7 @@ def test_a_good_file(folder: Path) -> None:
     assert experiment.signals.joints == ("11", "12")
     assert experiment.signals.command == {"11": "v1", "12": "v2"}
     assert experiment.expected_gains == {"11": 2001.0, "12": 2001.0}
-    assert experiment.gain_stds == {}
+    assert [gain.std for gain in experiment.stated_gains.values()] == [None, None]
     assert experiment.runs[0].log == (folder / "free.csv",)
     assert experiment.runs[0].payload is None
     payload = experiment.runs[1].payload

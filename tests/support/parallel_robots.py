@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from gtau.model.kinematics import coordinates
 from gtau.model.loop_closure import loop_errors
-from gtau.robots.geometry import angles_of
+from gtau.robots.placement import angles_of
 from gtau.robots.robot import GROUND, Attachment, Closure, Joint, Placement, Platform, Pose, Robot
 
 Z = (0.0, 0.0, 1.0)

@@ -47,16 +47,8 @@ def _bar(first: str) -> Iterator[Callable[[str, int, int], None]]:
 
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        beginning = bar.add_task(first, total=None)
-        tasks: dict[str, Any] = {}
-
-        def report(stage: str, done: int, total: int) -> None:
-            bar.update(beginning, visible=False)
-            if stage not in tasks:
-                tasks[stage] = bar.add_task(stage, total=total)
-            bar.update(tasks[stage], completed=done, total=total)
-
-        yield report
+        task = bar.add_task(first, total=None)
+        yield lambda stage, done, total: bar.update(task, description=stage, completed=done, total=total)
 
 
 @contextmanager
@@ -78,20 +70,22 @@ def progress_lines(first: str, every: float) -> Iterator[Callable[[str, int, int
         finished.set()
 
 
-ExperimentFile = Annotated[Path, typer.Argument(metavar="EXPERIMENT.yaml", help="Experiment file.", show_default=False)]
-ModelFile = Annotated[
-    Path, typer.Argument(metavar="MODEL.json", help="What 'gtau identify' wrote.", show_default=False)
-]
-Columns = Annotated[
-    Path | None,
-    typer.Option(metavar="EXPERIMENT.yaml", help="Take columns and units from an experiment file."),
-]
-CarriedPayload = Annotated[
-    str | None,
-    typer.Option(metavar="NAME", help="Payload that the robot carries, by its name in the model."),
-]
-ReportFolder = Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for report.html.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout instead of tables.")]
+def option(metavar: str, text: str, *names: str, **more: Any) -> Any:
+    """Describe an option by the placeholder of its value, which a flag has not, and its help."""
+    return typer.Option(*names, metavar=metavar or None, help=text, **more)
+
+
+def argument(metavar: str, text: str) -> Any:
+    """Describe an argument by its placeholder and its help."""
+    return typer.Argument(metavar=metavar, help=text, show_default=False)
+
+
+ExperimentFile = Annotated[Path, argument("EXPERIMENT.yaml", "Experiment file.")]
+ModelFile = Annotated[Path, argument("MODEL.json", "What 'gtau identify' wrote.")]
+Columns = Annotated[Path | None, option("EXPERIMENT.yaml", "Take columns and units from an experiment file.")]
+CarriedPayload = Annotated[str | None, option("NAME", "Payload that the robot carries, by its name in the model.")]
+ReportFolder = Annotated[Path | None, option("DIR", "Folder for report.html.")]
+Json = Annotated[bool, option("", "Print one JSON document on stdout instead of tables.", "--json")]
 
 
 def base_choice(text: str | None) -> Any:

@@ -8,7 +8,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gtau.cli.console import METHODS, ExperimentFile, Json, ReportFolder, answer, progress_bar, refusing, seconds
+from gtau.cli.console import (
+    METHODS,
+    ExperimentFile,
+    Json,
+    ReportFolder,
+    answer,
+    argument,
+    option,
+    progress_bar,
+    refusing,
+    seconds,
+)
 from gtau.cli.logs import KindOfLogs, Payloads, PresetOfLogs, RobotOfLogs, Sources, experiment_of
 from gtau.documents.files import folder_of, refuse_as_folder, write_atomically
 from gtau.errors import GtauError
@@ -17,56 +28,40 @@ if TYPE_CHECKING:
     from gtau.estimation.results.result import Result
 
 Results = Annotated[
-    Path,
-    typer.Option(
-        metavar="DIR", help="Folder for report.html, model.json, summary.txt, singularities and torque scale."
-    ),
+    Path, option("DIR", "Folder for report.html, model.json, summary.txt, singularities and torque scale.")
 ]
 Method = Annotated[
     str | None,
-    typer.Option(
-        metavar=METHODS,
-        help="Estimator; docs/lookup/verdicts.md compares them. Default: ml; tls with --as-paper; wls if the logs "
+    option(
+        METHODS,
+        "Estimator; docs/lookup/verdicts.md compares them. Default: ml; tls with --as-paper; wls if the logs "
         "hold torques whose scale cannot be tested.",
-        show_default=False,
     ),
 ]
 Ratio = Annotated[
     float | None,
-    typer.Option(
-        min=1.0,
-        metavar="RATIO",
-        help="The paper's ratio r_sigma (10 to 30) for selecting essential parameters; default: BIC.",
-    ),
+    option("RATIO", "The paper's ratio r_sigma (10 to 30) for selecting essential parameters; default: BIC.", min=1.0),
 ]
 AsPaper = Annotated[
     bool,
-    typer.Option(
+    option(
+        "",
+        "Follow the paper step by step: its TLS (or wls, ols), filter, friction and reduction; no delays.",
         "--as-paper",
-        help="Follow the paper step by step: its TLS (or wls, ols), filter, friction and reduction; no delays.",
     ),
 ]
-Consistent = Annotated[bool, typer.Option("--consistent", help="Also find physically consistent standard parameters.")]
+Consistent = Annotated[bool, option("", "Also find physically consistent standard parameters.", "--consistent")]
 PriorInertias = Annotated[
     float | None,
-    typer.Option(
-        metavar="STD",
-        help="Use the inertias of the robot file as priors with this relative standard deviation, 0.3 for 30 %.",
-        show_default=False,
-    ),
+    option("STD", "Use the inertias of the robot file as priors with this relative standard deviation, 0.3 for 30 %."),
 ]
 Accuracy = Annotated[
     float,
-    typer.Option(
-        min=0.01,
-        max=50.0,
-        metavar="PERCENT",
-        help="A drive gain is good if its 95 % interval is within +- PERCENT of its value.",
+    option(
+        "PERCENT", "A drive gain is good if its 95 % interval is within +- PERCENT of its value.", min=0.01, max=50.0
     ),
 ]
-Verbose = Annotated[
-    bool, typer.Option("--verbose", "-v", help="Print all parameters, the fit of each joint and all notes.")
-]
+Verbose = Annotated[bool, option("", "Print all parameters, the fit of each joint and all notes.", "--verbose", "-v")]
 
 
 @refusing
@@ -159,10 +154,9 @@ def compare(experiment: ExperimentFile, out: ReportFolder = None, json_: Json = 
 
 Experiments = Annotated[
     list[str],
-    typer.Argument(
-        metavar="EXPERIMENT.yaml|FLEET.yaml",
-        help="Experiment files of the robots, or patterns ('cells/*/experiment.yaml'); or a fleet file.",
-        show_default=False,
+    argument(
+        "EXPERIMENT.yaml|FLEET.yaml",
+        "Experiment files of the robots, or patterns ('cells/*/experiment.yaml'); or a fleet file.",
     ),
 ]
 
@@ -170,14 +164,11 @@ Experiments = Annotated[
 @refusing
 def fleet(
     experiments: Experiments,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for report.html, models, table and figure.")],
-    method: Annotated[str, typer.Option(metavar=METHODS, help="Estimator; one that finds drive gains.")] = "ml",
-    jobs: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Processes on this machine; default: one for each core.")
-    ] = None,
+    out: Annotated[Path, option("DIR", "Folder for report.html, models, table and figure.")],
+    method: Annotated[str, option(METHODS, "Estimator; one that finds drive gains.")] = "ml",
+    jobs: Annotated[int | None, option("N", "Processes on this machine; default: one for each core.", min=1)] = None,
     dask: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Work on the workers of a Dask scheduler (tcp://host:8786), or 'local'."),
+        str | None, option("ADDRESS", "Work on the workers of a Dask scheduler (tcp://host:8786), or 'local'.")
     ] = None,
     json_: Json = False,
 ) -> None:

@@ -11,7 +11,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gtau.cli.console import METHODS, Json, answer, base_choice, print_json, progress_bar, refusing, seconds
+from gtau.cli.console import (
+    METHODS,
+    Json,
+    answer,
+    argument,
+    base_choice,
+    option,
+    print_json,
+    progress_bar,
+    refusing,
+    seconds,
+)
 from gtau.documents.files import EXPERIMENT, LOG, folder_of, kind_of, refuse_as_folder
 from gtau.errors import GtauError
 
@@ -31,46 +42,31 @@ class Commands(StrEnum):
 
 Sources = Annotated[
     list[Path],
-    typer.Argument(
-        metavar="EXPERIMENT.yaml|LOG...",
-        help="Experiment file, or logs, from which one is drafted (DIR/experiment.yaml).",
-        show_default=False,
-    ),
+    argument("EXPERIMENT.yaml|LOG...", "Experiment file, or logs, from which one is drafted (DIR/experiment.yaml)."),
 ]
 RobotOfLogs = Annotated[
     str | None,
-    typer.Option(
-        metavar="ROBOT",
-        help="With logs: name in the catalog or of robot_descriptions, or path of a robot file; default: "
+    option(
+        "ROBOT",
+        "With logs: name in the catalog or of robot_descriptions, or path of a robot file; default: "
         "/robot_description of a bag.",
-        show_default=False,
     ),
 ]
 Payloads = Annotated[
     list[str] | None,
-    typer.Option(
-        metavar="LOG=KG",
-        help="With logs: payload mass of a log (kg, 0 for none); default: from names such as loaded_0.48kg.mcap. "
+    option(
+        "LOG=KG",
+        "With logs: payload mass of a log (kg, 0 for none); default: from names such as loaded_0.48kg.mcap. "
         "Repeatable.",
-        show_default=False,
     ),
 ]
 KindOfLogs = Annotated[
     Commands | None,
-    typer.Option(
-        metavar="current|torque",
-        help="With logs: what command columns such as 'effort' contain; default: judged by name.",
-        show_default=False,
-    ),
+    option("current|torque", "With logs: what command columns such as 'effort' contain; default: judged by name."),
 ]
 
 PresetOfLogs = Annotated[
-    str | None,
-    typer.Option(
-        metavar="PRESET",
-        help="With logs: their source (ur-current, ur-torque, franka-ros, kinova, lerobot, ...).",
-        show_default=False,
-    ),
+    str | None, option("PRESET", "With logs: their source (ur-current, ur-torque, franka-ros, kinova, lerobot, ...).")
 ]
 
 
@@ -78,22 +74,15 @@ PresetOfLogs = Annotated[
 def init(
     logs: Annotated[
         list[Path],
-        typer.Argument(
-            metavar="LOG",
-            help="One log per run, all of one layout; or the logs of positions, then as many of commands.",
-            show_default=False,
-        ),
+        argument("LOG", "One log per run, all of one layout; or the logs of positions, then as many of commands."),
     ],
-    robot: Annotated[
-        str | None, typer.Option(metavar="ROBOT", help="Name in the catalog, or path of a robot file.")
-    ] = None,
+    robot: Annotated[str | None, option("ROBOT", "Name in the catalog, or path of a robot file.")] = None,
     base: Annotated[
-        str | None,
-        typer.Option(metavar="fixed|ROLL,PITCH,YAW", help="Fix a floating base, or turned by angles in rad."),
+        str | None, option("fixed|ROLL,PITCH,YAW", "Fix a floating base, or turned by angles in rad.")
     ] = None,
     preset: PresetOfLogs = None,
-    out: Annotated[Path, typer.Option(metavar="FILE", help="File to write.")] = Path("experiment.yaml"),
-    yes: Annotated[bool, typer.Option("--yes", help="Ask nothing; mark in the file what to confirm.")] = False,
+    out: Annotated[Path, option("FILE", "File to write.")] = Path("experiment.yaml"),
+    yes: Annotated[bool, option("", "Ask nothing; mark in the file what to confirm.", "--yes")] = False,
     json_: Json = False,
 ) -> None:
     """Draft an experiment file from logs: find the time, positions and currents, their units and the sampling rate."""
@@ -177,22 +166,13 @@ def check(
     payload: Payloads = None,
     kind: KindOfLogs = None,
     preset: PresetOfLogs = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder for report.html, figures of the logs and singularities."),
-    ] = None,
+    out: Annotated[Path | None, option("DIR", "Folder for report.html, figures of the logs and singularities.")] = None,
     figure: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Folder for a figure of each log's preparation: spectra, bandwidth, clock, rows left out.",
-        ),
+        option("DIR", "Folder for a figure of each log's preparation: spectra, bandwidth, clock, rows left out."),
     ] = None,
     method: Annotated[
-        str | None,
-        typer.Option(
-            metavar=METHODS, help="Estimator to be used afterwards; default: that of identify.", show_default=False
-        ),
+        str | None, option(METHODS, "Estimator to be used afterwards; default: that of identify.")
     ] = None,
     json_: Json = False,
 ) -> None:

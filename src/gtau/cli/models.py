@@ -19,6 +19,8 @@ from gtau.cli.console import (
     Json,
     ModelFile,
     answer,
+    argument,
+    option,
     progress_bar,
     refusing,
     seconds,
@@ -47,10 +49,7 @@ def validate(
     model: ModelFile,
     experiment: ExperimentFile,
     out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR", help="Folder for report.html and, of each run, a figure and a table with all samples."
-        ),
+        Path | None, option("DIR", "Folder for report.html and, of each run, a figure and a table with all samples.")
     ] = None,
     json_: Json = False,
 ) -> None:
@@ -83,24 +82,17 @@ def validate(
     answer(json_, lambda: validation_document(runs), lambda: validation_page(result, runs, notes), written)
 
 
-WeighingGains = Annotated[
-    Gains, typer.Option(metavar="identified|prior", help="The model's gains, or the file's prior_gains.")
-]
+WeighingGains = Annotated[Gains, option("identified|prior", "The model's gains, or the file's prior_gains.")]
 PayloadFrame = Annotated[
     str,
-    typer.Option(
-        metavar="LINK|POSE",
-        help="Frame of the centre of mass and inertia: a link of the URDF (tool0), or 'x y z roll pitch yaw' "
+    option(
+        "LINK|POSE",
+        "Frame of the centre of mass and inertia: a link of the URDF (tool0), or 'x y z roll pitch yaw' "
         "(m, rad) from the frame of the body that carries the payload. Default: that frame; with --to, name one.",
-        show_default=False,
     ),
 ]
-Controller = Annotated[
-    str | None, typer.Option(metavar="CONTROLLER", help=f"Also write each payload for a controller: {CONTROLLERS}.")
-]
-WeighingFolder = Annotated[
-    Path | None, typer.Option(metavar="DIR", help="Folder for report.html and the files of --to.")
-]
+Controller = Annotated[str | None, option("CONTROLLER", f"Also write each payload for a controller: {CONTROLLERS}.")]
+WeighingFolder = Annotated[Path | None, option("DIR", "Folder for report.html and the files of --to.")]
 
 
 @refusing
@@ -176,7 +168,7 @@ def _refuse_controller(to: str, frame: str, result: Result, file: str) -> None:
     """Refuse a controller that does not exist, or whose frame nobody named, before the work."""
     from gtau.export.exported import refuse_unknown
     from gtau.export.payload import WRITERS, refuse_unnamed
-    from gtau.robots.readers.read import links_on
+    from gtau.robots.readers.links import links_on
 
     refuse_unknown(to, WRITERS)
     if not frame:
@@ -197,22 +189,19 @@ def export_bodies(bodies: Sequence[PayloadBody], to: str, out: Path) -> list[Exp
 @refusing
 def export(
     model: ModelFile,
-    to: Annotated[str, typer.Option(metavar="KIND", help="What to write: {exports}.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files.")],
+    to: Annotated[str, option("KIND", "What to write: {exports}.")],
+    out: Annotated[Path, option("DIR", "Folder for the files.")],
     into: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Robot file (URDF or MJCF) to copy with the identified parameters inserted."),
+        Path | None, option("FILE", "Robot file (URDF or MJCF) to copy with the identified parameters inserted.")
     ] = None,
     samples: Annotated[
         int,
-        typer.Option(
-            min=0,
-            metavar="N",
-            help="Also draw N models from the identified distribution, for domain randomization: samples.npz.",
+        option(
+            "N", "Also draw N models from the identified distribution, for domain randomization: samples.npz.", min=0
         ),
     ] = 0,
-    models: Annotated[int, typer.Option(min=0, metavar="N", help="Number of draws also written as models.")] = 16,
-    seed: Annotated[int, typer.Option(min=0, metavar="SEED", help="Seed of the draws.")] = 0,
+    models: Annotated[int, option("N", "Number of draws also written as models.", min=0)] = 16,
+    seed: Annotated[int, option("SEED", "Seed of the draws.", min=0)] = 0,
     json_: Json = False,
 ) -> None:
     """Export a model for controllers, simulators, papers and other programs."""
@@ -235,9 +224,9 @@ def _show_notes(notes: Sequence[str]) -> None:
 
 ContactFrame = Annotated[
     str | None,
-    typer.Option(
-        metavar="LINK|POSE",
-        help="Also compute the external force and moment at a link of the experiment's URDF (tool0), or at 'x y z "
+    option(
+        "LINK|POSE",
+        "Also compute the external force and moment at a link of the experiment's URDF (tool0), or at 'x y z "
         "roll pitch yaw' (m, rad) from the frame of the body that carries the payload.",
     ),
 ]
@@ -246,20 +235,17 @@ ContactFrame = Annotated[
 @refusing
 def use(
     model: ModelFile,
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="Log of a run: CSV, Parquet.", show_default=False)],
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Table to write: .csv or .parquet, one row per sample.")
-    ] = None,
+    log: Annotated[Path, argument("LOG", "Log of a run: CSV, Parquet.")],
+    out: Annotated[Path | None, option("FILE", "Table to write: .csv or .parquet, one row per sample.")] = None,
     experiment: Columns = None,
     payload: CarriedPayload = None,
     frame: ContactFrame = None,
     force_only: Annotated[
         bool,
-        typer.Option("--force-only", help="The contact exerts no moment about the origin of --frame, as a point does."),
+        option("", "The contact exerts no moment about the origin of --frame, as a point does.", "--force-only"),
     ] = False,
     observer: Annotated[
-        float | None,
-        typer.Option(metavar="HZ", help="Also estimate external torques causally, by a momentum observer."),
+        float | None, option("HZ", "Also estimate external torques causally, by a momentum observer.")
     ] = None,
     json_: Json = False,
 ) -> None:
@@ -308,7 +294,7 @@ def use(
 
 def _frame(result: Result, frame: str, experiment: Path | None) -> tuple[str, Placement]:
     """Find a frame on the body that carries the payload, as for 'gtau payload'."""
-    from gtau.robots.readers.read import frame_on
+    from gtau.robots.readers.links import frame_on
     from gtau.signals.reading.experiment import read_experiment
 
     robot = None if experiment is None else read_experiment(experiment).robot

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gtau.cli.console import Json, answer, base_choice, progress_bar, refusing, seconds
+from gtau.cli.console import Json, answer, argument, base_choice, option, progress_bar, refusing, seconds
 from gtau.cli.interruption import stop_request
 from gtau.documents.files import folder_of, refuse_as_folder
 from gtau.errors import GtauError
@@ -18,18 +18,17 @@ if TYPE_CHECKING:
 
 RobotFile = Annotated[
     str | None,
-    typer.Argument(
-        metavar="NAME_OR_FILE",
-        help="Catalog name, robot file (YAML), URDF (with its loops beside it), MJCF, .par or MDH table (.csv). "
+    argument(
+        "NAME_OR_FILE",
+        "Catalog name, robot file (YAML), URDF (with its loops beside it), MJCF, .par or MDH table (.csv). "
         "Without it the catalog is listed.",
-        show_default=False,
     ),
 ]
 Base = Annotated[
     str | None,
-    typer.Option(
-        metavar="fixed|floating|ROLL,PITCH,YAW",
-        help="Fix a floating base as in the file, or rotated by angles in rad, as deg(90); or let it float.",
+    option(
+        "fixed|floating|ROLL,PITCH,YAW",
+        "Fix a floating base as in the file, or rotated by angles in rad, as deg(90); or let it float.",
     ),
 ]
 
@@ -37,19 +36,14 @@ Base = Annotated[
 @refusing
 def robot(
     source: RobotFile = None,
-    save: Annotated[
-        Path | None, typer.Option(metavar="ROBOT.yaml", help="Write it as a robot file that you can edit.")
-    ] = None,
-    figure: Annotated[
-        Path | None, typer.Option(metavar="ROBOT.png", help="Draw it in its home pose, as PNG or PDF.")
-    ] = None,
+    save: Annotated[Path | None, option("ROBOT.yaml", "Write it as a robot file that you can edit.")] = None,
+    figure: Annotated[Path | None, option("ROBOT.png", "Draw it in its home pose, as PNG or PDF.")] = None,
     base: Base = None,
     joints: Annotated[
-        list[str] | None,
-        typer.Option(metavar="PATTERN", help="Joints that move ('FL_*'); the others are held. Repeatable."),
+        list[str] | None, option("PATTERN", "Joints that move ('FL_*'); the others are held. Repeatable.")
     ] = None,
     verbose: Annotated[
-        bool, typer.Option("--verbose", "-v", help="List the base parameters, and what each of them regroups.")
+        bool, option("", "List the base parameters, and what each of them regroups.", "--verbose", "-v")
     ] = False,
     json_: Json = False,
 ) -> None:
@@ -116,24 +110,17 @@ STOPPING = "stopping the search and writing the best motion so far; Ctrl-C again
 @refusing
 def excite(
     context: typer.Context,
-    design: Annotated[
-        Path, typer.Argument(metavar="DESIGN.yaml", help="Robot, runs, limits, prior knowledge.", show_default=False)
-    ],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for report.html, the trajectory and design.json.")],
+    design: Annotated[Path, argument("DESIGN.yaml", "Robot, runs, limits, prior knowledge.")],
+    out: Annotated[Path, option("DIR", "Folder for report.html, the trajectory and design.json.")],
     criterion: Annotated[
         str,
-        typer.Option(
-            metavar="CRITERION",
-            help="gains, condition, logdet, trace, or names of parameters to estimate best (gain_11,m_PR).",
-        ),
+        option("CRITERION", "gains, condition, logdet, trace, or names of parameters to estimate best (gain_11,m_PR)."),
     ] = "gains",
     payload_mass: Annotated[
-        list[float] | None, typer.Option(metavar="KG [KG...]", help="Also show the effect of other payload masses.")
+        list[float] | None, option("KG [KG...]", "Also show the effect of other payload masses.")
     ] = None,
-    starts: Annotated[
-        int, typer.Option(metavar="N", min=1, help="Number of searches, each from the best of some random motions.")
-    ] = 2,
-    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the random motions.")] = 0,
+    starts: Annotated[int, option("N", "Number of searches, each from the best of some random motions.", min=1)] = 2,
+    seed: Annotated[int, option("N", "Seed of the random motions.", min=0)] = 0,
     json_: Json = False,
 ) -> None:
     """Design the motion that is most informative about the drive gains, and predict their standard deviations.
@@ -186,7 +173,7 @@ def _masses(first: list[float], words: list[str]) -> list[float]:
 
 @refusing
 def demo(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for logs, model, tables and figures.")],
+    out: Annotated[Path, option("DIR", "Folder for logs, model, tables and figures.")],
     json_: Json = False,
 ) -> None:
     """Simulate an Orthoglide, identify it from its logs, and weigh a second payload with the result."""
@@ -200,7 +187,7 @@ def demo(
 
 @refusing
 def tutorial(
-    out: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the logs.", show_default=False)],
+    out: Annotated[Path, argument("DIR", "Folder for the logs.")],
     json_: Json = False,
 ) -> None:
     """Copy the logs of the ten-minute tutorial (docs/start/tutorial.md) to a folder, and say how to go on."""
@@ -214,18 +201,15 @@ def tutorial(
 
 @refusing
 def simulate(
-    simulation: Annotated[
-        Path,
-        typer.Argument(metavar="SIMULATION.yaml", help="Robot, true parameters, drives, runs.", show_default=False),
-    ],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the logs and experiment.yaml.")],
+    simulation: Annotated[Path, argument("SIMULATION.yaml", "Robot, true parameters, drives, runs.")],
+    out: Annotated[Path, option("DIR", "Folder for the logs and experiment.yaml.")],
     json_: Json = False,
 ) -> None:
     """Simulate a robot under control; write its logs and the experiment file for 'gtau identify'."""
     refuse_as_folder(out)
     with progress_bar() as progress:
         from gtau.model.home import load_robot
-        from gtau.robots.plausibility import massless
+        from gtau.robots.geometry import massless
         from gtau.simulation.experiment_files import simulate_experiment
         from gtau.simulation.simulation_file import read_simulation
 

@@ -12,7 +12,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gtau.cli.console import CarriedPayload, Columns, ModelFile, answer, progress_bar, refusing, seconds
+from gtau.cli.console import (
+    CarriedPayload,
+    Columns,
+    ModelFile,
+    answer,
+    argument,
+    option,
+    progress_bar,
+    refusing,
+    seconds,
+)
 from gtau.documents.files import folder_of, refuse_as_folder
 from gtau.errors import GtauError
 
@@ -23,40 +33,23 @@ if TYPE_CHECKING:
     from gtau.watch.watch import Status, Watch
 
 REPORTED = 1000  # last logs that a report draws
-Logs = Annotated[
-    list[Path] | None,
-    typer.Argument(metavar="LOG...", help="Finished logs, oldest first, or folders of them.", show_default=False),
-]
-History = Annotated[
-    Path,
-    typer.Option(metavar="DIR", help="Folder of the history, continued if it exists, and of report.html."),
-]
-Baseline = Annotated[
-    str, typer.Option(metavar="N|DIR", help="Number of healthy logs that form the baseline, or a folder of them.")
-]
+Logs = Annotated[list[Path] | None, argument("LOG...", "Finished logs, oldest first, or folders of them.")]
+History = Annotated[Path, option("DIR", "Folder of the history, continued if it exists, and of report.html.")]
+Baseline = Annotated[str, option("N|DIR", "Number of healthy logs that form the baseline, or a folder of them.")]
 FalseAlarms = Annotated[
     float,
-    typer.Option(
-        "--false-alarms-per-year",
-        min=1e-6,
-        metavar="NUMBER",
-        help="False alarms a year, over all charts of the whole fleet.",
-    ),
+    option("NUMBER", "False alarms a year, over all charts of the whole fleet.", "--false-alarms-per-year", min=1e-6),
 ]
 
 
-Robots = Annotated[int, typer.Option(min=1, metavar="NUMBER", help="Number of robots in the fleet.")]
-LogsPerYear = Annotated[float, typer.Option(min=1.0, metavar="NUMBER", help="Logs a year of each robot.")]
-Reset = Annotated[
-    str | None, typer.Option(metavar="DATE", help="Begin a new baseline with the first new log from this date on.")
-]
+Robots = Annotated[int, option("NUMBER", "Number of robots in the fleet.", min=1)]
+LogsPerYear = Annotated[float, option("NUMBER", "Logs a year of each robot.", min=1.0)]
+Reset = Annotated[str | None, option("DATE", "Begin a new baseline with the first new log from this date on.")]
 Follow = Annotated[
-    bool, typer.Option("--follow", help="Follow one folder of finished logs, or a growing text log, until Ctrl-C.")
+    bool, option("", "Follow one folder of finished logs, or a growing text log, until Ctrl-C.", "--follow")
 ]
-Block = Annotated[
-    float, typer.Option(min=10.0, max=60.0, metavar="SECONDS", help="Length of the blocks of a growing log.")
-]
-JsonLines = Annotated[bool, typer.Option("--json", help="Print a line of JSON for each log instead of a table.")]
+Block = Annotated[float, option("SECONDS", "Length of the blocks of a growing log.", min=10.0, max=60.0)]
+JsonLines = Annotated[bool, option("", "Print a line of JSON for each log instead of a table.", "--json")]
 
 
 @refusing

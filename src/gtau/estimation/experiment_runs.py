@@ -137,11 +137,7 @@ def describe(
     robot = load_robot(experiment.robot)
     check_robot(experiment, robot)
     if options.prior_gains is None:
-        stds = experiment.gain_stds
-        gains = {
-            joint: StatedGain(value=value, std=stds.get(joint)) for joint, value in experiment.expected_gains.items()
-        }
-        options = replace(options, prior_gains=gains)
+        options = replace(options, prior_gains=experiment.stated_gains)
     if options.priors is None:
         options = replace(options, priors=experiment.expected_parameters)
     if options.prior_inertias is None:
@@ -182,7 +178,7 @@ def read_runs(experiment: Experiment, runs: Sequence[LoggedRun], progress: Progr
             progress("reading logs", round(parts * (k + done)), parts * len(runs))
 
         return read_run(
-            run.log, experiment.signals, run.payload, experiment.units, advance, experiment.preparation, run.part
+            run.log, experiment.signals, run.payload, experiment.units, advance, experiment.preparation, run
         )
 
     return tuple(read_one(k, run) for k, run in enumerate(runs))
@@ -198,5 +194,5 @@ def geometry_of(
     from gtau.estimation.diagnostics.geometry import geometry_test
     from gtau.signals.reading.side_signals import read_poses
 
-    logged = [read_poses(run.log, signals, experiment.units, run.part) for run in runs]
+    logged = [read_poses(run.log, signals, experiment.units, run) for run in runs]
     return geometry_test(model, signals.pose, signals.joints, logged, progress)

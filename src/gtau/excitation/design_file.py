@@ -34,7 +34,7 @@ from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.floating import refuse_floating
-from gtau.robots.plausibility import massless
+from gtau.robots.geometry import massless
 from gtau.robots.robot import Pose, Robot
 from gtau.signals.reading.logged_run import RobotName
 from gtau.signals.reading.statements import Payload

@@ -25,8 +25,9 @@ from gtau.model.interpreter.program import Program, compile_program
 from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.kinematics import Coordinates, configuration_rates, constant
 from gtau.model.loops import Motion
-from gtau.robots.geometry import characteristic_length, compose, moved_ends
+from gtau.robots.geometry import characteristic_length, moved_ends
 from gtau.robots.parameter import Parameter
+from gtau.robots.placement import compose
 from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint, Limits, Pose, Robot
 
 

@@ -23,7 +23,7 @@ from gtau.excitation.clearance import (
 )
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import random_motion
-from gtau.robots.readers.shapes import urdf_shapes
+from gtau.robots.readers.links import urdf_shapes
 from gtau.robots.robot import GROUND, Robot
 
 SLENDER = 0.04  # radius of a link of unknown shape, of the arm's length: UR10e 0.07 m, Panda 0.06, as their tubes

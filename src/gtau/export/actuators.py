@@ -12,6 +12,7 @@ beside the bodies as MJCF and URDF:
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import ceil
@@ -33,10 +34,20 @@ from gtau.export.exported import Export, Exported, digits, written, xml_text
 from gtau.export.mjcf import compiled, imported, model_text
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Limits
+from gtau.simulation.mujoco_plant import STEP
 
 TIMESTEP = 0.005  # s: of physics in the files, in which delays are counted
 OF_DRIVE = ("armature", "damping", "frictionloss")
 """Attributes of a joint of MJCF that belong to its drive."""
+ISAACLAB = {
+    "armature": "armature",
+    "friction": "frictionloss",
+    "dynamic_friction": "frictionloss",
+    "viscous_friction": "viscous_damping",
+    "effort_limit": "effort_limit",
+    "velocity_limit": "velocity_limit",
+}
+"""Fields of Isaac Lab by joint, and those of mjlab that they equal."""
 MJLAB_HEAD = """\
 Actuators of '{robot}', identified from logs. Not run in mjlab.
 Each entry of 'actuators' has the fields of one BuiltinMotorActuatorCfg (commands are torques, N m or N):
@@ -71,12 +82,12 @@ class Actuator:
 
     def of(self, kind: str) -> float:
         """Return a parameter of the joint: friction (fv, fs, f3), offset (off), chosen armature (ia)."""
-        return self.model.cubic(self.joint) if kind == "f3" else self.model.of(kind, self.joint)
+        return self.model.of(kind, self.joint)
 
     @property
-    def gain(self) -> Estimate:
+    def gain(self) -> float:
         """Torque for a unit of current, or of the logged torque."""
-        return replace(self.model.result.drive_gains[self.joint], value=self.model.gains[self.joint])
+        return self.model.gains[self.joint]
 
     @property
     def limits(self) -> Limits:
@@ -102,9 +113,10 @@ class Actuator:
     @property
     def measured(self) -> dict[str, Any]:
         """What was identified, with intervals, for people and programs."""
+        gain = replace(self.model.result.drive_gains[self.joint], value=self.gain)
         armature = {"not_identifiable_apart_from": self.regrouped, "with_exported_bodies": self.of("ia")}
         entry = {
-            "current_to_torque": _described(self.gain, self.gain.unit),
+            "current_to_torque": _described(gain, gain.unit),
             "delay": _described(self.delay, "s"),
             "armature": armature if self.armature is None else _described(self.armature, self.armature.unit),
             "damping": self.of("fv"),
@@ -129,8 +141,7 @@ def actuators(model: ConsistentModel) -> tuple[Actuator, ...]:
 def _armature(model: ConsistentModel, joint: str) -> tuple[Estimate | None, str]:
     """Find the rotor inertia if it is a base parameter of its own, else the base parameter that contains it."""
     base, name = model.result.base, Parameter("ia", joint)
-    column = base.matrix[:, model.result.idm.parameter_names.index(name)]
-    rows = np.flatnonzero(column)
+    rows = np.flatnonzero(base.matrix[:, model.result.idm.parameter_names.index(name)])
     if len(rows) == 1 and np.count_nonzero(base.matrix[rows[0]]) == 1:
         estimate = model.result.parameters[base.names[rows[0]]]
         if estimate.value is not None:
@@ -165,25 +176,11 @@ def export_mjlab(result: Result, out: Path) -> Exported:
     model, name = consistent_model(result, "mjlab"), identifier(result.robot.name)
     motors, body = actuators(model), f"{name}_body.xml"
     texts, notes, figures = _body_texts(model, motors)
-    document = {"timestep": TIMESTEP, "actuators": list(map(_mjlab_fields, motors))}
+    entries = [{"target_names_expr": [motor.joint], **_fields(motor)} for motor in motors]
     head = MJLAB_HEAD.format(robot=result.robot.name, body=body)
-    files = written(out, {f"{name}_mjlab.yaml": _yaml_file(head, document, motors), body: texts["bodies"]})
+    document = _yaml_file(head, {"timestep": TIMESTEP, "actuators": entries}, motors)
+    files = written(out, {f"{name}_mjlab.yaml": document, body: texts["bodies"]})
     return Exported(files, (*notes, *_notes(motors, "mjlab")), figures)
-
-
-def _mjlab_fields(motor: Actuator) -> dict[str, Any]:
-    low, high = motor.lags
-    fields = {
-        "target_names_expr": [motor.joint],
-        "armature": None if motor.armature is None else motor.armature.value,
-        "frictionloss": motor.of("fs"),
-        "viscous_damping": motor.of("fv"),
-        "effort_limit": motor.limits.effort,
-        "velocity_limit": motor.limits.velocity,
-        "delay_min_lag": low,
-        "delay_max_lag": high,
-    }
-    return {key: value for key, value in fields.items() if value is not None}
 
 
 def export_isaaclab(result: Result, out: Path) -> Exported:
@@ -193,19 +190,14 @@ def export_isaaclab(result: Result, out: Path) -> Exported:
     """
     model, name = consistent_model(result, "isaaclab"), identifier(result.robot.name)
     bodies, motors = urdf.export(result, out), actuators(model)
-    coulomb = {motor.joint: motor.of("fs") for motor in motors}
-    fields: dict[str, Any] = {
-        "joint_names_expr": [motor.joint for motor in motors],
-        "armature": {motor.joint: motor.armature.value for motor in motors if motor.armature is not None},
-        "friction": coulomb,
-        "dynamic_friction": dict(coulomb),
-        "viscous_friction": {motor.joint: motor.of("fv") for motor in motors},
-        "effort_limit": {motor.joint: motor.limits.effort for motor in motors if motor.limits.effort is not None},
-        "velocity_limit": {motor.joint: motor.limits.velocity for motor in motors if motor.limits.velocity is not None},
-        "min_delay": min(low for low, _ in (motor.lags for motor in motors)),
-        "max_delay": max(high for _, high in (motor.lags for motor in motors)),
-    }
-    document: dict[str, Any] = {"timestep": TIMESTEP, "actuator": {k: v for k, v in fields.items() if v != {}}}
+    entries = {motor.joint: _fields(motor) for motor in motors}
+    actuator: dict[str, Any] = {"joint_names_expr": list(entries)}
+    for field, of_mjlab in ISAACLAB.items():
+        if values := {joint: entry[of_mjlab] for joint, entry in entries.items() if of_mjlab in entry}:
+            actuator[field] = values
+    actuator["min_delay"] = min(entry["delay_min_lag"] for entry in entries.values())
+    actuator["max_delay"] = max(entry["delay_max_lag"] for entry in entries.values())
+    document: dict[str, Any] = {"timestep": TIMESTEP, "actuator": actuator}
     head = ISAACLAB_HEAD.format(robot=result.robot.name)
     if result.robot.closures:
         document["serial_equivalent"] = serial_equivalent(model)
@@ -216,35 +208,47 @@ def export_isaaclab(result: Result, out: Path) -> Exported:
     return Exported((*files, *bodies.files), (*notes, *_notes(motors, "Isaac Lab")), bodies.figures, lost)
 
 
+def _fields(motor: Actuator) -> dict[str, Any]:
+    """List the fields of a motor by their names in mjlab."""
+    low, high = motor.lags
+    fields = {
+        "armature": None if motor.armature is None else motor.armature.value,
+        "frictionloss": motor.of("fs"),
+        "viscous_damping": motor.of("fv"),
+        "effort_limit": motor.limits.effort,
+        "velocity_limit": motor.limits.velocity,
+        "delay_min_lag": low,
+        "delay_max_lag": high,
+    }
+    return {field: value for field, value in fields.items() if value is not None}
+
+
 def _notes(motors: Sequence[Actuator], target: str = "") -> list[str]:
     """List what is not identifiable or missing in the robot's file, and what a ``target`` of YAML has no field for."""
-    notes = []
-    together = [f"'{motor.joint}' ({motor.regrouped or 'no effect'})" for motor in motors if motor.armature is None]
-    if together:
-        notes.append(
-            "the armature is not identifiable apart from the inertia of links, whose sum is the base parameter in "
-            f"brackets: {', '.join(together)}; its value in the exported bodies was chosen and goes with them alone"
-        )
-    if missing := [motor.joint for motor in motors if motor.limits.effort is None]:
-        notes.append(f"the robot file has no effort limit of {', '.join(missing)}: none is in the files")
-    if unknown := [motor.joint for motor in motors if motor.delay.std is None]:
-        notes.append(f"the delay of {', '.join(unknown)} is not identifiable, and 0 in the files")
-    if early := [motor.joint for motor in motors if motor.delay.std is not None and (motor.delay.value or 0.0) < 0]:
-        notes.append(f"the delay of {', '.join(early)} is estimated below 0, and 0 in the files")
-    if not target:
-        return notes
-    notes.append(f"the YAML file was not run in {target}: its keys are the fields of its documentation")
-    if bent := [motor.joint for motor in motors if motor.of("f3")]:
-        notes.append(f"{target} has no friction cubic in speed, which is under 'measured': {', '.join(bent)}")
-    if offset := [motor.joint for motor in motors if motor.of("off")]:
-        notes.append(f"offsets of torque are under 'measured', as {target} has none: {', '.join(offset)}")
-    return notes
+    rotors = [f"'{motor.joint}' ({motor.regrouped or 'no effect'})" for motor in motors if motor.armature is None]
+    unlimited = [motor.joint for motor in motors if motor.limits.effort is None]
+    unknown = [motor.joint for motor in motors if motor.delay.std is None]
+    early = [motor.joint for motor in motors if motor.joint not in unknown and (motor.delay.value or 0.0) < 0]
+    bent = [motor.joint for motor in motors if target and motor.of("f3")]
+    offset = [motor.joint for motor in motors if target and motor.of("off")]
+    unrun = [target] * bool(target)
+    notes = {
+        "the armature is not identifiable apart from the inertia of links, whose sum is the base parameter in "
+        "brackets: {}; its value in the exported bodies was chosen and goes with them alone": rotors,
+        "the robot file has no effort limit of {}: none is in the files": unlimited,
+        "the delay of {} is not identifiable, and 0 in the files": unknown,
+        "the delay of {} is estimated below 0, and 0 in the files": early,
+        "the YAML file was not run in {}: its keys are the fields of its documentation": unrun,
+        f"{target} has no friction cubic in speed, which is under 'measured': {{}}": bent,
+        f"offsets of torque are under 'measured', as {target} has none: {{}}": offset,
+    }
+    return [note.format(", ".join(names)) for note, names in notes.items() if names]
 
 
 def _yaml_file(head: str, document: dict[str, Any], motors: Sequence[Actuator]) -> str:
     """Write a YAML file with a comment on top, and with what was identified of the motors."""
     measured = {motor.joint: motor.measured for motor in motors}
-    return "".join(f"# {line}\n" for line in head.splitlines()) + yaml_text(document | {"measured": measured})
+    return textwrap.indent(f"{head}\n", "# ") + yaml_text(document | {"measured": measured})
 
 
 def _body_texts(
@@ -254,15 +258,13 @@ def _body_texts(
     mujoco = imported()
     text, notes, figures = model_text(mujoco, model, delays=True)
     root = ElementTree.fromstring(text)
+    driven = {motor.joint for motor in motors}
     section = root.find("actuator")
     assert section is not None
-    driven = {motor.joint for motor in motors}
     for element in [element for element in section if element.get("name") in driven]:
         section.remove(element)  # those of springs stay
     if not len(section):
         root.remove(section)
-    option = root.find("option")
-    step = float("0.002" if option is None else option.get("timestep", "0.002")) * _delays(mujoco)
     texts = {"bodies": xml_text(root)}
     drives = Element("mujoco")
     outer = SubElement(SubElement(drives, "default"), "default", {"class": "drives"})
@@ -273,22 +275,22 @@ def _body_texts(
             joint.set("class", f"drive {name}")
     elements = SubElement(drives, "actuator")
     for motor in motors:
-        SubElement(elements, "general", _general(motor, step))
+        SubElement(elements, "general", _general(motor, STEP * _delays(mujoco)))
     included = f"{identifier(model.result.robot.name)}_actuators.xml"
     root.insert(0, Element("include", {"file": included}))
     texts |= {"whole": xml_text(root), "actuators": xml_text(drives)}
     compiled(lambda: mujoco.MjModel.from_xml_string(texts["whole"], {included: texts["actuators"].encode()}))
-    return texts, list(notes), figures
+    return texts, notes, figures
 
 
 def _general(motor: Actuator, step: float) -> dict[str, str]:
     """Make an actuator whose ``ctrl`` is the current (A) and whose force is the torque at the joint."""
-    gain, offset, effort = float(motor.gain.value or 1.0), motor.of("off"), motor.limits.effort
-    attributes = {"name": motor.joint, "joint": motor.joint, "gainprm": digits(gain)}
+    offset, effort = motor.of("off"), motor.limits.effort
+    attributes = {"name": motor.joint, "joint": motor.joint, "gainprm": digits(motor.gain)}
     if offset:
         attributes |= {"biastype": "affine", "biasprm": digits((-offset, 0.0, 0.0))}
     if effort is not None:
-        largest = effort / abs(gain)
+        largest = effort / abs(motor.gain)
         attributes |= {"forcerange": digits((-effort, effort)), "ctrlrange": digits((-largest, largest))}
     if step and motor.lag:
         attributes |= {"delay": digits(motor.lag), "nsample": str(ceil(motor.lag / step) + 1)}

@@ -8,7 +8,7 @@ armature moves like the robot near home, but for gravity.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 from xml.etree.ElementTree import Comment
@@ -30,26 +30,26 @@ PLAIN = ("fv", "fs", "off")
 
 @dataclass(frozen=True, eq=False)
 class ConsistentModel:
-    """Physically consistent standard parameters by name, and drive gains by joint.
+    """Physically consistent parameters by name, those of friction cubic in speed (f3) too, and drive gains by joint.
 
-    Friction dissipates at every speed: no ``fv``, ``fs`` or f3 (``cubics``, by joint) is negative. Where identified
-    ones are, or friction bends (``fb``), ``fv`` and ``fs`` are the straight line nearest to the friction up to the
-    fastest logged speed, and ``straight`` names the joint.
+    Friction dissipates at every speed: no ``fv``, ``fs`` or ``f3`` is negative. Where identified ones are, or friction
+    bends (``fb``), ``fv`` and ``fs`` are the straight line nearest to the friction up to the fastest logged speed, and
+    ``straight`` names the joint.
     """
 
     result: Result
-    standard: Mapping[str, float]
+    values: Mapping[str, float]
     gains: Mapping[str, float]
-    cubics: Mapping[str, float]
     straight: tuple[str, ...]
 
     def of(self, kind: str, joint: str) -> float:
         """Return a parameter of a joint, or 0 if it has none."""
-        return self.standard.get(Parameter(kind, joint), 0.0)
+        return self.values.get(Parameter(kind, joint), 0.0)
 
-    def cubic(self, joint: str) -> float:
-        """Return the friction cubic in speed (f3) of a joint, 0 where it has none."""
-        return self.cubics.get(joint, 0.0)
+    @property
+    def cubic(self) -> list[str]:
+        """Joints whose friction is cubic in speed."""
+        return [joint.name for joint in self.result.robot.joints if self.of("f3", joint.name)]
 
 
 def consistent_model(result: Result, target: str) -> ConsistentModel:
@@ -60,31 +60,28 @@ def consistent_model(result: Result, target: str) -> ConsistentModel:
             f"an export to {target} needs the parameters of every body, but the model has base parameters alone; "
             "identify it with --consistent."
         )
-    standard, cubics, straight = dict(consistency.standard), {}, []
-    for joint in result.robot.joints:
-        name, terms = joint.name, {key: estimate.value or 0.0 for key, estimate in result.friction_parameters.items()}
-        if name in result.curves:  # whose viscous and Coulomb friction are those of the model, not of rigid bodies
-            standard |= {key: terms[key] for kind in PLAIN if (key := Parameter(kind, name)) in terms}
-        viscous, coulomb, more, cubic = (
-            (standard | terms).get(Parameter(kind, name), 0.0) for kind in ("fv", "fs", "fb", "f3")
-        )
-        if more or min(viscous, coulomb, cubic) < 0:
-            viscous, coulomb = result.friction_law.straight(standard | terms, name)
-            standard |= {Parameter("fv", name): viscous, Parameter("fs", name): coulomb}
-            straight.append(name)
-        elif cubic:
-            cubics[name] = cubic
+    values, straight = dict(consistency.standard), []
+    terms = {name: term.value or 0.0 for name, term in result.friction_parameters.items()}
+    for joint in (joint.name for joint in result.robot.joints):
+        if joint in result.curves:  # whose viscous and Coulomb friction are those of the model, not of rigid bodies
+            values |= {name: terms[name] for kind in PLAIN if (name := Parameter(kind, joint)) in terms}
+        viscous, coulomb, cubic = (Parameter(kind, joint) for kind in ("fv", "fs", "f3"))
+        identified_friction = values | terms
+        least = min(identified_friction.get(name, 0.0) for name in (viscous, coulomb, cubic))
+        if least < 0 or terms.get(Parameter("fb", joint)):
+            values[viscous], values[coulomb] = result.friction_law.straight(identified_friction, joint)
+            straight.append(joint)
+        elif terms.get(cubic):
+            values[cubic] = terms[cubic]
     gains = {joint: gain for joint, (gain, _) in consistency.gains.items()}
-    return ConsistentModel(result, standard, gains, cubics, tuple(straight))
+    return ConsistentModel(result, values, gains, tuple(straight))
 
 
-def differences(
-    model: ConsistentModel, expressed: Mapping[str, float], cubic: bool = True
-) -> tuple[dict[str, float], str]:
+def differences(model: ConsistentModel, expressed: Mapping[str, float]) -> tuple[dict[str, float], str]:
     """Compute the rms difference from the identified torques over random states, per cent by joint, and a note on it.
 
-    None is faster than the logs. ``expressed`` are the standard parameters that the target holds, ``cubic`` says
-    whether it holds f3 too; the identified torques include all friction terms.
+    None is faster than the logs. ``expressed`` are the parameters that the target holds; the identified torques include
+    all friction terms.
     """
     result, idm = model.result, model.result.idm
     motion = random_motion(idm, STATES, np.random.default_rng(0))
@@ -92,15 +89,15 @@ def differences(
     ratio = np.abs(motion.yd[idm.layout.actuated]) / np.where(logged > 0, logged, np.inf)
     slower = 1 / np.maximum(ratio.max(axis=0), 1.0)  # same path, longer duration
     motion = replace(motion, yd=motion.yd * slower, ydd=motion.ydd * slower**2)
-    identified_model = identified(result)
-    tau = torques_of(identified_model, motion, identified_model.values)
+    exact = identified(result)
+    tau = torques_of(exact, motion, exact.values)
     values = np.array([expressed.get(name, 0.0) for name in idm.parameter_names])
+    cubic = np.array([[expressed.get(Parameter("f3", joint), 0.0)] for joint in idm.actuated])
     made = idm.full.torques_along(idm.layout, motion, values)
-    if cubic:
-        made += np.array([[model.cubic(joint)] for joint in idm.actuated]) * motion.yd[idm.layout.actuated] ** 3
+    made += cubic * motion.yd[idm.layout.actuated] ** 3
     rms, size = (np.sqrt(np.mean(torques**2, axis=1)) for torques in (made - tau, tau))
-    per_cent = {joint: float(100 * a / b) for joint, a, b in zip(idm.actuated, rms, size, strict=True)}
-    worst = max(per_cent, key=lambda joint: per_cent[joint])
+    per_cent = dict(zip(idm.actuated, map(float, 100 * rms / size), strict=True))
+    worst = max(per_cent, key=per_cent.__getitem__)
     return per_cent, (
         f"over {STATES} random states within the logged speeds the exported torques differ from the identified "
         f"ones by at most {per_cent[worst]:.2g} % rms (joint '{worst}')"
@@ -117,8 +114,8 @@ def friction_notes(model: ConsistentModel) -> list[str]:
             f"damping and friction are the straight line nearest to it within the logged speeds ({listed}), "
             "extrapolated beyond"
         )
-    if model.cubics:
-        listed = ", ".join(f"{joint} above {law.logged(joint)}" for joint in model.cubics)
+    if model.cubic:
+        listed = ", ".join(f"{joint} above {law.logged(joint)}" for joint in model.cubic)
         notes.append(f"friction cubic in speed is extrapolated beyond the logged speeds: {listed}")
     return notes
 
@@ -128,24 +125,18 @@ def friction_comments(model: ConsistentModel) -> list[Any]:
     return [Comment(f" {note.replace('--', '- -')} ") for note in friction_notes(model)]
 
 
-def terms_left_out(model: ConsistentModel) -> list[str]:
-    """List the friction terms that neither damping nor Coulomb friction of a joint can represent."""
-    held = (*PLAIN, "f3", "fb")
-    return [name for name in model.result.friction_parameters if name.kind not in held]
-
-
-def term_notes(model: ConsistentModel, target: str, left_out: Sequence[str], delays: bool = False) -> list[str]:
-    """List what no rigid-body format holds: friction terms ``left_out``, and delays unless written elsewhere."""
-    result, notes = model.result, []
-    notes += friction_notes(model)
+def term_notes(model: ConsistentModel, target: str, expressed: Mapping[str, float], delays: bool = False) -> list[str]:
+    """List what no rigid-body format holds: friction not ``expressed``, and delays unless written elsewhere."""
+    result, notes = model.result, friction_notes(model)
     widths = {name.body: estimate for name, estimate in result.friction.items() if name.kind == "width"}
-    held = [f"{joint} ({width.value:.2g} {width.unit})" for joint, width in widths.items()]
-    if held:
+    if held := [f"{joint} ({width.value:.2g} {width.unit})" for joint, width in widths.items()]:
         notes.append(f"{target} has no friction before sliding, of these widths: {', '.join(held)}")
+    left_out = [name for joint in model.cubic if (name := Parameter("f3", joint)) not in expressed]
+    left_out += [name for name in result.friction_parameters if name.kind not in (*PLAIN, "f3", "fb")]
     if left_out:
-        kinds = {"f3": "cubic in speed", "fb": "bent", "fl": "proportional to the load"}
+        kinds = {"f3": "cubic in speed", "fl": "proportional to the load"}
         kinds |= dict.fromkeys(TEMPERATURE_TERMS, "by temperature")
-        named = ", ".join(f"{name} ({kinds[name.split('_', 1)[0]]})" for name in left_out)
+        named = ", ".join(f"{name} ({kinds[name.kind]})" for name in left_out)
         notes.append(f"{target} cannot express this friction, left out: {named}")
     late = [f"{1e3 * delay.value:.2g} ms ('{joint}')" for joint, delay in result.delays.items() if delay.value]
     if late and not delays:
@@ -157,17 +148,13 @@ def motor_inertias(model: ConsistentModel) -> np.ndarray:
     """Compute the inertias M (1 + POSES, n, n) at the motors, with loops closed, at home and at random poses."""
     idm = model.result.idm
     assert idm.loops is not None
-    poses = random_motion(idm, POSES, np.random.default_rng(0)).c
-    c, n = np.column_stack([idm.loops.home, poses]), len(idm.actuated)
-    values = np.array([model.standard.get(name, 0.0) for name in idm.parameter_names])
-    still = np.zeros((n, c.shape[1]))
-
-    def torques(qdd: np.ndarray) -> np.ndarray:
-        return idm.full.torques_along(idm.layout, idm.rates(c, still, qdd), values)
-
-    at_rest = torques(still)
-    unit = (np.tile(axis[:, None], c.shape[1]) for axis in np.eye(n))
-    return np.stack([torques(qdd) - at_rest for qdd in unit], axis=-1).transpose(1, 0, 2)
+    c = np.column_stack([idm.loops.home, random_motion(idm, POSES, np.random.default_rng(0)).c])
+    n, poses = len(idm.actuated), c.shape[1]
+    qdd = np.repeat(np.eye(n, n + 1, 1), poses, axis=1)  # of none, then of each motor alone
+    motion = idm.rates(np.tile(c, n + 1), np.zeros_like(qdd), qdd)
+    values = np.array([model.values.get(name, 0.0) for name in idm.parameter_names])
+    tau = idm.full.torques_along(idm.layout, motion, values).reshape(n, n + 1, poses)
+    return np.asarray((tau[:, 1:] - tau[:, :1]).transpose(2, 0, 1))
 
 
 def serial_equivalent(model: ConsistentModel) -> dict[str, Any]:

@@ -27,11 +27,6 @@ class Span:
     inner: int
     stop: int
 
-    @property
-    def empty(self) -> bool:
-        """True for an empty-element tag, ``<a/>``."""
-        return self.inner == self.stop
-
 
 @dataclass(frozen=True, eq=False)
 class InputFile:
@@ -58,28 +53,21 @@ class InputFile:
         indent(new)
         text, old = tostring(new, encoding="unicode").encode(), parent.find(new.tag)
         span = self.spans[parent if old is None else old]
-        margin = b"\n" + self._indent(span.start)
+        line = self.content[self.content.rfind(b"\n", 0, span.start) + 1 : span.start]
+        margin = b"\n" + line * line.isspace()  # where nothing else precedes it
+        inside = (b"\n" + text).replace(b"\n", margin + b"  ")
         if old is not None:
             self.edits.append((span.start, span.stop, text.replace(b"\n", margin)))
-            return
-        text = (b"\n" + text).replace(b"\n", margin + b"  ")
-        if span.empty:
+        elif span.inner == span.stop:  # <a/>
             tag = self.content[span.start : span.inner].rstrip(b"/>").rstrip()
-            text = tag + b">" + text + margin + b"</" + parent.tag.encode() + b">"
-            self.edits.append((span.start, span.stop, text))
+            self.edits.append((span.start, span.stop, tag + b">" + inside + margin + f"</{parent.tag}>".encode()))
         else:
-            self.edits.append((span.inner, span.inner, text))
+            self.edits.append((span.inner, span.inner, inside))
 
     def remove(self, element: Element) -> None:
         """Remove an element, with the white space before it."""
         span = self.spans[element]
-        start = len(self.content[: span.start].rstrip())
-        self.edits.append((start, span.stop, b""))
-
-    def _indent(self, at: int) -> bytes:
-        """Return the indentation of the line of a position, if nothing else precedes it."""
-        line = self.content[self.content.rfind(b"\n", 0, at) + 1 : at]
-        return line if not line.strip() else b""
+        self.edits.append((len(self.content[: span.start].rstrip()), span.stop, b""))
 
     def text(self) -> bytes:
         """Return the file with all edits made."""
@@ -116,23 +104,22 @@ def input_file(path: Path, robot: Robot) -> InputFile:
 def _spans(content: bytes) -> list[Span]:
     """Find the spans of all elements, in the order in which they begin."""
     parser = ParserCreate()
-    begun: list[int] = []
-    stops: dict[int, int] = {}
+    stops: dict[int, int] = {}  # by where the elements begin
     inside: list[int] = []
 
     def start(name: str, attributes: object) -> None:
-        begun.append(parser.CurrentByteIndex)
         inside.append(parser.CurrentByteIndex)
+        stops[inside[-1]] = 0
 
     def end(name: str) -> None:
-        opened, at = inside.pop(), parser.CurrentByteIndex
+        begun, at = inside.pop(), parser.CurrentByteIndex
         # the end of an empty tag is reported where it begins, or after it
         closes = content[at : at + 2] == b"</"
-        stops[opened] = content.index(b">", at) + 1 if closes else _tag_end(content, opened)
+        stops[begun] = content.index(b">", at) + 1 if closes else _tag_end(content, begun)
 
     parser.StartElementHandler, parser.EndElementHandler = start, end
     parser.Parse(content, True)
-    return [Span(at, _tag_end(content, at), stops[at]) for at in begun]
+    return [Span(begun, _tag_end(content, begun), stop) for begun, stop in stops.items()]
 
 
 def _tag_end(content: bytes, start: int) -> int:

@@ -19,7 +19,6 @@ from gtau.export.consistent import (
     differences,
     friction_comments,
     term_notes,
-    terms_left_out,
 )
 from gtau.export.exported import Exported, digits, written, xml_text
 from gtau.robots.parameter import Parameter
@@ -37,12 +36,12 @@ def export(result: Result, out: Path) -> Exported:
     them.
     """
     text, said, figures = model_text(imported(), consistent_model(result, "MJCF"))
-    return Exported(written(out, {f"{identifier(result.robot.name)}.xml": text}), said, figures)
+    return Exported(written(out, {f"{identifier(result.robot.name)}.xml": text}), tuple(said), figures)
 
 
 def model_text(
     mujoco: ModuleType, model: ConsistentModel, delays: bool = False
-) -> tuple[str, tuple[str, ...], dict[str, float]]:
+) -> tuple[str, list[str], dict[str, float]]:
     """Write a model as MJCF: its text, notes on what it lacks, and differences of torques; raises GtauError.
 
     With ``delays`` these are written elsewhere, and not noted as missing.
@@ -53,13 +52,13 @@ def model_text(
     home = mujoco_positions(compiled(spec.compile), layout, layout.home if loops is None else loops.home)
     spec.add_key(name="home", qpos=home)  # in which the loops are closed
     compiled(spec.compile)
-    figures, difference = differences(model, expressed, _polynomial(spec))
-    said = [difference, *notes(model, expressed, _polynomial(spec), delays)]
-    if forces := [spring.name for spring in result.robot.springs if spring_attributes(spring, model.standard) is None]:
+    figures, difference = differences(model, expressed)
+    said = [difference, *notes(model, expressed, delays)]
+    if forces := [spring.name for spring in result.robot.springs if spring_attributes(spring, model.values) is None]:
         said.append(
             f"no tendon has the force of {', '.join(forces)}: an actuator without gain does, whose ctrl has no effect"
         )
-    return _text(mujoco, spec, friction_comments(model)), tuple(said), figures
+    return _text(mujoco, spec, friction_comments(model)), said, figures
 
 
 def imported() -> ModuleType:
@@ -80,34 +79,29 @@ def compiled(compile_model: Callable[[], Any]) -> Any:
         raise GtauError(f"MuJoCo refuses the exported model ({said}); identify it with --consistent.") from None
 
 
-def _polynomial(spec: Any) -> bool:
-    """Decide whether this MuJoCo has damping up to cubic in speed."""
-    probe = spec.worldbody.add_body()
-    cubic = np.size(probe.add_joint().damping) == 3
-    spec.delete(probe)
-    return bool(cubic)
-
-
 def _spec(mujoco: ModuleType, model: ConsistentModel) -> tuple[Any, dict[str, float]]:
-    """Build the spec, and return the standard parameters that it expresses."""
+    """Build the spec, and return the parameters that it expresses."""
     robot = model.result.robot
-    spec = robot_spec(mujoco, robot, model.standard)
+    spec = robot_spec(mujoco, robot, model.values)
     spec.modelname = robot.name
     spec.option.timestep = STEP
     spec.worldbody.add_light(pos=(0, 0, 3))
-    cubic = _polynomial(spec)
+    expressed = dict(model.values)
     for joint in robot.joints:
         placed = spec.joint(joint.name)
         placed.frictionloss = model.of("fs", joint.name)
-        if cubic:
-            placed.damping = (model.of("fv", joint.name), 0.0, model.cubic(joint.name))
+        if np.size(placed.damping) == 3:  # since MuJoCo's damping is cubic
+            placed.damping = (model.of("fv", joint.name), 0.0, model.of("f3", joint.name))
+        else:
+            expressed.pop(Parameter("f3", joint.name), None)
         if joint.limits.position is not None:
             placed.range = joint.limits.position
+        if not joint.actuated:
+            expressed.pop(Parameter("off", joint.name), None)
     _draw(mujoco, robot, spec)
     _add_couplings(mujoco, spec, robot)
     _add_actuators(mujoco, spec, model)
-    unable = {Parameter("off", joint.name) for joint in robot.joints if not joint.actuated}
-    return spec, {name: value for name, value in model.standard.items() if name not in unable}
+    return spec, expressed
 
 
 def _draw(mujoco: ModuleType, robot: Robot, spec: Any) -> None:
@@ -184,11 +178,11 @@ def _text(mujoco: ModuleType, spec: Any, comments: Sequence[Any]) -> str:
     return xml_text(root)
 
 
-def notes(model: ConsistentModel, expressed: Mapping[str, float], cubic: bool, delays: bool = False) -> list[str]:
+def notes(model: ConsistentModel, expressed: Mapping[str, float], delays: bool = False) -> list[str]:
     """List the quantities that the file lacks: friction terms, offsets, massless bodies."""
-    unlike = [] if cubic else [Parameter("f3", joint) for joint in model.cubics]
-    said = term_notes(model, "MJCF", [*unlike, *terms_left_out(model)], delays)
-    if unable := [name for name, value in model.standard.items() if name not in expressed and value]:
+    said = term_notes(model, "MJCF", expressed, delays)
+    offsets = [Parameter("off", joint.name) for joint in model.result.robot.joints]
+    if unable := [name for name in offsets if name not in expressed and model.values.get(name)]:
         said.append(f"these offsets are not part of the file: {', '.join(unable)}")
     if light := [joint.name for joint in model.result.robot.joints if not joint.has_mass]:
         said.append(f"MuJoCo moves no massless body, so these weigh {LIGHTEST:g} kg: {', '.join(light)}")

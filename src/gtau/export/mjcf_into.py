@@ -37,7 +37,7 @@ def export(result: Result, source: Path, out: Path) -> Exported:
     model = consistent_model(result, "MJCF")
     file = input_file(source, result.robot)
     compiled = compile_mjcf(read_xml(source), source).model
-    elements = [element for world in file.root.findall("worldbody") for element in _bodies(world)]
+    elements = [element for world in file.root.findall("worldbody") for element in _within(world, "body")]
     if len(elements) != compiled.nbody - 1 or file.root.find(".//replicate") is not None:
         raise GtauError(
             f"{source} includes or repeats bodies from outside the file itself; save it from MuJoCo as one file and "
@@ -48,39 +48,30 @@ def export(result: Result, source: Path, out: Path) -> Exported:
         file.put(element, _inertial(inertias.get(number, NO_BODY)))
         if number not in inertias:
             lumped.append(element.get("name", f"body {number}"))
-        for place, joint in enumerate(_joints(element)):
-            _put_friction(file, joint, model, _joint_name(compiled, int(compiled.body_jntadr[number]) + place))
-    unchanged = list(_put_springs(file, model))
+        for place, joint in enumerate(_within(element, "joint", "freejoint"), start=compiled.body_jntadr[number]):
+            _put_friction(file, joint, model, _joint_name(compiled, place))
+    unchanged = _put_springs(file, model)
     said = [*_put_gears(file, model), *_allow_inertias(file)]
     if unchanged:
         said.append(f"these springs are not tendons with a stiffness and were left unchanged: {', '.join(unchanged)}")
     _check(mujoco, file)
-    unable = {Parameter(kind, name) for kind in SPRING for name in unchanged}
-    expressed = {
-        name: value for name, value in model.standard.items() if not name.startswith("off_") and name not in unable
-    }
+    unable = {Parameter("off", joint.name) for joint in result.robot.joints}
+    unable |= {Parameter(kind, name) for kind in SPRING for name in unchanged}
+    expressed = {name: value for name, value in model.values.items() if name not in unable}
     figures, difference = differences(model, expressed)
     if lumped:
         said.append(f"bodies without joints are part of those that carry them, and weigh nothing: {', '.join(lumped)}")
     said.append("meshes and textures are named as in the original: put the file where they are found")
-    return Exported(file.save(out), (difference, *notes(model, expressed, True), *said), figures)
+    return Exported(file.save(out), (difference, *notes(model, expressed), *said), figures)
 
 
-def _bodies(element: Element) -> Iterator[Element]:
-    """List body elements in the order in which MuJoCo numbers them."""
+def _within(element: Element, *tags: str) -> Iterator[Element]:
+    """List the elements of a kind in the order in which MuJoCo numbers them: bodies at any depth, joints of a body."""
     for child in element:
-        if child.tag == "body":
+        if child.tag in tags:
             yield child
-        if child.tag in ("body", "frame"):
-            yield from _bodies(child)
-
-
-def _joints(body: Element) -> Iterator[Element]:
-    for child in body:
-        if child.tag in ("joint", "freejoint"):
-            yield child
-        elif child.tag == "frame":
-            yield from _joints(child)
+        if child.tag == "frame" or (child.tag == "body" and "body" in tags):
+            yield from _within(child, *tags)
 
 
 def _joint_name(compiled: Any, number: int) -> str:
@@ -92,11 +83,10 @@ def _inertias(mujoco: Any, model: ConsistentModel, compiled: Any) -> dict[int, R
     robot, layout = model.result.robot, model.result.idm.layout
     data = mujoco.MjData(compiled)
     mujoco.mj_kinematics(compiled, data)
-    number, c = {}, np.zeros(layout.n_c)
-    for place in range(compiled.njnt):
-        number[_joint_name(compiled, place)] = int(compiled.jnt_bodyid[place])
+    number = {_joint_name(compiled, place): int(compiled.jnt_bodyid[place]) for place in range(compiled.njnt)}
     for body in range(1, compiled.nbody):
         number.setdefault(compiled.body(body).name or f"body {body + 1}", body)
+    c = np.zeros(layout.n_c)
     for k, joint in enumerate(robot.joints):
         if joint.name in number and _single(mujoco, compiled, joint.name):
             c[k] = data.qpos[compiled.joint(joint.name).qposadr[0]]
@@ -106,11 +96,11 @@ def _inertias(mujoco: Any, model: ConsistentModel, compiled: Any) -> dict[int, R
     frame = frames(layout, ca.SX(c))
     inertias = {}
     for name in robot.bodies:
-        if Parameter("m", name) in model.standard:
+        if Parameter("m", name) in model.values:
             at = data.body(number[name])
             R, p = np.array(ca.evalf(frame[name].R_0)), np.array(ca.evalf(frame[name].p_0)).ravel()
             rotation, position = R.T @ at.xmat.reshape(3, 3), R.T @ (at.xpos - p)
-            inertias[number[name]] = rigid_body(model.standard, name).seen_from(rotation, position)
+            inertias[number[name]] = rigid_body(model.values, name).seen_from(rotation, position)
     return inertias
 
 
@@ -127,31 +117,32 @@ def _inertial(body: RigidBody) -> Element:
 
 def _put_friction(file: InputFile, element: Element, model: ConsistentModel, joint: str) -> None:
     attributes = {}
-    if Parameter("fv", joint) in model.standard:
-        viscous, cubic = model.of("fv", joint), model.cubic(joint)
+    if Parameter("fv", joint) in model.values:
+        viscous, cubic = model.of("fv", joint), model.of("f3", joint)
         attributes["armature"] = digits(model.of("ia", joint))
         attributes["damping"] = digits((viscous, 0.0, cubic) if cubic else viscous)
         attributes["frictionloss"] = digits(model.of("fs", joint))
-    if Parameter(STIFFNESS, joint) in model.standard:
+    if Parameter(STIFFNESS, joint) in model.values:
         attributes["stiffness"] = digits(model.of(STIFFNESS, joint))
     if attributes:
         file.set(element, **attributes)
 
 
-def _put_springs(file: InputFile, model: ConsistentModel) -> Iterator[str]:
+def _put_springs(file: InputFile, model: ConsistentModel) -> list[str]:
     """Write springs into their original tendons; return the names of springs that these cannot represent."""
-    tendons = {tendon.get("name"): tendon for tendon in file.root.iter("spatial")}
+    tendons, unchanged = {tendon.get("name"): tendon for tendon in file.root.iter("spatial")}, []
     for spring in model.result.robot.springs:
-        attributes = spring_attributes(spring, model.standard)
+        attributes = spring_attributes(spring, model.values)
         if attributes is None or spring.name not in tendons:
-            yield spring.name
+            unchanged.append(spring.name)
         else:
             file.set(tendons[spring.name], **{name: digits(value) for name, value in attributes.items()})
+    return unchanged
 
 
 def _put_gears(file: InputFile, model: ConsistentModel) -> list[str]:
     """Write drive gains as gears of motors, and list the notes on them."""
-    put, unchanged = [], []
+    put, unchanged, notes = [], [], []
     for actuator in file.root.iterfind("actuator/*[@joint]"):
         joint = actuator.get("joint", "")
         if actuator.tag == "motor" and joint in model.gains:
@@ -159,7 +150,6 @@ def _put_gears(file: InputFile, model: ConsistentModel) -> list[str]:
             put.append(joint)
         elif joint in model.gains:
             unchanged.append(joint)
-    notes = []
     if put:
         notes.append(f"ctrl of the motors of {', '.join(put)} is now the current in A; check their ctrlrange")
     if unchanged:

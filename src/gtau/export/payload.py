@@ -18,8 +18,8 @@ from gtau.documents.validation import PATH, TEXT, takes
 from gtau.errors import GtauError
 from gtau.estimation.results.payload import PayloadBody
 from gtau.export.exported import Exported, refuse_unknown, written
-from gtau.robots.geometry import angles_of
 from gtau.robots.parameter import RigidBody
+from gtau.robots.placement import angles_of
 
 MILLI = 1e3  # mm in a m
 

@@ -6,8 +6,7 @@ Those in LaTeX are in the field's notation, with the geometry (MDH) and the regr
 from __future__ import annotations
 
 import re
-import textwrap
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from math import pi
 from pathlib import Path
 from types import MappingProxyType
@@ -15,12 +14,14 @@ from unicodedata import normalize
 
 from gtau.documents.files import identifier, in_csv
 from gtau.documents.yaml_document import yaml_text
+from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.table import estimates_table
 from gtau.export.exported import Export, Exported, written
+from gtau.export.generated import wrapped
 from gtau.robots.parameter import Parameter, parameter_of
-from gtau.robots.robot import Mdh, Robot
+from gtau.robots.robot import GROUND, Mdh, Robot
 
 YAML_HEAD = """\
 # Identified model of '{robot}', written by 'gtau export'. SI units; std: standard deviation; interval: 95 %.
@@ -37,21 +38,15 @@ SPECIAL = {
     ">": r"\textgreater{}",
     "|": r"\textbar{}",
     '"': "''",
-    "ß": r"\ss{}",
-    "æ": r"\ae{}",
-    "Æ": r"\AE{}",
-    "ø": r"\o{}",
-    "Ø": r"\O{}",
-    "ł": r"\l{}",
-    "Ł": r"\L{}",
 } | {sign: rf"\{sign}" for sign in "_#%&${}"}
-ACCENTS = {"\u0300": "`", "\u0301": "'", "\u0302": "^", "\u0303": "~", "\u0308": '"', "\u030a": "r", "\u0327": "c"}
-ACCENTS |= {"\u030c": "v", "\u0306": "u", "\u0304": "=", "\u0307": ".", "\u030b": "H", "\u0328": "k"}
-SPACE = 6.0  # pt, between columns
-TEXT_WIDTH = 345.0  # pt, of LaTeX's article
-NUMBER_WIDTH = 55.0  # pt: number of an equation, "=", indent and what parts them
+LETTERS = 0x180  # beyond the European letters, which LaTeX reads
+TERM = re.compile(r"(?:^|([+-]) )(?:([\d.]+(?:e[+-]\d+)?) )?(.+?)(?= [+-] |$)")  # of a sum: sign, factor, name
 INDEX = 4  # characters of a joint's name that fit the table of geometry
 NAME = 24  # characters that fit as an index of a formula; where a name has more, numbers stand for all
+MDH_HEAD = (
+    *("$j$", "$a(j)$", r"$\mu_j$", r"$\sigma_j$", r"$\gamma_j$"),
+    *("$b_j$", r"$\alpha_j$", "$d_j$", r"$\theta_j$", "$r_j$"),
+)
 LATEX_HEAD = r"""% Tables of '{robot}', written by 'gtau export'; \input this file after
 % \usepackage{{amsmath,booktabs,longtable}}
 """
@@ -65,26 +60,20 @@ def export_csv(result: Result, out: Path) -> Exported:
 def export_yaml(result: Result, out: Path) -> Exported:
     """Write ``NAME.yaml`` into ``out``."""
     groups: dict[str, dict[str, object]] = {}
-    for row in estimates_table(result):
-        groups.setdefault(_key(row.group), {})[row.estimate.name] = _entry(row.estimate)
+    for group, estimate in estimates_table(result):
+        key = group if group.startswith(("friction", "payload")) else f"{group.replace(' ', '_')}s"
+        groups.setdefault(key, {})[estimate.name] = _entry(estimate)
     document = {"robot": result.robot.name, "method": result.method, "runs": list(result.runs), **groups}
-    text = yaml_text(document)
-    friction = textwrap.fill(
-        " ".join(result.friction_law.range_sentence.split()), 116, initial_indent="# ", subsequent_indent="# "
-    )
+    friction = wrapped(" ".join(result.friction_law.range_sentence.split()), "# ")
     head = YAML_HEAD.format(robot=" ".join(result.robot.name.split()), friction=friction)
-    return Exported(written(out, {f"{identifier(result.robot.name)}.yaml": head + text}))
-
-
-def _key(group: str) -> str:
-    return group if group in ("friction",) or group.startswith("payload") else f"{group.replace(' ', '_')}s"
+    return Exported(written(out, {f"{identifier(result.robot.name)}.yaml": head + yaml_text(document)}))
 
 
 def _entry(estimate: Estimate) -> dict[str, object]:
     entry: dict[str, object] = {"value": estimate.value, "std": estimate.std, "unit": estimate.unit}
     if (interval := estimate.interval()) is not None:
         entry["interval"] = list(interval)
-    if estimate.verdict.outcome.value not in ("good", "given"):
+    if estimate.verdict.outcome not in (Outcome.GOOD, Outcome.GIVEN):
         entry["verdict"] = estimate.verdict.outcome.value
     if estimate.regrouping not in ("", estimate.name):
         entry["regrouping"] = estimate.regrouping
@@ -93,18 +82,18 @@ def _entry(estimate: Estimate) -> dict[str, object]:
 
 def export_latex(result: Result, out: Path) -> Exported:
     r"""Write ``NAME.tex`` into ``out``: tables for ``\input``, which need amsmath, booktabs and longtable."""
-    parts = [LATEX_HEAD.format(robot=" ".join(result.robot.name.split()))]
-    notes = []
-    if all(isinstance(joint.placement, Mdh) for joint in result.robot.joints):
-        parts.append(_geometry(result.robot))
+    robot, notes = result.robot, []
+    parts = [LATEX_HEAD.format(robot=" ".join(robot.name.split()))]
+    if all(isinstance(joint.placement, Mdh) for joint in robot.joints):
+        parts.append(_geometry(robot))
     else:
         notes.append("the robot is not described by MDH parameters, so there is no table of its geometry")
-    names = list(dict.fromkeys((*result.robot.bodies, *(payload.name for payload in result.payloads))))
+    names = list(dict.fromkeys((*robot.bodies, *(payload.name for payload in result.payloads))))
     label = _labels(names, NAME)
-    if label != {name: name for name in names}:
+    if list(label.values()) != names:
         parts.append(f"In formulas numbers stand for names: {_legend(label)}.\n")
     parts += [_parameters(result, label), _regroupings(result, label)]
-    return Exported(written(out, {f"{identifier(result.robot.name)}.tex": "\n".join(parts)}), tuple(notes))
+    return Exported(written(out, {f"{identifier(robot.name)}.tex": "\n".join(parts)}), tuple(notes))
 
 
 def _labels(names: Sequence[str], longest: int) -> dict[str, str]:
@@ -124,11 +113,10 @@ def symbol(name: Parameter, label: Mapping[str, str] = MappingProxyType({})) -> 
 
     ``label`` maps a body's name to its label.
     """
-    kind = name.kind
     subscript = in_latex_index(label.get(name.body, name.body)) + ("R" if name.regrouped else "")
-    if kind == "off":
+    if name.kind == "off":
         return rf"\tau_{{\mathrm{{off}}_{{{subscript}}}}}"
-    return rf"{{{SYMBOLS.get(kind, in_latex(kind))}}}_{{{subscript}}}"
+    return rf"{{{SYMBOLS.get(name.kind, in_latex(name.kind))}}}_{{{subscript}}}"
 
 
 def _number(value: float | None, digits: int = 4) -> str:
@@ -142,7 +130,7 @@ def _table(columns: str, head: Sequence[str], lines: Iterable[Sequence[str]], ca
     body = " \\\\\n".join(" & ".join(line) for line in lines)
     top = f"\\toprule\n{' & '.join(head)} \\\\\n\\midrule\n"
     return (
-        f"{{\\small\n\\setlength{{\\tabcolsep}}{{{SPACE / 2:g}pt}}\n\\begin{{longtable}}{{{columns}}}\n"
+        f"{{\\small\n\\setlength{{\\tabcolsep}}{{3pt}}\n\\begin{{longtable}}{{{columns}}}\n"
         f"\\caption{{{caption}}} \\\\\n{top}\\endfirsthead\n{top}\\endhead\n\\bottomrule\n\\endfoot\n"
         f"{body} \\\\\n\\end{{longtable}}}}\n"
     )
@@ -172,33 +160,20 @@ def _geometry(robot: Robot) -> str:
     for joint in robot.joints:
         at = joint.placement
         assert isinstance(at, Mdh)
-        turns = joint.turns
         variable = f"q_{{{in_latex_index(label[joint.name])}}}"
         theta, r = _angle(at.theta), _number(at.r)
-        if turns:
+        if joint.turns:
             theta = f"${variable}$" if theta == "0" else _sum(variable, theta)
         else:
             r = f"${variable}$" if not at.r else _sum(variable, r)
-        antecedent = "0" if joint.antecedent == "ground" else in_latex(label[joint.antecedent])
-        flags = ("1" if joint.actuated else "0", "0" if turns else "1")
+        antecedent = "0" if joint.antecedent == GROUND else in_latex(label[joint.antecedent])
+        flags = (str(int(joint.actuated)), str(int(not joint.turns)))
         placed = (_angle(at.gamma), _number(at.b), _angle(at.alpha), _number(at.d), theta, r)
         lines.append((in_latex(label[joint.name]), antecedent, *flags, *placed))
-    head = (
-        "$j$",
-        "$a(j)$",
-        r"$\mu_j$",
-        r"$\sigma_j$",
-        r"$\gamma_j$",
-        "$b_j$",
-        r"$\alpha_j$",
-        "$d_j$",
-        r"$\theta_j$",
-        "$r_j$",
-    )
     caption = f"Modified Denavit--Hartenberg parameters of {in_latex(robot.name)} (m, rad)."
     if list(label.values()) != names:
         caption += f" Joints: {_legend(label)}."
-    return _table("cccccccccc", head, lines, caption)
+    return _table("cccccccccc", MDH_HEAD, lines, caption)
 
 
 def _parameters(result: Result, label: Mapping[str, str]) -> str:
@@ -222,49 +197,29 @@ def _line(name: str, estimate: Estimate) -> tuple[str, ...]:
 
 
 def _regroupings(result: Result, label: Mapping[str, str]) -> str:
-    """Write each regrouped base parameter as an equation, whose sum is broken to fit the width of a page."""
-    sums = {name: estimate.regrouping for name, estimate in result.parameters.items()}
-    sums = {name: text for name, text in sums.items() if text not in ("", name)}
-    margin = max((width(symbol(name, label)) for name in sums), default=0.0)
-    equations = [
-        " \\nonumber \\\\\n&\\quad {} ".join([f"{symbol(name, label)} &= {first}", *more])
-        for name, text in sums.items()
-        for first, *more in [list(_lines(text, TEXT_WIDTH - NUMBER_WIDTH - margin, label))]
-    ]
-    joined = " \\\\\n".join(equations)
-    return f"{{\\allowdisplaybreaks\n\\begin{{align}}\n{joined}\n\\end{{align}}}}\n" if sums else ""
+    """Tabulate the sum that each regrouped base parameter stands for; LaTeX breaks the line before a sign."""
+    regrouped = {name: estimate.regrouping for name, estimate in result.parameters.items()}
+    sums = {name: _sum_of(text, label) for name, text in regrouped.items() if text not in ("", name)}
+    if not sums:
+        return ""
+    lines = [(f"${symbol(name, label)}$", f"${text}$") for name, text in sums.items()]
+    caption = f"Standard parameters regrouped in base parameters of {in_latex(result.robot.name)}."
+    return _table(r"lp{0.6\textwidth}", ("Par.", "Sum"), lines, caption)
 
 
-def _lines(regrouping: str, room: float, label: Mapping[str, str]) -> Iterator[str]:
-    """Break a sum before its signs into lines of at most ``room`` (pt)."""
-    line = ""
-    for sign, term in re.findall(r"(?:(^|[+-]) ?)(.+?)(?= [+-] |$)", regrouping):
-        factor, name = re.fullmatch(r"(?:([\d.]+(?:e[+-]\d+)?) )?(.+)", term).groups()  # type: ignore[union-attr]
-        written = " ".join(filter(None, (sign, factor and rf"{factor}\,", symbol(parameter_of(name), label))))
-        if line and width(f"{line} {written}") > room:
-            yield line
-            line = ""
-        line = f"{line} {written}".strip()
-    yield line
-
-
-def width(formula: str) -> float:
-    """Estimate the width of a formula in 10 pt type: 4 pt a character of an index, 6 pt of another, 10 pt a sign."""
-    indices = "".join(re.findall(r"\\(?:mathrm|text)\{((?:[^{}]|\\[{}])*)\}", formula))
-    plain = re.sub(r"\\(?:mathrm|text)\{(?:[^{}]|\\[{}])*\}|\\tau|\\quad|[{}_\\,$\s]", "", formula)
-    return 4.0 * len(indices.replace("\\", "")) + 6.0 * len(plain) + 4.0 * len(re.findall(" [+-] ", formula))
+def _sum_of(regrouping: str, label: Mapping[str, str]) -> str:
+    terms = []
+    for sign, factor, name in re.findall(TERM, regrouping):
+        terms += [sign, factor and rf"{factor}\,", symbol(parameter_of(name), label)]
+    return " ".join(filter(None, terms))
 
 
 def in_latex(text: str) -> str:
-    """Write a text so that LaTeX prints it: accents as macros, and what no common font has as ``U+1F916``."""
-    made: list[str] = []
-    for character in normalize("NFD", text):
-        if character in ACCENTS and made:
-            made[-1] = rf"\{ACCENTS[character]}{{{made[-1]}}}"
-        else:
-            plain = character if character.isascii() else f"U+{ord(character):04X}"
-            made.append(SPECIAL.get(character, plain))
-    return "".join(made)
+    """Write a text so that LaTeX prints it, what no common font has as ``U+1F916``."""
+    return "".join(
+        SPECIAL.get(character, character if ord(character) < LETTERS else f"U+{ord(character):04X}")
+        for character in normalize("NFC", text)
+    )
 
 
 def in_latex_index(name: str) -> str:

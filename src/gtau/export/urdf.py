@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
@@ -19,13 +20,12 @@ from gtau.export.consistent import (
     friction_comments,
     serial_equivalent,
     term_notes,
-    terms_left_out,
     what_is_lost,
 )
 from gtau.export.exported import Export, Exported, digits, written, xml_text
 from gtau.export.input_file import InputFile, input_file
-from gtau.robots.geometry import compose, pose_of, turn
 from gtau.robots.parameter import RigidBody, gain_unit, rigid_body, torque_unit, unit_of
+from gtau.robots.placement import compose, pose_of, turn
 from gtau.robots.robot import (
     DAMPING,
     GROUND,
@@ -54,10 +54,9 @@ def export(result: Result, out: Path) -> Exported:
     Raises GtauError where the result has no physically consistent parameters, or a joint is coupled to more than one
     other.
     """
-    model = consistent_model(result, "URDF")
-    robot, name = result.robot, identifier(result.robot.name)
-    head = '<?xml version="1.0"?>\n'
-    texts = {f"{name}.urdf": head + xml_text(robot_element(model)), f"{name}_drives.yaml": drives_text(model)}
+    model, robot, name = consistent_model(result, "URDF"), result.robot, identifier(result.robot.name)
+    texts = {f"{name}.urdf": '<?xml version="1.0"?>\n' + xml_text(robot_element(model))}
+    texts[f"{name}_drives.yaml"] = drives_text(model)
     if robot.closures:
         texts[f"{name}.yaml"] = _loops_text(robot)
     return _exported(model, written(out, texts))
@@ -73,14 +72,13 @@ def export_into(result: Result, source: Path, out: Path) -> Exported:
         raise GtauError(f"{source} is no URDF; give the .urdf file that the robot came from.")
     file = input_file(source, result.robot)
     joints = {joint.name for joint in result.robot.joints}
-    carrier = _carriers(file, joints)
-    lumped = []
+    carriers, lumped = _carriers(file, joints), []
     for element in file.root.findall("link"):
         name, inertial = element.get("name", ""), element.find("inertial")
-        body, direct = carrier.get(name, (GROUND, False))
+        carrier, direct = carriers.get(name, ("", False))
         if direct:
-            file.put(element, inertial_element(rigid_body(model.standard, body)))
-        elif body != GROUND and inertial is not None:
+            file.put(element, inertial_element(rigid_body(model.values, carrier)))
+        elif carrier and inertial is not None:
             file.remove(inertial)
             lumped.append(name)
     for element in file.root.findall("joint"):
@@ -89,23 +87,24 @@ def export_into(result: Result, source: Path, out: Path) -> Exported:
                 file.put(element, Element("dynamics", _friction(model, name)))
             else:
                 file.set(dynamics, **_friction(model, name))
-    more = []
+    notes = []
     if lumped:
-        more = [f"links on fixed joints are part of those that carry them, and have no inertia: {', '.join(lumped)}"]
-    files = file.save(out)
-    drives = written(out, {f"{identifier(result.robot.name)}_drives.yaml": drives_text(model)})
-    return _exported(model, (*files, *drives), more, "the robot's own YAML file")
+        notes = [f"links on fixed joints are part of those that carry them, and have no inertia: {', '.join(lumped)}"]
+    drives = {f"{identifier(result.robot.name)}_drives.yaml": drives_text(model)}
+    return _exported(model, (*file.save(out), *written(out, drives)), notes, "the robot's own YAML file")
 
 
 def _exported(model: ConsistentModel, files: tuple[Path, ...], more: Sequence[str] = (), loops: str = "") -> Exported:
     """Return the files with notes: what is lost without the file of ``loops``, and what the URDF has no place for."""
     robot, name = model.result.robot, identifier(model.result.robot.name)
-    (figures, difference), lost = differences(model, model.standard), what_is_lost(robot, "a URDF", name, loops)
-    sprung = bool(robot.springs) or any(joint.spring is not None for joint in robot.joints)
+    figures, difference = differences(model, model.values)
+    lost = what_is_lost(robot, "a URDF", name, loops)
+    sprung = robot.springs or any(joint.spring is not None for joint in robot.joints)
     springs = " and springs" if sprung else ""
     notes = [f"a URDF has no place for drive gains, rotor inertias, offsets{springs}: they are in {name}_drives.yaml"]
-    notes += [f"friction cubic in speed is in {name}_drives.yaml too"] if model.cubics else []
-    notes += [*term_notes(model, "URDF", terms_left_out(model)), *more]
+    if model.cubic:
+        notes.append(f"friction cubic in speed is in {name}_drives.yaml too")
+    notes += [*term_notes(model, "URDF", model.values), *more]
     return Exported(files, (*([lost] * bool(lost)), difference, *notes), figures, lost)
 
 
@@ -117,14 +116,14 @@ def robot_element(model: ConsistentModel) -> Element:
     SubElement(root, "link", name=ROOT)
     couplings = {coupling.joint: coupling for coupling in robot.couplings}
     for joint in robot.joints:
-        body = rigid_body(model.standard, joint.name) if joint.has_mass else None
+        body = rigid_body(model.values, joint.name) if joint.has_mass else None
         element = _attach(root, joint.name, *_on(joint.antecedent, joint.placement, turned), link(joint.name), body)
         _moving(element, joint)
         SubElement(element, "dynamics", _friction(model, joint.name))
         if joint.name in couplings:
             _mimic(element, couplings[joint.name])
     for platform in robot.platforms:
-        _platform(root, platform, turned, rigid_body(model.standard, platform.name))
+        _platform(root, platform, turned, rigid_body(model.values, platform.name))
     for number, closure in enumerate(robot.closures, start=1):
         for name, end in ((f"closure_{number}_a", closure.a), (f"closure_{number}_b", closure.b)):
             _attach(root, name, *_on(end.body, end.placement, turned), link(name))
@@ -209,8 +208,8 @@ def inertial_element(body: RigidBody) -> Element:
     element = Element("inertial")
     SubElement(element, "origin", xyz=digits(body.center), rpy="0 0 0")
     SubElement(element, "mass", value=digits(body.mass))
-    entries = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
-    SubElement(element, "inertia", {name: digits(body.inertia[entry]) for name, entry in entries.items()})
+    entries = zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), body.inertia[np.triu_indices(3)], strict=True)
+    SubElement(element, "inertia", {name: digits(entry) for name, entry in entries})
     return element
 
 
@@ -226,26 +225,26 @@ def _loops_text(robot: Robot) -> str:
 
 def drives_text(model: ConsistentModel) -> str:
     """Write drive gains, rotor inertias and other drive data as YAML."""
-    result, robot = model.result, model.result.robot
-    joints = {}
+    robot = model.result.robot
+    document: dict[str, Any] = {"robot": robot.name, "joints": {}}
     for joint in robot.joints:
         name, unit, turns = joint.name, torque_unit(robot, joint.name), joint.turns
-        gain = gain_unit(robot, name, result.kind) if name in model.gains else ""
         quantities: dict[str, tuple[float | None, str]] = {
-            "drive_gain": (model.gains.get(name), gain),
             "armature": (model.of("ia", name) or None, "kg m2" if turns else "kg"),
             "offset": (model.of("off", name) or None, unit),
-            "cubic_friction": (model.cubic(name) or None, "N m s3/rad3" if turns else "N s3/m3"),
+            "cubic_friction": (model.of("f3", name) or None, "N m s3/rad3" if turns else "N s3/m3"),
         }
+        if name in model.gains:
+            gain = (model.gains[name], gain_unit(robot, name, model.result.kind))
+            quantities = {"drive_gain": gain, **quantities}
         if joint.spring is not None:
             quantities["stiffness"] = (model.of(STIFFNESS, name), f"{unit}/{joint.unit}")
             quantities["springref"] = (joint.spring, joint.unit)
         given = {key: {"value": value, "unit": unit} for key, (value, unit) in quantities.items() if value is not None}
         if given:
-            joints[name] = given
-    document: dict[str, object] = {"robot": robot.name, "joints": joints}
-    if springs := {spring.name: _spring_data(model, spring) for spring in robot.springs}:
-        document["springs"] = springs
+            document["joints"][name] = given
+    if robot.springs:
+        document["springs"] = {spring.name: _spring_data(model, spring) for spring in robot.springs}
     if robot.closures:
         document["serial_equivalent"] = serial_equivalent(model)
     return str(yaml.safe_dump(document, sort_keys=False))
@@ -271,14 +270,12 @@ def _carriers(file: InputFile, joints: set[str]) -> dict[str, tuple[str, bool]]:
         if parent is not None and child is not None:
             above[child.get("link", "")] = (joint.get("name", ""), parent.get("link", ""))
     carriers = {}
-    for name in above:
-        at, direct = name, True
-        while at in above:
-            joint_name, parent_name = above[at]
-            if joint_name in joints:
-                carriers[name] = (joint_name, direct)
-                break
-            at, direct = parent_name, False
+    for name, (carrier, parent_link) in above.items():
+        direct = carrier in joints
+        while carrier not in joints and parent_link in above:
+            carrier, parent_link = above[parent_link]
+        if carrier in joints:
+            carriers[name] = (carrier, direct)
     return carriers
 
 

@@ -24,8 +24,8 @@ from gtau.model.kinematics import (
     frames,
     twists,
 )
-from gtau.robots.floating import WrenchFrame
 from gtau.robots.parameter import Parameter
+from gtau.robots.placement import WrenchFrame
 from gtau.robots.robot import DAMPING, DRIVE, INERTIAL, PRELOAD, STIFFNESS, Robot, Spring
 
 TOUCHING = 1e-9  # m: the length of a spring whose points coincide, where the line between them has no direction

@@ -31,7 +31,7 @@ from gtau.model.loop_closure import (
     with_round_motors,
 )
 from gtau.model.rounded_loops import DRAWN, with_exact_loops
-from gtau.robots.geometry import pose_of
+from gtau.robots.placement import pose_of
 from gtau.robots.readers.read import read_robot
 from gtau.robots.readers.source import RobotSource
 from gtau.robots.robot import Pose, Robot

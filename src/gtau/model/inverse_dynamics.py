@@ -17,8 +17,8 @@ from gtau.model.interpreter.program import NONE, Program, compile_program, share
 from gtau.model.kinematics import Coordinates, coordinates
 from gtau.model.loop_paths import follow
 from gtau.model.loops import Labels, Loops, Motion, close_loops, differentiate, numbers
-from gtau.robots.floating import WRENCH, WrenchFrame
 from gtau.robots.parameter import Parameter
+from gtau.robots.placement import WRENCH, WrenchFrame
 from gtau.robots.robot import Robot
 
 PATH = 65536  # samples whose loops are closed together, in parallel segments

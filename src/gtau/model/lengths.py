@@ -17,8 +17,9 @@ from gtau.model.closures import closure_expressions
 from gtau.model.interpreter.program import Program, compile_program
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import Coordinates, Varied, constant, coordinates, frames, twists
-from gtau.robots.geometry import characteristic_length, moved_ends, pose_of
+from gtau.robots.geometry import characteristic_length, moved_ends
 from gtau.robots.parameter import Parameter
+from gtau.robots.placement import pose_of
 from gtau.robots.robot import Mdh, Placement, Pose, Robot
 
 # Measured on 17 robots, those of the catalog and of third-party robot files: the shortest length is 0.046 of the

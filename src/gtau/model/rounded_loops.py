@@ -20,8 +20,8 @@ import numpy as np
 
 from gtau.model.kinematics import Coordinates, Varied, constant, frames, turned
 from gtau.model.loop_closure import CLOSED, LoopErrors, closed, error_expressions
-from gtau.robots.file import digits_of, is_written
-from gtau.robots.geometry import angles_of, characteristic_length, euler_angles
+from gtau.robots.geometry import characteristic_length
+from gtau.robots.placement import angles_of, digits_of, euler_angles, is_written
 from gtau.robots.robot import GROUND, Attachment, Joint, Mdh, Placement, Pose, Robot
 
 # Lengths are in characteristic lengths of the robot, angles in rad.

@@ -14,7 +14,7 @@ from gtau.robots.parameter import command_unit, position_unit
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.bandwidth import spectra
 from gtau.signals.preparation.prepared_run import Preparation
-from gtau.signals.reading.logs import read_logs
+from gtau.signals.reading.logs import logged_instants
 from gtau.signals.run import Run
 from gtau.signals.storage import block, spans
 
@@ -139,8 +139,7 @@ def _steps(run: Run) -> Panel:
     """Draw steps of the time column over time, in samples of the grid."""
     log = run.log
     assert log.signals is not None and log.units is not None  # noqa: PT018 (it has files)
-    _, parts = read_logs(log.paths, log.signals, log.units, [])
-    stamps = np.concatenate([values[:, -1] for values in parts])
+    stamps = logged_instants(log.paths[0], log.signals, log.units.scale(log.signals)[2])
     begin, end, period = float(run.time[0]), float(run.time[-1]), 1 / run.rate
     stamps = stamps[(stamps >= begin - period) & (stamps <= end + period)]  # without those that are not finite
     time, steps = stamps[1:], np.diff(stamps) / period

@@ -11,8 +11,8 @@ from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import TYPES, singularities
 from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text, page, section, table, table_of
+from gtau.robots.geometry import oddities, tool_note
 from gtau.robots.parameter import Parameter, position_unit, unit_of
-from gtau.robots.plausibility import oddities, tool_note
 from gtau.robots.robot import DAMPING, PRELOAD, STIFFNESS, Joint, Robot
 
 TERMS = {PRELOAD: "preload", STIFFNESS: "stiffness", DAMPING: "damping"}

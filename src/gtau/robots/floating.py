@@ -3,50 +3,43 @@
 The base moves in the world by three slides and three turns without motors, about x, the turned y, and z of the base.
 The last of these six joints has the name of the base, and its link is the base. Their rows of the model are the six
 base equations: forces along, and moments about, their axes, of external forces.
-Measured wrenches act on the base, or on other bodies: a foot on a force plate, a flange that carries a force sensor.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from gtau.errors import GtauError
 from gtau.robots.geometry import moved_ends
 from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.placement import Placement, Pose
 from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Joint, Robot, base_rows
-
-WRENCH = ("moment_x", "moment_y", "moment_z", "force_x", "force_y", "force_z")
-"""Components of a wrench, N m and N."""
-
-
-class WrenchFrame(NamedTuple):
-    """Frame of a wrench: the body on which it acts, and whether axes and origin are the world's or the body's."""
-
-    body: str
-    of_world: bool = False
-
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 def base_joints(name: str) -> tuple[Joint, ...]:
-    """Build the six joints of a floating base, on the ground, the last with its name; none without a name."""
-    chain = base_rows(name)
-    kinds = (TRANSLATIONS + ROTATIONS)[: len(chain)]
-    return tuple(
-        Joint(
-            joint,
-            chain[k - 1] if k else GROUND,
-            "prismatic" if kind in TRANSLATIONS else "revolute",
-            axis=AXES[kind[-1]],
-            parameters="inertial" if joint == name else "none",
-        )
-        for k, (joint, kind) in enumerate(zip(chain, kinds, strict=True))
-    )
+    """Build the six joints of a floating base, on the ground, the last with its name."""
+    return _chain(base_rows(name), TRANSLATIONS + ROTATIONS, GROUND, Pose())
+
+
+def turning(name: str, antecedent: str, placement: Placement, axes: str) -> tuple[Joint, ...]:
+    """Make a spherical or universal joint: revolute ones about `axes` in turn, with massless links in between."""
+    names = [*(f"{name}_{axis}" for axis in axes[:-1]), name]
+    return _chain(names, [f"r{axis}" for axis in axes], antecedent, placement)
+
+
+def _chain(names: Sequence[str], kinds: Sequence[str], antecedent: str, placement: Placement) -> tuple[Joint, ...]:
+    """Make joints one after the other, all but the last with massless links: ``x`` slides along x, ``rx`` turns."""
+    joints = []
+    for name, kind in zip(names, kinds, strict=True):
+        joint = Joint(name, antecedent, "revolute" if kind in ROTATIONS else "prismatic", placement, AXES[kind[-1]])
+        joints.append(replace(joint, parameters="inertial" if name == names[-1] else "none"))
+        antecedent, placement = name, Pose()
+    return tuple(joints)
 
 
 def float_base(robot: Robot, name: str = "base") -> Robot:
@@ -55,20 +48,29 @@ def float_base(robot: Robot, name: str = "base") -> Robot:
     The joints keep their motors; those of the base have none. A platform that does not move in all six degrees of
     freedom is tied to the ground, and refused.
     """
-    for problem in _fixed_to_ground(robot):
-        raise GtauError(f"robot '{robot.name}': {problem}.")
-    joints = tuple(replace(joint, antecedent=_on(name, joint.antecedent)) for joint in robot.joints)
-    closures, springs = moved_ends(robot, lambda end: replace(end, body=_on(name, end.body)))
+    if robot.floating:
+        raise GtauError(f"robot '{robot.name}': its base '{robot.floating}' floats already.")
+    for platform in robot.platforms:
+        if len(platform.dof) < len(TRANSLATIONS + ROTATIONS):
+            raise GtauError(
+                f"robot '{robot.name}': platform '{platform.name}' moves in {' '.join(platform.dof)} of the ground "
+                "alone, which a floating base carries along; write "
+                f"'dof: [{', '.join(TRANSLATIONS + ROTATIONS)}]', its closures constrain the rest."
+            )
+
+    def on(body: str) -> str:
+        return name if body == GROUND else body
+
+    joints = tuple(replace(joint, antecedent=on(joint.antecedent)) for joint in robot.joints)
+    closures, springs = moved_ends(robot, lambda end: replace(end, body=on(end.body)))
+    stated = ((parameter_of(parameter), value) for parameter, value in robot.file.inertias)
     return replace(
         robot,
         joints=base_joints(name) + joints,
         closures=closures,
         springs=springs,
         floating=name,
-        file=replace(
-            robot.file, inertias=tuple((_own(name, parameter), value) for parameter, value in robot.file.inertias)
-        ),
-    )
+    ).with_file(inertias=tuple((Parameter(parameter.kind, on(parameter.body)), value) for parameter, value in stated))
 
 
 def drawn_base(robot: Robot) -> tuple[str, ...]:
@@ -96,27 +98,5 @@ def refuse_floating(robot: Robot, what: str) -> None:
     if robot.floating:
         raise GtauError(
             f"robot '{robot.name}': its base '{robot.floating}' floats, and {what} not supported there; if the base "
-            f"did not move, fix it by"
-            " 'robot: {file: ..., base: fixed}', or --base fixed."
+            "did not move, fix it by 'robot: {file: ..., base: fixed}', or --base fixed."
         )
-
-
-def _own(name: str, parameter: str) -> Parameter:
-    stated = parameter_of(parameter)
-    return Parameter(stated.kind, _on(name, stated.body))
-
-
-def _on(name: str, body: str) -> str:
-    return name if body == GROUND else body
-
-
-def _fixed_to_ground(robot: Robot) -> Iterator[str]:
-    if robot.floating:
-        yield f"its base '{robot.floating}' floats already"
-    for platform in robot.platforms:
-        if len(platform.dof) < len(TRANSLATIONS + ROTATIONS):
-            yield (
-                f"platform '{platform.name}' moves in {' '.join(platform.dof)} of the ground alone, which a floating "
-                f"base carries along; write 'dof: [{', '.join(TRANSLATIONS + ROTATIONS)}]', its closures constrain the "
-                "rest"
-            )

@@ -1,155 +1,24 @@
-"""Compose poses and frames, restore angles written short, and find legs of identical geometry."""
+"""Geometry of a whole robot: its lengths and legs, and entries that are doubtful, such as units that look wrong."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from decimal import Decimal
-from math import atan2, cos, pi, sin
+from math import pi
 
 import numpy as np
 
-from gtau.documents.validation import some_of
-from gtau.robots.robot import GROUND, Attachment, Closure, Mdh, Placement, Pose, Robot, Spring
-
-ROUNDING = 1e-10  # exporters write pi/2 as 1.57079632679 and zero as 2.8e-17
-
-NEARLY = 1e-6  # rad: angles in single precision
-SHORT = 2e-3  # rad: 3.14 stands for pi
-MEANT = 1e-3  # rad: with fewer decimals, 0.79 or 0.26 need not stand for a multiple of pi/12
+from gtau.robots.parameter import parameter_of
+from gtau.robots.robot import GROUND, INERTIAL, Attachment, Closure, Joint, Placement, Robot, Spring
 
 SAME = 9  # decimals that two legs share, of lengths in m and of directions
 
-DEGREES_ADVICE = "write deg(...) where these are degrees"
+TURNS = 2  # a wider range either way suggests limits in degrees
+FAR = 20.0  # m; a longer link suggests mm
+REACHED = 1e-9  # rad or m; a home on a limit is within it
 
 Frame = tuple[np.ndarray, np.ndarray]
 """Orientation (3, 3) and origin (3,) in m, in base axes."""
-
-
-def rounded(number: float, unit: float = 1.0) -> float:
-    """Round a number that equals a multiple of `unit` up to rounding."""
-    multiple = round(number / unit) * unit
-    return multiple if abs(number - multiple) < ROUNDING else float(number)
-
-
-def rounded_pose(xyz: Iterable[float], rpy: Iterable[float]) -> Pose:
-    """Make lengths below 1e-10 m, and angles as near to a multiple of pi/2, exact in a pose."""
-    roll, pitch, yaw = (rounded(angle, pi / 2) for angle in rpy)
-    x, y, z = (rounded(length) for length in xyz)
-    return Pose((x, y, z), (roll, pitch, yaw))
-
-
-def angles_of(rotation: np.ndarray) -> tuple[float, float, float]:
-    """Compute roll, pitch and yaw, rad, of an orientation (3, 3)."""
-    # Whatever the yaw where the angles are degenerate, the remainder then gives matching pitch and roll.
-    yaw = atan2(rotation[1, 0], rotation[0, 0])
-    c, s = cos(yaw), sin(yaw)
-    pitch = atan2(-rotation[2, 0], c * rotation[0, 0] + s * rotation[1, 0])
-    roll = atan2(s * rotation[0, 2] - c * rotation[1, 2], c * rotation[1, 1] - s * rotation[0, 1])
-    return roll, pitch, yaw
-
-
-def pose_of(rotation: np.ndarray, position: np.ndarray) -> Pose:
-    """Make the pose of an orientation (3, 3) and a position (3,)."""
-    return rounded_pose(position, angles_of(rotation))
-
-
-def in_degrees(angle: float) -> bool:
-    """Decide whether an angle, rad, was meant in degrees: more than a turn, and a multiple of five."""
-    return abs(angle) > 2 * pi and abs(angle - 5 * round(angle / 5)) < 1e-9
-
-
-def exact_angle(angle: float) -> float:
-    """Return the multiple of pi/12 (15 degrees) that an angle in a file stands for, or the angle itself.
-
-    Files give pi/2 with fewer digits (1.5708, 1.571, 1.57) or in single precision, pi/4 as 0.7854. An angle is taken
-    for a multiple if it is within 1e-6 of it, or if it is that multiple rounded or cut off to its digits: two decimals
-    for multiples of pi/2, three for the others. A calibrated angle differs by more.
-    """
-    multiple = round(angle / (pi / 12)) * (pi / 12)
-    off, unit = abs(multiple) - abs(angle), smallest_unit([angle])
-    quarter = round(angle / (pi / 12)) % 6 == 0
-    cut = -unit / 2 <= off < unit and (abs(off) < SHORT if quarter else unit <= MEANT)
-    return multiple if abs(off) < NEARLY or cut else float(angle)
-
-
-def smallest_unit(numbers: Iterable[float]) -> float:
-    """Return the unit of the last digit that the longest of numbers is written with, zeros not counted."""
-    exponents = [int(Decimal(repr(float(number))).as_tuple().exponent) for number in numbers if number]
-    return 10.0 ** min(exponents, default=0)
-
-
-def exact_rotation(rotation: np.ndarray) -> np.ndarray:
-    """Compute the rotation (3, 3) by the multiples of pi/12 that are nearest to roll, pitch and yaw of another."""
-    return Pose(rpy=tuple(round(angle / (pi / 12)) * (pi / 12) for angle in angles_of(rotation))).rotation  # type: ignore[arg-type]
-
-
-def written_pose(xyz: Iterable[float], rpy: Iterable[float]) -> tuple[Pose, float]:
-    """Return the pose that a file gives, and the largest change (rad) of an angle in it (see :func:`exact_angle`)."""
-    given = tuple(rpy)
-    angles = tuple(map(exact_angle, given))
-    return rounded_pose(xyz, angles), largest_change(given, angles)
-
-
-def largest_change(given: Iterable[float], exact: Iterable[float]) -> float:
-    """Return the largest difference of angles, zero if within double-precision rounding."""
-    change = max((abs(a - b) for a, b in zip(given, exact, strict=True)), default=0.0)
-    return change if change > ROUNDING else 0.0
-
-
-def short_angles_note(changes: Mapping[str, float]) -> tuple[str, ...]:
-    """Note the places of angles written short, with the largest change, rad; no note without such angles."""
-    if not (listed := [f"'{name}'" for name, change in changes.items() if change]):
-        return ()
-    return (
-        "rounded angles, such as 1.5708, were taken as the multiples of 15 degrees that they stand for, changed by up "
-        f"to {max(changes.values()):.2g} rad: {some_of(listed, 6)}",
-    )
-
-
-def with_exact_angles(robot: Robot) -> Robot:
-    """Take the angles of placements that are written short as exact, with a note (see :func:`exact_angle`)."""
-    changes: dict[str, float] = {}
-
-    def exact(name: str, placement: Placement) -> Placement:
-        if isinstance(placement, Mdh):
-            given: tuple[float, ...] = (placement.gamma, placement.alpha, placement.theta)
-            gamma, alpha, theta = map(exact_angle, given)
-            meant: Placement = replace(placement, gamma=gamma, alpha=alpha, theta=theta)
-            change = largest_change(given, (gamma, alpha, theta))
-        else:
-            meant, change = written_pose(placement.xyz, placement.rpy)
-        changes[name] = max(change, changes.get(name, 0.0))
-        return meant if change else placement
-
-    def end(at: Attachment) -> Attachment:
-        return replace(at, placement=exact(at.body, at.placement))
-
-    joints = tuple(replace(joint, placement=exact(joint.name, joint.placement)) for joint in robot.joints)
-    closures = tuple(replace(closure, a=end(closure.a), b=end(closure.b)) for closure in robot.closures)
-    notes = short_angles_note(changes)
-    return replace(robot, joints=joints, closures=closures).noted(*notes) if notes else robot
-
-
-def compose(first: Placement, second: Placement) -> Pose:
-    """Express the pose `second`, given in the frame `first`, in the frame where `first` is given."""
-    if first == Pose() and isinstance(second, Pose):
-        return second
-    return pose_of(first.rotation @ second.rotation, first.position + first.rotation @ second.position)
-
-
-def turn(axis: np.ndarray, angle: float) -> np.ndarray:
-    """Compute the rotation (3, 3) by `angle` about the unit vector `axis` (3,) (Rodrigues)."""
-    x, y, z = axis
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + sin(angle) * K + (1.0 - cos(angle)) * (K @ K)
-
-
-def euler_angles(rotation: np.ndarray) -> np.ndarray:
-    """Compute the angles (3,) about x, then the y and z that turned with it, which make a rotation (3, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_matrix(rotation).as_euler("XYZ"))
 
 
 def characteristic_length(robot: Robot) -> float:
@@ -254,3 +123,85 @@ def _placement(placement: Placement) -> tuple[float, ...]:
 
 def _numbers(array: np.ndarray) -> tuple[float, ...]:
     return tuple((np.round(array, SAME) + 0.0).ravel().tolist())
+
+
+def oddities(robot: Robot) -> tuple[str, ...]:
+    """Note implausible entries, a sentence each: links of 350 m, limits of 130 rad, a home outside the limits."""
+    return (*_lengths(robot), *_angles(robot), *_homes(robot))
+
+
+def tool_note(robot: Robot) -> tuple[str, ...]:
+    """Note that the payload's body is assumed if the file names none and several are possible."""
+    antecedents = {joint.antecedent for joint in robot.joints}
+    ends = [joint for joint in robot.joints if joint.has_mass and joint.name not in antecedents]
+    if robot.named_tool or robot.platforms or not (robot.closures or len(ends) > 1):
+        return ()
+    last = [joint.name for joint in robot.joints if joint.has_mass][-1:] == [robot.tool]
+    why = "the last link of the robot's file" if last else "which carries the fingers"
+    return (
+        f"the payload is assumed to be on '{robot.tool}', {why}; if it is on another body, write"
+        " 'tool: BODY' in the robot file (gtau robot --save makes one of any robot)",
+    )
+
+
+def massless(robot: Robot, parameters: Iterable[str]) -> tuple[str, ...]:
+    """List links and platforms without a mass, moment or inertia in ``parameters``, which are massless."""
+    named = {parameter_of(name).body for name in parameters if parameter_of(name).kind in INERTIAL}
+    links = [joint.name for joint in robot.joints if joint.has_mass]
+    return tuple(body for body in (*links, *(platform.name for platform in robot.platforms)) if body not in named)
+
+
+def _lengths(robot: Robot) -> Iterator[str]:
+    placed: list[tuple[str, Placement]] = [(f"joint '{joint.name}'", joint.placement) for joint in robot.joints]
+    placed += [(f"home of platform '{platform.name}'", platform.home) for platform in robot.platforms]
+    for number, closure in enumerate(robot.closures, start=1):
+        placed += [(f"closure {number} on '{end.body}'", end.placement) for end in (closure.a, closure.b)]
+    for spring in robot.springs:
+        placed += [(f"spring '{spring.name}' on '{end.body}'", end.placement) for end in (spring.a, spring.b)]
+    long = [
+        f"{what} is placed {size:.4g} m away"
+        for what, place in placed
+        if (size := np.linalg.norm(place.position)) > FAR
+    ]
+    long += [
+        f"the position limits of joint '{joint.name}' are {_limits(joint)}"
+        for joint in robot.joints
+        if not joint.turns and _reach(joint) > FAR
+    ]
+    if long:
+        yield f"{'; '.join(long)}: lengths are in m, so check whether these are mm"
+
+
+def _angles(robot: Robot) -> Iterator[str]:
+    far = [
+        f"joint '{joint.name}' ({_limits(joint)})"
+        for joint in robot.joints
+        # a motor's shaft, before its gear, does turn that often
+        if joint.turns and joint.parameters != "drive" and _reach(joint) > TURNS * 2 * pi
+    ]
+    if far:
+        yield (
+            f"position limits of many turns: {', '.join(far)}; angles are in rad; if these are degrees, divide them by"
+            " 57.2958, or write deg(...) in a robot file"
+        )
+
+
+def _homes(robot: Robot) -> Iterator[str]:
+    outside = []
+    for joint in robot.joints:
+        low, high = joint.limits.position or (-np.inf, np.inf)
+        if not low - REACHED <= joint.home <= high + REACHED:
+            outside.append(f"joint '{joint.name}' ({joint.home:.4g} {joint.unit}, limits {_limits(joint)})")
+    if outside:
+        names = ", ".join(outside)
+        yield f"home lies outside the position limits of {names}; write a 'home' within them in the robot file"
+
+
+def _reach(joint: Joint) -> float:
+    return max(map(abs, joint.limits.position or (0.0,)))
+
+
+def _limits(joint: Joint) -> str:
+    assert joint.limits.position is not None
+    low, high = joint.limits.position
+    return f"{low:.4g} to {high:.4g} {joint.unit}"

@@ -15,8 +15,9 @@ import numpy as np
 
 from gtau.documents.validation import some_of, unknown
 from gtau.errors import GtauError
-from gtau.robots.geometry import compose, euler_angles, moved_ends, pose_of, rounded, turn
+from gtau.robots.geometry import moved_ends
 from gtau.robots.parameter import lumped, parameter_of, rigid_body
+from gtau.robots.placement import compose, euler_angles, pose_of, rounded, turn
 from gtau.robots.robot import GROUND, INERTIAL, Attachment, Coupling, Joint, Placement, Pose, Robot
 
 NAMED = 6  # joints that a note lists

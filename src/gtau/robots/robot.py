@@ -7,16 +7,18 @@ Everything here is frozen data. The mathematics lives in :mod:`gtau.model`.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from math import cos, sin
 from typing import Any, Literal
 
 import numpy as np
 
 from gtau.documents.validation import name_problem
 from gtau.errors import GtauError
-from gtau.robots.file import RobotFile
+from gtau.robots.placement import Digits
+from gtau.robots.placement import Mdh as Mdh
+from gtau.robots.placement import Placement as Placement
+from gtau.robots.placement import Pose as Pose
 
 GROUND = "ground"
 JointKind = Literal["revolute", "prismatic"]
@@ -25,72 +27,10 @@ INERTIAL = ("xx", "xy", "xz", "yy", "yz", "zz", "mx", "my", "mz", "m")
 """Inertial parameters of a body in its own frame, at the frame's origin; ``xy = -int x y dm``."""
 DRIVE = ("ia", "fv", "fs", "off")
 """Rotor inertia, viscous and Coulomb friction, and offset of a joint."""
-PLAIN_FRICTION = ("fv", "fs", "off")
-"""Those of a joint's friction, offset included."""
-STIFFNESS = "k"
-"""Stiffness of a spring across a joint, or between two points."""
-PRELOAD, DAMPING = "f0", "c"
-"""Force of a spring between two points at length zero, and its damping."""
+PLAIN_FRICTION = DRIVE[1:]
+STIFFNESS = "k"  # of a spring across a joint, or between two points
+PRELOAD, DAMPING = "f0", "c"  # force of a spring between two points at length zero, and its damping
 SPRING = (PRELOAD, STIFFNESS, DAMPING)
-"""Terms of the force of a spring between two points."""
-
-
-def _rotation(axis: int, angle: float) -> np.ndarray:
-    """Compute the rotation (3, 3) about x, y or z: axis 0, 1 or 2."""
-    (second, third), R = ((axis + 1) % 3, (axis + 2) % 3), np.eye(3)
-    R[second, second] = R[third, third] = cos(angle)
-    R[third, second] = sin(angle)
-    R[second, third] = -R[third, second]
-    return R
-
-
-@dataclass(frozen=True)
-class Mdh:
-    """Khalil-Kleinfinger placement ``Rot(z,gamma) Trans(z,b) Rot(x,alpha) Trans(x,d) Rot(z,theta) Trans(z,r)``.
-
-    Angles in rad, lengths in m. In a joint, ``theta`` (revolute) or ``r`` (prismatic) is the
-    constant that the joint coordinate is added to.
-    """
-
-    gamma: float = 0.0
-    b: float = 0.0
-    alpha: float = 0.0
-    d: float = 0.0
-    theta: float = 0.0
-    r: float = 0.0
-
-    @property
-    def rotation(self) -> np.ndarray:
-        """Orientation of the placed frame, (3, 3)."""
-        return _rotation(2, self.gamma) @ _rotation(0, self.alpha) @ _rotation(2, self.theta)
-
-    @property
-    def position(self) -> np.ndarray:
-        """Origin of the placed frame, (3,) in m."""
-        before = _rotation(2, self.gamma) @ _rotation(0, self.alpha)
-        return np.array([0.0, 0.0, self.b]) + before @ np.array([self.d, 0.0, self.r])
-
-
-@dataclass(frozen=True)
-class Pose:
-    """Placement by a translation (m), then fixed-axis roll, pitch and yaw (rad), as in URDF."""
-
-    xyz: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-    @property
-    def rotation(self) -> np.ndarray:
-        """Orientation of the placed frame, (3, 3)."""
-        roll, pitch, yaw = self.rpy
-        return _rotation(2, yaw) @ _rotation(1, pitch) @ _rotation(0, roll)
-
-    @property
-    def position(self) -> np.ndarray:
-        """Origin of the placed frame, (3,) in m."""
-        return np.array(self.xyz)
-
-
-Placement = Mdh | Pose
 
 
 @dataclass(frozen=True)
@@ -154,10 +94,7 @@ class Coupling:
     offset: float = 0.0
 
 
-TRANSLATIONS = ("x", "y", "z")
-ROTATIONS = ("rx", "ry", "rz")
-
-
+TRANSLATIONS, ROTATIONS = ("x", "y", "z"), ("rx", "ry", "rz")
 RATIO = 1e6  # of a coupling: a screw of 1 mm a turn has 6283 rad/m; beyond 1e7 the rank of the closures fails
 
 
@@ -211,6 +148,25 @@ class Spring:
     parameters: tuple[str, ...] = (PRELOAD, STIFFNESS)
 
 
+@dataclass(frozen=True)
+class RobotFile:
+    """What a robot's file says beside the robot itself; only the ``source`` counts where robots are compared.
+
+    ``notes`` say what a reader found odd in it or decided for the user, a sentence each. Without ``home_given`` the
+    joints' and platforms' homes are only where the search for one begins. ``constants`` are the numbers that it names,
+    and ``inertias`` the inertial parameters of bodies, and rotor inertias, that it states, by name, SI units: estimates
+    are compared with them. ``rounding`` says how its numbers are rounded where placements are computed from them;
+    without it, placements are the numbers in the file.
+    """
+
+    source: str = ""
+    notes: tuple[str, ...] = field(default=(), compare=False)
+    home_given: bool = field(default=True, compare=False)
+    constants: tuple[tuple[str, float], ...] = field(default=(), compare=False)
+    inertias: tuple[tuple[str, float], ...] = field(default=(), compare=False)
+    rounding: Digits | None = field(default=None, compare=False)
+
+
 @dataclass(frozen=True, repr=False)
 class Robot:
     """A spanning tree of joints, platforms and closures, and springs between its bodies.
@@ -235,7 +191,7 @@ class Robot:
     def __post_init__(self) -> None:
         if problem := name_problem(self.name):
             raise GtauError(f"robot: {problem}.")
-        for problem in _problems(self):
+        if problem := next(_problems(self), None):
             raise GtauError(f"robot '{self.name}': {problem}.")
 
     def __repr__(self) -> str:
@@ -304,8 +260,8 @@ class Robot:
     @property
     def ends(self) -> tuple[Attachment, ...]:
         """Attachments of closures and springs, both ends of each in turn."""
-        closures = (end for closure in self.closures for end in (closure.a, closure.b))
-        return (*closures, *(end for spring in self.springs for end in (spring.a, spring.b)))
+        ties: tuple[Closure | Spring, ...] = (*self.closures, *self.springs)
+        return tuple(end for tie in ties for end in (tie.a, tie.b))
 
     @property
     def driven(self) -> frozenset[str]:
@@ -328,10 +284,19 @@ def _problems(robot: Robot) -> Iterator[str]:
         yield "it has no joints; list at least one under 'joints'"
     known = {GROUND}
     for joint in robot.joints:
-        yield from _joint_problems(joint, known)
+        if joint.name in known:
+            yield f"the name '{joint.name}' is used twice; give every joint and platform its own"
+        if joint.antecedent not in known:
+            yield (
+                f"joint '{joint.name}' has the antecedent '{joint.antecedent}', which is not a joint listed before it; "
+                f"write '{GROUND}' or move the antecedent up"
+            )
+        yield from _joint_problems(joint)
         known.add(joint.name)
     for platform in robot.platforms:
-        yield from _platform_problems(platform, known)
+        if platform.name in known:
+            yield f"the name '{platform.name}' is used twice; give every joint and platform its own"
+        yield from _platform_problems(platform)
         known.add(platform.name)
         if not any(platform.name in (closure.a.body, closure.b.body) for closure in robot.closures):
             yield f"no closure holds platform '{platform.name}'; add one or remove the platform"
@@ -339,7 +304,16 @@ def _problems(robot: Robot) -> Iterator[str]:
         yield from _loose_ends(f"closure {number}", closure, known)
         if closure.a.body == closure.b.body:
             yield f"closure {number} ties '{closure.a.body}' to itself; attach its ends to two bodies"
-    yield from _spring_problems(robot.springs, known)
+    used = set(known)
+    for spring in robot.springs:
+        if spring.name in used:
+            yield f"the name '{spring.name}' is used twice; give every joint, platform and spring its own"
+        used.add(spring.name)
+        yield from _loose_ends(f"spring '{spring.name}'", spring, known)
+        if spring.a.body == spring.b.body:
+            yield f"both ends of spring '{spring.name}' are on '{spring.a.body}'; attach them to two bodies"
+        if not spring.parameters:
+            yield f"spring '{spring.name}' has none of preload, stiffness and damping; give it one, or remove it"
     joints = {joint.name for joint in robot.joints}
     for number, coupling in enumerate(robot.couplings, start=1):
         yield from _coupling_problems(f"coupling {number}", coupling, joints)
@@ -353,14 +327,7 @@ def _problems(robot: Robot) -> Iterator[str]:
         yield "no joint is actuated; mark the motors' joints with 'actuated: true'"
 
 
-def _joint_problems(joint: Joint, known: Collection[str]) -> Iterator[str]:
-    if joint.name in known:
-        yield f"the name '{joint.name}' is used twice; give every joint and platform its own"
-    if joint.antecedent not in known:
-        yield (
-            f"joint '{joint.name}' has the antecedent '{joint.antecedent}', which is not a joint listed before it; "
-            f"write '{GROUND}' or move the antecedent up"
-        )
+def _joint_problems(joint: Joint) -> Iterator[str]:
     if abs(np.linalg.norm(joint.axis) - 1.0) > 1e-9:
         yield f"the axis of joint '{joint.name}' is not a unit vector; divide it by its length"
     low, high = joint.limits.position or (0.0, 1.0)
@@ -375,20 +342,14 @@ def _joint_problems(joint: Joint, known: Collection[str]) -> Iterator[str]:
             yield f"the {quantity} limit of joint '{joint.name}' is {value:g}; write a positive number, or leave it out"
 
 
-def _platform_problems(platform: Platform, known: Collection[str]) -> Iterator[str]:
-    if platform.name in known:
-        yield f"the name '{platform.name}' is used twice; give every joint and platform its own"
-    if unknown := [dof for dof in platform.dof if dof not in TRANSLATIONS + ROTATIONS]:
-        yield f"platform '{platform.name}' has the degree of freedom '{unknown[0]}'; choose from x y z rx ry rz"
-    if len(set(platform.dof)) < len(platform.dof) or not platform.dof:
-        yield (
-            f"the degrees of freedom of platform '{platform.name}' must be one or more different ones of x y z rx ry rz"
-        )
-    if len([dof for dof in platform.dof if dof in ROTATIONS]) == 2:
-        yield (
-            f"platform '{platform.name}' has two rotations; give it none, one or all three "
-            "(the closures constrain the rest)"
-        )
+def _platform_problems(platform: Platform) -> Iterator[str]:
+    name, dof = platform.name, platform.dof
+    if unknown := [component for component in dof if component not in TRANSLATIONS + ROTATIONS]:
+        yield f"platform '{name}' has the degree of freedom '{unknown[0]}'; choose from x y z rx ry rz"
+    if len(set(dof)) < len(dof) or not dof:
+        yield f"the degrees of freedom of platform '{name}' must be one or more different ones of x y z rx ry rz"
+    if len(set(dof).intersection(ROTATIONS)) == 2:
+        yield f"platform '{name}' has two rotations; give it none, one or all three (the closures constrain the rest)"
 
 
 def _loose_ends(what: str, tie: Closure | Spring, known: Collection[str]) -> Iterator[str]:
@@ -414,19 +375,6 @@ def _coupling_problems(what: str, coupling: Coupling, joints: Collection[str]) -
         yield f"{what} of '{coupling.joint}' has a ratio of zero; leave that joint out"
 
 
-def _spring_problems(springs: Iterable[Spring], known: Collection[str]) -> Iterator[str]:
-    names = set(known)
-    for spring in springs:
-        if spring.name in names:
-            yield f"the name '{spring.name}' is used twice; give every joint, platform and spring its own"
-        names.add(spring.name)
-        yield from _loose_ends(f"spring '{spring.name}'", spring, known)
-        if spring.a.body == spring.b.body:
-            yield f"both ends of spring '{spring.name}' are on '{spring.a.body}'; attach them to two bodies"
-        if not spring.parameters:
-            yield f"spring '{spring.name}' has none of preload, stiffness and damping; give it one, or remove it"
-
-
 def _palm(carriers: Mapping[str, str], last: str, links: Collection[str], base: Collection[str]) -> str:
     """Find the link that carries the fingers if ``last`` is one of them; else ``last`` itself.
 
@@ -439,13 +387,13 @@ def _palm(carriers: Mapping[str, str], last: str, links: Collection[str], base: 
     before: dict[str, tuple[str, ...]] = {}  # from the ground to each joint
     for joint, carrier in carriers.items():
         before[joint] = (*before.get(carrier, ()), joint)
-    for depth, carrying in enumerate(before[last][:-1], start=1):
+    for depth, palm in enumerate(before[last][:-1], start=1):
         lengths: dict[str, int] = {}
         for chain in before.values():
-            if len(chain) > depth and chain[depth - 1] == carrying:
+            if len(chain) > depth and chain[depth - 1] == palm:
                 lengths[chain[depth]] = max(lengths.get(chain[depth], 0), len(chain) - depth)
         alike = Counter(lengths.values())
         fingers = alike[lengths[before[last][depth]]] > 1 or max(alike.values()) > 2
-        if carrying in links and fingers and max(lengths.values()) <= depth - len(base):
-            return carrying
+        if palm in links and fingers and max(lengths.values()) <= depth - len(base):
+            return palm
     return last

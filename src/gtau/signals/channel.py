@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from gtau.robots.floating import WRENCH, WrenchFrame
+from gtau.robots.placement import WRENCH, WrenchFrame
 
 
 @dataclass(frozen=True)

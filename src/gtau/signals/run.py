@@ -12,7 +12,7 @@ import numpy as np
 from gtau.documents.validation import FUNCTION, name_problem, read_group, takes
 from gtau.errors import GtauError
 from gtau.findings import Finding
-from gtau.robots.floating import WrenchFrame
+from gtau.robots.placement import WrenchFrame
 from gtau.robots.robot import base_rows
 from gtau.signals.channel import BASE, SENSOR, Channel, channels_of
 from gtau.signals.reading.columns import Signals
@@ -253,9 +253,9 @@ def read_run(
             run = read_run(path, signals, payload, units, progress, settings, part)
         return replace(run, log=replace(run.log, paths=(), signals=None, units=None))
     paths, notes = [Path(path) for path in paths], list[Finding]()
-    source, parts = read_logs(paths, signals, units, notes, part.rows, progress)
-    channels = tuple(replace(channel, delay=settings.delay) for channel in source.channels)
-    samples = check(replace(source, channels=channels), parts, notes, settings, part)
+    samples = read_logs(paths, signals, units, notes, part, progress)
+    channels = tuple(replace(channel, delay=settings.delay) for channel in samples.channels)
+    samples, whole_share = check(replace(samples, channels=channels), notes, settings.clock)
     temperature = None
     if signals.temperature is not None:
         from gtau.signals.reading.side_signals import read_temperature
@@ -271,5 +271,5 @@ def read_run(
         as_payload(payload),
         valid=samples.valid,
         channels=channels,
-        log=Log(tuple(paths), signals, units, settings, tuple(notes), samples.whole_share, temperature),
+        log=Log(tuple(paths), signals, units, settings, tuple(notes), whole_share, temperature),
     )

@@ -94,8 +94,7 @@ class Store:
         except OSError as error:
             raise GtauError(
                 f"a long log needs some GB in the folder for temporary files, {tempfile.gettempdir()}, which is full "
-                f"({(error.strerror or str(error)).lower()}); make room there, or set TMPDIR to "
-                "another folder."
+                f"({(error.strerror or str(error)).lower()}); make room there, or set TMPDIR to another folder."
             ) from None
         self._held.clear()
 
@@ -115,9 +114,8 @@ def stored_like(array: np.ndarray, parts: Iterable[np.ndarray]) -> np.ndarray:
 
 def rows_at(array: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Copy the rows of an array of any length at increasing ``places``."""
-    ends = (np.searchsorted(places, span) for span in spans(len(array)))
-    pairs = zip(spans(len(array)), ends, strict=True)
-    return stored_like(array, (block(array, *span)[places[first:last] - span[0]] for span, (first, last) in pairs))
+    pieces = ((start, places[slice(*np.searchsorted(places, (start, stop)))]) for start, stop in spans(len(array)))
+    return stored_like(array, (block(array, start, start + block_size())[at - start] for start, at in pieces))
 
 
 def block(array: np.ndarray, start: int, stop: int) -> np.ndarray:

@@ -12,8 +12,7 @@ from gtau.estimation.experiment_runs import describe
 from gtau.estimation.regression.dataset import at_rate_of
 from gtau.estimation.regression.plausibility import check_wrenches, motor_to_joint_speed
 from gtau.estimation.results.result import Result
-from gtau.robots.file import RobotFile
-from gtau.robots.robot import Limits, Robot
+from gtau.robots.robot import Limits, Robot, RobotFile
 from gtau.signals.preparation.prepared_run import PreparedRun, prepare
 from gtau.signals.reading.experiment import Experiment, read_experiment
 from gtau.signals.reading.samples import WHOLE, Part

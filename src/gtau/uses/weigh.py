@@ -127,7 +127,8 @@ def exact_gains(model: Result, experiment: Experiment, gains: str) -> tuple[str,
     """
     if gains != "prior":
         return tuple(joint for joint, gain in model.drive_gains.items() if gain.std is None)
-    return tuple(joint for joint in experiment.signals.joints if joint not in experiment.gain_stds)
+    known = {joint for joint, gain in experiment.stated_gains.items() if gain.std is not None}
+    return tuple(joint for joint in experiment.signals.joints if joint not in known)
 
 
 def _slope(problem: Problem, gains: np.ndarray, j: int, estimates: np.ndarray) -> np.ndarray:

@@ -19,9 +19,10 @@ from gtau.estimation.results.predicted import Prediction
 from gtau.estimation.results.result import Result
 from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.loops import Motion
-from gtau.robots.floating import WRENCH, WrenchFrame, refuse_floating
+from gtau.robots.floating import refuse_floating
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.parameter import Parameter
+from gtau.robots.placement import WRENCH, WrenchFrame
 from gtau.robots.robot import Placement
 from gtau.signals.run import Run
 from gtau.uses.runs import prepared_for

@@ -11,6 +11,7 @@ import hashlib
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -78,7 +79,7 @@ def _growing(
             return
         time.sleep(POLL)
     with TemporaryDirectory() as temporary, log.open("rb") as file:
-        head = file.read(find_columns(log).first_byte)
+        head = b"".join(islice(file, (find_columns(log).first_line or 1) - 1))
         part = Path(temporary) / f"{log.stem}{log.suffix or '.csv'}"
         lines = _Lines()
         wanted, number = 0, 0

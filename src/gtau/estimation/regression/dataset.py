@@ -37,8 +37,8 @@ from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
+from gtau.robots.geometry import oddities, tool_note
 from gtau.robots.parameter import Parameter
-from gtau.robots.plausibility import oddities, tool_note
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.preparation.prepared_run import Preparation, PreparedRun, SampleWindow

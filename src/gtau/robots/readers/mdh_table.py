@@ -11,10 +11,9 @@ from typing import TypeVar
 
 from gtau.documents.files import read_at_most
 from gtau.errors import GtauError
-from gtau.robots.file import RobotFile
-from gtau.robots.geometry import DEGREES_ADVICE, compose, exact_angle, in_degrees, largest_change, short_angles_note
+from gtau.robots.placement import DEGREES_ADVICE, compose, exact_placement, in_degrees, short_angles_note
 from gtau.robots.readers.expressions import RESERVED, AffineInQ, evaluate, linear
-from gtau.robots.robot import GROUND, Attachment, Joint, JointKind, Mdh, Robot
+from gtau.robots.robot import GROUND, Attachment, Joint, JointKind, Mdh, Placement, Robot, RobotFile
 
 
 @dataclass(frozen=True)
@@ -23,14 +22,14 @@ class MdhRow:
 
     ``sigma`` is 0 for a revolute joint, 1 for a prismatic one and 2 for a fixed frame; ``mu`` is 1 where a motor acts.
     ``placement`` has the constant that the joint coordinate is added to in ``theta`` or ``r``; ``short`` is by how
-    much (rad) an angle in it was changed, see :func:`gtau.robots.geometry.exact_angle`.
+    much (rad) an angle in it was changed, see :func:`gtau.robots.placement.exact_angle`.
     """
 
     name: str
     antecedent: str
     mu: int
     sigma: int
-    placement: Mdh
+    placement: Placement
     short: float
 
 
@@ -45,14 +44,10 @@ def table_row(name: str, antecedent: str, mu: float, sigma: float, parameters: S
     """Make a row from numbers: mu, sigma, and (gamma, b, alpha, d, theta, r), angles in rad, lengths in m."""
     if mu not in (0, 1):
         raise GtauError(f"mu of joint '{name}' is {mu:g}; write 1 (driven by a motor) or 0 (passive).")
-    gamma, b, alpha, d, theta, r = parameters
-    for key, angle in (("gamma", gamma), ("alpha", alpha), ("theta", theta)):
+    for key, angle in zip(("gamma", "alpha", "theta"), parameters[::2], strict=True):
         if in_degrees(angle):
             raise GtauError(f"{key} of joint '{name}' is {angle:g}; angles are in rad, so {DEGREES_ADVICE}.")
-    angles = [exact_angle(angle) for angle in (gamma, alpha, theta)]
-    short = largest_change((gamma, alpha, theta), angles)
-    placement = Mdh(angles[0], b, angles[1], d, angles[2], r)
-    return MdhRow(name, antecedent, int(mu), int(sigma), placement, short)
+    return MdhRow(name, antecedent, int(mu), int(sigma), *exact_placement(Mdh(*parameters)))
 
 
 def table_joints(rows: Sequence[MdhRow]) -> tuple[tuple[Joint, ...], dict[str, Attachment]]:

@@ -16,16 +16,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.robots.file import RobotFile
-from gtau.robots.geometry import rounded
 from gtau.robots.parts import hold_joints, listed, without_idle_pins
+from gtau.robots.placement import rounded
 from gtau.robots.readers.inertias import mjcf_inertias, mjcf_masses
 from gtau.robots.readers.mjcf_bodies import read_bodies, read_equalities
 from gtau.robots.readers.mjcf_file import MjcfFile, angle_notes, compile_mjcf, mjcf_rounding, name_in
 from gtau.robots.readers.mjcf_tendons import actuators, fixed_tendons, limited_tendons, site_springs, tied_tendons
 from gtau.robots.readers.source import Base, BaseChoice
 from gtau.robots.readers.xml_document import read_xml
-from gtau.robots.robot import GROUND, Coupling, Joint, JointKind, Robot, base_rows
+from gtau.robots.robot import GROUND, Coupling, Joint, JointKind, Robot, RobotFile, base_rows
 
 if TYPE_CHECKING:
     import mujoco

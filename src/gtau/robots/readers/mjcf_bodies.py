@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.robots.floating import base_joints
-from gtau.robots.geometry import compose, pose_of, rounded, turn
+from gtau.robots.floating import base_joints, turning
+from gtau.robots.placement import compose, pose_of, rounded, turn
 from gtau.robots.readers.mjcf_file import name_in, pose_in, rotation_in
 from gtau.robots.readers.mjcf_tendons import attached_site
 from gtau.robots.readers.source import BASE_ADVICE, FLOATING, BaseChoice
-from gtau.robots.readers.urdf_tree import turning
 from gtau.robots.readers.xml_document import position_limits
 from gtau.robots.robot import (
     GROUND,
@@ -110,9 +109,9 @@ def _joints(
     after = Attachment(name, pose_of(np.eye(3), -anchor))
     if kind == mujoco.mjtJoint.mjJNT_BALL:
         angles = rotation_in(qpos[start : start + 4]).as_euler("XYZ")
-        chain = turning(name, at.body, placement, "xyz")
-        chain = [replace(joint, home=float(angle)) for joint, angle in zip(chain, angles, strict=True)]
-        return [*chain[:-1], chain[-1] if last else replace(chain[-1], parameters="none")], after
+        chain = zip(turning(name, at.body, placement, "xyz"), angles, strict=True)
+        *links, ball = (replace(joint, home=float(angle)) for joint, angle in chain)
+        return [*links, ball if last else replace(ball, parameters="none")], after
     low, high = map(float, model.jnt_range[number])
     joint = Joint(
         name,

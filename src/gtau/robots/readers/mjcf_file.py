@@ -13,10 +13,11 @@ import numpy as np
 
 from gtau.documents.validation import some_of
 from gtau.errors import GtauError, missing_extra
-from gtau.robots.file import Digits, digits_of
-from gtau.robots.geometry import (
+from gtau.robots.placement import (
     MEANT,
     SHORT,
+    Digits,
+    digits_of,
     exact_angle,
     exact_rotation,
     in_degrees,

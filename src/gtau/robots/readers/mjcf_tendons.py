@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.robots.geometry import compose
 from gtau.robots.parts import listed
+from gtau.robots.placement import compose
 from gtau.robots.readers.mjcf_file import MjcfFile, name_in, pose_in, straight_tendons
 from gtau.robots.robot import DAMPING, PRELOAD, SPRING, STIFFNESS, Attachment, Coupling, Spring
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -11,9 +12,8 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationIn
 from gtau.documents.validation import validate
 from gtau.documents.yaml_document import Document, parse_yaml, read_yaml
 from gtau.errors import GtauError
-from gtau.robots.file import RobotFile
 from gtau.robots.floating import base_joints
-from gtau.robots.geometry import DEGREES_ADVICE, in_degrees, with_exact_angles
+from gtau.robots.placement import DEGREES_ADVICE, exact_placement, in_degrees, short_angles_note
 from gtau.robots.readers.expressions import RESERVED, AffineInQ, evaluate, linear
 from gtau.robots.robot import (
     DAMPING,
@@ -33,6 +33,7 @@ from gtau.robots.robot import (
     Platform,
     Pose,
     Robot,
+    RobotFile,
     Spring,
 )
 
@@ -217,7 +218,7 @@ class _RobotEntry(_Entry):
 
 def read_native(path: str | Path) -> Robot:
     """Read a robot file (YAML); ``docs/lookup/robot-file.md`` explains the format."""
-    return with_exact_angles(_robot(read_yaml(path)))
+    return _with_exact_angles(_robot(read_yaml(path)))
 
 
 def parse_native(text: str, path: str | Path) -> Robot:
@@ -233,7 +234,7 @@ def _robot(document: Document) -> Robot:
     try:
         return Robot(
             name=entry.robot,
-            joints=base_joints(entry.floating) + joints,
+            joints=(base_joints(entry.floating) if entry.floating else ()) + joints,
             platforms=tuple(
                 Platform(name, tuple(platform.dof), Pose(platform.home.xyz, platform.home.rpy))
                 for name, platform in entry.platforms.items()
@@ -251,6 +252,24 @@ def _robot(document: Document) -> Robot:
         )
     except GtauError as error:
         raise GtauError(f"{document.path}: {error}") from None
+
+
+def _with_exact_angles(robot: Robot) -> Robot:
+    """Take the angles of placements that are written short as exact, with a note."""
+    changes: dict[str, float] = {}
+
+    def exact(name: str, placement: Placement) -> Placement:
+        meant, change = exact_placement(placement)
+        changes[name] = max(change, changes.get(name, 0.0))
+        return meant if change else placement
+
+    def end(at: Attachment) -> Attachment:
+        return Attachment(at.body, exact(at.body, at.placement))
+
+    joints = tuple(replace(joint, placement=exact(joint.name, joint.placement)) for joint in robot.joints)
+    closures = tuple(replace(closure, a=end(closure.a), b=end(closure.b)) for closure in robot.closures)
+    notes = short_angles_note(changes)
+    return replace(robot, joints=joints, closures=closures).noted(*notes) if notes else robot
 
 
 def _constants(document: Document) -> dict[str, float]:

@@ -1,8 +1,8 @@
-"""Read any robot: catalog names and all kinds of robot files; and find frames fixed to its bodies."""
+"""Read any robot: catalog names and all kinds of robot files, with the base and the selected joints."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -15,10 +15,10 @@ from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.extensions import added, registered
 from gtau.robots.floating import drawn_base, float_base
-from gtau.robots.geometry import rounded
 from gtau.robots.parts import hold_joints, listed, lock_joints, select_joints
+from gtau.robots.placement import Pose, rounded
 from gtau.robots.readers.source import BASE_ADVICE, FLOATING, Base, BaseChoice, GivenLimits, RobotSource
-from gtau.robots.robot import Placement, Pose, Robot
+from gtau.robots.robot import Robot
 
 CATALOG = Path(__file__).parents[1] / "catalog"
 GROUP = "gtau.robots"  # of the entry points that name packages with robot files
@@ -52,48 +52,51 @@ def read_robot(source: str | Path | RobotSource) -> Robot:
         source = RobotSource(file=str(source))
     robot = _read(source.file, source.base)
     try:
-        six = () if robot.floating else drawn_base(robot)
-        if source.base == FLOATING and six:
-            robot = float_base(lock_joints(robot, dict.fromkeys(six, 0.0)), six[-1])
-            note = (
-                f"{listed(six)} were taken as the floating base '{six[-1]}', as they have no motor and carry the rest"
-            )
-            robot = robot.noted(note)
-        elif source.base == FLOATING and not robot.floating:
-            in_use = any(joint.name == "base" for joint in robot.joints)
-            robot = float_base(robot, "floating_base" if in_use else "base")
+        # six joints without a motor carry at least one with a motor
+        six = drawn_base(robot) if len(robot.joints) > 6 and not robot.floating else ()
+        if source.base == FLOATING:
+            robot = _floating(robot, six)
         elif isinstance(source.base, Base):
-            if held := six or robot.base:
-                robot = hold_joints(robot, dict.fromkeys(held, 0.0), "with the base")
-            if source.base.rpy is not None:
-                robot = _mounted(robot, source.base.rpy)
-        robot = select_joints(robot, source.joints, source.held) if source.joints or source.held else robot
-        robot = _limited(robot, source.limits)
-        robot = robot if source.gravity is None else replace(robot, gravity=source.gravity)
-        if source.base is None and not robot.floating and (six := drawn_base(robot)):
+            robot = _fixed(robot, six or robot.base, source.base)
+        if source.joints or source.held:
+            robot = select_joints(robot, source.joints, source.held)
+        if source.limits:
+            robot = _limited(robot, source.limits)
+        if source.gravity is not None:
+            robot = replace(robot, gravity=source.gravity)
+        if source.base is None and not robot.floating and len(robot.joints) > 6 and (six := drawn_base(robot)):
             raise GtauError(f"{listed(six)} have no motor and carry the rest, as a base that floats; {BASE_ADVICE}.")
         return robot
     except GtauError as error:
         raise GtauError(f"{source.file}: {error}") from None
 
 
+def _floating(robot: Robot, six: Sequence[str]) -> Robot:
+    """Let the base float, by the six joints that represent it in the file if there are any."""
+    if six:
+        note = f"{listed(six)} were taken as the floating base '{six[-1]}', as they have no motor and carry the rest"
+        return float_base(lock_joints(robot, dict.fromkeys(six, 0.0)), six[-1]).noted(note)
+    in_use = any(joint.name == "base" for joint in robot.joints)
+    return robot if robot.floating else float_base(robot, "floating_base" if in_use else "base")
+
+
+def _fixed(robot: Robot, six: Sequence[str], base: Base) -> Robot:
+    """Fix the base that six joints represent, if any, and turn it in a world in which its gravity points down."""
+    if six:
+        robot = hold_joints(robot, dict.fromkeys(six, 0.0), "with the base")
+    if base.rpy is None:
+        return robot
+    x, y, z = Pose(rpy=base.rpy).rotation.T @ [0.0, 0.0, -float(np.linalg.norm(robot.gravity))]
+    return replace(robot, gravity=(rounded(x), rounded(y), rounded(z)))
+
+
 def _limited(robot: Robot, given: Mapping[str, GivenLimits]) -> Robot:
     """Replace limits of joints by those given."""
-    for name in given:
-        robot.joint(name)  # refuses a name that no joint has
-    joints = (
-        replace(joint, limits=replace(joint.limits, **given[joint.name].model_dump(exclude_none=True)))
-        if joint.name in given
-        else joint
-        for joint in robot.joints
-    )
-    return replace(robot, joints=tuple(joints)) if given else robot
-
-
-def _mounted(robot: Robot, rpy: tuple[float, float, float]) -> Robot:
-    """Rotate the base of a robot in a world in which its gravity points down."""
-    x, y, z = Pose(rpy=rpy).rotation.T @ [0.0, 0.0, -float(np.linalg.norm(robot.gravity))]
-    return replace(robot, gravity=(rounded(x), rounded(y), rounded(z)))
+    joints = {joint.name: joint for joint in robot.joints}
+    for name, limits in given.items():
+        joint = robot.joint(name)
+        joints[name] = replace(joint, limits=replace(joint.limits, **limits.model_dump(exclude_none=True)))
+    return replace(robot, joints=tuple(joints.values()))
 
 
 def _read(source: str | Path, base: BaseChoice) -> Robot:
@@ -165,58 +168,3 @@ def _from_urdf(path: Path, base: BaseChoice) -> Robot:
         if is_loops_file(loops):
             return read_urdf_with_loops(path, loops)
     return read_urdf(path, base)
-
-
-def frame_on(body: str, frame: str | Pose, file: str | Path | None) -> tuple[str, Placement]:
-    """Find a frame fixed to a ``body``, a joint or platform: its name, and its pose in the body's own frame.
-
-    Empty for the body's own frame; a link of the URDF ``file``, or the six numbers ``x y z roll pitch yaw`` (m, rad)
-    from the body's frame, or these as a pose.
-    """
-    of_body = f"the frame of '{body}'"
-    if isinstance(frame, Pose):
-        return f"a frame on '{body}'", frame
-    if not frame:
-        return of_body, Pose()
-    words = frame.replace(",", " ").split()
-    try:
-        numbers = [float(word) for word in words]
-    except ValueError:
-        return frame, _link(body, frame, file)
-    if len(numbers) != 6:
-        raise GtauError(
-            f"frame '{frame}' has {len(numbers)} numbers; write 'x y z roll pitch yaw' (m, rad) from {of_body}."
-        )
-    x, y, z, roll, pitch, yaw = numbers
-    return f"{x:g} {y:g} {z:g} m, {roll:g} {pitch:g} {yaw:g} rad from {of_body}", Pose((x, y, z), (roll, pitch, yaw))
-
-
-def links_on(body: str, file: str | Path) -> list[str]:
-    """List the links of the robot's ``file`` that are fixed to a ``body``; none where it is no URDF."""
-    if Path(file).suffix.lower() != ".urdf":
-        return []
-    from gtau.robots.readers.urdf_tree import read_urdf_tree
-
-    tree = read_urdf_tree(Path(file), {}, Base())
-    links = (link.get("name", "") for link in tree.root.findall("link"))
-    return [link for link in links if link in tree.frames and tree.frames[link].body == body]
-
-
-def _link(body: str, link: str, file: str | Path | None) -> Placement:
-    if file is None or Path(file).suffix.lower() != ".urdf":
-        raise GtauError(
-            f"frame '{link}' is the name of a link, which only a URDF has; give the URDF, or the frame as 'x y z roll "
-            f"pitch yaw' (m, rad) from the frame of '{body}'."
-        )
-    from gtau.robots.readers.urdf_tree import read_urdf_tree
-
-    tree = read_urdf_tree(Path(file), {}, Base())
-    on_body = [name for name, frame in tree.frames.items() if frame.body == body]
-    if link not in tree.frames:
-        raise GtauError(f"{file} has no link '{link}'; on '{body}' are {', '.join(on_body) or 'none'}.")
-    if link not in on_body:
-        raise GtauError(
-            f"link '{link}' of {file} is not fixed to '{body}', which carries the payload; choose from "
-            f"{', '.join(on_body) or 'none, and write the pose'}."
-        )
-    return tree.frames[link].placement

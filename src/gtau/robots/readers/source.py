@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, FiniteFloat, Tag, field_validator
 
-from gtau.robots.geometry import DEGREES_ADVICE, in_degrees
+from gtau.robots.placement import DEGREES_ADVICE, in_degrees
 from gtau.robots.readers.expressions import evaluate
 
 FLOATING: Literal["floating"] = "floating"

@@ -9,11 +9,10 @@ from pathlib import Path
 
 from gtau.documents.files import read_at_most
 from gtau.errors import GtauError
-from gtau.robots.file import RobotFile
-from gtau.robots.geometry import short_angles_note
+from gtau.robots.placement import short_angles_note
 from gtau.robots.readers.expressions import COORDINATE, RESERVED, evaluate, linear
 from gtau.robots.readers.mdh_table import MdhRow, moving_parameter, table_joints, table_row
-from gtau.robots.robot import GROUND, STANDARD_GRAVITY, Attachment, Closure, Robot
+from gtau.robots.robot import GROUND, STANDARD_GRAVITY, Attachment, Closure, Robot, RobotFile
 
 MAX_BYTES = 1 << 16
 LISTS = ("ant", "sigma", "mu", "gamma", "b", "alpha", "d", "theta", "r")

@@ -6,14 +6,22 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.robots.file import Digits, RobotFile, digits_of
-from gtau.robots.geometry import ROUNDING, compose, in_degrees, rounded, short_angles_note, written_pose
+from gtau.robots.floating import turning
+from gtau.robots.placement import (
+    ROUNDING,
+    Digits,
+    compose,
+    digits_of,
+    exact_placement,
+    in_degrees,
+    rounded,
+    short_angles_note,
+)
 from gtau.robots.readers.inertias import urdf_inertias, urdf_masses
 from gtau.robots.readers.source import BASE_ADVICE, FLOATING, BaseChoice
 from gtau.robots.readers.xml_document import (
@@ -26,19 +34,17 @@ from gtau.robots.readers.xml_document import (
     position_limits,
     read_xml,
 )
-from gtau.robots.robot import GROUND, Attachment, Coupling, Joint, Limits, Placement, Pose
+from gtau.robots.robot import GROUND, Attachment, Coupling, Joint, JointKind, Limits, Placement, Pose, RobotFile
 
-Kind = Literal["revolute", "prismatic"]
 LOOSE = ("floating", "planar")
 TURNS = {"SPHERICAL": "xyz", "CARDAN": "xy", "UJOINT_XY": "xy", "UJOINT_YZ": "yz", "UJOINT_ZX": "zx"}
 """Axes, in turn, of joints that a URDF cannot describe."""
-KINDS: dict[str, Kind | None] = {
+KINDS: dict[str, JointKind | None] = {
     "revolute": "revolute",
     "continuous": "revolute",
     "prismatic": "prismatic",
     "fixed": None,
 }
-AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 @dataclass(frozen=True)
@@ -46,10 +52,10 @@ class _Edge:
     """A URDF joint as written in the file."""
 
     name: str
-    kind: Kind | None  # None where nothing moves
+    kind: JointKind | None  # None where nothing moves
     parent: str
     child: str
-    origin: Pose
+    origin: Placement
     short: float  # largest change (rad) of an angle of its origin
     element: Element
 
@@ -220,22 +226,6 @@ def _moving(ordered: list[_Edge], types: Mapping[str, str]) -> tuple[tuple[Joint
     return tuple(joints), frames
 
 
-def turning(name: str, antecedent: str, placement: Placement, axes: str) -> list[Joint]:
-    """Make a spherical or universal joint: revolute ones about `axes` in turn, with massless links in between."""
-    chain = [f"{name}_{axis}" for axis in axes[:-1]] + [name]
-    return [
-        Joint(
-            link,
-            chain[k - 1] if k else antecedent,
-            "revolute",
-            Pose() if k else placement,
-            AXES[axes[k]],
-            parameters="inertial" if link == name else "none",
-        )
-        for k, link in enumerate(chain)
-    ]
-
-
 def _carried(ordered: list[_Edge]) -> dict[str, str]:
     """Map each moving link to the moving joint that carries it."""
     carriers: dict[str, str] = {}
@@ -289,7 +279,7 @@ def _reduction_notes(root: Element) -> Iterator[str]:
         )
 
 
-def _origin(element: Element, name: str) -> tuple[Pose, float]:
+def _origin(element: Element, name: str) -> tuple[Placement, float]:
     origin = element.find("origin")
     if origin is None:
         return Pose(), 0.0
@@ -299,7 +289,8 @@ def _origin(element: Element, name: str) -> tuple[Pose, float]:
             f"line {line_of(origin)}: rpy of joint '{name}' holds {degrees[0]:g}; angles are in rad, so divide it by "
             f"57.2958 if it is in degrees."
         )
-    return written_pose(xyz, rpy)
+    x, y, z, roll, pitch, yaw = *xyz, *rpy
+    return exact_placement(Pose((x, y, z), (roll, pitch, yaw)))
 
 
 def _axis(edge: _Edge) -> tuple[float, float, float]:

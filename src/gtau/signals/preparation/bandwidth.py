@@ -84,7 +84,7 @@ def position_noise(run: Run, cutoffs: Sequence[float | None]) -> np.ndarray:
     """
     bounds = []
     for cutoff, (centre, density, gain) in zip(cutoffs, _banded(run), strict=True):
-        above = centre > cutoff if cutoff is not None else np.zeros(len(centre), dtype=bool)
+        above = centre > (np.inf if cutoff is None else cutoff)
         bounds.append(float(np.max(density / gain**2, where=above, initial=0.0)))
     return np.array(bounds)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -21,7 +21,7 @@ from gtau.signals.storage import spans
 # Orthoglide's gains from 1.3 to 2.8 N/A.
 KEPT = 0.85
 FEWEST_ROWS = 200  # of a joint, in all runs together, that decimation leaves if the logs have them
-STRETCHES = 8  # parts of a long run that are evaluated for that
+PARTS = 8  # parts of a long run that are evaluated for that
 LARGEST_FACTOR = 400
 
 
@@ -39,33 +39,28 @@ def choose_preparation(runs: Sequence[Run], decimator: Literal["fir", "chebyshev
     of_runs = [moving_spectra(run) for run in runs]
     moving = [spectrum for of_run in of_runs for spectrum in of_run if spectrum.moves]
     bandwidth = settings.bandwidth or max(spectrum.bandwidth for spectrum in moving)
-    if settings.position_filter is not None:
-        cutoff = _given_cutoff(settings.position_filter, slowest)
-    else:
-        end = max(spectrum.end for spectrum in moving) if settings.bandwidth is None else np.inf
-        seconds = float(np.mean([len(run.time) / run.rate for run in runs]))
-        cutoff = cutoff_frequency(bandwidth, end, slowest, seconds)
+    cutoff: float | None
+    match settings.position_filter:
+        case "none":
+            cutoff = None
+        case None:
+            end = max(spectrum.end for spectrum in moving) if settings.bandwidth is None else np.inf
+            seconds = float(np.mean([len(run.time) / run.rate for run in runs]))
+            cutoff = cutoff_frequency(bandwidth, end, slowest, seconds)
+        case cutoff:
+            if cutoff >= 0.5 * slowest:
+                raise GtauError(
+                    f"preparation.position_filter is {cutoff:g} Hz, but logs sampled at {slowest:.4g} Hz contain "
+                    f"nothing above {slowest / 2:.4g} Hz; give a lower cut-off, or none."
+                )
     fraction = SPEED_FRACTION if settings.least_speed is None else settings.least_speed
     chosen = Preparation(bandwidth, cutoff, Decimator(1, decimator), fraction, slowest, settings.given)
-    if settings.decimation is not None:
-        factor = settings.decimation
-    elif decimator == "chebyshev":
+    factor = settings.decimation
+    if factor is None and decimator == "chebyshev":
         factor = decimation_factor(slowest, bandwidth)
-    else:
+    elif factor is None:
         factor = _affordable(runs, of_runs, chosen, decimation_factor(slowest, bandwidth, LARGEST_FACTOR))
     return replace(chosen, decimator=Decimator(factor, decimator))
-
-
-def _given_cutoff(given: float | Literal["none"], rate: float) -> float | None:
-    """Return a cut-off given by hand; raises GtauError where it is above half the ``rate`` (Hz) of the samples."""
-    if given == "none":
-        return None
-    if given >= 0.5 * rate:
-        raise GtauError(
-            f"preparation.position_filter is {given:g} Hz, but logs sampled at {rate:.4g} Hz contain nothing above "
-            f"{rate / 2:.4g} Hz; give a lower cut-off, or none."
-        )
-    return given
 
 
 def moving_spectra(run: Run) -> tuple[JointSpectrum, ...]:
@@ -80,43 +75,35 @@ def moving_spectra(run: Run) -> tuple[JointSpectrum, ...]:
 
 
 def _affordable(
-    runs: Sequence[Run], found: Sequence[Sequence[JointSpectrum]], preparation: Preparation, most: int
+    runs: Sequence[Run], of_runs: Sequence[Sequence[JointSpectrum]], preparation: Preparation, most: int
 ) -> int:
     """Find the largest decimation, up to ``most``, that leaves the slowest run enough rows."""
     n = len(runs[0].joints)
-    lengths: list[list[tuple[float, np.ndarray]]] = [[] for _ in range(n)]  # of usable stretches, and the run's rate
-    for run, of_run in zip(runs, found, strict=True):
-        moves = np.array([spectrum.moves for spectrum in of_run])
-        for j, stretches in enumerate(_usable_stretches(run, preparation.at(run.rate))):
-            if moves[j]:
-                lengths[j].append((run.rate / preparation.rate, stretches))
-    chosen = 1
-    for factor in _factors(most):
+    blocks: list[tuple[int, float, np.ndarray]] = []  # joint, rate of the run, lengths of its usable blocks
+    for run, spectra_of_run in zip(runs, of_runs, strict=True):
+        ratio = run.rate / preparation.rate
+        for j, lengths in enumerate(_usable_blocks(run, preparation.at(run.rate))):
+            if spectra_of_run[j].moves:
+                blocks.append((j, ratio, lengths))
+    chosen, factor = 1, 2
+    while factor <= most:
         kept, total = np.zeros(n), np.zeros(n)
-        for j in range(n):
-            for ratio, stretches in lengths[j]:
-                guard = Decimator(max(1, round(factor * ratio)), preparation.decimator.kind).guard
-                kept[j] += np.maximum(stretches - 2 * guard, 0).sum() / ratio
-                total[j] += stretches.sum() / ratio
+        for j, ratio, lengths in blocks:
+            guard = Decimator(max(1, round(factor * ratio)), preparation.decimator.kind).guard
+            kept[j] += np.maximum(lengths - 2 * guard, 0).sum() / ratio
+            total[j] += lengths.sum() / ratio
         moving = total > 0
         if (kept[moving] / total[moving]).mean() < KEPT or (kept[moving] / factor).min() < FEWEST_ROWS:
             break
         chosen = factor
+        factor += max(1, factor // MAX_FACTOR)  # from there on in steps of some 5 %
     return chosen
 
 
-def _factors(most: int) -> Iterator[int]:
-    """List every factor up to 20, and then steps of some 5 %, up to ``most``."""
-    factor = 2
-    while factor <= most:
-        yield factor
-        factor += max(1, factor // MAX_FACTOR)
-
-
-def _usable_stretches(run: Run, preparation: Preparation) -> list[np.ndarray]:
-    """List for each joint the lengths of stretches of valid samples in which it is fast enough."""
+def _usable_blocks(run: Run, preparation: Preparation) -> list[np.ndarray]:
+    """List for each joint the lengths of blocks of valid samples in which it is fast enough."""
     parts = list(spans(len(run.time), 1 << 15))
-    parts = [parts[k] for k in sorted({round(k) for k in np.linspace(0, len(parts) - 1, STRETCHES)})]
+    parts = [parts[k] for k in sorted({round(k) for k in np.linspace(0, len(parts) - 1, PARTS)})]
     speeds = [np.abs(position_filter(run.position, run.rate, preparation.cutoff, *part)[1]) for part in parts]
     limit = preparation.speed_fraction * np.sqrt(np.mean([np.mean(speed**2, axis=0) for speed in speeds], axis=0))
     lengths: list[list[np.ndarray]] = [[] for _ in run.joints]

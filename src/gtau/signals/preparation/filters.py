@@ -90,21 +90,13 @@ def smooth_path(position: np.ndarray, rate: float, cutoff: Cutoff, start: int, s
     return smooth[start - begin : stop - begin]
 
 
-def _lowest(cutoff: Cutoff) -> float | None:
+def filter_edge(rate: float, cutoff: Cutoff, periods: float = EDGE) -> int:
+    """Count samples at either end of a log that its unknown past or future affects by more than 1e-3.
+
+    By more than 1e-18 where the ``periods`` of the cut-off are those of ``FORGOTTEN``.
+    """
     given = [frequency for frequency in (cutoff if isinstance(cutoff, tuple) else (cutoff,)) if frequency is not None]
-    return min(given, default=None)
-
-
-def filter_edge(rate: float, cutoff: Cutoff) -> int:
-    """Count samples at either end of a log that its unknown past or future affects by more than 1e-3."""
-    cutoff = _lowest(cutoff)
-    return STENCIL + (0 if cutoff is None else ceil(EDGE * rate / cutoff))
-
-
-def filter_margin(rate: float, cutoff: Cutoff) -> int:
-    """Count samples on either side of one that affect its filtered motion by more than 1e-18."""
-    cutoff = _lowest(cutoff)
-    return STENCIL + (0 if cutoff is None else ceil(FORGOTTEN * rate / cutoff))
+    return STENCIL + (ceil(periods * rate / min(given)) if given else 0)
 
 
 def differentiate(x: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
@@ -130,15 +122,14 @@ def position_filter(
     ``stop`` equals that of the whole log; only samples within reach of the filters are read.
     """
     stop = len(position) if stop is None else stop
-    margin = filter_margin(rate, cutoff)
+    margin = filter_edge(rate, cutoff, FORGOTTEN)
     begin = max(0, start - margin)
     x = block(position, begin, min(len(position), stop + margin))
     if isinstance(cutoff, tuple):
-        columns = zip(x.T, cutoff, strict=True)
-        q = np.stack(
-            [column if frequency is None else low_pass(column, rate, frequency) for column, frequency in columns],
-            axis=1,
-        )
+        q = x.copy()
+        for j, frequency in enumerate(cutoff):
+            if frequency is not None:
+                q[:, j] = low_pass(x[:, j], rate, frequency)
     else:
         q = x if cutoff is None else low_pass(x, rate, cutoff)
     wanted = slice(start - begin, stop - begin)

@@ -184,14 +184,14 @@ class PreparedRun:
 
     def samples(self, start: int = 0, stop: int | None = None) -> SampleWindow:
         """Prepare the used samples from ``start`` to before ``stop``, with their neighbours."""
-        at = self.kept[start:stop]
-        run, preparation, begin = self.run, self.preparation, max(0, at.start - STENCIL)
+        at, run, preparation = self.kept[start:stop], self.run, self.preparation
+        begin = max(0, at.start - STENCIL)
+        mine = slice(at.start - begin, at.stop - begin)
         q, qd, qdd = position_filter(run.position, run.rate, self._cutoff, at.start, at.stop)
         command = block(run.command, begin, min(len(run.time), at.stop + STENCIL))
+        command, command_d, command_dd = (array[mine] for array in (command, *differentiate(command, run.rate)))
         modelled = [channel for channel in run.channels if channel.kind.modelled]
         rows, c = [channel.row for channel in modelled], len(modelled)
-        mine = slice(at.start - begin, at.stop - begin)
-        command, command_d, command_dd = (array[mine] for array in (command, *differentiate(command, run.rate)))
         wrenches = [(frame, slice(c + 6 * k, c + 6 * k + 6)) for k, frame in enumerate(run.wrenches)]
         for frame, six in wrenches:
             if frame.body in run.base:
@@ -200,11 +200,10 @@ class PreparedRun:
             along = position_filter(run.command[:, six], run.rate, preparation.cutoff, at.start, at.stop)
             for array, filtered in zip((command, command_d, command_dd), along, strict=True):
                 array[:, six] = filtered
-        limit = preparation.speed_fraction * np.sqrt(
-            np.einsum("yi,ij,yj->y", self.motor_to_joint_speed, self.speeds, self.motor_to_joint_speed)
-        )
-        slow = np.abs(qd @ self.motor_to_joint_speed.T) < limit
-        rubbing = np.abs(self.motor_to_joint_speed) > 1e-9
+        ratios = self.motor_to_joint_speed
+        limit = preparation.speed_fraction * np.sqrt(np.einsum("yi,ij,yj->y", ratios, self.speeds, ratios))
+        slow = np.abs(qd @ ratios.T) < limit
+        rubbing = np.abs(ratios) > 1e-9
         # joints without friction may rest
         moving = ~(slow @ rubbing) & (self.moves | ~rubbing.any(axis=0))
         valid = self.valid(start, stop)
@@ -212,9 +211,8 @@ class PreparedRun:
         usable, base = moving[:, rows] & valid[:, :c], np.array([not channel.kind.of_joint for channel in modelled])
         for frame, six in wrenches:
             usable &= valid[:, six].all(axis=1, keepdims=True) | (frame.body in run.base) & ~base
-        return SampleWindow(
-            run, block(run.time, at.start, at.stop), q, qd, qdd, command, command_d, command_dd, usable
-        )  # fmt: skip
+        time = block(run.time, at.start, at.stop)
+        return SampleWindow(run, time, q, qd, qdd, command, command_d, command_dd, usable)
 
 
 def joined(windows: Sequence[SampleWindow]) -> SampleWindow:
@@ -233,14 +231,13 @@ def prepare(run: Run, preparation: Preparation, motor_to_joint_speed: np.ndarray
     decimated, as decimation is applied to the columns of the model. Raises GtauError where no joint moves, or the log
     is shorter than its filters.
     """
-    samples, n = len(run.time), len(run.joints)
+    samples, n, fraction = len(run.time), len(run.joints), preparation.speed_fraction
     of_joints = spectra(run)
     moves = np.array([spectrum.moves for spectrum in of_joints])
+    edges, peaks = _parts(samples), np.zeros((PARTS, n))
 
     def speed(start: int, stop: int) -> np.ndarray:
         return position_filter(run.position, run.rate, preparation.cutoff, start, stop)[1]
-
-    edges, peaks = _parts(samples), np.zeros((PARTS, n))
 
     def gram(start: int, stop: int) -> np.ndarray:
         qd = speed(start, stop)
@@ -251,14 +248,14 @@ def prepare(run: Run, preparation: Preparation, motor_to_joint_speed: np.ndarray
 
     pieces = list(spans(samples))
     squares = [gram(*piece) for piece in pieces]
-    limit = preparation.speed_fraction * np.sqrt(np.diag(np.sum(squares, axis=0)) / samples)
+    limit = fraction * np.sqrt(np.diag(np.sum(squares, axis=0)) / samples)
 
     def awake(start: int, stop: int) -> np.ndarray:
         moving = (np.abs(speed(start, stop)) >= limit) & moves & valid_samples(run, preparation, start, stop)[:, :n]
         return start + np.flatnonzero(moving.any(axis=1))
 
-    first = next((int(samples[0]) for samples in (awake(*piece) for piece in pieces) if samples.size), None)
-    last = next((int(samples[-1]) for samples in (awake(*piece) for piece in reversed(pieces)) if samples.size), None)
+    first = next((int(moving[0]) for piece in pieces if (moving := awake(*piece)).size), None)
+    last = next((int(moving[-1]) for piece in reversed(pieces) if (moving := awake(*piece)).size), None)
     if first is None or last is None:
         edge = filter_edge(run.rate, preparation.cutoff)
         raise GtauError(
@@ -268,12 +265,9 @@ def prepare(run: Run, preparation: Preparation, motor_to_joint_speed: np.ndarray
     kept = range(first, last + 1)
     ratios = np.eye(n) if motor_to_joint_speed is None else motor_to_joint_speed
     # Of the moving part alone, as rest lowers the rms speed that the threshold refers to.
-    within = [(max(start, kept.start), min(stop, kept.stop)) for start, stop in pieces]
-    moved = [
-        known if part == piece else gram(*part)
-        for piece, part, known in zip(pieces, within, squares, strict=True)
-        if part[0] < part[1]
-    ]
+    within = ((max(start, kept.start), min(stop, kept.stop)) for start, stop in pieces)
+    parts = zip(pieces, within, squares, strict=True)
+    moved = [known if part == piece else gram(*part) for piece, part, known in parts if part[0] < part[1]]
     return PreparedRun(
         run=run,
         preparation=preparation,
@@ -292,21 +286,18 @@ def _parts(samples: int) -> np.ndarray:
 
 
 def _notes(
-    run: Run, found: Sequence[JointSpectrum], preparation: Preparation, rubbing: np.ndarray
+    run: Run, of_joints: Sequence[JointSpectrum], preparation: Preparation, rubbing: np.ndarray
 ) -> Iterator[Finding]:
     """List notes on the motion and its noise."""
     noisy = []
-    for joint, spectrum, rubs in zip(run.joints, found, rubbing, strict=True):
-        if not spectrum.moves and not rubs:
-            continue
-        if not spectrum.moves:
-            yield Finding(F.REST, (joint,))
-        elif spectrum.signal_to_noise < NOISY:
+    for joint, spectrum, rubs in zip(run.joints, of_joints, rubbing, strict=True):
+        if spectrum.moves and spectrum.signal_to_noise < NOISY:
             noisy.append((joint, float(1 / np.sqrt(max(spectrum.signal_to_noise, 1)))))
+        elif rubs and not spectrum.moves:
+            yield Finding(F.REST, (joint,))
     if noisy:
         yield Finding(F.NOISY, tuple(joint for joint, _ in noisy), values={"shares": noisy})
-    if preparation.bandwidth > CLOSE_TO_NYQUIST * run.rate:
-        bandwidth = preparation.bandwidth
+    if (bandwidth := preparation.bandwidth) > CLOSE_TO_NYQUIST * run.rate:
         yield Finding(F.RATE, values={"bandwidth": bandwidth, "nyquist": run.rate / 2, "wanted": 10 * bandwidth})
 
 

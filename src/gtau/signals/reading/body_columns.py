@@ -14,8 +14,7 @@ from pydantic import Field, FiniteFloat, field_validator, model_validator
 
 from gtau.documents.validation import Keys
 from gtau.errors import GtauError
-from gtau.robots.floating import WrenchFrame
-from gtau.robots.geometry import turn
+from gtau.robots.placement import WrenchFrame, turn
 from gtau.robots.robot import base_rows
 
 VERTICAL = np.array([0.0, 0.0, 1.0])
@@ -79,6 +78,12 @@ def at_origins(wrenches: Sequence[BodyWrench], values: np.ndarray, yaw: float = 
     return np.hstack(parts) if parts else np.zeros((len(values), 0))
 
 
+def _refuse_repeated(columns: tuple[str, ...]) -> None:
+    for column in columns:
+        if columns.count(column) > 1:
+            raise ValueError(f"the column '{column}' is given twice; give each component its own")
+
+
 STEEPEST = np.radians(80.0)  # pitch at which the angles' accelerations are 1 / cos = 6 times those of the base
 UNIT = 0.01  # tolerance of a quaternion's norm: logs round to 2 digits and more
 
@@ -99,9 +104,7 @@ class BaseColumns(Keys):
     @model_validator(mode="after")
     def _each_column_once(self) -> BaseColumns:
         columns = (*self.pose, *self.forces)
-        for column in columns:
-            if columns.count(column) > 1:
-                raise ValueError(f"the column '{column}' is given twice; give each component its own")
+        _refuse_repeated(columns)
         if not columns:
             raise ValueError("it names no columns; give 'position' and 'quaternion', 'wrenches', or both")
         return self
@@ -175,9 +178,6 @@ class BaseColumns(Keys):
         return np.stack([np.arctan2(-R[1, 2], R[2, 2]), pitch, np.arctan2(-R[0, 1], R[0, 0])], axis=1)
 
 
-AXES = "xyz"
-
-
 class Angles(Keys):
     """Columns of Euler angles, one for each axis of a ``sequence``.
 
@@ -227,26 +227,24 @@ class PoseColumns(Keys):
 
     @field_validator("quaternion")
     @classmethod
-    def _whole(cls, quaternion: dict[str, str] | None) -> dict[str, str] | None:
+    def _complete(cls, quaternion: dict[str, str] | None) -> dict[str, str] | None:
         if quaternion is not None and len(quaternion) < 4:
             raise ValueError("a quaternion has four columns; give w, x, y and z")
         return quaternion
 
     @model_validator(mode="after")
-    def _something(self) -> PoseColumns:
-        if sum(orientation is not None for orientation in (self.angles, self.quaternion, self.rotation_vector)) > 1:
+    def _each_column_once(self) -> PoseColumns:
+        if (self.angles, self.quaternion, self.rotation_vector).count(None) < 2:
             raise ValueError("give the orientation once, as 'angles', as a 'quaternion' or as a 'rotation_vector'")
         if not self.columns:
             raise ValueError("a pose needs columns; give a 'position', 'angles', a 'quaternion' or a 'rotation_vector'")
-        repeated = [column for column in self.columns if self.columns.count(column) > 1]
-        if repeated:
-            raise ValueError(f"the column '{repeated[0]}' is given twice; give each component its own")
+        _refuse_repeated(self.columns)
         return self
 
     @property
     def axes(self) -> tuple[int, ...]:
         """Numbers of the axes along which the position is logged, in the order of its columns."""
-        return tuple(AXES.index(axis) for axis in self.position)
+        return tuple("xyz".index(axis) for axis in self.position)
 
     @property
     def columns(self) -> tuple[str, ...]:

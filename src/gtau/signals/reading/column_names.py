@@ -44,19 +44,8 @@ COMPONENTS = {  # words before the letter of an axis, and all axes
     "moment": ("m|t|moment|torque", "xyz"),
 }
 COMMAND = frozenset(["v", "u", "control", "action", "command"])  # currents or torques, unless they are velocities
-UNITS = {
-    "deg": "deg",
-    "°": "deg",
-    "rad": "rad",
-    "mm": "mm",
-    "m": "m",
-    "ma": "mA",
-    "a": "A",
-    "ms": "ms",
-    "s": "s",
-    "%": "%",
-}
-UNITS |= {"us": "us", "ns": "ns", "nm": "N m", "n m": "N m", "n": "N"}
+UNITS = {unit.lower(): unit for unit in ("deg", "rad", "mm", "m", "mA", "A", "s", "ms", "us", "ns", "%", "N m", "N")}
+UNITS |= {"°": "deg", "nm": "N m"}
 
 
 @dataclass(frozen=True)
@@ -80,7 +69,7 @@ def parse_column_name(name: str, joints: Sequence[str] = ()) -> ColumnName:
     """Parse the name of a column; the names of ``joints`` are recognised in it."""
     unit = re.search(r"[\[(]\s*([^\[\]()\d]+?)\s*[\])]\s*$", name)
     bare = name[: unit.start()] if unit else name
-    label, stem = "", bare
+    label, stem, words = "", bare, list[str]()
     for joint in sorted(joints, key=len, reverse=True):
         before = r"(?<!\d)" if joint.isdigit() else r"(?<![A-Za-z0-9])[A-Za-z]{0,3}?"  # q11; qleft as well as q_left
         match = re.search(rf"{before}({re.escape(joint)})(?![A-Za-z0-9])", bare, re.IGNORECASE)
@@ -93,26 +82,21 @@ def parse_column_name(name: str, joints: Sequence[str] = ()) -> ColumnName:
         label, stem, words = match[2], f"{match[1]}#]", ["position"]
     elif not label and re.fullmatch(r"/.*/[^/]+/[^/\]]+", bare):  # /joint_states/elbow/position
         *topic, label, field = bare.split("/")
-        stem = "/".join([*topic, "#", field])
-        words = _words(field)
+        stem, words = "/".join([*topic, "#", field]), _words(field)
     elif not label and (match := re.search(r"^(.*?)(\d+)(\D*)$", bare)):
         label, stem = match[2], f"{match[1]}#{match[3]}"
-        words = _words(stem)
-    else:
-        words = _words(stem)
-    kinds = [kind for word in words for kind, known in WORDS.items() if word in known]
-    kind = next((kind for kind in PRECEDENCE if kind in kinds), None)
+    words = words or _words(stem)
+    kind = next((kind for kind in PRECEDENCE if not WORDS[kind].isdisjoint(words)), None)
     if kind == "current" and {"as", "torque"} <= set(words):  # of UR: actual_current_as_torque
         kind = "torque"
-    elif kind == "torque" and any(word in SENSOR for word in words):
+    elif kind == "torque" and not SENSOR.isdisjoint(words):
         kind = "sensor"
     elif kind == "torque" and "motor" in words:
         kind = "motor"
-    if kind is None and any(word in COMMAND for word in words):
+    if kind is None and not COMMAND.isdisjoint(words):
         kind = "command"
-    return ColumnName(
-        name, stem, label, kind, any(word in REFERENCE for word in words), UNITS.get(unit[1].lower()) if unit else None
-    )
+    of_unit = UNITS.get(unit[1].lower()) if unit else None
+    return ColumnName(name, stem, label, kind, not REFERENCE.isdisjoint(words), of_unit)
 
 
 def parse_item(column: str, label: str, joints: Sequence[str] = ()) -> ColumnName:

@@ -47,10 +47,9 @@ def expanded(signals: Mapping[str, Any]) -> dict[str, Any]:
     preset = PRESETS.get(str(signals["preset"]))
     if preset is None:
         raise ValueError(f"there is no preset '{signals['preset']}'; choose from {', '.join(PRESETS)}")
-    has_command = bool(given.keys() & {"current", "torque", "motor_torque"})
-    wanted = [
-        key for key in ("position", *(() if has_command else ("current", "torque"))) if key in preset.keys() - given
-    ]
+    wanted = preset.keys() & {"position", "current", "torque"} - given.keys()
+    if given.keys() & {"current", "torque", "motor_torque"}:
+        wanted &= {"position"}
     joints = signals.get("joints")
     if wanted and (not isinstance(joints, Sequence) or isinstance(joints, str) or not joints):
         raise ValueError(f"the preset '{signals['preset']}' needs the joints in their order; add 'joints: [..., ...]'")
@@ -177,10 +176,13 @@ class Signals(of_link_side(dict[str, str]), Keys):  # type: ignore[misc]
     @property
     def channels(self) -> tuple[Channel, ...]:
         """Channels measured by these columns, the rows of a floating base among them."""
-        base = self.base.joints if self.base else ()
-        sensors = {kind: tuple(self.sensors(kind)) for kind in LINK_SIDE}
-        unit = "A" if self.kind == "current" else "N m"
-        channels = channels_of(self.joints, base, sensors, [wrench.frame for wrench in self.all_wrenches], unit)
+        channels = channels_of(
+            self.joints,
+            self.base.joints if self.base else (),
+            {kind: tuple(self.sensors(kind)) for kind in LINK_SIDE},
+            [wrench.frame for wrench in self.all_wrenches],
+            unit="A" if self.kind == "current" else "N m",
+        )
         stds = dict(self.calibration)
         return tuple(replace(channel, std=stds.get(channel.kind.calibration) or 0.0) for channel in channels)
 
@@ -194,12 +196,13 @@ class Signals(of_link_side(dict[str, str]), Keys):  # type: ignore[misc]
     @property
     def time_columns(self) -> tuple[str, ...]:
         """Columns of the positions' time, one or two, or none."""
-        return _columns_of_time(self.time.position if isinstance(self.time, StampsOfEach) else self.time)
+        time = self.time.position if isinstance(self.time, StampsOfEach) else self.time
+        return () if isinstance(time, SampleRate) else _columns(time)
 
     @property
     def command_time_columns(self) -> tuple[str, ...]:
         """Columns of the commands' time, one or two, if they have separate time stamps."""
-        return _columns_of_time(self.time.command) if isinstance(self.time, StampsOfEach) else ()
+        return _columns(self.time.command) if isinstance(self.time, StampsOfEach) else ()
 
     @model_validator(mode="before")
     @classmethod
@@ -221,7 +224,8 @@ class Signals(of_link_side(dict[str, str]), Keys):  # type: ignore[misc]
 
     @model_validator(mode="after")
     def _one_command_per_joint(self) -> Signals:
-        if sum(columns is not None for columns in (self.current, self.torque, self.motor_torque)) != 1:
+        kind, commands = self.kind, (self.current, self.torque, self.motor_torque)
+        if commands.count(None) != 2:
             raise ValueError(
                 "give the columns of either 'current' or 'torque' (or of 'motor_torque', with a 'gear_ratio'), one of "
                 "them"
@@ -230,68 +234,57 @@ class Signals(of_link_side(dict[str, str]), Keys):  # type: ignore[misc]
         extra = [joint for joint in self.command if joint not in self.position]
         if missing and extra:
             raise ValueError(
-                f"joint '{missing[0]}' has a position but no {self.kind}, and '{extra[0]}' a {self.kind} but no "
-                "position; give both the same joints, those of the robot's motors"
+                f"joint '{missing[0]}' has a position but no {kind}, and '{extra[0]}' a {kind} but no position; give "
+                "both the same joints, those of the robot's motors"
             )
         if missing:
-            raise ValueError(f"joint '{missing[0]}' has a position but no {self.kind}; add its {self.kind} column")
+            raise ValueError(f"joint '{missing[0]}' has a position but no {kind}; add its {kind} column")
         if extra:
-            raise ValueError(f"joint '{extra[0]}' has a {self.kind} but no position; add its position column")
+            raise ValueError(f"joint '{extra[0]}' has a {kind} but no position; add its position column")
         return self
 
     @model_validator(mode="after")
-    def _pose_of_a_fixed_base(self) -> Signals:
-        if self.pose is not None and self.base is not None:
+    def _bodies(self) -> Signals:
+        base, measured = self.base, list(self.measured)
+        if self.pose is not None and base is not None:
             raise ValueError(
                 "'pose' tests the geometry of a fixed-base robot, but 'base' describes a floating one; remove 'pose'"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _each_wrench_of_its_own(self) -> Signals:
-        others = [*self.command.values(), *(self.base.forces if self.base else ())]
-        others += [column for kind in LINK_SIDE for column in self.sensors(kind).values()]
-        columns = [column for wrench in self.wrenches for column in wrench.columns]
-        for column in columns:
-            if columns.count(column) > 1 or column in others:
-                raise ValueError(f"the column '{column}' under 'wrenches' is given twice; give each component its own")
-        if self.base is not None and any(wrench.body == self.base.body for wrench in self.wrenches):
+        for wrench in self.wrenches:
+            for column in wrench.columns:
+                if measured.count(column) > 1:
+                    raise ValueError(
+                        f"the column '{column}' under 'wrenches' is given twice; give each component its own"
+                    )
+        if base is not None and any(wrench.body == base.body for wrench in self.wrenches):
             raise ValueError(
-                f"'wrenches' names the floating base '{self.base.body}'; describe wrenches on it under 'wrenches' of "
-                f"'base'"
+                f"'wrenches' names the floating base '{base.body}'; describe wrenches on it under 'wrenches' of 'base'"
             )
         return self
 
     @model_validator(mode="after")
-    def _calibration_of_sensors(self) -> Signals:
+    def _sensors_and_their_calibration(self) -> Signals:
         measured = {channel.kind.calibration for channel in self.channels[len(self.joints) :]}
         for key, accuracy in self.calibration:
             if accuracy is not None and key not in measured:
                 raise ValueError(f"'calibration' is given for '{key}', which the signals lack; remove it")
-        return self
-
-    @model_validator(mode="after")
-    def _sensors_of_joints(self) -> Signals:
-        for key in (kind.calibration for kind in LINK_SIDE):
-            for joint, column in (getattr(self, key) or {}).items():
-                if joint not in self.position:
-                    raise ValueError(
-                        f"'{key}' names the joint '{joint}', which has no position; correct the name, or remove the "
-                        "sensor of a joint without motor"
-                    )
-                if column in self.command.values():
-                    raise ValueError(
-                        f"the column '{column}' is given both as a {self.kind} and as a {key}; '{key}' is for sensors "
-                        "behind the gear, not for torques computed from motor currents"
-                    )
+        sensors = [(kind.calibration, getattr(self, kind.calibration) or {}) for kind in LINK_SIDE]
+        for key, joint, column in ((key, *entry) for key, columns in sensors for entry in columns.items()):
+            if joint not in self.position:
+                raise ValueError(
+                    f"'{key}' names the joint '{joint}', which has no position; correct the name, or remove the "
+                    "sensor of a joint without motor"
+                )
+            if column in self.command.values():
+                raise ValueError(
+                    f"the column '{column}' is given both as a {self.kind} and as a {key}; '{key}' is for sensors "
+                    "behind the gear, not for torques computed from motor currents"
+                )
         return self
 
     @model_validator(mode="after")
     def _temperatures_and_ratios_of_joints(self) -> Signals:
         ratios = self.gear_ratio or {}
-        for joint in self.temperature_columns:
-            if joint not in self.position:
-                raise ValueError(f"'temperature' names the joint '{joint}', which has no position; correct the name")
         if self.motor_torque is None and ratios:
             raise ValueError(
                 "'gear_ratio' is given without 'motor_torque'; remove it, or name the torques 'motor_torque'"
@@ -302,11 +295,12 @@ class Signals(of_link_side(dict[str, str]), Keys):  # type: ignore[misc]
                     f"joint '{joint}' has a motor torque but no gear ratio; add 'gear_ratio: {{{joint}: ...}}', motor "
                     "turns (or rad) for one turn (or m) of the joint, negative where they turn against each other"
                 )
-        for joint in ratios:
-            if joint not in self.position:
-                raise ValueError(f"'gear_ratio' names the joint '{joint}', which has no position; correct the name")
+        for key, joints in (("temperature", self.temperature_columns), ("gear_ratio", ratios)):
+            for joint in joints:
+                if joint not in self.position:
+                    raise ValueError(f"'{key}' names the joint '{joint}', which has no position; correct the name")
         return self
 
 
-def _columns_of_time(time: Any) -> tuple[str, ...]:
-    return () if isinstance(time, SampleRate) else (time,) if isinstance(time, str) else tuple(time)
+def _columns(time: str | TwoColumns) -> tuple[str, ...]:
+    return (time,) if isinstance(time, str) else time

@@ -125,17 +125,19 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
     if commands.unit in ("A", "mA", "N m", "N"):
         units[kind] = commands.unit
     label = {name: label for label, name in positions.columns.items()}
-    labels = {joint: label[column] for joint, column in columns.items()}
-    sensors, torques = (_beside(command_log.group(what), labels) for what in ("sensor", "torque"))
+    logged = [(joint, label[column]) for joint, column in columns.items()]
+    sensors, torques = (
+        {joint: group.columns[name] for joint, name in logged if group and name in group.columns}
+        for group in (command_log.group("sensor"), command_log.group("torque"))
+    )
     torques = {} if sensors or kind != "current" else torques
     if _computed(command_log, currents, torques):
         reasons["torques"] = "a straight line of the currents, from which they may be computed"
     used = {*positions.columns.values(), *commands.columns.values()}
     beside = _unused(position_log, command_log, used, columns, torques, base is not None)
     masses = {run[0]: mass for run in runs if (mass := mass_in_name(run[0].name)) is not None}
-    unsure |= {key for key, doubtful in beside.items() if doubtful and key in ("torques", "wrenches")}
-    questions = (("base", beside["motion"]), ("mass", masses), ("robot", source is None))
-    unsure |= {key for key, doubtful in questions if doubtful}
+    doubtful = beside | {"base": beside["motion"], "mass": masses, "robot": source is None}
+    unsure |= {key for key in ("torques", "wrenches", "base", "mass", "robot") if doubtful[key]}
     entries = {"file": source, "base": base, "gravity": [0, 0, 0] if compensated else None}
     return Draft(
         logs=tuple(runs),
@@ -159,7 +161,7 @@ def _time(
 ) -> Any:
     """Find the time columns of positions, and of commands with stamps of their own, or the sampling rate."""
     if not log.time:
-        rate = log.table.data_set.rate if log.table.data_set else None
+        rate = log.table.rate
         reasons["time"] = f"no time column; {rate or 0:g} Hz by the description of the data set (meta/info.json)"
         if rate is None:
             rate, reasons["time"] = log.rate_from_velocities(positions)
@@ -210,8 +212,12 @@ def _unused(
     groups = {group.listed: group for group in (*log.groups, *command_log.groups)}
     candidates = {listed: group for listed, group in groups.items() if group.kind not in ("other", "sensor")}
     named = {*used, *motion, *wrenches}
+    temperatures = [name for name in columns if is_temperature(name)]
+    temperature: Any = temperatures[0] if len(temperatures) == 1 else None  # ambiguous
+    if len(temperatures) == len(joints):
+        temperature = dict(zip(joints, temperatures, strict=True))
     return {
-        "temperature": _temperature(columns, joints),
+        "temperature": temperature,
         "torques": torques,
         "pose": tuple(name for name in unused if is_pose(name)),
         "motion": motion,
@@ -231,25 +237,19 @@ def _computed(log: LogContents, commands: Mapping[str, str], torques: Mapping[st
     return bool(rests) and float(np.median(rests)) < COMPUTED
 
 
-def _beside(group: Group | None, label: Mapping[str, str]) -> dict[str, str]:
-    """Map joints to the columns of a group, by the ``label`` that each joint has in the names of columns."""
-    return (
-        {} if group is None else {joint: group.columns[name] for joint, name in label.items() if name in group.columns}
-    )
-
-
 def _sources(paths: Sequence[Path], robot: Robot | None) -> tuple[LogContents, LogContents, list[tuple[Path, ...]]]:
     """List the logs of the first run's positions and commands, often one, and the files of every run."""
     runs: list[tuple[Path, ...]] = [(path,) for path in paths]
     first, half = LogContents.read(paths[0], robot), len(paths) // 2
-    if first.group("position") and first.command_group():
-        return first, first, runs
-    if first.group("position") and (other := first.of_another_topic(robot)) is not None:
-        return first, other, runs
+    if first.group("position"):
+        if first.command_group():
+            return first, first, runs
+        if (other := first.of_another_topic(robot)) is not None:
+            return first, other, runs
     if not half or len(paths) % 2:
         return first, first, runs
     second = LogContents.read(paths[half], robot)
-    if not first.group("position") and second.group("position"):
+    if second.group("position") and not first.group("position"):
         return second, first, list(zip(paths[half:], paths[:half], strict=True))
     return first, second, list(zip(paths[:half], paths[half:], strict=True))
 
@@ -298,20 +298,10 @@ def _position_unit(
     if positions.unit in ("deg", "rad", "mm", "m"):
         reasons["unit"] = "unit in the columns' names"
         return positions.unit
-    reach = {joint: float(np.nanmax(np.abs(log.values[column]))) for joint, column in columns.items()}
-    largest = max(reach, key=reach.__getitem__)
-    kinds = {robot.joint(joint).kind for joint in columns} if robot else {"revolute"}
-    if reach[largest] > TURNS and len(kinds) == 1:
-        unit = "deg" if kinds == {"revolute"} else "mm"
-        reasons["unit"] = f"joint '{largest}' reaches {reach[largest]:.4g}, too far for SI units"
-        return unit
-    reasons["unit"] = f"positions reach {reach[largest]:.4g}"
-    return None
-
-
-def _temperature(names: Sequence[str], joints: Mapping[str, str]) -> Mapping[str, str] | str | None:
-    """Match temperature columns to joints, in the order of the joints, or the only one; None where ambiguous."""
-    columns = [name for name in names if is_temperature(name)]
-    if len(columns) == len(joints):
-        return dict(zip(joints, columns, strict=True))
-    return columns[0] if len(columns) == 1 else None
+    reach, joint = max((float(np.nanmax(np.abs(log.values[column]))), joint) for joint, column in columns.items())
+    kinds = {robot.joint(name).kind for name in columns} if robot else {"revolute"}
+    if not reach > TURNS or len(kinds) > 1:
+        reasons["unit"] = f"positions reach {reach:.4g}"
+        return None
+    reasons["unit"] = f"joint '{joint}' reaches {reach:.4g}, too far for SI units"
+    return "deg" if kinds == {"revolute"} else "mm"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -62,11 +62,11 @@ def with_kind(draft: Draft, kind: Literal["current", "torque"]) -> Draft:
     """Return the draft with commands of known kind."""
     signals = {kind if key == draft.kind else key: entry for key, entry in draft.signals.items()}
     units = {key: unit for key, unit in draft.units.items() if key in ("time", "position", kind)}
-    return replace(draft, signals=signals, units=units, open=_without(draft, "kind", "motor"))
+    return replace(_settled(draft, "kind", "motor"), signals=signals, units=units)
 
 
-def _without(draft: Draft, *settled: str) -> tuple[str, ...]:
-    return tuple(key for key in draft.open if key not in settled)
+def _settled(draft: Draft, *keys: str) -> Draft:
+    return replace(draft, open=tuple(key for key in draft.open if key not in keys))
 
 
 def with_sensors(draft: Draft) -> Draft:
@@ -84,25 +84,24 @@ def with_preset(draft: Draft, name: str) -> Draft:
     if name not in PRESETS:
         raise GtauError(f"there is no preset '{name}'; choose from {', '.join(PRESETS)}.")
     preset = PRESETS[name]
-    kind: Literal["current", "torque"] | None
-    kind = "current" if "current" in preset else "torque" if "torque" in preset else None
-    if kind is not None:
+    for kind in preset.keys() & {"current", "torque"}:
         for k, (joint, column) in enumerate(draft.command.items()):
             if column != preset[kind].format(k=k, n=k + 1, joint=joint):
                 raise GtauError(
                     f"the logs have no columns of the preset '{name}', as '{column}' is not '{preset[kind]}'; leave "
                     "out --preset, and state what the commands are (--kind current|torque)."
                 )
-        draft = with_kind(draft, kind)
+        draft = with_kind(draft, "current" if kind == "current" else "torque")
     robot = {key: entry for key, entry in draft.robot.items() if key != "gravity"} | preset.get("robot", {})
-    return replace(draft, robot=robot, open=_without(draft, "gravity"))
+    return replace(_settled(draft, "gravity"), robot=robot)
 
 
 def with_masses(draft: Draft, masses: Mapping[Path, float]) -> Draft:
     """Return the draft with payloads, kg, of logs where they are known, 0 for none."""
     kept = {log: mass for log, mass in ({**draft.masses, **masses}).items() if mass > 0}
     stated = draft.stated.union(masses)
-    return replace(draft, masses=kept, stated=stated, open=_without(draft, *(("mass",) if set(kept) <= stated else ())))
+    draft = _settled(draft, "mass") if stated.issuperset(kept) else draft
+    return replace(draft, masses=kept, stated=stated)
 
 
 def write_draft(draft: Draft, file: Path) -> list[Path]:
@@ -113,8 +112,10 @@ def write_draft(draft: Draft, file: Path) -> list[Path]:
     folder = folder_of(file.parent)
     texts = {} if draft.urdf is None else {folder / URDF: draft.urdf}
     texts[file] = _sealed(draft_text(draft, folder))
+    written = file.read_text(encoding="utf-8", errors="replace") if file.is_file() else ""
+    edited = SEAL not in written or written != _sealed(written.rpartition(SEAL)[0])
     for path, text in texts.items():
-        if path.exists() and path.read_bytes() != text.encode() and not _unedited(file):
+        if edited and path.exists() and path.read_bytes() != text.encode():
             raise GtauError(
                 f"{path} exists already and is no draft as gtau wrote it; use it (gtau identify {file}), give another "
                 "folder (--out), or remove it."
@@ -126,12 +127,6 @@ def write_draft(draft: Draft, file: Path) -> list[Path]:
 
 def _sealed(text: str) -> str:
     return f"{text}{SEAL}{crc32(text.encode()):08x}\n"
-
-
-def _unedited(file: Path) -> bool:
-    """Decide by its last line whether a file is an unedited draft."""
-    text = file.read_text(encoding="utf-8", errors="replace") if file.is_file() else ""
-    return SEAL in text and text == _sealed(text.rpartition(SEAL)[0])
 
 
 def _robot(log: Path, robot: str | None, urdf: str | None, base: Any) -> tuple[Robot, tuple[str, ...]]:
@@ -161,10 +156,8 @@ def _of_logs(draft: Draft, masses: Mapping[str, float]) -> dict[Path, float]:
     for name, mass in masses.items():
         logs = [run[0] for run in draft.logs if any(name in (str(log), log.name, log.stem) for log in run)]
         if len(logs) != 1:
-            names = ", ".join(run[0].name for run in draft.logs)
-            raise GtauError(
-                f"'{name}' names {'no' if not logs else 'more than one'} log of a payload; the logs are {names}."
-            )
+            count, names = "more than one" if logs else "no", ", ".join(run[0].name for run in draft.logs)
+            raise GtauError(f"'{name}' names {count} log of a payload; the logs are {names}.")
         if not 0 <= mass < float("inf"):
             raise GtauError(f"the payload of '{name}' is {mass:g} kg; write its mass in kg, 0 for none.")
         by_log[logs[0]] = mass
@@ -180,9 +173,9 @@ def draft_text(draft: Draft, folder: Path) -> str:
 
     Guesses are marked ``CHECK``.
     """
-    logs = f"{len(draft.logs)} log{'s' * (len(draft.logs) != 1)}"
+    count = f"{len(draft.logs)} log{'s' * (len(draft.logs) != 1)}"
     lines = [
-        f"# Drafted by gtau from {logs}. Edit the lines marked CHECK, then run gtau check.",
+        f"# Drafted by gtau from {count}. Edit the lines marked CHECK, then run gtau check.",
         "",
         _line(f"robot: {_flow(_robot_entry(draft, folder))}", _question(draft, "robot")),
         "",
@@ -190,17 +183,20 @@ def draft_text(draft: Draft, folder: Path) -> str:
         *_signals(draft),
         "",
         *_units(draft),
+        "",
         "runs:",
     ]
     for run in draft.logs:
         paths = [_relative(path, folder) for path in run]
+        log = _flow(paths[0] if len(paths) == 1 else paths)
+        payload = []
+        if (mass := draft.masses.get(run[0])) is not None:
+            entry = _flow({"name": f"load_{1000 * mass:.0f}g", "mass": mass})
+            doubt = "" if run[0] in draft.stated else f"{CHECK}kg, from the file name"
+            payload = [_line(f"    payload: {entry}", doubt)]
         for episode in find_columns(run[0]).episodes or (None,):
-            lines.append(f"  - log: {_flow(paths[0] if len(paths) == 1 else paths)}")
-            lines += [] if episode is None else [f"    episode: {episode}"]
-            if (mass := draft.masses.get(run[0])) is not None:
-                payload = {"name": f"load_{1000 * mass:.0f}g", "mass": mass}
-                doubt = "" if run[0] in draft.stated else f"{CHECK}kg, from the file name"
-                lines.append(_line(f"    payload: {_flow(payload)}", doubt))
+            numbered = [] if episode is None else [f"    episode: {episode}"]
+            lines += [f"  - log: {log}", *numbered, *payload]
     if draft.kind == "current" and not draft.masses and "joint_torque" not in draft.signals:
         lines += [
             "# Drive gains need the mass (kg) of the payload of at least one run, and a run with a different payload "
@@ -264,41 +260,39 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
         "gravity": f"{first} are assumed to be torques without gravity",
         "clock": f"time is {' and '.join(draft.time)}, but other columns increase too",
         "received": f"time is {draft.reasons.get('received', '')}, the receipt stamps",
-        "torques": f"{_first(tuple(torques.values()))} are not used"
+        "torques": f"{_first(torques.values())} are not used"
         + (f": they are {draft.reasons['torques']}" if "torques" in draft.reasons else ""),
-        "sensors": f"{_first(tuple(sensors.values()))} are assumed to be torque sensors behind the gears, which "
-        f"set the scale",
+        "sensors": f"{_first(sensors.values())} are assumed to be torque sensors behind the gears, which set the scale",
         "base": f"{_first(beside.get('motion', ()))} are not used: the base is assumed to be fixed",
         "wrenches": f"{_first(beside.get('wrenches', ()))} are not used: no external contact is assumed",
         "reference": f"{first} are references, not measurements",
     }
     other = "torque" if draft.kind == "current" else "current"
     advice = UNSURE | {"kind": f"if they are {other}s, correct it by --kind {other}"}
-    said = [(assumed[key], advice[key]) for key in draft.open if key in assumed]
+    notes = [(assumed[key], advice[key]) for key in draft.open if key in assumed]
     named = [run[0] for run in draft.logs if run[0] not in draft.stated]
-    loads = [f"{path.name} {draft.masses[path]:g} kg" for path in named if path in draft.masses]
-    if loads:
-        said.append((f"payload masses come from the file names: {', '.join(loads)}", STATE))
+    if loads := [f"{path.name} {draft.masses[path]:g} kg" for path in named if path in draft.masses]:
+        notes.append((f"payload masses come from the file names: {', '.join(loads)}", STATE))
     if empty := [path.name for path in named if path not in draft.masses]:
-        said.append((f"no payload is assumed for {', '.join(empty)}, without a mass in the name", STATE))
+        notes.append((f"no payload is assumed for {', '.join(empty)}, without a mass in the name", STATE))
     for log, *_ in draft.logs:
-        if not (episodes := find_columns(log).episodes):
-            continue
-        what = f"each of the {len(episodes)} episodes in {log.name} is a run"
-        said.append((what, "remove unwanted episodes from 'runs'"))
+        if episodes := find_columns(log).episodes:
+            what = f"each of the {len(episodes)} episodes in {log.name} is a run"
+            notes.append((what, "remove unwanted episodes from 'runs'"))
     if draft.urdf is not None:
-        said.append(("the robot comes from /robot_description of the bag", "for a different robot give --robot"))
+        notes.append(("the robot comes from /robot_description of the bag", "for a different robot give --robot"))
     if moving := draft.robot.get("joints"):
-        said.append((f"joints missing from the log are held at home; {', '.join(moving)} move", ""))
+        notes.append((f"joints missing from the log are held at home; {', '.join(moving)} move", ""))
     if draft.time and draft.time[0].endswith("/header/stamp"):
-        said.append((f"time is {draft.time[0]}, measurement stamps, not receipt stamps", ""))
-    return tuple(Finding(F.DRAFT, values={"what": what, "action": action}, source=str(file)) for what, action in said)
+        notes.append((f"time is {draft.time[0]}, measurement stamps, not receipt stamps", ""))
+    return tuple(Finding(F.DRAFT, values={"what": what, "action": action}, source=str(file)) for what, action in notes)
 
 
 STATE = "correct them by --payload LOG=KG (0 for none)"
 
 
-def _first(columns: Sequence[str]) -> str:
+def _first(columns: Iterable[str]) -> str:
+    columns = tuple(columns)
     return ", ".join(columns[:8]) + (", ..." if len(columns) > 8 else "")
 
 
@@ -310,15 +304,15 @@ def _robot_entry(draft: Draft, folder: Path) -> Any:
     return {**draft.robot, "file": file} if len(draft.robot) > 1 else file
 
 
-def _units(draft: Draft) -> list[str]:
+def _units(draft: Draft) -> Iterator[str]:
+    reason = draft.reasons.get("unit", "")
     if not draft.units:
-        reason = draft.reasons.get("unit", "")
-        return [f"# SI units ({reason}). For others, for example: units: {{position: deg, current: mA}}", ""]
-    lines = ["units:"]
+        yield f"# SI units ({reason}). For others, for example: units: {{position: deg, current: mA}}"
+        return
+    yield "units:"
     for key, unit in draft.units.items():
-        comment = draft.reasons.get("unit", "") if key == "position" else ""
-        lines.append(_line(f"  {key}: {unit}", CHECK * (key == "position" and "unit" in draft.open) + comment))
-    return [*lines, ""]
+        comment = CHECK * ("unit" in draft.open) + reason if key == "position" else ""
+        yield _line(f"  {key}: {unit}", comment)
 
 
 def _line(text: str, comment: str) -> str:

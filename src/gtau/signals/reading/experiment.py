@@ -28,7 +28,7 @@ from gtau.signals.reading.statements import (
     StatedGain,
     check_drives,
 )
-from gtau.signals.reading.units import Units
+from gtau.signals.reading.units import Units, is_angle
 
 
 class Experiment(Keys):
@@ -128,24 +128,22 @@ class Experiment(Keys):
         return drives
 
     @property
-    def expected_gains(self) -> dict[str, float]:
-        """Gains known beforehand, N m/A or N/A, of torques 1: ``prior_gains``, and those of data sheets."""
-        sheets = {joint: drive.gain[0] for joint, drive in self.drives.items() if drive.gain is not None}
-        return {joint: gain.value for joint, gain in self.prior_gains.items()} | sheets
+    def stated_gains(self) -> dict[str, StatedGain]:
+        """Gains known beforehand: ``prior_gains``, and those of data sheets."""
+        sheets = {joint: drive.gain for joint, drive in self.drives.items()}
+        stated = {joint: StatedGain(value=gain[0], std=gain[1]) for joint, gain in sheets.items() if gain is not None}
+        return self.prior_gains | stated
 
     @property
-    def gain_stds(self) -> dict[str, float]:
-        """Standard deviations of these gains, if known."""
-        sheets = {joint: drive.gain[1] for joint, drive in self.drives.items() if drive.gain is not None}
-        return {joint: gain.std for joint, gain in self.prior_gains.items() if gain.std is not None} | sheets
+    def expected_gains(self) -> dict[str, float]:
+        """Values of these gains, N m/A or N/A, of torques 1."""
+        return {joint: gain.value for joint, gain in self.stated_gains.items()}
 
     @property
     def expected_parameters(self) -> dict[str, Prior]:
         """Priors of standard parameters: ``priors``, and rotor inertias of data sheets."""
         sheets = {Parameter("ia", joint): drive.inertia for joint, drive in self.drives.items()}
-        return self.priors | {
-            name: Prior(value=stated[0], std=stated[1]) for name, stated in sheets.items() if stated is not None
-        }
+        return self.priors | {name: Prior(value=ia[0], std=ia[1]) for name, ia in sheets.items() if ia is not None}
 
     @field_validator("runs", "validation")
     @classmethod
@@ -161,22 +159,18 @@ class Experiment(Keys):
         return runs
 
     @model_validator(mode="after")
-    def _validation_of_other_logs(self) -> Experiment:
+    def _runs_that_agree(self) -> Experiment:
         for run in self.validation:
             if any(run.overlaps(used) for used in self.runs):
                 raise ValueError(
                     f"the log '{run.log[0]}' is listed under 'runs' and under 'validation'; remove one of them, as "
                     "a run used for identification validates nothing"
                 )
-        return self
-
-    @model_validator(mode="after")
-    def _one_payload_per_name(self) -> Experiment:
         payloads: dict[str, Payload] = {}
-        for run in (*self.runs, *self.validation):
-            if run.payload is not None and payloads.setdefault(run.payload.name, run.payload) != run.payload:
+        for payload in (run.payload for run in (*self.runs, *self.validation)):
+            if payload is not None and payloads.setdefault(payload.name, payload) != payload:
                 raise ValueError(
-                    f"the payload '{run.payload.name}' is described differently in two runs; "
+                    f"the payload '{payload.name}' is described differently in two runs; "
                     "write the same known values in both, or give the second payload another name"
                 )
         return self
@@ -218,42 +212,32 @@ def read_experiment(path: str | Path, logs: Path | None = None) -> Experiment:
     return validate(Experiment, read_yaml(path), context=Folders(folder, folder if logs is None else logs))
 
 
-def _check_base(signals: Signals, robot: Robot) -> None:
-    if robot.floating and signals.base is None:
-        raise GtauError(
-            f"the base '{robot.floating}' of robot '{robot.name}' floats, but 'signals' lack its motion; add "
-            "'base' with the columns of its 'position' and 'quaternion', and of the 'wrenches' on it."
-        )
-    if signals.base is not None and signals.base.body != robot.floating:
-        raise GtauError(
-            f"signals.base is of a floating base '{signals.base.body}', but "
-            + (
-                f"that of robot '{robot.name}' is called '{robot.floating}'; write 'body: {robot.floating}' there."
-                if robot.floating
-                else f"that of robot '{robot.name}' is fixed; write 'robot: {{file: ..., base: floating}}', or remove "
-                "'base'."
-            )
-        )
-
-
 def check_robot(experiment: Experiment, robot: Robot) -> None:
     """Check that an experiment's signals, units and drives suit its robot.
 
     Raises GtauError where the signals' joints are not the actuated ones, a position unit does not suit its joint, or a
     gear of ``drives`` is among the robot's couplings too.
     """
-    signals = experiment.signals
-    _check_base(signals, robot)
-    if signals.pose is not None and robot.floating:
+    signals, base, pose = experiment.signals, experiment.signals.base, experiment.signals.pose
+    if robot.floating and base is None:
+        raise GtauError(
+            f"the base '{robot.floating}' of robot '{robot.name}' floats, but 'signals' lack its motion; add "
+            "'base' with the columns of its 'position' and 'quaternion', and of the 'wrenches' on it."
+        )
+    if base is not None and base.body != robot.floating:
+        that = f"signals.base is of a floating base '{base.body}', but that of robot '{robot.name}' is"
+        if robot.floating:
+            raise GtauError(f"{that} called '{robot.floating}'; write 'body: {robot.floating}' there.")
+        raise GtauError(f"{that} fixed; write 'robot: {{file: ..., base: floating}}', or remove 'base'.")
+    if pose is not None and robot.floating:
         raise GtauError(
             f"signals.pose is to test the geometry of robot '{robot.name}', whose base floats; remove it, or fix the "
             "base by 'base: fixed' beside the robot's 'file'."
         )
-    body = None if signals.pose is None else signals.pose.body
-    if body is not None and body not in robot.bodies:
+    if pose is not None and pose.body is not None and pose.body not in robot.bodies:
         raise GtauError(
-            f"signals.pose names the body '{body}', but those of robot '{robot.name}' are {', '.join(robot.bodies)}; "
-            "correct the name."
+            f"signals.pose names the body '{pose.body}', but those of robot '{robot.name}' are "
+            f"{', '.join(robot.bodies)}; correct the name."
         )
     for joint in signals.joints:
         if joint not in robot.actuated:
@@ -266,10 +250,10 @@ def check_robot(experiment: Experiment, robot: Robot) -> None:
             raise GtauError(
                 f"signals.position lacks the actuated joint '{joint}' of robot '{robot.name}'; add its column."
             )
-        kind, units = robot.joint(joint).kind, experiment.units
-        if units.measures_angle(joint) not in (None, kind == "revolute"):
+        kind, unit = robot.joint(joint).kind, experiment.units.of_position(joint)
+        if unit is not None and is_angle(unit) != (kind == "revolute"):
             raise GtauError(
-                f"units.position is '{units.of_position(joint)}' for joint '{joint}', which is {kind}; write "
+                f"units.position is '{unit}' for joint '{joint}', which is {kind}; write "
                 f"{'rad or deg' if kind == 'revolute' else 'm or mm'} (units may differ by joint: {{{joint}: ...}})."
             )
     check_drives(experiment.drives, robot)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from gtau.errors import GtauError
 from gtau.robots.robot import Robot
 from gtau.signals.reading.column_names import ColumnName, parse_column_name, parse_item
 from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
-from gtau.signals.reading.formats import DataSet, Table
+from gtau.signals.reading.formats import Table
 from gtau.signals.reading.logs import find_columns, read_log
 
 ROWS = 200_000  # of a log that are evaluated
@@ -25,6 +25,7 @@ FOLLOWED = 0.3
 ADDED = 50  # samples over which velocities are integrated
 ALIKE = 1.03  # ratio of the largest rate by a joint to the smallest; above, the range is named
 COMMANDS = ("current", "motor", "torque", "command")  # kinds of columns, those preferred first
+USUAL_RATES = 50, 60, 100, 125, 200, 250, 400, 500, 800, 1000, 2000, 4000, 5000, 8000  # Hz
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
@@ -65,7 +66,7 @@ class LogContents:
     def read(cls, path: Path, robot: Robot | None, kinds: Sequence[str] = ("position",), but: str = "") -> LogContents:
         """Read a log; of a bag the first topic of one of these ``kinds`` that is not ``but``."""
         table = find_columns(path)
-        joints, labels = robot.actuated if robot else (), (table.data_set or DataSet()).labels
+        joints, labels = robot.actuated if robot else (), table.labels
         names = [
             parse_item(name, labels[name], joints) if name in labels else parse_column_name(name, joints)
             for name in table.columns
@@ -104,22 +105,21 @@ class LogContents:
         of_kind = [
             group for group in self.groups if group.kind == kind and set(group.columns.values()) <= set(self.values)
         ]
-        return min(of_kind, key=lambda each: (each.reference, -len(each.columns)), default=None)
+        return min(of_kind, key=lambda group: (group.reference, -len(group.columns)), default=None)
 
     def command_group(self) -> Group | None:
         """Select currents before torques, and torques of motors before those of joints, which sensors may give."""
         position = self.group("position")
-        candidates = [self.group(kind) for kind in COMMANDS]
-        groups = [group for group in candidates if group is not None]
-        alike = [group for group in groups if position is None or len(group.columns) >= len(position.columns)]
-        return next(iter(alike or groups), None)
+        groups = [group for kind in COMMANDS if (group := self.group(kind)) is not None]
+        alike = (group for group in groups if position is None or len(group.columns) >= len(position.columns))
+        return next(alike, groups[0] if groups else None)
 
     def other_clocks(self) -> list[str]:
         """List further increasing columns with time names, except the message stamps of a bag."""
-        names = [name for name in self.values if name not in self.time and parse_column_name(name).kind == "time"]
         if len(self.time) != 1:
             return []
-        return [name for name in names if not name.startswith("/") and _grows(self.values[name])]
+        names = (name for name in self.values if name not in self.time and not name.startswith("/"))
+        return [name for name in names if parse_column_name(name).kind == "time" and _grows(self.values[name])]
 
     def seconds(self) -> np.ndarray:
         """Return the time in its own unit."""
@@ -142,18 +142,14 @@ class LogContents:
             return None, "not in the log"
         pairs = _pairs(positions, velocities, self.values)
         rates = [rate for pair in pairs if (rate := _rate(*pair)) is not None]
-        rate = float(np.median(rates)) if rates else 0.0
+        rate = float(np.median(rates or [0.0]))
         if not LEAST_RATE <= rate <= LARGEST_RATE:
             return None, "not in the log"
-        nearest = min(
-            (50, 60, 100, 125, 200, 250, 400, 500, 800, 1000, 2000, 4000, 5000, 8000), key=lambda x: abs(x - rate)
-        )
-        rounded = float(nearest) if abs(nearest - rate) < 0.03 * nearest else float(f"{rate:.4g}")
-        return (
-            rounded,
-            f"no time column; {velocities.listed} are the velocities at {rate:.4g} Hz"
-            + (f", by joint {min(rates):.4g} to {max(rates):.4g} Hz" if max(rates) > ALIKE * min(rates) else ""),
-        )
+        reason = f"no time column; {velocities.listed} are the velocities at {rate:.4g} Hz"
+        if max(rates) > ALIKE * min(rates):
+            reason += f", by joint {min(rates):.4g} to {max(rates):.4g} Hz"
+        nearest = min(USUAL_RATES, key=lambda usual: abs(usual - rate))
+        return float(nearest) if abs(nearest - rate) < 0.03 * nearest else float(f"{rate:.4g}"), reason
 
 
 def _rate(position: np.ndarray, velocity: np.ndarray) -> float | None:
@@ -198,14 +194,8 @@ def _grouped(names: Sequence[ColumnName]) -> list[Group]:
         if name.kind != "time":
             groups.setdefault(name.stem, []).append(name)
     return [
-        Group(
-            columns[0].kind,
-            stem,
-            {column.label: column.name for column in columns},
-            columns[0].reference,
-            columns[0].unit,
-        )
-        for stem, columns in groups.items()
+        Group(first.kind, stem, {name.label: name.name for name in (first, *others)}, first.reference, first.unit)
+        for stem, (first, *others) in groups.items()
     ]
 
 
@@ -225,20 +215,20 @@ def _grows(column: np.ndarray) -> bool:
     return len(step) > 0 and bool((step >= 0).all()) and float((step > 0).mean()) > 0.5
 
 
-def _classified(groups: Sequence[Group], values: Mapping[str, np.ndarray], path: Path) -> list[Group]:
+def _classified(groups: Sequence[Group], values: Mapping[str, np.ndarray], path: Path) -> Iterator[Group]:
     """Classify commands that are derivatives of the positions as velocities, and a lone group by the file's name."""
     positions = next((group for group in groups if group.kind == "position" and not group.reference), None)
     of_file = parse_column_name(path.stem).kind
-    classified = []
+    if len(groups) == 1 and groups[0].kind is None and of_file in ("position", "current", "torque"):
+        groups = [replace(groups[0], kind=of_file)]
     for group in groups:
-        if group.kind is None and of_file in ("position", "current", "torque") and len(groups) == 1:
-            group = replace(group, kind=of_file)
-        if group.kind == "command" and positions is not None and _derivative(positions, group, values) > DERIVATIVE:
-            group = replace(group, kind="velocity")
-        elif group.kind == "command" and positions is not None and _follows(positions, group, values) < FOLLOWED:
-            group = replace(group, kind="position", reference=True)
-        classified.append(group)
-    return classified
+        pairs = [] if positions is None or group.kind != "command" else list(_pairs(positions, group, values))
+        if pairs and np.median([correlation(*pair) for pair in pairs]) > DERIVATIVE:
+            yield replace(group, kind="velocity")
+        elif np.median(_distances(pairs) or np.inf) < FOLLOWED:
+            yield replace(group, kind="position", reference=True)
+        else:
+            yield group
 
 
 def _pairs(
@@ -250,20 +240,13 @@ def _pairs(
             yield values[column], values[others.columns[label]]
 
 
-def _follows(positions: Group, others: Group, values: Mapping[str, np.ndarray]) -> float:
-    """Compute the median distance of positions from other columns, rms, over the positions' standard deviation."""
-    distances = [
-        float(np.sqrt(np.nanmean((q - other) ** 2))) / spread
-        for q, other in _pairs(positions, others, values)
-        if (spread := float(np.nanstd(q))) > 0 and len(q) == len(other)
+def _distances(pairs: Iterable[tuple[np.ndarray, np.ndarray]]) -> list[float]:
+    """Compute distances of positions from other columns, rms, over the positions' standard deviation."""
+    return [
+        float(np.sqrt(np.nanmean((q - other) ** 2))) / std
+        for q, other in pairs
+        if (std := float(np.nanstd(q))) > 0 and len(q) == len(other)
     ]
-    return float(np.median(distances)) if distances else np.inf
-
-
-def _derivative(positions: Group, others: Group, values: Mapping[str, np.ndarray]) -> float:
-    """Compute the median correlation of other columns with the numerical derivatives of the positions."""
-    correlations = [correlation(q, other) for q, other in _pairs(positions, others, values)]
-    return float(np.median(correlations)) if correlations else 0.0
 
 
 def correlation(position: np.ndarray, other: np.ndarray) -> float:

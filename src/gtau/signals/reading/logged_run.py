@@ -7,21 +7,10 @@ from glob import escape, has_magic
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
-import numpy as np
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Field,
-    FiniteFloat,
-    ValidationInfo,
-    field_validator,
-    model_validator,
-)
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator
 
 from gtau.documents.files import matching
-from gtau.documents.validation import Keys, Positive
-from gtau.errors import GtauError
-from gtau.signals.reading.logs import find_columns, is_log_folder
+from gtau.signals.reading.logs import is_log_folder
 from gtau.signals.reading.samples import Part
 from gtau.signals.reading.statements import Payload
 
@@ -46,22 +35,20 @@ def file_or_name(robot: str, folder: Path) -> str:
     return robot
 
 
-def _beside(robot: str, info: ValidationInfo) -> str:
-    return robot if info.context is None else file_or_name(robot, info.context)
-
-
-RobotName = Annotated[str, AfterValidator(_beside)]
+RobotName = Annotated[
+    str, AfterValidator(lambda robot, info: robot if info.context is None else file_or_name(robot, info.context))
+]
 """Name of the catalog or path of a file, in a file whose folder is the context of its validation."""
 
 
-class LoggedRun(Keys):
+class LoggedRun(Part):
     """One run: its log, or two logs with positions and commands, and the payload carried, if any.
 
     In a file the logs may be patterns (``free_*.csv``): a run for each match, of two patterns the first match of one
-    with the first of the other. A folder of ``.parquet`` files is one log, and so is a rosbag2. Of a log the first rows
-    may be left out (``skip``), and what lies before ``from`` or after ``to``, in s from the first row that is left. Of
-    a log of several episodes a run is one ``episode``.
+    with the first of the other. A folder of ``.parquet`` files is one log, and so is a rosbag2.
     """
+
+    model_config = ConfigDict(populate_by_name=False)
 
     log: Annotated[
         tuple[Path, ...],
@@ -69,36 +56,12 @@ class LoggedRun(Keys):
         Field(min_length=1, max_length=2),
     ]
     payload: Payload | None = None
-    skip: Annotated[int, Field(ge=0)] = 0
-    begin: Annotated[FiniteFloat, Field(ge=0, alias="from")] = 0.0
-    to: Positive | None = None
-    episode: Annotated[int, Field(ge=0)] | None = None
-
-    @model_validator(mode="after")
-    def _forwards(self) -> LoggedRun:
-        if self.to is not None and self.to <= self.begin:
-            raise ValueError(f"'from' is {self.begin:g} s and 'to' {self.to:g} s; write the earlier one as 'from'")
-        return self
-
-    @property
-    def part(self) -> Part:
-        """Part of the log to use."""
-        end = np.inf if self.to is None else self.to
-        if self.episode is None:
-            return Part(self.skip, self.begin, end)
-        episodes = find_columns(self.log[0]).episodes
-        if self.episode not in episodes:
-            there = f"{min(episodes)} to {max(episodes)}" if episodes else "not several ('episode_index')"
-            raise GtauError(f"{self.log[0]} has no episode {self.episode}; its episodes are {there}.")
-        rows = episodes[self.episode]
-        return Part(rows.start + self.skip, self.begin, end, rows.stop, self.episode)
 
     def overlaps(self, other: LoggedRun) -> bool:
         """Decide whether both runs share rows."""
         if self.log != other.log or (None not in (self.episode, other.episode) and self.episode != other.episode):
             return False
-        ends = (np.inf if run.to is None else run.to for run in (self, other))
-        return all(begin < end for begin, end in zip((other.begin, self.begin), ends, strict=True))
+        return self.begin < other.end and other.begin < self.end
 
     @field_validator("log")
     @classmethod

@@ -5,10 +5,10 @@ Commands with separate time stamps are interpolated.
 
 from __future__ import annotations
 
-from collections import ChainMap
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from difflib import get_close_matches
+from functools import partial
 from pathlib import Path
 from typing import cast
 
@@ -21,13 +21,13 @@ from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.signals.reading.body_columns import at_origins
 from gtau.signals.reading.columns import SampleRate, Signals
-from gtau.signals.reading.formats import ALL, Table
+from gtau.signals.reading.formats import Table
 from gtau.signals.reading.formats.columnar import INFO
 from gtau.signals.reading.formats.rosbag import LOG_FORMATS as BAGS
 from gtau.signals.reading.formats.text import open_text
-from gtau.signals.reading.samples import Source
+from gtau.signals.reading.samples import WHOLE, Part, Samples, complete
 from gtau.signals.reading.units import Units
-from gtau.signals.storage import block, blocks, store
+from gtau.signals.storage import Store, block, blocks, store
 
 GROUP = "gtau.log_formats"
 """Of the entry points of other distributions."""
@@ -58,15 +58,9 @@ def find_columns(path: Path) -> Table:
     with system_refusals(path):
         if not path.is_dir():
             path.open("rb").close()  # the system's reason, not a library's, where there is no such file
-        reader = reader_of(_ending(path)) or open_text
+        of_folder = ".db3" if is_rosbag(path) else ".parquet"
+        reader = reader_of(of_folder if path.is_dir() else path.suffix.lower()) or open_text
         return reader(path)
-
-
-def _ending(path: Path) -> str:
-    """Return the ending of a file's name, or that of the files in a folder."""
-    if path.is_dir():
-        return ".db3" if (path / "metadata.yaml").is_file() else ".parquet"
-    return path.suffix.lower()
 
 
 def is_log_folder(path: Path) -> bool:
@@ -89,8 +83,6 @@ def _refuse_missing(names: Iterable[str], table: Table) -> None:
     for name in names:
         if columns.count(name) > 1:
             raise GtauError(f"{path} has {columns.count(name)} columns named '{name}'; rename them.")
-        if name in table.unusable:
-            raise GtauError(f"{path}, column '{name}' {table.unusable[name]}.")
         if name in columns:
             continue
         if table.numbered:
@@ -114,64 +106,51 @@ def read_logs(
     signals: Signals,
     units: Units,
     notes: list[Finding],
-    rows: range = ALL,
+    part: Part = WHOLE,
     progress: Callable[[float], None] = lambda done: None,
-) -> tuple[Source, Iterator[np.ndarray]]:
-    """Find the columns of a run in its logs, and read their ``rows``; raises GtauError.
+) -> Samples:
+    """Read the complete samples of a part of a run from its logs; raises GtauError.
 
-    The samples (M, n + c + 1), in blocks, are positions, commands, torque sensors, wrenches and time. ``notes`` report
-    what was left out or aligned; ``progress`` is called with the part of the log that has been read.
+    ``notes`` report what was left out or aligned; ``progress`` is called with the part of the log that has been read.
     """
     if len(paths) not in (1, 2):
         raise GtauError(f"a run has {len(paths)} logs; give one, or two with the positions and the {signals.kind}s.")
     times, stamps, base = signals.time_columns, signals.command_time_columns, signals.base
     positions, commands = [*signals.position.values(), *(base.pose if base else ())], list(signals.measured)
-    if len(paths) == 1:
-        _refuse_both(paths[0], set(positions) & set(commands), signals.kind)
+    if len(paths) == 1 and (twice := set(positions) & set(commands)):
+        raise GtauError(
+            f"the column '{min(twice)}' is given both as a position and as a {signals.kind}; correct one of the two.",
+            source=paths[0],
+        )
     position_scale, command_scale, time_scale = units.scale(signals)
-    files = [read_log(paths[0], (*times, *positions, *(commands if len(paths) == 1 and not stamps else ())))]
-    aligned = None
-    if stamps:
-        aligned = _aligned(paths[0], paths[-1], signals, time_scale)
-    elif len(paths) == 2:
-        files.append(read_log(paths[1], commands))
-    first = files[0]
-    source = Source(
-        name=" and ".join(str(path) for path in paths),
-        channels=signals.channels,
-        columns=(*_labels(signals), " and ".join(times) or "rate"),
-        texts=ChainMap(*(file.texts for file in reversed(files))),
-        first_line=(first.first_line or 1) + (aligned.rows.start if aligned else 0),
-        line_word="row" if first.first_line is None else "line",
-    )
+    table = read_log(paths[0], (*times, *positions, *(commands if len(paths) == 1 and not stamps else ())))
+    files, rows, commands_at = [table], part.rows(table), None
+    if len(paths) == 2 and not stamps:
+        files.append(replace(read_log(paths[1], commands), texts=table.texts))
     notes += [note.of_source(file.path.name) if len(files) > 1 else note for file in files for note in file.notes]
-    notes += [aligned.note] if aligned and aligned.note else []
+    if stamps:
+        inside, commands_at = _aligned(paths[0], paths[-1], signals, time_scale, notes)
+        rows = inside[rows.start : rows.stop]
     columns = [(k, name) for k, file in enumerate(files) for name in file.columns]
     wanted = [(0, name) for name in positions] + [(len(files) - 1, name) for name in commands if not stamps]
     order, at_times = [columns.index(column) for column in wanted], [columns.index((0, name)) for name in times]
 
-    def parts() -> Iterator[np.ndarray]:
+    def parts() -> Iterator[tuple[int, np.ndarray]]:
         row = rows.start
-        for values, done in _side_by_side(files, rows if aligned is None else aligned.located(rows)):
+        for values, done in _side_by_side(files, rows):
             progress(done)
             time = instants(signals, values[:, at_times], time_scale, row)
             logged = values[:, order]
-            if aligned is not None:
-                between = aligned.at(time)
+            if commands_at is not None:
+                between = commands_at(time)
                 between[np.isnan(logged).all(axis=1)] = np.nan  # rows that hold other topics
                 logged = np.hstack([logged, between])
+            yield row, np.column_stack([_converted(signals, logged * [*position_scale, *command_scale]), time])
             row += len(values)
-            yield np.column_stack([_converted(signals, logged * [*position_scale, *command_scale]), time])
 
-    return source, parts()
-
-
-def _refuse_both(path: Path, columns: set[str], kind: str) -> None:
-    if columns:
-        raise GtauError(
-            f"the column '{min(columns)}' is given both as a position and as a {kind}; correct one of the two.",
-            source=path,
-        )
+    named = (*_labels(signals), " and ".join(times) or "rate")
+    empty = Samples(" and ".join(map(str, paths)), signals.channels, named, table)
+    return complete(empty, parts(), notes, part)
 
 
 def _converted(signals: Signals, values: np.ndarray) -> np.ndarray:
@@ -180,6 +159,8 @@ def _converted(signals: Signals, values: np.ndarray) -> np.ndarray:
     The columns (M, .) are those of positions, pose, commands and sensors, and wrenches.
     """
     base, acting = signals.base, signals.all_wrenches
+    if base is None and not acting:
+        return values
     joints, pose = len(signals.position), len(base.pose) if base else 0
     modelled = len(signals.measured) - sum(len(wrench.columns) for wrench in acting)
     q, of_base, commands, wrenches = np.split(values, np.cumsum([joints, pose, modelled]), axis=1)
@@ -217,44 +198,31 @@ def _side_by_side(files: Sequence[Table], wanted: range) -> Iterator[tuple[np.nd
         yield np.hstack([values[:count] for values in waiting]), done
         waiting = [values[count:] for values in waiting]
     counts = [count + sum(len(values) for values, _ in stream) for count, stream in zip(counts, streams, strict=True)]
-    if len(set(counts)) > 1:
+    if counts[0] != counts[1]:
         raise GtauError(
             f"{files[0].path} has {counts[0]} rows but {files[1].path} has {counts[1]}; give two logs that were "
             "sampled together, or the stamps of each (time: {position: COLUMN, command: COLUMN})."
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Aligned:
-    """Time in s and commands, ``log`` (K, 1 + c); ``rows`` of the positions' log lie between the first and the last.
+def _interpolated(log: np.ndarray, longest: float, time: np.ndarray) -> np.ndarray:
+    """Interpolate commands (M, c) of a ``log`` (K, 1 + c) linearly at other instants (M,).
 
-    ``longest`` (s) is the step over which they are interpolated; beyond it they are missing. ``note`` reports it.
+    They are nan where the step between their stamps is longer than ``longest`` (s).
     """
-
-    log: np.ndarray
-    longest: float
-    rows: range
-    note: Finding | None
-
-    def located(self, rows: range) -> range:
-        """Return the numbers in the whole log of some of these rows."""
-        return range(rows.start + self.rows.start, min(rows.stop + self.rows.start, self.rows.stop))
-
-    def at(self, time: np.ndarray) -> np.ndarray:
-        """Interpolate commands (M, c) linearly between stamps at other instants (M,); nan where they are missing."""
-        known = np.isfinite(time)
-        commands = np.full((len(time), self.log.shape[1] - 1), np.nan)
-        if not known.any():
-            return commands
-        begin = max(int(np.searchsorted(self.log[:, 0], np.min(time[known]), side="right")) - 1, 0)
-        end = int(np.searchsorted(self.log[:, 0], np.max(time[known]))) + 1
-        stamps, *logged = block(self.log, begin, end).T
-        after = np.clip(np.searchsorted(stamps, time[known], side="left"), 0, len(stamps) - 1)
-        before = np.maximum(after - (stamps[after] != time[known]), 0)
-        between = (stamps[after] - stamps[before] <= self.longest) & (stamps[after] >= time[known])
-        values = np.column_stack([np.interp(time[known], stamps, command) for command in logged])
-        commands[known] = np.where(between[:, None], values, np.nan)
+    known = np.isfinite(time)
+    commands = np.full((len(time), log.shape[1] - 1), np.nan)
+    if not known.any():
         return commands
+    begin = max(int(np.searchsorted(log[:, 0], np.min(time[known]), side="right")) - 1, 0)
+    end = int(np.searchsorted(log[:, 0], np.max(time[known]))) + 1
+    stamps, *logged = block(log, begin, end).T
+    after = np.clip(np.searchsorted(stamps, time[known], side="left"), 0, len(stamps) - 1)
+    before = np.maximum(after - (stamps[after] != time[known]), 0)
+    between = (stamps[after] - stamps[before] <= longest) & (stamps[after] >= time[known])
+    values = np.column_stack([np.interp(time[known], stamps, command) for command in logged])
+    commands[known] = np.where(between[:, None], values, np.nan)
+    return commands
 
 
 def _stamped(path: Path, stamps: Sequence[str], commands: Sequence[str], scale: float, what: str) -> np.ndarray:
@@ -281,12 +249,16 @@ def _stamped(path: Path, stamps: Sequence[str], commands: Sequence[str], scale: 
     return store(parts, (1 + len(commands),))
 
 
-def _aligned(path: Path, other_path: Path, signals: Signals, scale: float) -> Aligned:
-    """Compare the instants of positions with those of commands in the other log; ``scale`` is that of their columns."""
-    what, columns = f"{signals.kind}s", list(signals.measured)
-    log = _stamped(other_path, signals.command_time_columns, columns, scale, what)
-    clock = store(seconds(values, scale) for values, _ in read_log(path, signals.time_columns).blocks())
-    stamps = log[:, 0]
+def _aligned(
+    path: Path, other_path: Path, signals: Signals, scale: float, notes: list[Finding]
+) -> tuple[range, Callable[[np.ndarray], np.ndarray]]:
+    """Find the rows of positions between the first and the last command in the other log, and what interpolates these.
+
+    ``scale`` is that of the columns of both times.
+    """
+    what = f"{signals.kind}s"
+    log = _stamped(other_path, signals.command_time_columns, signals.measured, scale, what)
+    clock, stamps = logged_instants(path, signals, scale), log[:, 0]
     inside = np.flatnonzero((clock >= stamps[0]) & (clock <= stamps[-1]))
     finite = clock[np.isfinite(clock)]
     if not inside.size or not finite.size:
@@ -297,21 +269,28 @@ def _aligned(path: Path, other_path: Path, signals: Signals, scale: float) -> Al
         )
     rows = range(int(inside[0]), int(inside[-1]) + 1)
     steps = [float(np.median(np.diff(time))) for time in (finite, stamps)]
-    apart = _distances(finite, stamps)
-    if apart <= CLOSE * min(steps) and len(rows) == len(clock):
-        return Aligned(log, LONGEST_STEP * max(steps), rows, None)
-    said = {"signal": what, "rate": 1 / steps[1], "position_rate": 1 / steps[0], "apart": apart * 1e3}
-    note = Finding(F.ALIGNED, values={**said, "left_out": len(clock) - len(rows)})
-    return Aligned(log, LONGEST_STEP * max(steps), rows, note)
+    apart = float(np.median([_distance(part, stamps) for part in blocks(finite)]))
+    if apart > CLOSE * min(steps) or len(rows) < len(clock):
+        rates = {"rate": 1 / steps[1], "position_rate": 1 / steps[0]}
+        values = {"signal": what, **rates, "apart": apart * 1e3, "left_out": len(clock) - len(rows)}
+        notes.append(Finding(F.ALIGNED, values=values))
+    return rows, partial(_interpolated, log, LONGEST_STEP * max(steps))
 
 
-def _distances(time: np.ndarray, stamps: np.ndarray) -> float:
-    """Compute the typical distance in s from an instant to the closest stamp."""
-    medians = []
-    for part in blocks(time):
-        after = np.clip(np.searchsorted(stamps, part), 1, len(stamps) - 1)
-        medians.append(np.median(np.minimum(np.abs(part - stamps[after - 1]), np.abs(stamps[after] - part))))
-    return float(np.median(medians))
+def _distance(time: np.ndarray, stamps: np.ndarray) -> float:
+    """Compute the median distance in s from instants to the closest stamp."""
+    after = np.clip(np.searchsorted(stamps, time), 1, len(stamps) - 1)
+    return float(np.median(np.minimum(np.abs(time - stamps[after - 1]), np.abs(stamps[after] - time))))
+
+
+def logged_instants(path: Path, signals: Signals, scale: float) -> np.ndarray:
+    """Read the times in s of all rows of a log, (N,); ``scale`` is that of their columns."""
+    table = read_log(path, signals.time_columns or list(signals.position.values())[:1])
+    row, times = 0, Store()
+    for values, _ in table.blocks():
+        times.append(instants(signals, values, scale, row))
+        row += len(values)
+    return times.array()
 
 
 def instants(signals: Signals, stamps: np.ndarray, scale: float, row: int) -> np.ndarray:

@@ -1,38 +1,108 @@
-"""Complete samples of a log, as logged."""
+"""The part of a log to use, and its complete samples as logged."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
+from pydantic import ConfigDict, Field, FiniteFloat, model_validator
 
+from gtau.documents.validation import Keys
 from gtau.errors import GtauError
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.findings.words import counted
 from gtau.signals.channel import Channel
+from gtau.signals.reading.formats import ALL, Table
 from gtau.signals.storage import Store, blocks
 
 MIN_SAMPLES = 100
 MAX_MISSING = 0.05  # part of a log that may be bad or missing
 
 
-@dataclass(frozen=True)
-class Source:
-    """Description of a log for messages.
+class Part(Keys):
+    """The part of a log to use: without its first ``skip`` rows, and between two times in s; or of one ``episode``.
 
-    ``columns`` are the names of the columns of the joints' positions, of the ``channels`` and of the time; ``texts``
-    their first non-numeric entries read so far. Row 0 is in ``first_line`` of a text file, or the first row otherwise.
+    The times count from the first row that is left. In a file they are ``from`` and ``to``.
+    """
+
+    model_config = ConfigDict(populate_by_name=True)
+
+    skip: Annotated[int, Field(ge=0)] = 0
+    begin: Annotated[FiniteFloat, Field(ge=0, alias="from")] = 0.0
+    end: Annotated[float, Field(gt=0, alias="to")] = np.inf
+    episode: Annotated[int, Field(ge=0)] | None = None
+
+    @model_validator(mode="after")
+    def _forwards(self) -> Part:
+        if self.end <= self.begin:
+            raise ValueError(f"'from' is {self.begin:g} s and 'to' {self.end:g} s; write the earlier one as 'from'")
+        return self
+
+    @property
+    def label(self) -> str:
+        """Suffix that distinguishes the names of runs from one log."""
+        label = "" if self.episode is None else f" episode {self.episode}"
+        if self.begin > 0 or self.end < np.inf:
+            label += f" from {self.begin:g} s"
+        return label if self.end == np.inf else f"{label} to {self.end:g} s"
+
+    def rows(self, table: Table) -> range:
+        """Return the rows of a log to read; raises GtauError where it lacks the episode."""
+        if self.episode is None:
+            return ALL[self.skip :]
+        episodes = table.episodes
+        if self.episode not in episodes:
+            there = f"{min(episodes)} to {max(episodes)}" if episodes else "not several ('episode_index')"
+            raise GtauError(f"{table.path} has no episode {self.episode}; its episodes are {there}.")
+        return episodes[self.episode][self.skip :]
+
+    def of(self, parts: Iterable[tuple[int, np.ndarray]]) -> Iterator[tuple[int, np.ndarray]]:
+        """Yield the rows of the part, in blocks whose last column is the time, and the number of the first in each."""
+        first = None
+        for row, values in parts:
+            time = values[:, -1]
+            known = np.isfinite(time)
+            if first is None and known.any():
+                first = float(time[known][0])
+            if first is None or (self.begin == 0 and self.end == np.inf):
+                yield row, values
+                continue
+            # Rows without a time go with those before them.
+            elapsed = np.maximum.accumulate(np.where(known, time, -np.inf) - first)
+            start, stop = np.searchsorted(elapsed, self.begin), np.searchsorted(elapsed, self.end, side="right")
+            yield row + int(start), values[start:stop]
+            if stop < len(values):
+                return
+
+
+WHOLE = Part()
+
+
+def _none(dtype: type = float) -> np.ndarray:
+    return np.zeros(0, dtype)
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Complete samples of a log, SI units: ``time`` (N,), ``position`` (N, n) and ``command`` (N, c) of ``channels``.
+
+    Messages call the log by its ``name``, the columns of positions, channels and time by those of ``columns``, and
+    ``rows`` (N,), from which they come, as the ``table`` of the positions does. On a uniform grid ``valid`` (N, c) is
+    False where a command was interpolated or clipped.
     """
 
     name: str
     channels: tuple[Channel, ...]
     columns: tuple[str, ...]
-    texts: Mapping[str, str]
-    first_line: int = 1
-    line_word: str = "line"
+    table: Table
+    time: np.ndarray = field(default_factory=_none)
+    position: np.ndarray = field(default_factory=_none)
+    command: np.ndarray = field(default_factory=_none)
+    rows: np.ndarray = field(default_factory=lambda: _none(int))
+    valid: np.ndarray = field(default_factory=lambda: _none(bool))
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -41,131 +111,74 @@ class Source:
 
     def places(self, rows: Sequence[int], count: int) -> str:
         """Describe the location in the file of ``count`` rows, the first of which are ``rows``."""
-        listed = ", ".join(str(int(row) + self.first_line) for row in rows[:5])
-        return f"{self.line_word}{'s' * (count > 1)} {listed}{', ...' if count > 5 else ''}"
-
-
-@dataclass(frozen=True)
-class Samples:
-    """Complete samples of a log, SI units: ``time`` (N,), ``position`` (N, n) and ``command`` (N, c).
-
-    As logged they come from ``rows`` (N,). On a uniform grid they come from none, and ``valid`` (N, c) is False where a
-    command was interpolated or clipped. ``whole_share`` is the share of whole numbers among the joints' commands as
-    logged.
-    """
-
-    source: Source
-    time: np.ndarray
-    position: np.ndarray
-    command: np.ndarray
-    rows: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
-    valid: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
-    whole_share: float | None = None
+        first, word = self.table.first_line, "line"
+        if first is None:
+            first, word = 1, "row"
+        listed = ", ".join(str(int(row) + first) for row in rows[:5])
+        return f"{word}{'s' * (count > 1)} {listed}{', ...' if count > 5 else ''}"
 
     def place(self, sample: int) -> str:
         """Describe the location of a sample in the file."""
-        return self.source.places([self.rows[sample]], 1)
+        return self.places([self.rows[sample]], 1)
 
 
-@dataclass(frozen=True)
-class Part:
-    """The part of a log to use: without its first ``skip`` rows, and between two times in s.
-
-    Where it is an ``episode``, the log's rows end at ``stop``.
-    """
-
-    skip: int = 0
-    begin: float = 0.0
-    end: float = np.inf
-    stop: int = sys.maxsize
-    episode: int | None = None
-
-    @property
-    def rows(self) -> range:
-        """Rows to read."""
-        return range(self.skip, self.stop)
-
-    @property
-    def label(self) -> str:
-        """Suffix that distinguishes the names of runs from one log."""
-        episode = "" if self.episode is None else f" episode {self.episode}"
-        if self.begin == 0 and self.end == np.inf:
-            return episode
-        return f"{episode} from {self.begin:g} s" + ("" if self.end == np.inf else f" to {self.end:g} s")
-
-    def of(self, parts: Iterable[np.ndarray]) -> Iterator[tuple[int, np.ndarray]]:
-        """Yield rows of the part, in blocks whose last column is the time, and the number of the first in each."""
-        row, first = self.skip, None
-        for values in parts:
-            time = values[:, -1]
-            known = np.flatnonzero(np.isfinite(time))
-            if first is None and known.size:
-                first = float(time[known[0]])
-            if first is not None and (self.begin > 0 or self.end < np.inf):
-                # Rows without a time go with those before them.
-                elapsed = np.maximum.accumulate(np.where(np.isfinite(time), time, -np.inf) - first)
-                start, stop = np.searchsorted(elapsed, self.begin), np.searchsorted(elapsed, self.end, side="right")
-                yield row + int(start), values[start:stop]
-                if stop < len(values):
-                    return
-            else:
-                yield row, values
-            row += len(values)
-
-
-WHOLE = Part()
-
-
-def refuse_short(source: Source, count: int) -> None:
+def refuse_short(name: str, count: int) -> None:
     """Refuse a log with too few samples."""
     if count < MIN_SAMPLES:
         raise GtauError(
-            f"{source.name} has {counted(count, 'sample')}; identification needs a log of several seconds (at least "
+            f"{name} has {counted(count, 'sample')}; identification needs a log of several seconds (at least "
             f"{MIN_SAMPLES} samples)."
         )
 
 
-def complete(source: Source, parts: Iterable[np.ndarray], notes: list[Finding], part: Part = WHOLE) -> Samples:
+def complete(
+    samples: Samples, parts: Iterable[tuple[int, np.ndarray]], notes: list[Finding], part: Part = WHOLE
+) -> Samples:
     """Collect the complete samples of a log or of a part of it; raises GtauError if there are too few."""
-    n = len(source.joints)
-    wide = n + len(source.channels)  # columns before the time
+    n, wide = len(samples.joints), len(samples.columns) - 1  # columns before the time
     stores = Store(), Store((n,)), Store((wide - n,)), Store(dtype=int)
     numbers = np.zeros(wide + 1, dtype=int)  # in each column
     incomplete, empty, bad_column = _Rows(), _Rows(), 0
     for row, values in part.of(parts):
         finite = np.isfinite(values)
-        kept = np.ones(len(values), dtype=bool)
-        if not finite.all():
-            kept, nothing = finite.all(axis=1), ~finite[:, :wide].any(axis=1)
-            if not incomplete.count and (~kept & ~nothing).any():
-                bad_column = int(np.argmin(finite[np.argmax(~kept & ~nothing)]))
-            incomplete.add(row + np.flatnonzero(~kept & ~nothing))
-            empty.add(row + np.flatnonzero(nothing))
+        kept = finite.all(axis=1)
+        nothing = ~finite[:, :wide].any(axis=1)
+        partly = np.flatnonzero(~kept & ~nothing)
+        if partly.size and not incomplete.count:
+            bad_column = int(np.argmin(finite[partly[0]]))
+        incomplete.add(row + partly)
+        empty.add(row + np.flatnonzero(nothing))
         numbers += finite.sum(axis=0)
         columns = values[kept, wide], values[kept, :n], values[kept, n:wide], row + np.flatnonzero(kept)
         for store, added in zip(stores, columns, strict=True):
             store.append(added)
     time, position, command, rows = (store.array() for store in stores)
-    samples = Samples(source, time, position, command, rows)
-    count = len(samples.time) + incomplete.count
+    count = len(time) + incomplete.count
     if empty.count <= MAX_MISSING * (count + empty.count):  # faults like others, such as a last row that was cut
         incomplete.first = sorted(incomplete.first + empty.first)[:5]
         incomplete.count, count, empty = incomplete.count + empty.count, count + empty.count, _Rows()
-    if not count and part != WHOLE:
+    if not count and (part.skip or part.label):
         raise GtauError(
-            f"{source.name} has no rows in the selected part (skip: {part.skip}, from: {part.begin:g}, to: "
+            f"{samples.name} has no rows in the selected part (skip: {part.skip}, from: {part.begin:g}, to: "
             f"{part.end:g} s); correct these keys."
         )
-    refuse_short(source, count)
+    refuse_short(samples.name, count)
     if empty.count:
         notes.append(Finding(F.OTHER_ROWS, values={"count": empty.count}))
-    _refuse_empty_columns(source, numbers)
-    _refuse_incomplete(source, incomplete, count, source.columns[bad_column])
+    _refuse_empty_columns(samples, numbers)
+    if incomplete.count > MAX_MISSING * count:
+        column = samples.columns[bad_column]
+        entry = samples.table.texts.get(column, "")
+        raise GtauError(
+            f"{samples.name} has {incomplete.count} of {count} rows with missing or non-numeric values (first in "
+            f"{samples.places(incomplete.first[:1], 1)}, column '{column}'"
+            + (f": '{entry}'" if entry else "")
+            + "); correct or delete them, or record the log again."
+        )
     if incomplete.count:
-        places = source.places(incomplete.first, incomplete.count)
-        dropped = {"count": incomplete.count, "places": places}
+        dropped = {"count": incomplete.count, "places": samples.places(incomplete.first, incomplete.count)}
         notes.append(Finding(F.BAD_ROWS, values=dropped, share=incomplete.count / count))
-    return samples
+    return replace(samples, time=time, position=position, command=command, rows=rows)
 
 
 class _Rows:
@@ -179,29 +192,16 @@ class _Rows:
         self.first += rows[: 5 - len(self.first)].tolist()
 
 
-def _refuse_incomplete(source: Source, rows: _Rows, count: int, column: str) -> None:
-    if rows.count > MAX_MISSING * count:
-        entry = source.texts.get(column, "")
-        raise GtauError(
-            f"{source.name} has {rows.count} of {count} rows with missing or non-numeric values (first in "
-            f"{source.places(rows.first[:1], 1)}, column '{column}'"
-            + (f": '{entry}'" if entry else "")
-            + "); correct or delete them, or record the log again."
-        )
-
-
-def _refuse_empty_columns(source: Source, numbers: np.ndarray) -> None:
-    for column, number in zip(source.columns, numbers.tolist(), strict=True):
-        if not number:
-            entry = source.texts.get(column, "")
-            repair = "give the column that holds them"
-            if column == source.columns[-1] and entry[:1].isdigit():
-                repair = "convert it to seconds, or give the rate instead (time: {rate: HZ})"
-            raise GtauError(
-                f"{source.name}, column '{column}' holds no number"
-                + (f" (it begins with '{entry}')" if entry else "")
-                + f"; {repair}."
-            )
+def _refuse_empty_columns(samples: Samples, numbers: np.ndarray) -> None:
+    for column, number in zip(samples.columns, numbers.tolist(), strict=True):
+        if number:
+            continue
+        entry = samples.table.texts.get(column, "")
+        repair = "give the column that holds them"
+        if column == samples.columns[-1] and entry[:1].isdigit():
+            repair = "convert it to seconds, or give the rate instead (time: {rate: HZ})"
+        begins = f" (it begins with '{entry}')" if entry else ""
+        raise GtauError(f"{samples.name}, column '{column}' holds no number{begins}; {repair}.")
 
 
 def extremes(array: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -37,8 +37,8 @@ def read_poses(paths: Sequence[Path], signals: Signals, units: Units, part: Part
     pose, path = signals.pose, Path(paths[0])
     assert pose is not None  # checked by the caller
     n = len(signals.joints)
-    position_scale, _, _ = units.scale(signals)
-    columns, scale = [*signals.position.values(), *pose.columns], [*position_scale, *units.pose.scale(pose)]
+    columns = [*signals.position.values(), *pose.columns]
+    scale = [*units.scale(signals)[0], *units.pose.scale(pose)]
     table = _complete_rows(path, columns, signals, units, part, scale)
     if len(table) < FEWEST:
         raise GtauError(
@@ -65,10 +65,8 @@ class Temperature:
         return np.interp(time, self.time, self.of_joint[joint])
 
 
-def read_temperature(paths: Sequence[Path], signals: Signals, units: Units, part: Part = WHOLE) -> Temperature | None:
-    """Read the temperatures of a run from the log of its positions; None where the signals have none."""
-    if signals.temperature is None:
-        return None
+def read_temperature(paths: Sequence[Path], signals: Signals, units: Units, part: Part = WHOLE) -> Temperature:
+    """Read the temperatures of a run from the log of its positions."""
     of_joint = signals.temperature_columns
     columns = list(dict.fromkeys(of_joint.values()))
     table = _complete_rows(Path(paths[0]), columns, signals, units, part)
@@ -88,15 +86,15 @@ def _complete_rows(
     path: Path, columns: Sequence[str], signals: Signals, units: Units, part: Part, scale: ArrayLike = 1.0
 ) -> np.ndarray:
     """Read the rows of a log that hold a number in each of some columns: these, times ``scale``, and the time in s."""
-    times = signals.time_columns
-    file = read_log(path, (*times, *columns))
-    at, order = ([file.columns.index(name) for name in names] for names in (times, columns))
-    _, _, time_scale = units.scale(signals)
+    times, (_, _, time_scale) = signals.time_columns, units.scale(signals)
+    table = read_log(path, (*times, *columns))
+    at, order = ([table.columns.index(name) for name in names] for names in (times, columns))
+    rows = part.rows(table)
 
-    def blocks() -> Iterator[np.ndarray]:
-        row = part.skip
-        for values, _ in file.blocks(part.rows):
-            yield np.column_stack([values[:, order] * scale, instants(signals, values[:, at], time_scale, row)])
+    def blocks() -> Iterator[tuple[int, np.ndarray]]:
+        row = rows.start
+        for values, _ in table.blocks(rows):
+            yield row, np.column_stack([values[:, order] * scale, instants(signals, values[:, at], time_scale, row)])
             row += len(values)
 
-    return store((rows[np.isfinite(rows).all(axis=1)] for _, rows in part.of(blocks())), (len(columns) + 1,))
+    return store((values[np.isfinite(values).all(axis=1)] for _, values in part.of(blocks())), (len(columns) + 1,))

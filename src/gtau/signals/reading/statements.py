@@ -53,13 +53,9 @@ class Payload(Keys):
         return parameters
 
     @model_validator(mode="after")
-    def _deviation_of_a_mass(self) -> Payload:
+    def _of_a_known_or_unknown_mass(self) -> Payload:
         if self.mass is None and "mass_std" in self.model_fields_set:
             raise ValueError("'mass_std' is given without 'mass'; add the mass or remove it")
-        return self
-
-    @model_validator(mode="after")
-    def _center_of_an_unknown_mass(self) -> Payload:
         if self.center is None:
             return self
         if twice := [kind for kind in FIRST_MOMENTS if kind in self.parameters]:
@@ -99,13 +95,10 @@ class StatedGain(Keys):
     std: Positive | None = None
 
 
-def _with_std(gain: Any) -> Any:
-    """Read a gain that is a number alone."""
-    return gain if isinstance(gain, dict | StatedGain) else {"value": gain}
-
-
-GainEntry = Annotated[StatedGain, BeforeValidator(_with_std)]
-"""A gain of an experiment file."""
+GainEntry = Annotated[
+    StatedGain, BeforeValidator(lambda gain: gain if isinstance(gain, dict | StatedGain) else {"value": gain})
+]
+"""A gain of an experiment file, which may be a number alone."""
 
 
 def as_priors(priors: Mapping[str, Prior | Mapping[str, Any]]) -> dict[str, Prior]:
@@ -136,7 +129,7 @@ class Drive(Keys):
     @field_validator("gear_ratio")
     @classmethod
     def _turns(cls, ratio: float) -> float:
-        if ratio == 0:
+        if not ratio:
             raise ValueError("the gear ratio is zero; write rad of the motor per rad (or m) of the joint")
         return ratio
 
@@ -153,9 +146,8 @@ class Drive(Keys):
         """Gain expected at the joint, N m/A or N/A, and its standard deviation."""
         if self.torque_constant is None:
             return None
-        efficiency = EFFICIENCY if self.efficiency is None else self.efficiency
-        spread = 0.0 if self.efficiency is not None else EFFICIENCY_STD / EFFICIENCY
-        value = self.gear_ratio * self.torque_constant * efficiency
+        spread = 0.0 if self.efficiency else EFFICIENCY_STD / EFFICIENCY
+        value = self.gear_ratio * self.torque_constant * (self.efficiency or EFFICIENCY)
         return value, abs(value) * (self.uncertainty or float(np.hypot(TOLERANCE, spread)))
 
     @property
@@ -178,23 +170,22 @@ def check_drives(drives: Mapping[str, Drive], robot: Robot) -> None:
 
 
 def data_sheet_notes(
-    drives: Mapping[str, Drive], robot: Robot, found: Mapping[str, tuple[float | None, float | None]]
+    drives: Mapping[str, Drive], robot: Robot, estimates: Mapping[str, tuple[float | None, float | None]]
 ) -> tuple[Finding, ...]:
     """Compare estimates of gains and ``ia``, their values and standard deviations by name, with data sheets."""
-    said = []
+    notes = []
     for joint, drive in drives.items():
-        rows = (
+        for what, expected, name, unit in (
             ("gain", drive.gain, Parameter("gain", joint), f"{torque_unit(robot, joint)}/A"),
             ("rotor inertia", drive.inertia, Parameter("ia", joint), unit_of("ia", robot, joint)),
-        )
-        for what, expected, name, unit in rows:
-            value, std = found.get(name, (None, None))
+        ):
+            value, std = estimates.get(name, (None, None))
             if expected is None or value is None:
                 continue
-            off = (value - expected[0]) / np.hypot(expected[1], std or 0.0)
+            apart = float(abs(value - expected[0]) / np.hypot(expected[1], std or 0.0))
             values = {"quantity": what, "value": value, "unit": unit, "stated": expected[0], "std": expected[1]}
-            said.append(Finding(F.DATA_SHEET, (joint,), values={**values, "apart": float(abs(off))}))
-    return tuple(said)
+            notes.append(Finding(F.DATA_SHEET, (joint,), values={**values, "apart": apart}))
+    return tuple(notes)
 
 
 class PreparationSettings(Keys):

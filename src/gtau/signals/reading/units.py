@@ -44,13 +44,13 @@ def si_factor(text: str, kind: Kind) -> float:
 
     Raises ValueError, whose text gives the remedy, where it is no unit of that kind.
     """
-    return _found(text, kind)[1]
+    return _measured(text, kind)[1]
 
 
 @lru_cache(maxsize=64)
 def is_angle(text: str) -> bool:
     """Decide whether a unit of positions is an angle and not a length."""
-    return _found(text, "position")[0] == "angle"
+    return _measured(text, "position")[0] == "angle"
 
 
 def checked_unit(
@@ -69,7 +69,7 @@ def checked_unit(
     return AfterValidator(checked)
 
 
-def _found(text: str, kind: Kind) -> tuple[str, float]:
+def _measured(text: str, kind: Kind) -> tuple[str, float]:
     """Find the quantity that a unit measures, and its factor to SI."""
     for quantity in QUANTITIES[kind]:
         if text in COMMON[quantity]:
@@ -180,11 +180,6 @@ class Units(of_link_side(_one_or_by_joint("torque")), Keys):  # type: ignore[mis
     def of_position(self, joint: str) -> str | None:
         """Return the position unit of a joint; None where nothing is stated."""
         return _of(self.position, joint)
-
-    def measures_angle(self, joint: str) -> bool | None:
-        """Decide whether a joint's position unit is an angle and not a length; None where nothing is stated."""
-        unit = self.of_position(joint)
-        return None if unit is None else is_angle(unit)
 
     def scale(self, signals: Signals) -> tuple[list[float], list[float], float]:
         """Compute factors to SI of the columns of positions and base pose, of all measured ones, and of the time.

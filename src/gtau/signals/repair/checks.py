@@ -6,8 +6,9 @@ regression row uses them. The log is read in blocks.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
+from itertools import compress
 from typing import Literal
 
 import numpy as np
@@ -16,21 +17,11 @@ from gtau.errors import GtauError
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
-from gtau.signals.reading.samples import WHOLE, Part, Samples, Source, complete, extremes, refuse_short
-from gtau.signals.reading.statements import CHOSEN, PreparationSettings
+from gtau.signals.reading.samples import Samples, extremes, refuse_short
 from gtau.signals.repair.clock import Clock, clock_of
-from gtau.signals.repair.faults import (
-    clipped,
-    find_glitches,
-    glitch_note,
-    refuse_frozen,
-    refuse_magnitudes,
-    refuse_slips,
-    whole_numbers,
-    without_glitches,
-)
-from gtau.signals.repair.resampling import holds_of, uniform
-from gtau.signals.storage import block, blocks, spans, stored_like
+from gtau.signals.repair.faults import find_glitches, glitch_note, refuse_frozen, refuse_slips, without_glitches
+from gtau.signals.repair.resampling import POSITIONS, holds_of, uniform
+from gtau.signals.storage import block, blocks, rows_at, spans, stored_like
 
 FINER = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # units of time in a second
 # s; maximum lateness of the stamps of packets or messages. In the shared logs it is 5 ms (a polled Panda).
@@ -39,80 +30,73 @@ LARGEST_VALUE = 1e9  # of any logged value; even encoder and converter counts ar
 
 
 def check(
-    source: Source,
-    parts: Iterable[np.ndarray],
-    notes: list[Finding],
-    settings: PreparationSettings = CHOSEN,
-    part: Part = WHOLE,
-) -> Samples:
-    """Check a log, repair what is safe, and put it on a uniform grid.
+    samples: Samples, notes: list[Finding], given: Literal["stamps", "regular"] | None = None
+) -> tuple[Samples, float]:
+    """Check the complete samples of a log, repair what is safe, and put them on a uniform grid.
 
-    Samples (M, n + c + 1), in blocks, are positions, commands, torque sensors and time in SI units; the channels of the
-    ``source`` say by how much they lag. Those that are incomplete or repeated are dropped, angles that wrap around are
-    unwrapped. Samples of a joint whose command is clipped at a limit are masked, and outliers of positions are
-    interpolated. Irregular sampling is resampled at the mean rate: cubic splines for positions, lines for commands; see
-    :mod:`gtau.signals.repair.clock` for what the samples' instants are. ``notes`` report every repair.
+    Those that are repeated are dropped, angles that wrap around are unwrapped. Samples of a joint whose command is
+    clipped at a limit are masked, and outliers of positions are interpolated. Irregular sampling is resampled at the
+    mean rate: cubic splines for positions, lines for commands; see :mod:`gtau.signals.repair.clock` for what the
+    samples' instants are, unless that is ``given``. ``notes`` report every repair.
+    Also returns the share of whole numbers among the joints' commands as logged.
 
     Raises GtauError where the log has fewer than 100 samples, more than 5 % of them bad or missing, a gap of more than
     0.1 s (or three steps), reversed time, a command that never changes or is clipped in more than a tenth of the
     samples, a position that jumps or freezes, no moving joint, or values that cannot be right.
     """
-    samples = complete(source, parts, notes, part)
     _refuse_stuck(samples, notes)
-    _refuse_standing_time(samples)
-    samples = _without_repeated(samples, notes, settings.clock)
-    clock = clock_of(samples.time, samples.position, settings.clock)
+    samples = _without_repeated(samples, notes, given)
+    clock = clock_of(samples.time, samples.position, given)
     _refuse_rates(samples, clock)
-    if settings.clock is None:
-        _refuse_late(samples, clock)
+    if given is None and clock.late > max(LATEST, 3 * clock.period):
+        raise GtauError(
+            f"{samples.name}, column '{samples.columns[-1]}': by a regular clock of {clock.rate:.4g} Hz the time "
+            f"stamps are up to {clock.late:.3g} s late, so they freeze or jump; correct the column, or give the rate "
+            "instead (time: {rate: HZ})."
+        )
     samples = _unwrapped(samples, notes)
     instants, holds = clock.instants(samples.time), holds_of(samples)
-    if glitches := find_glitches(samples, instants, holds[0]):
+    if glitches := find_glitches(samples, instants, holds[POSITIONS]):
         notes.append(glitch_note(samples, glitches))
         samples = without_glitches(samples, glitches)
-        clock = clock_of(samples.time, samples.position, settings.clock)
+        clock = clock_of(samples.time, samples.position, given)
         instants, holds = clock.instants(samples.time), holds_of(samples)
-    refuse_frozen(samples, instants, holds[0])
-    refuse_slips(samples, instants, holds[0])
-    refuse_magnitudes(samples)
-    clips = clipped(samples, notes)
-    whole_share = whole_numbers(samples.command, len(source.joints))  # resampled ones are between
-    grid = uniform(samples, clock, instants, holds, clips, notes, settings.clock is not None)
-    return replace(grid, whole_share=whole_share)
+    refuse_frozen(samples, instants, holds[POSITIONS])
+    refuse_slips(samples, instants, holds[POSITIONS])
+    _refuse_magnitudes(samples)
+    clips = _clipped(samples, notes)
+    whole_share = whole_numbers(samples.command, len(samples.joints))  # resampled ones are between
+    return uniform(samples, clock, instants, holds, clips, notes, given is not None), whole_share
 
 
 def _refuse_stuck(samples: Samples, notes: list[Finding]) -> None:
-    source, n = samples.source, len(samples.source.joints)
+    n, time = len(samples.joints), samples.time
     low, high = (np.concatenate(pair) for pair in zip(*map(extremes, (samples.position, samples.command)), strict=True))
-    for column, least, most in zip(source.columns, low, high, strict=False):
+    for column, least, most in zip(samples.columns, low, high, strict=False):
         if max(-least, most) > LARGEST_VALUE:
             value = most if most > -least else least
             raise GtauError(
-                f"{source.name}, column '{column}' reaches {value:.3g}, which is implausible for a joint or drive; "
+                f"{samples.name}, column '{column}' reaches {value:.3g}, which is implausible for a joint or drive; "
                 f"correct the column, or give its unit."
             )
     still = (low == high)[:n]
     if still.all():
-        raise GtauError("no position ever changes; give a log of a moving robot.", source=source.name)
-    for channel, column, least, most in zip(source.channels, source.columns[n:-1], low[n:], high[n:], strict=True):
+        raise GtauError("no position ever changes; give a log of a moving robot.", source=samples.name)
+    for channel, column, least, most in zip(samples.channels, samples.columns[n:-1], low[n:], high[n:], strict=True):
         if least < most or not channel.kind.of_joint:
             continue
         if channel.kind.link_side or not still[channel.row]:  # a locked joint may have no current
             raise GtauError(
-                f"{source.name}, column '{column}' (joint '{channel.joint}') is stuck at {least + 0.0:g}; "
+                f"{samples.name}, column '{column}' (joint '{channel.joint}') is stuck at {least + 0.0:g}; "
                 "give the column with the measured values, or record the log again."
             )
-    resting = (channel for channel, stands in zip(source.channels, still, strict=False) if stands)
+    resting = (channel for channel, stands in zip(samples.channels, still, strict=False) if stands)
     if names := tuple(channel.joint for channel in resting if channel.kind.of_joint):
         notes.append(Finding(F.STILL, names))
-
-
-def _refuse_standing_time(samples: Samples) -> None:
-    time, source = samples.time, samples.source
     if not time[-1] > time[0]:
         raise GtauError(
-            f"{source.name}, column '{source.columns[-1]}' is {time[-1]:.9g} s in the last row and {time[0]:.9g} s in "
-            "the first, so time does not advance; give the time column, or the rate instead (time: {rate: HZ})."
+            f"{samples.name}, column '{samples.columns[-1]}' is {time[-1]:.9g} s in the last row and {time[0]:.9g} s "
+            "in the first, so time does not advance; give the time column, or the rate instead (time: {rate: HZ})."
         )
 
 
@@ -122,7 +106,7 @@ def _without_repeated(samples: Samples, notes: list[Finding], clock: Literal["st
     Samples with the same time but different values are all kept, as their stamps are late, unless stamps are given as
     true.
     """
-    source, time = samples.source, samples.time
+    time = samples.time
     repeated: list[int] = []
     for start, stop in spans(len(time), before=1):
         part = block(time, start, stop)
@@ -130,50 +114,44 @@ def _without_repeated(samples: Samples, notes: list[Finding], clock: Literal["st
         if (step < 0).any():
             i = int(np.argmax(step < 0))
             raise GtauError(
-                f"{source.name}, {samples.place(start + i + 1)}: time goes back from {part[i]:.9g} s to "
+                f"{samples.name}, {samples.place(start + i + 1)}: time goes back from {part[i]:.9g} s to "
                 f"{part[i + 1]:.9g} s; cut the log there into two runs, or correct the time column."
             )
         again = np.flatnonzero(step == 0)
-        if again.size:
-            values = np.column_stack([block(array, start, stop) for array in (samples.position, samples.command)])
-            different = again[(values[again] != values[again + 1]).any(axis=1)]
-            if different.size:
-                if clock != "stamps":
-                    return samples
-                i = int(different[0])
-                raise GtauError(
-                    f"{source.name}, {samples.place(start + i + 1)}: the time {part[i]:.9g} s occurs in two rows with "
-                    "different values, so the time stamps are not the sampling instants; remove 'clock: stamps'."
-                )
-            repeated += (start + again + 1).tolist()
+        if not again.size:
+            continue
+        values = np.column_stack([block(array, start, stop) for array in (samples.position, samples.command)])
+        different = again[(values[again] != values[again + 1]).any(axis=1)]
+        if different.size and clock != "stamps":
+            return samples
+        if different.size:
+            i = int(different[0])
+            raise GtauError(
+                f"{samples.name}, {samples.place(start + i + 1)}: the time {part[i]:.9g} s occurs in two rows with "
+                "different values, so the time stamps are not the sampling instants; remove 'clock: stamps'."
+            )
+        repeated += (start + again + 1).tolist()
     if not repeated:
         return samples
-    places = source.places([samples.rows[i] for i in repeated[:5]], len(repeated))
-    dropped = {"count": len(repeated), "places": places}
+    dropped = {"count": len(repeated), "places": samples.places(samples.rows[repeated[:5]].tolist(), len(repeated))}
     notes.append(Finding(F.REPEATED_ROWS, values=dropped, share=len(repeated) / len(time)))
-
-    def without(array: np.ndarray) -> np.ndarray:
-        kept = ((span, ~np.isin(np.arange(*span), repeated)) for span in spans(len(array)))
-        return stored_like(array, (block(array, *span)[mask] for span, mask in kept))
-
+    refuse_short(samples.name, len(time) - len(repeated))
+    kept = np.setdiff1d(np.arange(len(time)), repeated)
     arrays = (samples.time, samples.position, samples.command, samples.rows)
-    time, position, command, rows = map(without, arrays)
-    samples = Samples(source, time, position, command, rows)
-    refuse_short(source, len(samples.time))
-    return samples
+    time, position, command, rows = (rows_at(array, kept) for array in arrays)
+    return replace(samples, time=time, position=position, command=command, rows=rows)
 
 
 def _unwrapped(samples: Samples, notes: list[Finding]) -> Samples:
     """Unwrap the angles of joints that jump by a full turn."""
-    position, source = samples.position, samples.source
-    wraps = np.zeros(len(source.joints), dtype=bool)
+    position = samples.position
+    wraps = np.zeros(position.shape[1], dtype=bool)
     for part in blocks(position, before=1):
         jump = np.abs(np.diff(part, axis=0))
         wraps |= np.any(np.abs(jump - 2 * np.pi) < 0.5, axis=0)  # no joint moves a turn, or 6 m, between two samples
     if not wraps.any():
         return samples
-    turned = tuple(joint for joint, wrap in zip(source.joints, wraps, strict=True) if wrap)
-    notes.append(Finding(F.UNWRAPPED, turned))
+    notes.append(Finding(F.UNWRAPPED, tuple(compress(samples.joints, wraps))))
 
     def unwrapped() -> Iterator[np.ndarray]:
         turns = np.zeros(len(wraps))  # as far as the sample before
@@ -185,28 +163,115 @@ def _unwrapped(samples: Samples, notes: list[Finding]) -> Samples:
     return replace(samples, position=stored_like(position, unwrapped()))
 
 
-def _refuse_late(samples: Samples, clock: Clock) -> None:
-    """Refuse a time column that freezes or jumps, so that a regular clock drifts far from it."""
-    if clock.late > max(LATEST, 3 * clock.period):
-        raise GtauError(
-            f"{samples.source.name}, column '{samples.source.columns[-1]}': by a regular clock of {clock.rate:.4g} Hz "
-            f"the time stamps are up to {clock.late:.3g} s late, so they freeze or jump; correct the column"
-            ", or give the rate instead (time: {rate: HZ})."
-        )
-
-
 def _refuse_rates(samples: Samples, clock: Clock) -> None:
-    if not LEAST_RATE <= clock.rate <= LARGEST_RATE:
-        column = samples.source.columns[-1]
-        finer = (unit for unit, factor in FINER.items() if LEAST_RATE <= clock.rate * factor <= LARGEST_RATE)
-        repair = (
-            "write the controller's rate in Hz under signals.time"
-            if column == "rate"
-            else f"give the unit of that column (units: {{time: {' or '.join(finer) or 's'}}}, for all logs; convert "
-            "one that differs from the others)"
-        )
-        raise GtauError(
-            f"by its '{column}' it is sampled at {clock.rate:.3g} Hz (steps of "
-            f"{clock.period:.3g} s), which is not a plausible sampling rate; {repair}.",
-            source=samples.source.name,
-        )
+    if LEAST_RATE <= clock.rate <= LARGEST_RATE:
+        return
+    column = samples.columns[-1]
+    finer = (unit for unit, factor in FINER.items() if LEAST_RATE <= clock.rate * factor <= LARGEST_RATE)
+    repair = (
+        "write the controller's rate in Hz under signals.time"
+        if column == "rate"
+        else f"give the unit of that column (units: {{time: {' or '.join(finer) or 's'}}}, for all logs; convert one "
+        "that differs from the others)"
+    )
+    raise GtauError(
+        f"by its '{column}' it is sampled at {clock.rate:.3g} Hz (steps of {clock.period:.3g} s), which is not a "
+        f"plausible sampling rate; {repair}.",
+        source=samples.name,
+    )
+
+
+REVERSING = 1.5  # travel of a joint over its range; a motion in one direction has 1
+NEAR_ZERO = 0.02  # smallest over largest magnitude; no joint of nine robots is unsigned in 23 shared logs
+TOUCHING = 0.5  # of the joints: others hold against gravity
+UNSIGNED = (
+    "never negative although joints reverse, so the columns hold magnitudes; log signed values (some drives store the "
+    "sign in a separate bit or column)"
+)
+
+
+def _refuse_magnitudes(samples: Samples) -> None:
+    """Refuse commands without sign: of joints that move and reverse none is ever negative, half come near zero.
+
+    A joint that holds against gravity may need one sign only, but it then stays away from zero; not all joints do.
+    """
+    n = len(samples.joints)
+    low, high = (ends[:n] for ends in extremes(samples.command))
+    steps = [np.abs(np.diff(part, axis=0)).sum(axis=0) for part in blocks(samples.position, before=1)]
+    first, last = extremes(samples.position)
+    acting = (high > low) & (last > first)
+    reversing = np.sum(steps, axis=0) > REVERSING * (last - first)
+    unsigned, touching = ((low >= 0) & reversing)[acting], (low <= NEAR_ZERO * high)[acting]
+    if acting.any() and unsigned.all() and touching.mean() >= TOUCHING:
+        raise GtauError(f"its commands are {UNSIGNED}.", source=samples.name)
+
+
+def whole_numbers(command: np.ndarray, joints: int) -> float:
+    """Compute the share of the commands (N, c) of the first ``joints`` that are whole numbers."""
+    parts = (part[:, :joints] for part in blocks(command))
+    return sum(int(np.sum(part == np.round(part))) for part in parts) / (len(command) * joints)
+
+
+CLIPPED_RUN = 3  # samples in a row at the extreme value
+PILE_UP = 5.0  # times as many samples at the extreme value as at the one next to it
+MAX_CLIPPED = 0.1
+
+
+def _clipped(samples: Samples, notes: list[Finding]) -> list[tuple[int, float]]:
+    """Find joints whose commands saturate while they move, as at a drive limit, with the levels.
+
+    Raises GtauError where more than a tenth of the samples are clipped, or a command has no sign.
+    """
+    count, clips = len(samples.time), []
+    low, high = extremes(samples.command)
+    for j, channel in enumerate(samples.channels):
+        if low[j] == high[j] or not channel.kind.of_joint:
+            continue
+        what = f"the {channel.kind.name} of joint '{channel.joint}'"
+        for level in (float(high[j]), float(low[j])):
+            at, beside = _counts_at(samples.command, j, level)
+            if at < max(CLIPPED_RUN, PILE_UP * beside) or _longest_at(samples, j, channel.row, level) < CLIPPED_RUN:
+                continue
+            if at > MAX_CLIPPED * count and level == low[j] == 0.0:
+                raise GtauError(f"{what} is {UNSIGNED}.", source=samples.name)
+            if at > MAX_CLIPPED * count:
+                raise GtauError(
+                    f"{what} is clipped at {level:.4g} in {at} of {count} samples; record it again "
+                    f"with slower motions or a higher limit of the drive.",
+                    source=samples.name,
+                )
+            values = {"signal": channel.kind.name, "level": level, "samples": at}
+            notes.append(Finding(F.CLIPPED, (channel.joint,), values=values, share=at / count))
+            clips.append((j, level))
+    return clips
+
+
+def _counts_at(command: np.ndarray, j: int, level: float) -> tuple[int, int]:
+    """Count samples at an extreme value, and at the one next to it."""
+    at, beside, nearest = 0, 0, np.inf
+    for part in blocks(command):
+        away = np.abs(part[:, j] - level)
+        at += int(np.count_nonzero(away == 0))
+        least = away.min(where=away > 0, initial=np.inf)
+        if least < nearest:
+            nearest, beside = least, 0
+        beside += int(np.count_nonzero(away == nearest))
+    return at, beside
+
+
+def _longest_at(samples: Samples, j: int, mover: int, level: float) -> int:
+    """Find the longest run of samples in which joint j moves and its command stays at ``level``."""
+    position, command, count = samples.position, samples.command, len(samples.time)
+    steps = [np.sum(np.diff(part[:, mover]) ** 2) for part in blocks(position, before=1)]
+    least = 0.05 * np.sqrt(sum(steps) / count)
+    longest = now = 0
+    for start, stop in spans(count, before=1):
+        speed = np.abs(np.diff(block(position, start, stop)[:, mover]))
+        at = (block(command, start, stop)[1:, j] == level) & (speed > least)
+        edges = np.flatnonzero(np.diff(np.r_[False, at, False]))
+        runs = edges[1::2] - edges[::2]
+        if runs.size and edges[0] == 0:
+            runs[0] += now
+        longest = max(longest, int(runs.max(initial=0)))
+        now = int(runs[-1]) if runs.size and at[-1] else 0
+    return longest

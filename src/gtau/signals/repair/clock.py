@@ -39,17 +39,15 @@ class Clock:
     """Sampling instants of a log, s.
 
     The ``period`` is that of a regular clock, or the mean step. ``regular``: instants are its multiples, by which the
-    time column is corrected; otherwise they are the stamps. There are ``count`` samples of that period from the
-    ``start``, the instant of the first sample, to the last one. Steps above ``longest_step`` miss samples. A regular
-    clock has ``gaps``, pairs of a sample and the number missing before it (-1 where it repeats the previous one), and
-    its stamps are up to ``late`` late relative to the earliest; 0 if only rounded. ``packets``: samples came in packets
-    with the same stamps, or nearly so.
+    time column is corrected; otherwise they are the stamps. ``start`` is the instant of the first sample. Steps above
+    ``longest_step`` miss samples. A regular clock has ``gaps``, pairs of a sample and the number missing before it (-1
+    where it repeats the previous one), and its stamps are up to ``late`` late relative to the earliest; 0 if only
+    rounded. ``packets``: samples came in packets with the same stamps, or nearly so.
     """
 
     period: float
     regular: bool
     start: float
-    count: int
     longest_step: float
     gaps: tuple[tuple[int, int], ...] = ()
     late: float = 0.0
@@ -59,6 +57,11 @@ class Clock:
     def rate(self) -> float:
         """Sampling rate, Hz."""
         return 1 / self.period
+
+    @property
+    def missing(self) -> int:
+        """Number of missing samples."""
+        return sum(missing for _, missing in self.gaps)
 
     def time(self, first: int, stop: int) -> np.ndarray:
         """Compute times of samples, s, from their numbers."""
@@ -116,7 +119,6 @@ def clock_of(time: np.ndarray, position: np.ndarray, given: Literal["stamps", "r
         period=period,
         regular=False,
         start=float(time[0]),
-        count=int((time[-1] - time[0]) / period * (1 + 1e-12)) + 1,
         longest_step=1.5 * max(period, float(np.quantile(steps, 0.95))),
     )
     if given == "stamps" or _roughness(time, position, regular) > _roughness(time, position, stamps) / SMOOTHER:
@@ -126,7 +128,8 @@ def clock_of(time: np.ndarray, position: np.ndarray, given: Literal["stamps", "r
 
 def _regular(time: np.ndarray, position: np.ndarray, steps: np.ndarray) -> tuple[Clock, bool]:
     """Find the regular clock closest to the stamps, and decide whether these are straight, up to their rounding."""
-    mean = _mean_step(steps)
+    pause = 5 * np.quantile(steps, 0.99)  # as long as five steps, of all but one in a hundred
+    mean = float(np.mean(steps[steps <= pause] if pause > 0 else steps))
     packets = bool(np.mean(steps < 0.1 * mean) > PACKET)
     usual = float(mean if packets else np.median(steps))
     for _ in range(PASSES):  # the median step of late stamps is not the period
@@ -151,19 +154,12 @@ def _regular(time: np.ndarray, position: np.ndarray, steps: np.ndarray) -> tuple
         period=period,
         regular=True,
         start=float(time[0]) if straight else float(time[0]) + offset,
-        count=len(time) + sum(missing for _, missing in gaps),
         longest_step=1.5 * period,
         gaps=gaps,
         late=0.0 if straight else late,
         packets=packets,
     )
     return clock, straight
-
-
-def _mean_step(steps: np.ndarray) -> float:
-    """Average the steps without pauses, which are five times as long as all but one in a hundred."""
-    pause = 5 * np.quantile(steps, 0.99)
-    return float(np.mean(steps[steps <= pause] if pause > 0 else steps))
 
 
 def _line(time: np.ndarray, usual: float, gaps: tuple[tuple[int, int], ...]) -> tuple[float, float, float, bool]:
@@ -183,18 +179,13 @@ def _line(time: np.ndarray, usual: float, gaps: tuple[tuple[int, int], ...]) -> 
         low, high = min(low, float(off.min())), max(high, float(off.max()))
         scaled = elapsed * DECIMALS[:, None]
         resolution = np.maximum(resolution, np.abs(scaled - np.round(scaled)).max(axis=1))
-    rounded = max(-low, high) <= max(1e-3 * period, min(_last_decimal(resolution), 0.5 * period))
+    # A microsecond where the last decimal is finer, which no motion notices: a clock that counts from 1970 is right to
+    # 2e-7 s in a float.
+    exact = np.flatnonzero(resolution < 0.03)
+    decimal = 1 / float(DECIMALS[exact[0]]) if exact.size else 1e-6
+    rounded = max(-low, high) <= max(1e-3 * period, min(decimal, 0.5 * period))
     # The earliest stamps are the least late ones: the clock is shifted to them.
     return period, offset if rounded else offset + low, high - low, rounded
-
-
-def _last_decimal(off: np.ndarray) -> float:
-    """Find the last decimal of a time column, s; a microsecond where it is finer, which no motion notices.
-
-    A clock that counts from 1970 is right to 2e-7 s in a float.
-    """
-    exact = np.flatnonzero(off < 0.03)
-    return 1 / float(DECIMALS[exact[0]]) if exact.size else 1e-6
 
 
 def _roughness(time: np.ndarray, position: np.ndarray, clock: Clock) -> float:
@@ -204,7 +195,7 @@ def _roughness(time: np.ndarray, position: np.ndarray, clock: Clock) -> float:
     """
     off, speeds = [], []
     for start, stop in parts_of(len(time)):
-        instants = np.asarray(clock.instants(block(time, start, stop), start))
+        instants = clock.instants(block(time, start, stop), start)
         positions = block(position, start, stop)
         off.append(np.abs(cubic_residuals(instants, positions, clock.period)))
         speeds.append(np.abs(positions[4:] - positions[:-4]))
@@ -219,8 +210,7 @@ def _roughness(time: np.ndarray, position: np.ndarray, clock: Clock) -> float:
 
 def sampled_steps(time: np.ndarray) -> np.ndarray:
     """Compute steps of the time column, of a long one in parts spread over it."""
-    parts = parts_of(len(time))
-    return np.concatenate([np.diff(block(time, *part)) for part in parts])
+    return np.concatenate([np.diff(block(time, *part)) for part in parts_of(len(time))])
 
 
 def parts_of(samples: int) -> list[tuple[int, int]]:
@@ -241,9 +231,11 @@ def find_gaps(
     missing sample moves all stamps behind it. So a step is a gap by as much as the stamps around it are apart. Without
     positions they count everywhere.
     """
-    scatter, size, around = _scatter(time, usual), 1, 1
-    if packets:
-        size = _packet(time, usual)
+    step, size, around = sampled_steps(time) / usual, 1, 1
+    # Standard deviation of the stamps around a regular clock, in steps, from their differences.
+    scatter = float(np.median(np.abs(step - np.median(step))) / 0.6745 / np.sqrt(2))
+    if packets and len(edges := np.flatnonzero(step > LATE)) > 2:
+        size = int(np.median(np.diff(edges)))
     if packets or scatter > 0.01:
         # The median of as many stamps on either side is then known to a fifth of a step, three times in a hundred.
         around = int(min(max(np.ceil(150 * scatter**2), FEWEST_AROUND, 3 * size), MOST_AROUND))
@@ -294,18 +286,6 @@ def _steps_by_motion(position: np.ndarray, noise: np.ndarray) -> np.ndarray:
         steps = ((moved / noise) * (usual / noise)).sum(axis=1) / speed
     clear = (speed > CLEAR**2) & (steps < LONGEST_BY_MOTION)
     return np.asarray(np.where(clear, np.maximum(np.round(steps), 0.0), np.nan))
-
-
-def _scatter(time: np.ndarray, usual: float) -> float:
-    """Estimate the standard deviation of the stamps around a regular clock, in steps, from their differences."""
-    steps = sampled_steps(time) / usual
-    return float(np.median(np.abs(steps - np.median(steps))) / 0.6745 / np.sqrt(2))
-
-
-def _packet(time: np.ndarray, usual: float) -> int:
-    """Estimate the typical number of samples per packet."""
-    edges = np.flatnonzero(sampled_steps(time) > LATE * usual)
-    return int(np.median(np.diff(edges))) if len(edges) > 2 else 1
 
 
 def cubic_residuals(instants: np.ndarray, position: np.ndarray, period: float) -> np.ndarray:

@@ -1,9 +1,10 @@
-"""Faults of logged signals: outliers and jumps of positions, frozen encoders, commands clipped at a limit."""
+"""Faults of logged positions: outliers, jumps, frozen encoders."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from gtau.findings import FindingKind as F
 from gtau.signals.reading.samples import Samples, extremes
 from gtau.signals.repair.clock import REACH, WHITE, cubic_residuals
 from gtau.signals.repair.resampling import FROZEN, MISSING_STEP, Held
-from gtau.signals.storage import block, blocks, spans, stored_like, stride_of
+from gtau.signals.storage import block, spans, stored_like, stride_of
 
 WIDEST = 3  # samples; positions that stay away longer are a slip, which is refused
 NEIGHBOURS = 6  # samples nearest to them, through which a cubic is fitted
@@ -43,16 +44,11 @@ SLIP_RANGE = 1e-3  # and of its range; a jump of 2e-4 rad in a log of an xMate7 
 FROZEN_TIME, FROZEN_QUANTA, FROZEN_SPEED, FROZEN_CURRENT = 0.1, 10.0, 0.15, 0.1
 
 
-@dataclass(frozen=True)
-class Glitch:
-    """Outlier at a ``sample`` (number in the log) of a ``joint`` (by number), with the ``value`` expected there."""
-
-    sample: int
-    joint: int
-    value: float
+Glitches = Mapping[tuple[int, int], float]
+"""Positions expected in place of outliers, by the numbers of sample and joint."""
 
 
-def find_glitches(samples: Samples, instants: np.ndarray, held: Held) -> tuple[Glitch, ...]:
+def find_glitches(samples: Samples, instants: np.ndarray, held: Held) -> Glitches:
     """Find position outliers between mutually consistent neighbours, in two passes.
 
     Angles are unwrapped, ``instants`` (N,) are in s; samples that are stale by the sample-and-hold of the positions,
@@ -67,21 +63,20 @@ def find_glitches(samples: Samples, instants: np.ndarray, held: Held) -> tuple[G
             usual.append(off[mine[REACH:-REACH]][::stride].copy())  # a view would keep all of it
             steps.append(np.diff(time)[mine[1:]][::stride].copy())
     if not any(map(len, usual)):
-        return ()
+        return {}
     period = float(np.median(np.concatenate(steps)))
     scale = np.maximum(np.quantile(np.concatenate(usual), SHARE, axis=0) / WHITE, held.quanta)
-    glitches: list[Glitch] = []
+    glitches: dict[tuple[int, int], float] = {}
     for numbers, time, position, mine in _blocks(samples, instants, held):
         if len(numbers) < NEIGHBOURS + WIDEST:
             continue
         off = np.abs(cubic_residuals(time, position, period))
+        following = np.r_[numbers[1:], numbers[-1] + 1]
         for j, column in enumerate(position.T):
             for k, value in _of_joint(time, column, off[:, j], float(scale[j]), period):
-                if mine[k]:
-                    until = numbers[k + 1] if k + 1 < len(numbers) else numbers[k] + 1
-                    # Samples that repeat a glitch are as wrong.
-                    glitches += [Glitch(number, j, value) for number in range(int(numbers[k]), int(until))]
-    return tuple(sorted(glitches, key=lambda each: (each.sample, each.joint)))
+                if mine[k]:  # samples that repeat a glitch are as wrong
+                    glitches |= {(number, j): value for number in range(int(numbers[k]), int(following[k]))}
+    return dict(sorted(glitches.items()))
 
 
 def _blocks(
@@ -111,7 +106,7 @@ def _of_joint(
         for k in np.flatnonzero(excess >= SCALES).tolist():
             outliers.append((float(clarity[k]), int(first[k]), values[k]))
     chosen: dict[int, float] = {}
-    for _, at, value in sorted(outliers, key=lambda each: -each[0]):
+    for _, at, value in sorted(outliers, key=lambda outlier: -outlier[0]):
         samples = range(at, at + len(value))
         if not chosen.keys() & set(samples):
             chosen |= dict(zip(samples, value.tolist(), strict=True))
@@ -154,35 +149,30 @@ def _judge(
     return excess, distance / np.maximum(misfit, 1e-3 * scale), values
 
 
-def without_glitches(samples: Samples, glitches: Sequence[Glitch]) -> Samples:
+def without_glitches(samples: Samples, glitches: Glitches) -> Samples:
     """Replace glitches by the expected values, as up to three missing samples are interpolated."""
-    if not glitches:
-        return samples
 
     def parts() -> Iterator[np.ndarray]:
         for start, stop in spans(len(samples.position)):
             part = block(samples.position, start, stop)
-            for glitch in glitches:
-                if start <= glitch.sample < stop:
-                    part[glitch.sample - start, glitch.joint] = glitch.value
+            for (sample, joint), value in glitches.items():
+                if start <= sample < stop:
+                    part[sample - start, joint] = value
             yield part
 
     return replace(samples, position=stored_like(samples.position, parts()))
 
 
-def glitch_note(samples: Samples, glitches: Sequence[Glitch]) -> Finding:
+def glitch_note(samples: Samples, glitches: Glitches) -> Finding:
     """Report number and joints of the glitches, and the first one; ``samples`` still hold them."""
-    names, first = samples.source.joints, glitches[0]
-    counts = [
-        (names[j], sum(glitch.joint == j for glitch in glitches)) for j in sorted({glitch.joint for glitch in glitches})
-    ]
-    logged, place = float(samples.position[first.sample, first.joint]), samples.place(first.sample)
-    values = {"counts": counts, "first": names[first.joint], "place": place}
+    names, ((sample, j), value) = samples.joints, next(iter(glitches.items()))
+    counts = Counter(names[joint] for joint in sorted(joint for _, joint in glitches))
+    values = {"counts": list(counts.items()), "first": names[j], "place": samples.place(sample)}
     return Finding(
         F.OUTLIERS,
-        tuple(joint for joint, _ in counts),
-        values={**values, "logged": logged, "instead": float(first.value)},
-        time=float(samples.time[first.sample]),
+        tuple(counts),
+        values={**values, "logged": float(samples.position[sample, j]), "instead": value},
+        time=float(samples.time[sample]),
         share=len(glitches) / len(samples.time),
     )
 
@@ -192,8 +182,7 @@ def refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:
 
     The catch-up after a stale position is no jump.
     """
-    source, n = samples.source, len(samples.source.joints)
-    stride = stride_of(len(samples.time))
+    n, stride = len(samples.joints), stride_of(len(samples.time))
     usual: list[np.ndarray] = []
     fast: list[np.ndarray] = []
     largest, places, jumps = np.zeros(n), np.zeros(n, dtype=int), np.zeros(n)
@@ -204,7 +193,10 @@ def refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:
         step = np.diff(time)
         median = np.median(step[step > 0]) if median is None else median
         # Stamps that are the same, of a sample that repeats another, are no step.
-        moving = _moving(time, position, held.fresh(position))
+        moving, fresh = position, held.fresh(position)
+        if not fresh.all():
+            columns = position[fresh].T
+            moving = np.column_stack([np.interp(time, time[fresh], column) for column in columns])
         speed = np.diff(moving, axis=0) / np.maximum(step, 0.1 * median)[:, None]
         fast.append(np.abs(speed[max(start - 1, 0) - begin :: stride]))
         if len(step) < 7:
@@ -225,16 +217,16 @@ def refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:
     usually, speeds = (np.quantile(np.concatenate(parts), 0.999, axis=0) for parts in (usual, fast))
     for j in np.flatnonzero(speeds > LARGEST_SPEED).tolist():
         raise GtauError(
-            f"joint '{source.joints[j]}' moves at {speeds[j]:.2g} (rad or m)/s, faster than any joint; "
+            f"joint '{samples.joints[j]}' moves at {speeds[j]:.2g} (rad or m)/s, faster than any joint; "
             "give the units of its position and of the time (units: {position: ..., time: ...}).",
-            source=source.name,
+            source=samples.name,
         )
     low, high = extremes(samples.position)
-    far = np.abs(jumps) > np.maximum(SLIP_RANGE * (high - low), SLIP_QUANTA * np.array(held.quanta))
+    far = np.abs(jumps) > np.maximum(SLIP_RANGE * (high - low), SLIP_QUANTA * held.quanta)
     for j in np.flatnonzero((largest > SLIP * usually) & (largest > SLIP_SPEED * speeds) & far).tolist():
         k = int(places[j])
         raise GtauError(
-            f"{source.name}, {samples.place(k)}: the position of joint '{source.joints[j]}' jumps by "
+            f"{samples.name}, {samples.place(k)}: the position of joint '{samples.joints[j]}' jumps by "
             f"{jumps[j]:.3g} (rad or m) at {samples.time[k]:.9g} s, which is not a motion; check "
             "the coupling and the counter of its encoder, or cut the log there into two runs."
         )
@@ -246,7 +238,7 @@ def refuse_frozen(samples: Samples, instants: np.ndarray, held: Held) -> None:
     A joint that comes to rest slows down, so its last step is small: refused is one that is constant to the last digit
     after or before a step of its usual size.
     """
-    source, n, count = samples.source, len(samples.source.joints), len(samples.time)
+    n, count = len(samples.joints), len(samples.time)
     stride, fast, usual = stride_of(count), [], []
     since, into = np.zeros(n, dtype=int), np.zeros(n)  # the first sample of the present value, and the step to it
     edges, spells = np.zeros(n), np.zeros((n, 2), dtype=int)
@@ -265,16 +257,16 @@ def refuse_frozen(samples: Samples, instants: np.ndarray, held: Held) -> None:
                 edges[j], spells[j] = edge[k], (begin[k], end[k])
             since[j], into[j] = begin[-1], np.r_[into[j], sizes][-1]
     speeds, changes = (np.quantile(np.concatenate(parts), 0.999, axis=0) for parts in (fast, usual))
-    sudden = (edges > FROZEN_QUANTA * np.array(held.quanta)) & (edges > FROZEN_SPEED * speeds) & (edges > changes)
+    sudden = (edges > FROZEN_QUANTA * held.quanta) & (edges > FROZEN_SPEED * speeds) & (edges > changes)
     for j in np.flatnonzero(sudden).tolist():
         begin, end = spells[j].tolist()
         lasts = float(instants[end - 1] - instants[begin])
         if lasts > FROZEN_TIME and _std(samples, j, begin, end) > FROZEN_CURRENT * _std(samples, j, 0, count):
             raise GtauError(
-                f"{source.name}, {samples.place(begin)}: the position of joint '{source.joints[j]}' stays at "
+                f"{samples.name}, {samples.place(begin)}: the position of joint '{samples.joints[j]}' stays at "
                 f"{samples.position[begin, j]:.6g} (rad or m) for {lasts:.3g} s from {samples.time[begin]:.9g} s, "
                 f"with a step of {edges[j]:.2g} (rad or m) between two samples, while its "
-                f"{source.channels[j].kind.name} varies: its encoder was not read; log again, or leave out that part "
+                f"{samples.channels[j].kind.name} varies: its encoder was not read; log again, or leave out that part "
                 "('from' and 'to' of the run)."
             )
 
@@ -286,113 +278,3 @@ def _std(samples: Samples, j: int, begin: int, end: int) -> float:
         off = block(samples.command, begin + start, begin + stop)[:, j] - origin
         total, squares = total + float(off.sum()), squares + float(off @ off)
     return float(np.sqrt(max(squares / (end - begin) - (total / (end - begin)) ** 2, 0.0)))
-
-
-def _moving(time: np.ndarray, position: np.ndarray, fresh: np.ndarray) -> np.ndarray:
-    """Interpolate the positions (M, n) that are not fresh."""
-    if fresh.all():
-        return position
-    return np.column_stack([np.interp(time, time[fresh], column[fresh]) for column in position.T])
-
-
-REVERSING = 1.5  # travel of a joint over its range; a motion in one direction has 1
-NEAR_ZERO = 0.02  # smallest over largest magnitude; no joint of nine robots is unsigned in 23 shared logs
-TOUCHING = 0.5  # of the joints: others hold against gravity
-UNSIGNED = (
-    "never negative although joints reverse, so the columns hold magnitudes; log signed values (some drives store the "
-    "sign in a separate bit or column)"
-)
-
-
-def refuse_magnitudes(samples: Samples) -> None:
-    """Refuse commands without sign: of joints that move and reverse none is ever negative, half come near zero.
-
-    A joint that holds against gravity may need one sign only, but it then stays away from zero; not all joints do.
-    """
-    source, n = samples.source, len(samples.source.joints)
-    low, high = (ends[:n] for ends in extremes(samples.command))
-    steps = [np.abs(np.diff(part, axis=0)).sum(axis=0) for part in blocks(samples.position, before=1)]
-    first, last = extremes(samples.position)
-    acting = (high > low) & (last > first)
-    reversing = np.sum(steps, axis=0) > REVERSING * (last - first)
-    unsigned, touching = ((low >= 0) & reversing)[acting], (low <= NEAR_ZERO * high)[acting]
-    if acting.any() and unsigned.all() and touching.mean() >= TOUCHING:
-        raise GtauError(f"its commands are {UNSIGNED}.", source=source.name)
-
-
-def whole_numbers(command: np.ndarray, joints: int) -> float:
-    """Compute the share of the commands (N, c) of the first ``joints`` that are whole numbers."""
-    parts = (part[:, :joints] for part in blocks(command))
-    return sum(int(np.sum(part == np.round(part))) for part in parts) / (len(command) * joints)
-
-
-CLIPPED_RUN = 3  # samples in a row at the extreme value
-PILE_UP = 5.0  # times as many samples at the extreme value as at the one next to it
-MAX_CLIPPED = 0.1
-
-
-def clipped(samples: Samples, notes: list[Finding]) -> list[tuple[int, float]]:
-    """Find joints whose commands saturate while they move, as at a drive limit, with the levels.
-
-    Raises GtauError where more than a tenth of the samples are clipped, or a command has no sign.
-    """
-    source, count = samples.source, len(samples.time)
-    clips = []
-    low, high = extremes(samples.command)
-    for j, channel in enumerate(source.channels):
-        if low[j] == high[j] or not channel.kind.of_joint:
-            continue
-        what = f"the {channel.kind.name} of joint '{channel.joint}'"
-        for level in (float(high[j]), float(low[j])):
-            at = _count_at(samples.command, j, level)
-            if at < CLIPPED_RUN or at < PILE_UP * _count_beside(samples.command, j, level):
-                continue
-            if _longest_at(samples, j, channel.row, level) < CLIPPED_RUN:
-                continue
-            if at > MAX_CLIPPED * count and level == low[j] == 0.0:
-                raise GtauError(f"{what} is {UNSIGNED}.", source=source.name)
-            if at > MAX_CLIPPED * count:
-                raise GtauError(
-                    f"{what} is clipped at {level:.4g} in {at} of {count} samples; record it again "
-                    f"with slower motions or a higher limit of the drive.",
-                    source=source.name,
-                )
-            values = {"signal": channel.kind.name, "level": level, "samples": at}
-            notes.append(Finding(F.CLIPPED, (channel.joint,), values=values, share=at / count))
-            clips.append((j, level))
-    return clips
-
-
-def _count_at(command: np.ndarray, j: int, level: float) -> int:
-    return sum(int(np.count_nonzero(part[:, j] == level)) for part in blocks(command))
-
-
-def _count_beside(command: np.ndarray, j: int, level: float) -> int:
-    """Count samples at the value next to an extreme one."""
-    nearest, count = np.inf, 0
-    for part in blocks(command):
-        away = np.abs(part[:, j] - level)
-        away = away[away > 0]
-        least = away.min(initial=np.inf)
-        if least < nearest:
-            nearest, count = least, 0
-        count += int(np.count_nonzero(away == nearest))
-    return count
-
-
-def _longest_at(samples: Samples, j: int, mover: int, level: float) -> int:
-    """Find the longest run of samples in which joint j moves and its command stays at ``level``."""
-    position, command, count = samples.position, samples.command, len(samples.time)
-    steps = [np.sum(np.diff(part[:, mover]) ** 2) for part in blocks(position, before=1)]
-    least = 0.05 * np.sqrt(sum(steps) / count)
-    longest = now = 0
-    for start, stop in spans(count, before=1):
-        speed = np.abs(np.diff(block(position, start, stop)[:, mover]))
-        at = (block(command, start, stop)[1:, j] == level) & (speed > least)
-        edges = np.flatnonzero(np.diff(np.r_[False, at, False]))
-        runs = edges[1::2] - edges[::2]
-        if runs.size and edges[0] == 0:
-            runs[0] += now
-        longest = max(longest, int(runs.max(initial=0)))
-        now = int(runs[-1]) if runs.size and at[-1] else 0
-    return longest

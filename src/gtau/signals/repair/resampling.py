@@ -5,7 +5,7 @@ Signals logged faster than they are updated contain repeated values, which are n
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 
@@ -34,6 +34,7 @@ MISSING_STEP = 1.5  # mean steps; longer steps have lost a sample
 # samples, the fastest that logs should hold, and by 4e-4 of one of thirty.
 BRIDGED = 3
 MAX_BRIDGED = 0.3  # part of a log that may be missing in such steps
+POSITIONS = "positions"  # beside the groups of channels
 SURROUNDINGS = 64  # samples to either side that a spline is made from: what lies beyond acts by less than 1e-19
 
 Clips = Sequence[tuple[int, float]]
@@ -44,16 +45,13 @@ Clips = Sequence[tuple[int, float]]
 class Held:
     """Sample-and-hold of a group of columns: of the positions, or of channels that a log updates together.
 
-    ``what`` names the group, and ``columns`` are those of the positions or of the channels. ``period`` is the usual
-    number of samples from one value to the next, 1 where it is updated with every one.
+    ``period`` is the usual number of samples from one value to the next, 1 where it is updated with every one.
     ``quanta`` (n,) are the columns' smallest changes. ``stale`` counts the samples that repeat the one before, 0 where
     noise and reversals explain all repeated values, so that all samples are new.
     """
 
-    what: str
-    columns: slice
     period: int
-    quanta: tuple[float, ...]
+    quanta: np.ndarray
     stale: int
 
     @property
@@ -85,44 +83,47 @@ class Held:
             fresh[start + 1 : start + count] = False
         return fresh
 
-    def note(self, count: int, rate: float) -> Finding:
-        """Report the stale samples of a log of ``count`` samples at ``rate`` Hz."""
-        if self.period > 1:
-            return Finding(F.HELD, values={"signal": self.what, "rate": rate / self.period, "period": self.period})
-        return Finding(F.STALE, values={"signal": self.what, "stale": self.stale}, share=self.stale / count)
+
+Holds = Mapping[str, Held]
+"""Sample-and-hold of the ``positions``, and of each group of channels by its name."""
 
 
-def holds_of(samples: Samples) -> tuple[Held, ...]:
-    """Detect sample-and-hold of the positions, and then of each group of channels, in three passes."""
-    holds, start = [_held("positions", samples.position, slice(None))], 0
-    for group, channels in groupby(samples.source.channels, lambda channel: channel.kind.group):
+def holds_of(samples: Samples) -> Holds:
+    """Detect sample-and-hold of the positions and of each group of channels, in three passes."""
+    groups = {group: _held(samples.command, columns) for group, columns in _groups(samples)}
+    return {POSITIONS: _held(samples.position, slice(None)), **groups}
+
+
+def _groups(samples: Samples) -> Iterator[tuple[str, slice]]:
+    """List the groups of channels with their columns."""
+    start = 0
+    for group, channels in groupby(samples.channels, lambda channel: channel.kind.group):
         stop = start + len(list(channels))
-        holds.append(_held(group, samples.command, slice(start, stop)))
+        yield group, slice(start, stop)
         start = stop
-    return tuple(holds)
 
 
-def _held(what: str, array: np.ndarray, columns: slice) -> Held:
+def _held(array: np.ndarray, columns: slice) -> Held:
     """Detect sample-and-hold of a group's columns (N, n), and count its stale samples."""
     n = len(range(array.shape[1])[columns])
     smallest = np.full(n, np.inf)
     for part in blocks(array, before=1):
         change = np.abs(np.diff(part[:, columns], axis=0))
-        smallest = np.minimum(smallest, np.min(np.where(change > 0, change, np.inf), axis=0, initial=np.inf))
+        smallest = np.minimum(smallest, np.min(change, axis=0, where=change > 0, initial=np.inf))
     quanta = np.where(np.isfinite(smallest), smallest, 1.0)
-    lengths = np.zeros(LONGEST + 1, dtype=int)  # how many runs of equal samples before a jump there are of each length
+    lengths = np.zeros(LONGEST + 2, dtype=int)  # how many runs of equal samples before a jump there are of each length
     run, near = 1, 0
     for part in blocks(array, before=1):
         change = np.max(np.abs(np.diff(part[:, columns], axis=0)) / quanta, axis=1, initial=0.0)
         near += int(((change[:-1] > 0) & (change[:-1] < 1.5) & (change[1:] >= JUMP)).sum())
         ends = np.flatnonzero(change)
-        if ends.size:
-            runs = np.diff(ends, prepend=-run)[change[ends] >= JUMP]
-            lengths += np.bincount(np.minimum(runs, LONGEST + 1), minlength=LONGEST + 2)[: LONGEST + 1]
-            run = len(change) - int(ends[-1])
-        else:
+        if not ends.size:
             run += len(change)
-    held = Held(what, columns, _period(lengths), tuple(quanta.tolist()), stale=len(array))
+            continue
+        runs = np.diff(ends, prepend=-run)[change[ends] >= JUMP]
+        lengths += np.bincount(np.minimum(runs, LONGEST + 1), minlength=len(lengths))
+        run = len(change) - int(ends[-1])
+    held = Held(_period(lengths[:-1]), quanta, stale=len(array))
     stale = sum(int((~held.fresh(part[:, columns])).sum()) for part in blocks(array, before=1))
     # Noise of some quanta repeats a sample as often as it steps by one quantum in each of the other 3^n - 1 directions.
     chance = 2 * near / (3.0**n - 1) + REPORTED * len(array)
@@ -140,36 +141,31 @@ def _period(lengths: np.ndarray) -> int:
 
 
 def uniform(
-    samples: Samples,
-    clock: Clock,
-    instants: np.ndarray,
-    holds: Sequence[Held],
-    clips: Clips,
-    notes: list[Finding],
-    given: bool = False,
+    samples: Samples, clock: Clock, instants: np.ndarray, holds: Holds, clips: Clips, notes: list[Finding], given: bool
 ) -> Samples:
     """Put samples taken at their ``instants`` onto the uniform grid of a clock that was ``given`` or found.
 
-    ``clips`` are channels with the levels at which they are clipped. The ``holds`` are those of the positions and of
-    the groups of channels; the channels say by how much they lag, which is compensated. Raises GtauError where a gap is
-    longer than 0.1 s and three steps, or too many samples are missing.
+    The channels say by how much they lag, which is compensated. Raises GtauError where a gap is longer than 0.1 s and
+    three steps, or too many samples are missing.
     """
-    source, period, count = samples.source, clock.period, clock.count
+    count, c = len(instants) + clock.missing, len(samples.channels)
     shortest, longest, before = clock.extreme_steps(samples.time)
-    if longest > max(MAX_GAP, 3 * period):
+    if longest > max(MAX_GAP, 3 * clock.period):
         raise GtauError(
-            f"{source.name}, {samples.place(before)}: {longest:.3g} s are missing after "
+            f"{samples.name}, {samples.place(before)}: {longest:.3g} s are missing after "
             f"{samples.time[before]:.9g} s; cut the log there into two runs (from: and to:)."
         )
-    time, c = store(clock.time(*span) for span in spans(count)), len(source.channels)
-    stale, delay = [held for held in holds if held.stale], max((channel.delay for channel in source.channels), key=abs)
-    if clock.regular and not (clock.gaps or stale or delay):  # the samples are on the grid already
+    time = store(clock.time(*span) for span in spans(count))
+    delay = max((channel.delay for channel in samples.channels), key=abs)
+    of_clock = _of_clock(clock, shortest, longest, given)
+    if clock.regular and not (clock.gaps or delay or any(held.stale for held in holds.values())):
+        # The samples are on the grid already.
         valid = store((unclipped(part, clips) for part in blocks(samples.command)), (c,), bool)
-        notes += _of_clock(clock, (shortest, longest), given)
-        return Samples(source, time, samples.position, samples.command, valid=valid)
-    stores, missing, masked = (Store((len(source.joints),)), Store((c,)), Store((c,), bool)), 0, 0
+        notes += of_clock
+        return replace(samples, time=time, valid=valid)
+    stores, missing, masked = (Store((len(samples.joints),)), Store((c,)), Store((c,), bool)), 0, 0
     for span in spans(count):
-        *arrays, lacking, hidden = resampled(samples, clock, instants, holds, clips, span)
+        *arrays, lacking, hidden = _resampled(samples, clock, instants, holds, clips, span)
         for rows, array in zip(stores, arrays, strict=True):
             rows.append(array)
         missing, masked = missing + int(lacking.sum()), masked + int((lacking & hidden).sum())
@@ -177,38 +173,38 @@ def uniform(
         what = "by stamps that come in packets, " if clock.packets else ""
         repair = ", or, where no sample is missing, give the rate instead (time: {rate: HZ})" if clock.regular else ""
         raise GtauError(
-            f"{source.name} lacks {missing} of {count} samples ({what}steps of {shortest * 1e3:.3g} to "
+            f"{samples.name} lacks {missing} of {count} samples ({what}steps of {shortest * 1e3:.3g} to "
             f"{longest * 1e3:.3g} ms); record it at a steady rate{repair}."
         )
     if missing:
         values = {"count": missing, "masked": masked, "bridged": BRIDGED}
         notes.append(Finding(F.MISSING, values=values, share=missing / count))
-    notes += _of_clock(clock, (shortest, longest), given)
-    notes += [held.note(count, clock.rate) for held in stale]
+    notes += of_clock
+    for signal, held in holds.items():
+        if held.period > 1:
+            rate = clock.rate / held.period
+            notes.append(Finding(F.HELD, values={"signal": signal, "rate": rate, "period": held.period}))
+        elif held.stale:
+            stale = {"signal": signal, "stale": held.stale}
+            notes.append(Finding(F.STALE, values=stale, share=held.stale / count))
     if delay:
         notes.append(Finding(F.MOVED_COMMANDS, values={"delay": delay * 1e3}))
     position, command, valid = (rows.array() for rows in stores)
-    return Samples(source, time, position, command, valid=valid)
+    return replace(samples, time=time, position=position, command=command, valid=valid)
 
 
-def _of_clock(clock: Clock, steps: tuple[float, float], given: bool) -> list[Finding]:
+def _of_clock(clock: Clock, shortest: float, longest: float, given: bool) -> list[Finding]:
     """List the notes on a clock that differs from the time column."""
-    of_clock = {"given": given, "hertz": clock.rate}
+    values = {"given": given, "hertz": clock.rate}
     if not clock.regular:
-        shortest, longest = steps
-        return [Finding(F.IRREGULAR, values={**of_clock, "shortest": shortest * 1e3, "longest": longest * 1e3})]
+        return [Finding(F.IRREGULAR, values={**values, "shortest": shortest * 1e3, "longest": longest * 1e3})]
     if not clock.late:
         return []
-    return [Finding(F.LATE_STAMPS, values={**of_clock, "late": clock.late * 1e3, "packets": clock.packets})]
+    return [Finding(F.LATE_STAMPS, values={**values, "late": clock.late * 1e3, "packets": clock.packets})]
 
 
-def resampled(
-    samples: Samples,
-    clock: Clock,
-    instants: np.ndarray,
-    holds: Sequence[Held],
-    clips: Clips,
-    span: tuple[int, int],
+def _resampled(
+    samples: Samples, clock: Clock, instants: np.ndarray, holds: Holds, clips: Clips, span: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Resample positions and commands (M, n) at the clock's samples; mark valid, missing and masked ones.
 
@@ -216,28 +212,24 @@ def resampled(
     """
     from scipy.interpolate import CubicSpline
 
-    positions, *groups = holds
     grid = clock.time(*span)
     begin, end = np.searchsorted(instants, grid[[0, -1]], side="right")
-    around = SURROUNDINGS + sum(held.longest for held in holds)
+    around = SURROUNDINGS + sum(held.longest for held in holds.values())
     begin, end = max(0, begin - around), end + around
     known, command = block(instants, begin, end), block(samples.command, begin, end)
     position = block(samples.position, begin, end)
     later = np.concatenate([[True], np.diff(known) > 0])
-    fresh = later & positions.fresh(position)
-    bridged = max(BRIDGED * clock.period, clock.longest_step, 1.5 * positions.period * clock.period)
+    fresh = later & holds[POSITIONS].fresh(position)
+    bridged = max(BRIDGED * clock.period, clock.longest_step, 1.5 * holds[POSITIONS].period * clock.period)
     lacking, masked = _gaps(known[later], grid, clock.longest_step), _gaps(known[fresh], grid, bridged)
+    # Lines for the commands: a spline would overshoot where the current is noisy.
+    values = np.empty((len(grid), command.shape[1]))
+    for group, columns in _groups(samples):
+        new = later & holds[group].fresh(command[:, columns])
+        for k in range(columns.start, columns.stop):
+            values[:, k] = np.interp(grid + samples.channels[k].delay, known[new], command[new, k])
     good = unclipped(command, clips)
     before = np.clip(np.searchsorted(known, grid, side="right") - 1, 0, len(known) - 2)
-    # Lines for the commands: a spline would overshoot where the current is noisy.
-    values = np.column_stack(
-        [
-            np.interp(grid + channel.delay, known[new], column)
-            for held in groups
-            for new in [later & held.fresh(command[:, held.columns])]
-            for channel, column in zip(samples.source.channels[held.columns], command[new, held.columns].T, strict=True)
-        ]
-    )
     valid = ~masked[:, None] & good[before] & good[before + 1]
     return CubicSpline(known[fresh], position[fresh])(grid), values, valid, lacking, masked
 

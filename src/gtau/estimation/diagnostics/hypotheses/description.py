@@ -21,7 +21,7 @@ from gtau.estimation.regression.plausibility import stated_rate
 from gtau.estimation.regression.rows import external_torques, instants
 from gtau.estimation.thresholds import Threshold
 from gtau.findings import Finding
-from gtau.robots.floating import WRENCH
+from gtau.robots.placement import WRENCH
 
 DEGREE, MILLIMETRE, PER_CENT = np.pi / 180, 1e-3, 1e-2
 STEP = 0.1  # of the unit: the torques' change is linear over this

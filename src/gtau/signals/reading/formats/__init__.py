@@ -25,45 +25,32 @@ WIDEST = 256  # columns of one array; a wider one is an image or a map, not sign
 ALL = range(1 << 62)  # rows
 
 
-@dataclass(frozen=True)
-class DataSet:
-    """What files beside a log say of it.
-
-    ``rate`` (Hz) at which its rows were recorded, ``labels`` of columns whose names do not say what they are, and the
-    rows of its ``episodes``, by their number, where there are several.
-    """
-
-    rate: float | None = None
-    labels: Mapping[str, str] = field(default_factory=dict)
-    episodes: Mapping[int, range] = field(default_factory=dict)
-
-
 @dataclass(frozen=True, eq=False)
 class Table:
     """Columns of a log, located but not yet read.
 
     ``frames`` reads columns by name, some rows of them: Polars frames, block by block, each with the fraction of the
-    log that is then read. Row 0 is in ``first_line`` of a text file, which begins at ``first_byte``; other logs have
-    rows, counted from 1. ``numbered``: the log has no header, and its columns are named by their number. ``notes``
-    report what the reader left out; ``unusable`` says of columns that hold no numbers what to do. ``texts`` holds, as
-    far as the log has been read, of every column with a value that is no number the first one as written.
+    log that is then read; a column that holds no numbers is refused there. Row 0 is in ``first_line`` of a text file;
+    other logs have rows, counted from 1. ``notes`` report what the reader left out. What files beside the log say of it
+    are the ``rate`` (Hz) of its rows, ``labels`` of columns whose names do not say what they are, and the rows of its
+    ``episodes``, by their number, where there are several. ``texts`` holds, as far as the log has been read, of every
+    column with a value that is no number the first one as written.
     """
 
     path: Path
     columns: tuple[str, ...]
     frames: Callable[[Sequence[str], range], Iterator[tuple[pl.DataFrame, float]]]
     first_line: int | None = None
-    first_byte: int = 0
-    numbered: bool = False
     notes: tuple[Finding, ...] = ()
-    unusable: Mapping[str, str] = field(default_factory=dict)
-    data_set: DataSet | None = None
+    rate: float | None = None
+    labels: Mapping[str, str] = field(default_factory=dict)
+    episodes: Mapping[int, range] = field(default_factory=dict)
     texts: dict[str, str] = field(default_factory=dict)
 
     @property
-    def episodes(self) -> Mapping[int, range]:
-        """Rows of each episode, where the log is of several."""
-        return self.data_set.episodes if self.data_set else {}
+    def numbered(self) -> bool:
+        """True where the log has no header, and its columns are named by their number."""
+        return self.columns == numbers(len(self.columns))
 
     def blocks(self, rows: range = ALL) -> Iterator[tuple[np.ndarray, float]]:
         """Read numbers (M, columns), nan where a value is missing or not a number, with the fraction read so far."""
@@ -71,7 +58,7 @@ class Table:
             for frame, done in self.frames(self.columns, rows):
                 values = np.empty((len(frame), len(self.columns)))
                 for k, name in enumerate(self.columns):
-                    values[:, k], text = _numbers(frame[:, k])
+                    values[:, k], text = _floats(frame[:, k])
                     if text is not None:
                         self.texts.setdefault(name, text)
                 yield values, done
@@ -82,16 +69,21 @@ class Table:
         return {name: values[:, k] for k, name in enumerate(self.columns)}
 
 
-def _numbers(series: pl.Series) -> tuple[np.ndarray, str | None]:
+def numbers(count: int) -> tuple[str, ...]:
+    """Name the columns of a log without header, from 1."""
+    return tuple(str(k + 1) for k in range(count))
+
+
+def _floats(series: pl.Series) -> tuple[np.ndarray, str | None]:
     """Read numbers of a column, nan for other entries, and the first non-numeric entry, if any."""
     import polars as pl
 
-    numbers = series.cast(pl.Float64, strict=False).to_numpy().astype(float)  # null becomes nan
-    bad = np.flatnonzero(~np.isfinite(numbers))
+    values = series.cast(pl.Float64, strict=False).to_numpy().astype(float)  # null becomes nan
+    bad = np.flatnonzero(~np.isfinite(values))
     if not bad.size:
-        return numbers, None
+        return values, None
     entry = series[int(bad[0])]
-    return numbers, "" if entry is None else str(entry)
+    return values, "" if entry is None else str(entry)
 
 
 @contextmanager

@@ -137,19 +137,17 @@ def _table(
     A two-dimensional array ``q`` of N samples by n gives the columns ``q[1]`` to ``q[n]``; what is wider than
     ``WIDEST``, of more axes or a single number is left out.
     """
-    places: dict[str, tuple[str, int | None, bool]] = {}  # column: array, its number in it, samples on the last axis
+    places: dict[str, tuple[str, tuple[int, ...], tuple[int, ...]]] = {}  # array, and what is before and after samples
     rows: dict[str, int] = {}
     for name, shape in shapes.items():
-        size = int(np.prod(shape))
-        if size < 2 or len(shape) not in (1, 2):
+        size, long = int(np.prod(shape)), max(shape, default=0)
+        if size < 2 or len(shape) > 2 or size > WIDEST * long:
             continue
-        long = max(shape)
-        if size == long:
-            places[name], rows[name] = (name, None, len(shape) == 2 and shape[1] == long), long
-        elif min(shape) <= WIDEST:
-            for k in range(min(shape)):
-                column = f"{name}[{k + 1}]"
-                places[column], rows[column] = (name, k, shape[1] == long), long
+        last = shape[-1] == long
+        for k in range(size // long):
+            column = name if size == long else f"{name}[{k + 1}]"
+            number = (k,) * (len(shape) - 1)
+            places[column], rows[column] = (name, number if last else (), () if last else number), long
 
     def frames(names: Sequence[str], wanted: range) -> Iterator[tuple[pl.DataFrame, float]]:
         import polars as pl
@@ -158,19 +156,13 @@ def _table(
         with readable(path, "a log"), load({places[name][0] for name in names}) as arrays:
             end = min(wanted.stop, count)
             for start in range(wanted.start, end, block_size()):
-                stop = min(start + block_size(), end)
-                frame = {name: _column(arrays, places[name], start, stop) for name in names}
+                stop, frame = min(start + block_size(), end), {}
+                for name in names:
+                    array, before, after = places[name]
+                    frame[name] = np.asarray(arrays[array][(*before, slice(start, stop), *after)], dtype=float)
                 yield pl.DataFrame(frame), stop / count
 
     return Table(path, tuple(places), frames)
-
-
-def _column(arrays: Mapping[str, Any], where: tuple[str, int | None, bool], start: int, stop: int) -> np.ndarray:
-    name, k, last = where
-    array = arrays[name]
-    span = slice(start, stop)
-    part = array[span] if array.ndim == 1 else array[k or 0, span] if last else array[span, k or 0]
-    return np.asarray(part, dtype=float)
 
 
 LOG_FORMATS = {".npz": open_npz, ".mat": open_mat, ".h5": open_hdf5, ".hdf5": open_hdf5}

@@ -10,20 +10,20 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from gtau.documents.files import in_order
 from gtau.errors import GtauError
-from gtau.signals.reading.formats import WIDEST, DataSet, Table
+from gtau.signals.reading.formats import WIDEST, Table
 from gtau.signals.storage import block_size
 
 if TYPE_CHECKING:
     import polars as pl
-from contextlib import contextmanager
-from tempfile import TemporaryDirectory
-
-import numpy as np
 
 EPISODE = "episode_index"
 INFO = "meta/info.json"
@@ -67,6 +67,8 @@ def _table(path: Path, parts: Sequence[Path], scan: Callable[[Path], pl.LazyFram
         raise refused(error) from None
 
     def frames(names: Sequence[str], rows: range) -> Iterator[tuple[pl.DataFrame, float]]:
+        for name in names:
+            _refuse_unusable(path, name, schema.get(name))
         first = 0  # row of the part
         for part, length in zip(parts, lengths, strict=True):
             begin, end = max(rows.start - first, 0), min(rows.stop - first, length)
@@ -86,26 +88,25 @@ def _table(path: Path, parts: Sequence[Path], scan: Callable[[Path], pl.LazyFram
         if f"{feature}[{len(names)}]" in columns and f"{feature}[{len(names) + 1}]" not in columns
         for k, name in enumerate(names)
     }
-    return Table(path, tuple(columns), frames, unusable=_unusable(schema), data_set=DataSet(rate, labels, episodes))
+    return Table(path, tuple(columns), frames, rate=rate, labels=labels, episodes=episodes)
 
 
 def _columns(schema: Mapping[str, pl.DataType], table: pl.LazyFrame) -> dict[str, pl.Expr]:
     """Name the columns, and what selects them: one for each item of a column of lists, as many as the first row has."""
     import polars as pl
 
-    columns: dict[str, pl.Expr] = {}
+    columns: list[pl.Expr] = []
     for name, kind in schema.items():
         width = 0
         if isinstance(kind, pl.List | pl.Array) and kind.inner.is_numeric():
-            lists = pl.col(name).cast(pl.List(kind.inner))
-            first = table.select(lists.list.len()).head(1).collect()
+            lists = pl.col(name).cast(pl.List(kind.inner)).list
+            first = table.select(lists.len()).head(1).collect()
             width = int(first.item() or 0) if len(first) else 0
         if 0 < width <= WIDEST:
-            items = {f"{name}[{k + 1}]": lists.list.get(k, null_on_oob=True) for k in range(width)}
-            columns |= {item: value.alias(item) for item, value in items.items()}
+            columns += [lists.get(k, null_on_oob=True).alias(f"{name}[{k + 1}]") for k in range(width)]
         else:
-            columns[name] = pl.col(name)
-    return columns
+            columns.append(pl.col(name))
+    return {column.meta.output_name(): column for column in columns}
 
 
 def _episodes(parts: Sequence[pl.LazyFrame], schema: Mapping[str, pl.DataType]) -> dict[int, range]:
@@ -114,27 +115,25 @@ def _episodes(parts: Sequence[pl.LazyFrame], schema: Mapping[str, pl.DataType]) 
 
     if EPISODE not in schema or not schema[EPISODE].is_integer():
         return {}
-    numbers = pl.concat([part.select(EPISODE).collect() for part in parts])[EPISODE]
-    if numbers.n_unique() < 2:
-        return {}
-    runs = numbers.rle().struct.unnest()
-    if runs["value"].n_unique() < len(runs):
+    runs = pl.concat([part.select(EPISODE).collect() for part in parts])[EPISODE].rle().struct.unnest()
+    if len(runs) < 2 or runs["value"].n_unique() < len(runs):
         return {}
     ends = runs["len"].cum_sum()
     episodes = zip(runs["value"], ends - runs["len"], ends, strict=True)
     return {int(number): range(start, stop) for number, start, stop in episodes if number is not None}
 
 
-def _unusable(schema: Mapping[str, pl.DataType]) -> dict[str, str]:
+def _refuse_unusable(path: Path, name: str, kind: pl.DataType | None) -> None:
+    """Refuse a column that holds no numbers; an item of a column of lists has no kind of its own."""
     import polars as pl
 
-    remedies = {}
-    for name, kind in schema.items():
-        if kind.is_temporal():
-            remedies[name] = f"holds dates or times ({kind}); write the seconds since the first sample, as numbers"
-        elif not (kind.is_numeric() or kind in (pl.String, pl.Boolean)):
-            remedies[name] = f"holds {kind} values; write it as numbers"
-    return remedies
+    if kind is None or kind.is_numeric() or kind in (pl.String, pl.Boolean):
+        return
+    if kind.is_temporal():
+        remedy = f"holds dates or times ({kind}); write the seconds since the first sample, as numbers"
+    else:
+        remedy = f"holds {kind} values; write it as numbers"
+    raise GtauError(f"{path}, column '{name}' {remedy}.")
 
 
 def _data_set(log: Path) -> tuple[float | None, Mapping[str, Sequence[str]]]:
@@ -194,9 +193,7 @@ def _frame(table: Any) -> Any:
     elif isinstance(table, np.ndarray) and table.ndim == 2:
         columns = {str(k): column for k, column in enumerate(table.T, 1)}
     elif isinstance(table, Mapping) or hasattr(table, "columns"):  # the latter pandas, which need not be installed
-        columns = {
-            str(name): np.asarray(table[name]) for name in (table.columns if hasattr(table, "columns") else table)
-        }
+        columns = {str(name): np.asarray(table[name]) for name in getattr(table, "columns", table)}
     else:
         raise GtauError(
             f"a log cannot be a {type(table).__name__}; give the path of a file, a Polars or pandas data frame, a "

@@ -8,6 +8,7 @@ has its stamps: ``/TOPIC/header/stamp``, where its messages have a header, and `
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -75,10 +76,10 @@ def open_rosbag(path: Path) -> Table:
         topics = [columns[name][0] for name in names]
         count = common_length(path, {name: counts[topic] for name, topic in zip(names, topics, strict=True)})
         if len(set(topics)) > 1:
+            other = next(name for name, topic in zip(names, topics, strict=True) if topic != topics[0])
             raise GtauError(
-                f"'{names[0]}' and '{names[[t != topics[0] for t in topics].index(True)]}' come from two "
-                f"topics with separate time stamps; give both"
-                " (time: {position: COLUMN, command: COLUMN}).",
+                f"'{names[0]}' and '{other}' come from two topics with separate time stamps; give both (time: "
+                "{position: COLUMN, command: COLUMN}).",
                 source=path,
             )
         getters = [columns[name][1] for name in names]
@@ -105,22 +106,20 @@ def open_rosbag(path: Path) -> Table:
 
 def _getters(message: Any, kind: str) -> Iterator[tuple[str, Getter]]:
     """Name the numbers in a message, and find what gets each of them from the next ones."""
-    if kind == JOINT_STATE:
-        yield "header/stamp", lambda message: _seconds(message.header.stamp)
-        for field in ("position", "velocity", "effort"):
-            for k, joint in enumerate(message.name[: len(getattr(message, field))]):
-                yield f"{joint}/{field}", _of_joint(field, joint, k)
+    if kind != JOINT_STATE:
+        yield from _numbers(message, "")
         return
-    yield from _numbers(message, "")
+    yield "header/stamp", lambda message: _seconds(message.header.stamp)
+    for field in ("position", "velocity", "effort"):
+        for k, joint in enumerate(message.name[: len(getattr(message, field))]):
+            yield f"{joint}/{field}", partial(_of_joint, field, joint, k)
 
 
-def _of_joint(field: str, joint: str, k: int) -> Getter:
-    def value(message: Any) -> float:
-        names, values = message.name, getattr(message, field)
-        at = k if k < len(names) and names[k] == joint else names.index(joint) if joint in names else len(values)
-        return float(values[at]) if at < len(values) else np.nan  # drivers may leave joints out
-
-    return value
+def _of_joint(field: str, joint: str, k: int, message: Any) -> float:
+    names, values = message.name, getattr(message, field)
+    if k >= len(names) or names[k] != joint:
+        k = names.index(joint) if joint in names else len(values)
+    return float(values[k]) if k < len(values) else np.nan  # drivers may leave joints out
 
 
 def _numbers(value: Any, name: str) -> Iterator[tuple[str, Getter]]:
@@ -130,7 +129,7 @@ def _numbers(value: Any, name: str) -> Iterator[tuple[str, Getter]]:
         yield name, lambda message: float(getter(message))
     elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.size <= WIDEST:
         for k in range(value.size):
-            yield f"{name}[{k + 1}]", _of_item(getter, k)
+            yield f"{name}[{k + 1}]", partial(_of_item, getter, k)
     elif hasattr(value, "sec") and hasattr(value, "nanosec"):
         yield name, lambda message: _seconds(getter(message))
     elif hasattr(value, "__dataclass_fields__"):
@@ -139,12 +138,9 @@ def _numbers(value: Any, name: str) -> Iterator[tuple[str, Getter]]:
                 yield from _numbers(getattr(value, field), f"{name}/{field}".lstrip("/"))
 
 
-def _of_item(getter: Callable[[Any], Any], k: int) -> Getter:
-    def value(message: Any) -> float:
-        array = getter(message)
-        return float(array[k]) if k < len(array) else np.nan
-
-    return value
+def _of_item(getter: Callable[[Any], Any], k: int, message: Any) -> float:
+    array = getter(message)
+    return float(array[k]) if k < len(array) else np.nan
 
 
 def _seconds(stamp: Any) -> float:

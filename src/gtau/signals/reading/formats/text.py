@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +17,7 @@ from gtau.documents.files import BINARY, LOG, kind_of, refuse_other_kind
 from gtau.errors import GtauError
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
-from gtau.signals.reading.formats import Table
+from gtau.signals.reading.formats import Table, numbers
 from gtau.signals.storage import BYTES, block_size
 
 if TYPE_CHECKING:
@@ -36,7 +37,6 @@ def open_text(path: Path) -> Table:
     Decimal commas are allowed except between comma separated columns. What stands before the table is skipped, and a
     note says so. Without a header the columns are named by their number from 1.
     """
-    _refuse_encoding(path)
     lines, first_byte = _first_lines(path)
     texts = [_decoded(line).lstrip("# ").rstrip("\r\n") for line in lines]
     fields = [_fields(text) for text in texts]
@@ -59,10 +59,13 @@ def open_text(path: Path) -> Table:
             f"{len(fields[header])}; correct the line (a header must name every column)."
         )
 
+    columns = numbers(width) if header is None else _names(fields[header], width)
+    first_byte += sum(map(len, lines[:begin]))
+
     def frames(names: Sequence[str], rows: range) -> Iterator[tuple[pl.DataFrame, float]]:
         row = 0
-        wanted = [table.columns.index(name) for name in names]
-        for text, done in _whole_lines(path, table.first_byte):
+        wanted = [columns.index(name) for name in names]
+        for text, done in _whole_lines(path, first_byte):
             frame = _frame(table, separator, text, wanted)
             part = frame[max(rows.start - row, 0) : max(rows.stop - row, 0)]
             row += len(frame)
@@ -71,41 +74,28 @@ def open_text(path: Path) -> Table:
             if row >= rows.stop:
                 return
 
-    table = Table(
-        path,
-        columns=tuple(str(k + 1) for k in range(width)) if header is None else _names(fields[header], width),
-        frames=frames,
-        first_line=begin + 1,
-        first_byte=first_byte + sum(map(len, lines[:begin])),
-        numbered=header is None,
-        notes=tuple(_skipped([k + 1 for k in written if k < begin and k != header], header)),
-    )
+    notes: tuple[Finding, ...] = ()
+    if skipped := [k + 1 for k in written if k < begin and k != header]:
+        last = skipped[-1] if len(skipped) > 1 else 0
+        values = {"first": skipped[0], "last": last, "header": 0 if header is None else header + 1}
+        notes = (Finding(F.SKIPPED_LINES, values=values),)
+    table = Table(path, columns, frames, begin + 1, notes)
     return table
 
 
-def _skipped(lines: Sequence[int], header: int | None) -> Iterator[Finding]:
-    if lines:
-        last = lines[-1] if len(lines) > 1 else 0
-        values = {"first": lines[0], "last": last, "header": 0 if header is None else header + 1}
-        yield Finding(F.SKIPPED_LINES, values=values)
-
-
-def _refuse_encoding(path: Path) -> None:
-    """Refuse text whose lines could not be found."""
-    with path.open("rb") as file:
-        begin = file.read(1 << 12)
-    if begin.startswith((b"\xff\xfe", b"\xfe\xff")) and begin.count(0) > 0.3 * len(begin):
-        raise GtauError(f"{path} is text in UTF-16; save it as UTF-8 (in Excel: 'CSV UTF-8').")
-    if begin.count(b"\r") > ROWS_ALIKE and b"\n" not in begin:
-        raise GtauError(f"{path} ends its lines with carriage returns alone; save it with line feeds ('Unix' or 'PC').")
-
-
 def _first_lines(path: Path) -> tuple[list[bytes], int]:
-    """Read the lines that may precede a table, and find the byte at which they begin."""
-    lines: list[bytes] = []
+    """Read the lines that may precede a table, and find the byte at which they begin; refuse other text."""
     with path.open("rb") as file:
-        begin = len(BOM) if file.read(len(BOM)) == BOM else 0
+        head = file.read(1 << 12)
+        if head.startswith((b"\xff\xfe", b"\xfe\xff")) and head.count(0) > 0.3 * len(head):
+            raise GtauError(f"{path} is text in UTF-16; save it as UTF-8 (in Excel: 'CSV UTF-8').")
+        if head.count(b"\r") > ROWS_ALIKE and b"\n" not in head:
+            raise GtauError(
+                f"{path} ends its lines with carriage returns alone; save it with line feeds ('Unix' or 'PC')."
+            )
+        begin = len(BOM) if head.startswith(BOM) else 0
         file.seek(begin)
+        lines: list[bytes] = []
         while len(lines) < LOOK and (line := file.readline(LONGEST + 1)):
             _refuse_long_line(path, len(line), len(lines) + 1)
             lines.append(line)
@@ -119,7 +109,9 @@ def _separator(text: str) -> str:
 
 
 def _fields(text: str) -> tuple[str, ...]:
-    return tuple(_unquoted(field) for field in _split(text, _separator(text)))
+    """Split a line into fields, without the blanks and quotes around them."""
+    fields = (field.strip() for field in _split(text, _separator(text)))
+    return tuple(field.strip("'" if field.startswith("'") else '"').strip() for field in fields)
 
 
 def _is_row(fields: Sequence[str]) -> bool:
@@ -141,31 +133,29 @@ def _first_row(fields: Sequence[tuple[str, ...]], written: Sequence[int]) -> int
 
 def _header(texts: Sequence[str], fields: Sequence[tuple[str, ...]], first: int) -> int | None:
     """Find the line that names the columns: the topmost of those just before the rows that have as many fields."""
-    header, nearest = None, None
+    header, nearest, width = None, None, len(fields[first])
     for line in reversed(range(first)):
-        names = any(fields[line]) and not _is_row(fields[line])
-        if names and nearest is None:
-            nearest = line
-        if names and len(fields[line]) == len(fields[first]):
-            header = line
-        elif header is not None:
-            break
+        if any(fields[line]) and not _is_row(fields[line]):
+            nearest = line if nearest is None else nearest
+            if len(fields[line]) == width:
+                header = line
+                continue
+        if header is not None:
+            return header
     if header is not None or nearest is None:
         return header
     alike = _separator(texts[nearest]) == _separator(texts[first])
-    names_most = alike and 2 * len(fields[nearest]) >= len(fields[first])
-    return nearest if names_most else None  # one that lacks names, which is refused, or a title
+    # One that lacks names, which is refused, or a title.
+    return nearest if alike and 2 * len(fields[nearest]) >= width else None
 
 
 def _names(fields: tuple[str, ...], width: int) -> tuple[str, ...]:
     """Name the columns; TwinCAT Scope calls a column of times ``Name``, and the channels after it by theirs."""
-    fields = fields + ("",) * (width - len(fields))
-    if fields[0] != "Name":
-        return fields
-    return tuple(
-        name if name != "Name" else f"time of {fields[k + 1]}" if k else "time"
-        for k, name in enumerate((*fields[:width],))
-    )
+    names = [*fields, *[""] * (width - len(fields))]
+    if names[0] != "Name":
+        return tuple(names)
+    times = (f"time of {following}" if k else "time" for k, following in enumerate([*names[1:], ""]))
+    return tuple(time if name == "Name" else name for name, time in zip(names[:width], times, strict=False))
 
 
 def _refuse_long_line(path: Path, length: int, number: int | None = None) -> None:
@@ -185,13 +175,6 @@ def _decoded(raw: bytes) -> str:
     except UnicodeDecodeError:
         text = raw.decode("cp1252", errors="replace")
         return text if text.replace("\t", "").rstrip("\r\n").isprintable() else raw.decode(errors="replace")
-
-
-def _unquoted(field: str) -> str:
-    """Take blanks and the quotes around a field away."""
-    field = field.strip()
-    quote = field[:1] if field[:1] in ("'", '"') else '"'
-    return field.strip(quote).strip()
 
 
 def _split(text: str, separator: str) -> list[str]:
@@ -263,16 +246,16 @@ def _whole_lines(path: Path, begin: int) -> Iterator[tuple[bytes, float]]:
 
 def _unreadable_line(table: Table, separator: str, reason: str) -> str:
     path, count, first = table.path, len(table.columns), table.first_line or 1
+    where = f"line {first}" if table.numbered else "the header"
     with path.open("rb") as file:
-        for number, line in enumerate(map(_decoded, file), start=1):
+        for number, line in islice(enumerate(map(_decoded, file), start=1), first - 1, None):
             fields = len(_split(line, separator))
-            if number >= first and fields > count:
-                where = f"line {first}" if table.numbered else "the header"
+            if fields > count:
                 return (
                     f"{path}, line {number} has {fields} columns where {where} has {count}; correct or delete the line "
                     "(a header must name every column)."
                 )
-            if number >= first and "\ufffd" in line:
+            if "\ufffd" in line:
                 return (
                     f"{path}, line {number} is not text: the log is damaged there; delete the line, or record the log "
                     f"again."

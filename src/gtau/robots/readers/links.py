@@ -1,4 +1,4 @@
-"""Collision shapes of a URDF's links, as points within a radius, in the frames of the robot's bodies."""
+"""Frames and collision shapes of a URDF's links, in the frames of the robot's bodies."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from gtau.documents.files import read_at_most
 from gtau.errors import GtauError
-from gtau.robots.geometry import compose
+from gtau.robots.placement import compose
 from gtau.robots.readers.source import Base
 from gtau.robots.readers.urdf_tree import read_urdf_tree
 from gtau.robots.readers.xml_document import numbers
@@ -107,3 +107,58 @@ def mesh_points(path: Path) -> np.ndarray | None:
     else:
         return None
     return np.unique(points, axis=0) if points.ndim == 2 and len(points) and np.isfinite(points).all() else None
+
+
+def frame_on(body: str, frame: str | Pose, file: str | Path | None) -> tuple[str, Placement]:
+    """Find a frame fixed to a ``body``, a joint or platform: its name, and its pose in the body's own frame.
+
+    Empty for the body's own frame; a link of the URDF ``file``, or the six numbers ``x y z roll pitch yaw`` (m, rad)
+    from the body's frame, or these as a pose.
+    """
+    of_body = f"the frame of '{body}'"
+    if isinstance(frame, Pose):
+        return f"a frame on '{body}'", frame
+    if not frame:
+        return of_body, Pose()
+    words = frame.replace(",", " ").split()
+    try:
+        numbers = [float(word) for word in words]
+    except ValueError:
+        return frame, _link(body, frame, file)
+    if len(numbers) != 6:
+        raise GtauError(
+            f"frame '{frame}' has {len(numbers)} numbers; write 'x y z roll pitch yaw' (m, rad) from {of_body}."
+        )
+    x, y, z, roll, pitch, yaw = numbers
+    return f"{x:g} {y:g} {z:g} m, {roll:g} {pitch:g} {yaw:g} rad from {of_body}", Pose((x, y, z), (roll, pitch, yaw))
+
+
+def links_on(body: str, file: str | Path) -> list[str]:
+    """List the links of the robot's ``file`` that are fixed to a ``body``; none where it is no URDF."""
+    if Path(file).suffix.lower() != ".urdf":
+        return []
+    from gtau.robots.readers.urdf_tree import read_urdf_tree
+
+    tree = read_urdf_tree(Path(file), {}, Base())
+    links = (link.get("name", "") for link in tree.root.findall("link"))
+    return [link for link in links if link in tree.frames and tree.frames[link].body == body]
+
+
+def _link(body: str, link: str, file: str | Path | None) -> Placement:
+    if file is None or Path(file).suffix.lower() != ".urdf":
+        raise GtauError(
+            f"frame '{link}' is the name of a link, which only a URDF has; give the URDF, or the frame as 'x y z roll "
+            f"pitch yaw' (m, rad) from the frame of '{body}'."
+        )
+    from gtau.robots.readers.urdf_tree import read_urdf_tree
+
+    tree = read_urdf_tree(Path(file), {}, Base())
+    on_body = [name for name, frame in tree.frames.items() if frame.body == body]
+    if link not in tree.frames:
+        raise GtauError(f"{file} has no link '{link}'; on '{body}' are {', '.join(on_body) or 'none'}.")
+    if link not in on_body:
+        raise GtauError(
+            f"link '{link}' of {file} is not fixed to '{body}', which carries the payload; choose from "
+            f"{', '.join(on_body) or 'none, and write the pose'}."
+        )
+    return tree.frames[link].placement
