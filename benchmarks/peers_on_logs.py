@@ -34,7 +34,7 @@ from zoo import ENTRIES, Entry, experiment_file, update
 
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.identify import identify
-from gtau.estimation.results.payload import PayloadEstimate
+from gtau.estimation.results.groups import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.robots.robot import Robot
 from gtau.signals.reading.experiment import read_experiment

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from gtau.estimation.compare import EstimatorComparison, compare
     from gtau.estimation.identify import identify
     from gtau.estimation.results.estimate import Estimate, TorqueError
-    from gtau.estimation.results.payload import PayloadBody, PayloadEstimate
+    from gtau.estimation.results.groups import PayloadBody, PayloadEstimate
     from gtau.estimation.results.predicted import Prediction
     from gtau.estimation.results.result import Result
     from gtau.excitation.design import Design
@@ -97,8 +97,8 @@ _HOMES = {
     "InverseDynamics": "model.inverse_dynamics",
     "Part": "signals.reading.samples",
     "Payload": "signals.reading.statements",
-    "PayloadBody": "estimation.results.payload",
-    "PayloadEstimate": "estimation.results.payload",
+    "PayloadBody": "estimation.results.groups",
+    "PayloadEstimate": "estimation.results.groups",
     "Prediction": "estimation.results.predicted",
     "PreparationSettings": "signals.reading.statements",
     "Prior": "signals.reading.statements",

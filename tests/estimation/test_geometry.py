@@ -16,8 +16,7 @@ from gtau import identify, load_robot
 from gtau.documents.validation import read_group
 from gtau.errors import GtauError
 from gtau.estimation.check_logs import check_logs
-from gtau.estimation.diagnostics.geometry import geometry_test
-from gtau.estimation.diagnostics.geometry_findings import GeometryTest, to_document
+from gtau.estimation.diagnostics.geometry import GeometryTest, geometry_test, to_document
 from gtau.estimation.results.result import Result
 from gtau.findings import Severity
 from gtau.model.inverse_dynamics import InverseDynamics

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from c_code import FLAGS, GCC, Compiled, Controller, needs_gcc
 from control_comparison import computed_torque
-from models_to_export import model_of, preslid, sprung
+from models_to_export import model_of, preslid, sprung, torques
 from propelling_models import LOGGED, held, propelling, states
 from robots_for_tests import ROBOTS, home, random_samples, slider_crank, trajectory, tree
 from scipy.integrate import solve_ivp
@@ -24,7 +24,7 @@ from gtau.export.c import export
 from gtau.robots.robot import Joint, Mdh, Robot
 from gtau.simulation.closed_loop import JointHardware, Reference, hardware, simulate
 from gtau.simulation.plant import Plant, PlantState
-from gtau.uses.identified import identified, torques, torques_of
+from gtau.uses.identified import identified, torques_of
 
 
 def relative(found: np.ndarray, expected: np.ndarray) -> float:

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from c_code import FLAGS, SANITIZERS, sanitizing
-from models_to_export import model_of
+from models_to_export import model_of, torques
 from robots_for_tests import ROBOTS, home
 
 from gtau.export.c import export
-from gtau.uses.identified import identified, torques
+from gtau.uses.identified import identified
 
 DRIVER = Path(__file__).with_name("controller_fuzz.c")
 

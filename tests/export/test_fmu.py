@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from models_to_export import model_of, preslid
+from models_to_export import model_of, preslid, torques
 from robots_for_tests import home, tree
 
 from gtau.documents.files import suffixes
 from gtau.export.fmu import export
 from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
-from gtau.uses.identified import identified, torques
+from gtau.uses.identified import identified
 
 fmpy = pytest.importorskip("fmpy")
 validate_fmu = pytest.importorskip("fmpy.validation").validate_fmu

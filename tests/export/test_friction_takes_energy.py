@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 import yaml
-from models_to_export import model_of
+from models_to_export import model_of, torques
 from propelling_models import COULOMB, CUBIC, LOGGED, VISCOUS, held, propelling, states
 from robots_for_tests import ROBOTS, home, tree
 
@@ -25,7 +25,7 @@ from gtau.export.urdf import export as export_urdf
 from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
 from gtau.simulation.simulation_file import Simulation
-from gtau.uses.identified import functions, identified, torques
+from gtau.uses.identified import functions, identified
 
 ROUNDING = 1e-9  # W: of terms of 1e3
 FIVE_BAR = next(robot for robot in ROBOTS if robot.name == "five-bar")

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from models_to_export import model_of, sprung
+from models_to_export import model_of, sprung, torques
 from robots_for_tests import ROBOTS, random_samples
 
 from gtau.estimation.results.result import Result
 from gtau.export.matlab import export
 from gtau.robots.robot import Robot
-from gtau.uses.identified import identified, torques
+from gtau.uses.identified import identified
 
 OCTAVE = shutil.which("octave-cli") or shutil.which("octave")
 pytestmark = pytest.mark.skipif(OCTAVE is None, reason="GNU Octave is not installed (Debian: apt install octave)")

@@ -18,7 +18,7 @@ import gtau
 from gtau.cli.models import CONTROLLERS, export_bodies
 from gtau.errors import GtauError
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.payload import PayloadBody
+from gtau.estimation.results.groups import PayloadBody
 from gtau.export.payload import WRITERS
 from gtau.robots.parameter import RigidBody
 from gtau.uses.payload_body import QUANTITIES, UNITS

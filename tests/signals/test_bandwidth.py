@@ -49,10 +49,10 @@ def noisy(kind: str, rate: float, rng: np.random.Generator) -> np.ndarray:
 @pytest.mark.parametrize("rate", [20.0, 100.0, 1000.0, 4000.0])
 @pytest.mark.parametrize("kind", ["none", "white", "12 bits", "jitter", "stale", "filtered"])
 def test_the_bandwidth_is_that_of_the_motion(kind: str, rate: float, rng: np.random.Generator) -> None:
-    (found,) = spectra(run_of(noisy(kind, rate, rng), rate))
-    assert found.moves
-    assert 0.75 < found.bandwidth < 1.0
-    assert found.end > 0.8
+    (spectrum,) = spectra(run_of(noisy(kind, rate, rng), rate))
+    assert spectrum.moves
+    assert 0.75 < spectrum.bandwidth < 1.0
+    assert spectrum.end > 0.8
 
 
 def test_a_hump_of_noise_above_the_valley_is_no_motion() -> None:
@@ -61,8 +61,8 @@ def test_a_hump_of_noise_above_the_valley_is_no_motion() -> None:
     beat = 3e-3 * np.sin(2 * np.pi * 45 * time) * motion(time + 0.1)  # polling beats: 8 % of the speed's power
     share = np.var(np.diff(beat)) / np.var(np.diff(motion(time)))
     assert share > 0.01
-    (found,) = spectra(run_of((motion(time) + beat * np.sqrt(0.01 / share))[:, None], rate))
-    assert found.bandwidth < 1.0
+    (spectrum,) = spectra(run_of((motion(time) + beat * np.sqrt(0.01 / share))[:, None], rate))
+    assert spectrum.bandwidth < 1.0
 
 
 def test_a_chirp_ends_where_it_ends(rng: np.random.Generator) -> None:
@@ -71,16 +71,16 @@ def test_a_chirp_ends_where_it_ends(rng: np.random.Generator) -> None:
     rate = 200.0
     time = np.arange(int(20 * rate)) / rate
     position = 0.3 * chirp(time, 0.1, 20, 10.0) + 2e-4 * rng.standard_normal(time.size)
-    (found,) = spectra(run_of(position[:, None], rate))
-    assert found.bandwidth == pytest.approx(10, rel=0.1)
+    (spectrum,) = spectra(run_of(position[:, None], rate))
+    assert spectrum.bandwidth == pytest.approx(10, rel=0.1)
 
 
 def test_a_harmonic_far_above_the_others_is_motion(rng: np.random.Generator) -> None:
     rate = 1000.0
     time = np.arange(20000) / rate
     position = np.sin(2 * np.pi * 0.3 * time) + 0.02 * np.sin(2 * np.pi * 6 * time) + 1e-5 * rng.standard_normal(20000)
-    (found,) = spectra(run_of(position[:, None], rate))
-    assert found.bandwidth == pytest.approx(6, abs=0.3)  # a line is as wide as the window makes it
+    (spectrum,) = spectra(run_of(position[:, None], rate))
+    assert spectrum.bandwidth == pytest.approx(6, abs=0.3)  # a line is as wide as the window makes it
 
 
 def test_rest_is_told_from_motion(rng: np.random.Generator) -> None:
@@ -88,9 +88,9 @@ def test_rest_is_told_from_motion(rng: np.random.Generator) -> None:
     time = np.arange(samples) / rate
     drift = 1e-4 * np.round(0.5 + 0.4 * rng.standard_normal(samples) + np.sin(0.1 * time))
     shaken = 3e-4 * np.sin(2 * np.pi * 1.3 * time) + 1e-4 * rng.standard_normal(samples)
-    found = spectra(run_of(np.column_stack([motion(time), drift, shaken, np.full(samples, 0.1)]), rate))
-    assert [each.moves for each in found] == [True, False, False, False]
-    assert np.isnan(found[1].bandwidth)
+    joints = spectra(run_of(np.column_stack([motion(time), drift, shaken, np.full(samples, 0.1)]), rate))
+    assert [joint.moves for joint in joints] == [True, False, False, False]
+    assert np.isnan(joints[1].bandwidth)
     with pytest.raises(GtauError, match="no joint's motion exceeds its position noise"):
         choose_preparation([run_of(np.column_stack([drift, shaken]), rate)])
 

@@ -100,8 +100,8 @@ def test_packets(tmp_path: Path, rng: np.random.Generator) -> None:
     assert run.rate == pytest.approx(2500, rel=1e-3)
     assert "time stamps come in packets" in " ".join(map(str, run.notes))
     shift = run.time[0]  # when the first sample was taken is not known
-    found = np.abs(run.position - motion(run.time - shift))[run.valid.all(axis=1)]
-    assert found.max() < 0.01
+    off_by = np.abs(run.position - motion(run.time - shift))[run.valid.all(axis=1)]
+    assert off_by.max() < 0.01
     assert 60 < (~run.valid.all(axis=1)).sum() < 130
 
 
@@ -212,7 +212,8 @@ def test_packets_of_all_sizes_lack_no_sample(shared: Path, run: int) -> None:
     signals = {"time": "t", "position": {"a": "q_shoulder"}, "current": {"a": "i_shoulder"}}
     for clock in (None, "regular"):
         settings = PreparationSettings(clock=clock)
-        found = read_run(shared / "idle_and_bursts" / "arm_bursts" / f"run_{run}.parquet", signals, settings=settings)
-        assert found.rate == pytest.approx(500, rel=1e-4)
-        assert len(found.time) == 20_001
-        assert any(str(note).endswith("give the right one (time: {rate: HZ})") for note in found.notes)
+        log = shared / "idle_and_bursts" / "arm_bursts" / f"run_{run}.parquet"
+        bursts = read_run(log, signals, settings=settings)
+        assert bursts.rate == pytest.approx(500, rel=1e-4)
+        assert len(bursts.time) == 20_001
+        assert any(str(note).endswith("give the right one (time: {rate: HZ})") for note in bursts.notes)

@@ -67,17 +67,17 @@ def test_it_stands_beside_the_estimate_and_is_a_prior(tmp_path: Path) -> None:
     described = read_experiment(path)
     assert described.expected_gains == {"arm": pytest.approx(2.0)}
     assert described.expected_parameters["ia_arm"].value == pytest.approx(0.05)
-    found = identify(path)
-    assert found.drive_gains["arm"].value == pytest.approx(2.1, rel=0.01)
-    (note,) = (note for note in found.notes if "data sheet" in str(note))
+    result = identify(path)
+    assert result.drive_gains["arm"].value == pytest.approx(2.1, rel=0.01)
+    (note,) = (note for note in result.notes if "data sheet" in str(note))
     assert str(note).startswith("gain of 'arm': 2.")
     assert "2 N m/A is by the data sheet (standard deviation 0.2;" in str(note)
-    assert str(note) in " ".join(found.summary(verbose=False).split())
+    assert str(note) in " ".join(result.summary(verbose=False).split())
 
 
 def test_a_gain_far_off_the_data_sheet_is_contradictory(tmp_path: Path) -> None:
-    found = identify(bench(tmp_path, "{gear_ratio: 5, torque_constant: 0.05}"))
-    assert found.drive_gains["arm"].verdict.finding.kind == F.PRIOR_GAIN
+    result = identify(bench(tmp_path, "{gear_ratio: 5, torque_constant: 0.05}"))
+    assert result.drive_gains["arm"].verdict.finding.kind == F.PRIOR_GAIN
 
 
 def test_motors_that_turn_against_their_joints_may_have_negative_gains(tmp_path: Path) -> None:

@@ -68,15 +68,15 @@ def save(path: Path, header: str, *columns: np.ndarray) -> Path:
     ],
 )
 def test_kinds_by_name(name: str, kind: str | None, label: str, unit: str | None) -> None:
-    found = parse_column_name(name)
-    assert (found.kind, found.label, found.unit) == (kind, label, unit)
-    assert found.reference == (name == "q_ref3")
+    column = parse_column_name(name)
+    assert (column.kind, column.label, column.unit) == (kind, label, unit)
+    assert column.reference == (name == "q_ref3")
     assert parse_column_name("Sollstrom3").reference
 
 
 def test_joints_by_name() -> None:
-    found = parse_column_name("elbow_joint.effort", ["joint", "elbow_joint"])
-    assert (found.label, found.kind) == ("elbow_joint", "torque")
+    column = parse_column_name("elbow_joint.effort", ["joint", "elbow_joint"])
+    assert (column.label, column.kind) == ("elbow_joint", "torque")
     assert parse_column_name("qleft", ["left"]).kind == "position"
     assert parse_column_name("vleft", ["left"]).label == "left"
     assert parse_column_name("outleft", ["left"]).label == "left"
@@ -310,8 +310,8 @@ def test_temperatures_and_poses_are_offered_as_comments(tmp_path: Path) -> None:
     (tmp_path / "experiment.yaml").write_text(text)
     assert read_experiment(tmp_path / "experiment.yaml").signals.temperature is None
     (tmp_path / "experiment.yaml").write_text(text.replace(offered, offered[2:]))
-    found = read_experiment(tmp_path / "experiment.yaml").signals.temperature_columns
-    assert found == {"left": "motor_temp_1", "right": "motor_temp_2"}
+    columns_by_joint = read_experiment(tmp_path / "experiment.yaml").signals.temperature_columns
+    assert columns_by_joint == {"left": "motor_temp_1", "right": "motor_temp_2"}
 
 
 @pytest.mark.parametrize("name", ["torque_sensor", "tau"])
@@ -321,8 +321,8 @@ def test_torque_sensors_beside_currents(name: str, tmp_path: Path) -> None:
     log = save(tmp_path / "log.csv", header, TIME, Q, V, 3 * V + 0.1)
     draft = discover([log])
     columns = {"j1": f"{name}1", "j2": f"{name}2"}
-    found = draft.signals.get("joint_torque", {}), draft.beside["torques"]
-    assert found == ((columns, {}) if "sensor" in name else ({}, columns))
+    torques = draft.signals.get("joint_torque", {}), draft.beside["torques"]
+    assert torques == ((columns, {}) if "sensor" in name else ({}, columns))
     text = draft_text(draft, tmp_path)
     (line,) = [each for each in text.splitlines() if "joint_torque:" in each]
     assert line.lstrip().startswith("#") == (name == "tau")
@@ -396,8 +396,8 @@ def test_the_base_of_a_robot_is_fixed_in_the_draft(tmp_path: Path, monkeypatch: 
     init = ["init", "log.csv", "--robot", "arm.xml", "--yes"]
     assert "--base fixed" in CliRunner().invoke(app, init).output
     for base, written in (("fixed", "fixed"), ("0, 0, deg(90)", "{rpy: [0, 0, deg(90)]}")):
-        found = CliRunner().invoke(app, [*init, "--base", base, "--out", "a.yaml"])
-        assert found.exit_code == 0, found.output
+        drafted = CliRunner().invoke(app, [*init, "--base", base, "--out", "a.yaml"])
+        assert drafted.exit_code == 0, drafted.output
         assert f"robot: {{file: arm.xml, base: {written}}}" in Path("a.yaml").read_text()
         assert load_robot(read_experiment(Path("a.yaml")).robot).actuated == ("j1", "j2")
         Path("a.yaml").unlink()

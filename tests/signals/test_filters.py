@@ -142,10 +142,10 @@ def test_decimation_has_no_phase_and_removes_what_would_alias(kind: str) -> None
     inner = slice(50, -50)
     for frequency, bound in ((2.0, None), (10.0, None), (101.3, 0.005), (333.3, 0.005)):
         y = decimator.apply(np.sin(2 * np.pi * frequency * time))
-        found = phasor(y[inner], time[kept][inner], frequency)
+        response = phasor(y[inner], time[kept][inner], frequency)
         if bound is None:
-            assert abs(found.imag) < 1e-8
-            assert 0.5 < found.real < 1.001
+            assert abs(response.imag) < 1e-8
+            assert 0.5 < response.real < 1.001
         else:
             assert np.abs(y[inner]).max() < bound
 
@@ -154,8 +154,8 @@ def test_chebyshev_is_the_decimate_of_scipy(rng: np.random.Generator) -> None:
     x = rng.standard_normal((2, 5000))
     decimator = Decimator(10, "chebyshev")
     expected = signal.decimate(x, 10, axis=-1)  # its outputs stand at 0, 10, ...; ours at 10, 20, ...
-    found = decimator.apply(x)
-    np.testing.assert_allclose(found, expected[:, 1 : 1 + found.shape[1]], atol=1e-13)
+    outputs = decimator.apply(x)
+    np.testing.assert_allclose(outputs, expected[:, 1 : 1 + outputs.shape[1]], atol=1e-13)
 
 
 @pytest.mark.parametrize(("kind", "factor"), KINDS)

@@ -216,8 +216,8 @@ def test_check_shows_them_and_the_gains_stay(value: str, tmp_path: Path) -> None
     shown = " ".join(checked.output.split())
     assert "interpolated 1 position of joint 'left' that is an outlier: at 4 s (line 2002)" in shown
     assert f" it is {value} instead of {float(row[1]):.4g} (rad or m)" in shown
-    found = identify(experiment)
+    glitched = identify(experiment)
     for joint, gain in zip(("left", "right"), GAINS, strict=True):
-        mine, other = found.drive_gains[joint], clean.drive_gains[joint]
+        mine, other = glitched.drive_gains[joint], clean.drive_gains[joint]
         assert abs(mine.value - other.value) < 0.05 * other.std
         assert abs(mine.value - gain) < 4 * mine.std

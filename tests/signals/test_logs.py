@@ -186,9 +186,9 @@ def test_columns_aligned_by_spaces(log: Path) -> None:
     """As NumPy's savetxt writes them."""
     clean = read_run(write(log, rows()), SIGNALS)
     lines = ["  ".join(f"{float(x):14.9f}" for x in row.split(",")) + "  " for row in rows()]
-    found = read_run(write(log, lines, "#      t      qa     qb   va   vb"), SIGNALS)
-    np.testing.assert_allclose(found.position, clean.position, atol=1e-8)
-    np.testing.assert_allclose(found.command, clean.command, atol=1e-8)
+    titled = read_run(write(log, lines, "#      t      qa     qb   va   vb"), SIGNALS)
+    np.testing.assert_allclose(titled.position, clean.position, atol=1e-8)
+    np.testing.assert_allclose(titled.command, clean.command, atol=1e-8)
 
 
 def test_unreadable_text_says_how_to_save_it(log: Path) -> None:

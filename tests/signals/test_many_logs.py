@@ -38,10 +38,10 @@ def names(experiment: Experiment) -> list[str]:
 
 
 def test_a_pattern_is_many_runs_with_one_payload(folder: Path) -> None:
-    found = read(folder, "  - log: logs/free_*.csv\n  - {log: 'logs/loaded_?.csv', payload: {name: a, mass: 1}}\n")
-    assert names(found) == ["free_1", "free_2", "free_10", "loaded_1", "loaded_2"]
-    assert [run.payload is not None for run in found.runs] == [False] * 3 + [True] * 2
-    assert all(log.is_file() for run in found.runs for log in run.log)
+    listed = read(folder, "  - log: logs/free_*.csv\n  - {log: 'logs/loaded_?.csv', payload: {name: a, mass: 1}}\n")
+    assert names(listed) == ["free_1", "free_2", "free_10", "loaded_1", "loaded_2"]
+    assert [run.payload is not None for run in listed.runs] == [False] * 3 + [True] * 2
+    assert all(log.is_file() for run in listed.runs for log in run.log)
     assert names(read(folder, "  - log: '**/free_[12].csv'\n")) == ["free_1", "free_2"]
 
 
@@ -63,8 +63,8 @@ def test_times_of_day_are_no_seconds(tmp_path: Path, kind: pl.DataType) -> None:
 
 
 def test_of_two_patterns_the_matches_are_pairs(folder: Path) -> None:
-    found = read(folder, "  - log: [logs/free_?.csv, logs/loaded_*.csv]\n")
-    assert names(found) == ["free_1+loaded_1", "free_2+loaded_2"]
+    listed = read(folder, "  - log: [logs/free_?.csv, logs/loaded_*.csv]\n")
+    assert names(listed) == ["free_1+loaded_1", "free_2+loaded_2"]
 
 
 def test_a_file_whose_name_looks_like_a_pattern(folder: Path) -> None:

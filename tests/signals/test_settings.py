@@ -31,9 +31,10 @@ def prepared(path: Path) -> Preparation:
 
 def test_what_is_given_is_taken(tmp_path: Path) -> None:
     given = "{bandwidth: 3, position_filter: 20, decimation: 7, least_speed: 0.1, clock: stamps}"
-    found = prepared(experiment(tmp_path, "  - {log: a.csv}\n", given))
-    assert (found.bandwidth, found.cutoff, found.decimator.factor, found.speed_fraction) == (3, 20, 7, 0.1)
-    assert found.given == ("bandwidth", "position_filter", "decimation", "least_speed", "clock")
+    preparation = prepared(experiment(tmp_path, "  - {log: a.csv}\n", given))
+    assert (preparation.bandwidth, preparation.cutoff) == (3, 20)
+    assert (preparation.decimator.factor, preparation.speed_fraction) == (7, 0.1)
+    assert preparation.given == ("bandwidth", "position_filter", "decimation", "least_speed", "clock")
     assert prepared(experiment(tmp_path, "  - {log: a.csv}\n", "{position_filter: none}")).cutoff is None
 
 

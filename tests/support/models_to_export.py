@@ -11,8 +11,7 @@ from robots_for_tests import slider_crank
 from gtau.estimation.diagnostics.verdict import GOOD
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.results.estimate import Estimate, FrictionCurve
-from gtau.estimation.results.groups import FitRecord, ModelEstimates
-from gtau.estimation.results.payload import PayloadEstimate
+from gtau.estimation.results.groups import FitRecord, ModelEstimates, PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.model.base_parameters import base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -20,6 +19,7 @@ from gtau.robots.parameter import Parameter, torque_unit, unit_of
 from gtau.robots.robot import SPRING, Attachment, Pose, Robot, Spring
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import Preparation
+from gtau.uses.identified import Identified, torques_of
 
 PAYLOAD = {"m": 1.5, "mx": 0.1, "my": -0.05, "mz": 0.2, "xx": 0.1, "yy": 0.2, "zz": 0.15}
 
@@ -125,3 +125,11 @@ def sprung() -> Robot:
     coil = Spring("coil", Attachment("ground", Pose((0.3, 0.5, 0.2))), Attachment("2", Pose((0.1, 0.05, 0.0))), SPRING)
     gas = Spring("gas", Attachment("1", Pose((0.0, 0.1, 0.1))), Attachment("3", Pose((0.2, 0.0, 0.0))), ("f0", "c"))
     return replace(robot, name="sprung", joints=joints, springs=(coil, gas))
+
+
+def torques(
+    model: Identified, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, values: np.ndarray | None = None
+) -> np.ndarray:
+    """Torques (N, n) along a path of the actuated joints, (N, n) each, that begins near home; of other parameters."""
+    motion = model.result.idm.motion(q.T, qd.T, qdd.T)
+    return torques_of(model, motion, model.values if values is None else values).T

@@ -15,7 +15,7 @@ from gtau.errors import GtauError
 from gtau.estimation.identify import identify
 from gtau.estimation.results.conclusions import remarks, sums_with_mass
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.payload import PayloadEstimate
+from gtau.estimation.results.groups import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.findings import FindingKind as F
 from gtau.model.inverse_dynamics import InverseDynamics

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from gtau.errors import GtauError
 from gtau.estimation.estimators.standard_parameters import pseudo_inertia
 from gtau.estimation.identify import identify
-from gtau.estimation.results.payload import PayloadBody, PayloadEstimate, Weighed
+from gtau.estimation.results.groups import PayloadBody, PayloadEstimate, Weighed
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import RigidBody, inertial_parameters, rigid_body

@@ -125,7 +125,7 @@ def _write(result: Result, out: Path) -> list[Path]:
     written = [folder_of(out) / name for name in ("model.json", "summary.txt", "singularities.parquet")]
     result.save(written[0])
     write_atomically(written[1], result.summary(True) + "\n")
-    write_distances(result.distances, written[2])
+    write_distances(zip(result.runs, result.distances, strict=True), written[2])
     if torque_scales(result) and result.believable:
         written.append(out / "torque_scale.yaml")
         write_atomically(written[-1], torque_scale_text(result))

@@ -29,7 +29,7 @@ from gtau.documents.files import folder_of, refuse_as_folder
 from gtau.errors import GtauError, missing_extra
 
 if TYPE_CHECKING:
-    from gtau.estimation.results.payload import PayloadBody, PayloadEstimate
+    from gtau.estimation.results.groups import PayloadBody, PayloadEstimate
     from gtau.estimation.results.result import Result
     from gtau.export.exported import Exported
     from gtau.robots.robot import Placement

@@ -55,12 +55,7 @@ CONTENT = {
 def demo(out: Path, progress: Progress, duration: float = 10.0) -> tuple[dict[str, Any], Page]:
     """Make logs of ``duration`` s, identify the robot from them, weigh a second payload, and write all to ``out``.
 
-    Returns true values, estimates and files as a JSON document, and the same as a page.
-
-    Raises
-    ------
-    GtauError
-        Where a file cannot be written.
+    Returns true values, estimates and files as a JSON document, and the same as a page. Raises GtauError.
     """
     make_experiment(out, duration, progress)
     result = identify(out / "experiment.yaml", progress=progress)

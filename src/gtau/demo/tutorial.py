@@ -11,12 +11,9 @@ LOGS = Path(__file__).with_name("tutorial_logs")
 
 
 def write_tutorial(out: Path) -> list[Path]:
-    """Copy the tutorial logs to a folder, created if missing; returns their paths.
+    """Copy the tutorial logs to a folder, created if missing, and return their paths.
 
-    Raises
-    ------
-    GtauError
-        Where the folder cannot be made or written to, or has a log of that name with other content.
+    Raises GtauError where that cannot be written to, or has a log of that name with other content.
     """
     logs = {folder_of(out) / log.name: log.read_bytes() for log in sorted(LOGS.glob("*.csv"))}
     for copy, content in logs.items():

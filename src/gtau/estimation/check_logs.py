@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from gtau import display
 from gtau.documents.validation import FUNCTION, NUMBER, TEXT, takes
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.geometry_findings import GeometryTest
 from gtau.estimation.diagnostics.log_checks import command_lag, doubtful_commands, require_payload_excitation
 from gtau.estimation.diagnostics.unit_checks import doubtful_currents, doubtful_payloads
 from gtau.estimation.experiment_runs import Subject, describe, geometry_of, options_of, read_runs
@@ -23,7 +22,7 @@ from gtau.estimation.regression.dataset import Dataset, model_of, robot_notes
 from gtau.estimation.regression.plausibility import prepare_runs
 from gtau.estimation.regression.rows import instants
 from gtau.estimation.results.conclusions import near_singularities, not_separated
-from gtau.estimation.results.estimate import Distances, NearestPose, distances_of, nearest_poses
+from gtau.estimation.results.estimate import NearestPose, distances_along, nearest_poses
 from gtau.findings import Finding, Severity
 from gtau.findings import FindingKind as F
 from gtau.findings.finding import by_severity
@@ -41,6 +40,9 @@ from gtau.signals.reading.logged_run import LoggedRun
 from gtau.signals.reading.statements import Prior
 from gtau.signals.run import Run
 from gtau.signals.storage import Store, block_size
+
+if TYPE_CHECKING:
+    from gtau.estimation.diagnostics.geometry import GeometryTest
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +82,7 @@ class WrenchCheck:
 
 @dataclass(frozen=True, eq=False)
 class LogCheck:
-    """One log: its joints, and positions (K, n), usable samples and distances at the decimated instants.
+    """One log: its joints, and positions (K, n), usable samples and distances (K,) at the decimated instants.
 
     ``validation`` says whether the file lists the run under that key.
     """
@@ -91,7 +93,7 @@ class LogCheck:
     wrenches: tuple[WrenchCheck, ...]
     position: np.ndarray
     used: np.ndarray
-    distances: Distances
+    distances: np.ndarray
     nearest: tuple[NearestPose, ...]
     preparation: Preparation
 
@@ -160,7 +162,7 @@ def check_logs(
     notes = robot_notes(robot, loaded=any(run.payload for run in listed))
     count, listed = len(listed), (*listed, *(experiment.validation if experiment else ()))
     kinds = [F.REFUSED] * count + [F.VALIDATION] * (len(listed) - count)
-    read = _read(experiment, listed, kinds, model, notes, progress)
+    read = list(_read(experiment, listed, kinds, model, notes, progress))
     used = [run for run in read[:count] if run is not None]
     if not used:
         return ExperimentCheck(robot, None, (), tuple(notes))
@@ -182,11 +184,11 @@ def check_logs(
             notes += near_singularities(checked[-1].nearest)
     progress("checking logs", len(read), len(read))
     geometry = None
-    with _noted(notes):
-        if experiment is not None:
+    if experiment is not None:
+        with _noted(notes):
             readable = [entry for entry, run in zip(experiment.runs, read, strict=False) if run is not None]
-            geometry = geometry_of(experiment, readable, model, progress)
-        notes += [geometry.note] if geometry else []
+            if geometry := geometry_of(experiment, readable, model, progress):
+                notes.append(geometry.note)
     for_use = [log for log in checked if not log.validation]
     notes += few_rows(for_use)
     if not any(note.severity == Severity.ERROR for note in notes):
@@ -202,40 +204,32 @@ def _read(
     model: InverseDynamics,
     notes: list[Finding],
     progress: Progress,
-) -> list[Run | None]:
-    """Read the runs that are not there yet, None for those that cannot be used, and note why."""
-    runs: list[Run | None] = [None] * len(listed)
-    for k, entry in enumerate(listed):
+) -> Iterator[Run | None]:
+    """Read the runs that are not there yet; those that cannot be used are None, with a note why."""
+    for k, (entry, kind) in enumerate(zip(listed, kinds, strict=True)):
 
         def advance(what: str, done: int, total: int, k: int = k) -> None:
             progress(what, k * total + done, len(listed) * total)
 
-        with _noted(notes, kinds[k]):
-            if isinstance(entry, Run):
-                run = entry
-            else:
-                assert experiment is not None  # whose entry it is
-                (run,) = read_runs(experiment, [entry], advance)
+        usable = None
+        with _noted(notes, kind):
+            run = entry if isinstance(entry, Run) else read_runs(experiment, [entry], advance)[0]  # type: ignore[arg-type]
             run = run.ordered(model.actuated)
             moving_spectra(run)
-            runs[k] = run
-    return runs
+            usable = run
+        yield usable
 
 
 @contextmanager
 def _noted(notes: list[Finding], kind: F = F.REFUSED, source: str = "") -> Generator[None]:
-    """Note a refusal instead of raising it."""
+    """Note a refusal instead of raising it; what several logs have in common is listed once, with all their names."""
     try:
         yield
     except GtauError as error:
-        notes.append(refusal(error, kind, source))
-
-
-def refusal(error: GtauError, kind: F = F.REFUSED, source: str = "") -> Finding:
-    """Note why an identification refuses a log; what several have in common is listed once, with all their names."""
-    what, _, action = error.sentence.rstrip(".").rpartition("; ")
-    values = {"what": what or action, "action": action if what else ""}
-    return Finding(kind, values=values, source=error.source or ("" if source in values["what"] else source))
+        what, _, action = error.sentence.rstrip(".").rpartition("; ")
+        values = {"what": what or action, "action": action if what else ""}
+        named = error.source or ("" if source in values["what"] else source)
+        notes.append(Finding(kind, values=values, source=named))
 
 
 def few_rows(logs: Sequence[LogCheck]) -> Iterator[Finding]:
@@ -249,15 +243,17 @@ def few_rows(logs: Sequence[LogCheck]) -> Iterator[Finding]:
 def _together(subject: Subject, dataset: Dataset) -> list[Finding]:
     """List findings that need all runs: the scale of the gains, the payload's effect, inseparable parameters."""
     system = dataset.system()
-    notes = [*command_lag(dataset, system), *not_separated(system.unexcited)]
-    try:
-        _, gains = plan(subject, dataset, system)
-    except GtauError as error:
-        payloads = [run.payload for run in dataset.runs if run.payload is not None]
-        if system.problem.scaled or not payloads or any(payload.mass is not None for payload in payloads):
-            return [*notes, refusal(error, F.SCALE)]
-        return [*notes, Finding(F.WEIGHING, (), payloads[0].name)]
-    if gains is None:
+    notes, planned = [*command_lag(dataset, system), *not_separated(system.unexcited)], None
+    payloads = [run.payload for run in dataset.runs if run.payload is not None]
+    if payloads and not system.problem.scaled and all(payload.mass is None for payload in payloads):
+        with suppress(GtauError):
+            planned = plan(subject, dataset, system)
+        if planned is None:
+            return [*notes, Finding(F.WEIGHING, (), payloads[0].name)]
+    else:
+        with _noted(notes, F.SCALE):
+            planned = plan(subject, dataset, system)
+    if planned is not None and planned[1] is None:  # gains that are estimated
         with _noted(notes, F.MODEL):
             require_payload_excitation(system)
     return notes
@@ -268,9 +264,8 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
     rows = decimator.outputs(len(prepared))
     if not rows:
         raise GtauError(f"run '{run.name}' is too short to be decimated by {decimator.factor}; give a longer log.")
-    lowest, highest, fastest, strongest = ([] for _ in range(4))
     positions, distances, masks = Store((n,)), Store((2,), np.float32), Store((n,), bool)
-    power, path = np.zeros(run.command.shape[1]), None
+    power, path, ends = np.zeros(run.command.shape[1]), None, []
     for outputs in decimator.blocks(len(prepared), max(block_size() // decimator.factor, 1)):
         part, at = decimator.samples(outputs, len(prepared)), decimator.at(outputs)
         samples = prepared.samples(part.start, part.stop)
@@ -281,38 +276,29 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
         distances.append(singularities(model).distances(model.rates(path, still, still, labels)).T)
         positions.append(samples.q[at])
         power += (samples.command[at] ** 2).sum(axis=0)
-        lowest.append(samples.q.min(axis=0))
-        highest.append(samples.q.max(axis=0))
-        fastest.append(np.abs(samples.qd).max(axis=0))
-        strongest.append(np.abs(samples.command[:, :n]).max(axis=0))
-    values, used = distances.array(), masks.array()
-    columns = zip(
-        run.joints,
-        np.min(lowest, axis=0).tolist(),
-        np.max(highest, axis=0).tolist(),
-        np.sqrt(np.diag(prepared.speeds)).tolist(),
-        np.max(fastest, axis=0).tolist(),
-        spectra(run),
-        np.sqrt(power / rows)[:n].tolist(),
-        np.max(strongest, axis=0).tolist(),
-        used.mean(axis=0).tolist(),
-        strict=True,
-    )
+        largest = [np.abs(values).max(axis=0) for values in (samples.qd, samples.command[:, :n])]
+        ends.append([samples.q.min(axis=0), samples.q.max(axis=0), *largest])
+    values, used, rms = distances.array(), masks.array(), np.sqrt(power / rows)
+    lowest, (highest, fastest, strongest) = np.min(ends, axis=0)[0], np.max(ends, axis=0)[1:]
+    speeds = np.sqrt(np.diag(prepared.speeds))
+    of_joints = np.stack([lowest, highest, speeds, fastest, rms[:n], strongest, used.mean(axis=0)], axis=1).tolist()
+    of_wrenches = np.sqrt((power / rows)[run.given].reshape(-1, 2, 3).sum(axis=2)).tolist()
     return LogCheck(
         run=run,
         validation=validation,
-        wrenches=tuple(_wrench_checks(run, power / rows)),
-        joints=tuple(JointCheck(joint, (low, high), *rest) for joint, low, high, *rest in columns),
+        wrenches=tuple(
+            WrenchCheck(frame.body, "world" if frame.of_world else "body", force, moment)
+            for frame, (moment, force) in zip(run.wrenches, of_wrenches, strict=True)
+        ),
+        joints=tuple(
+            JointCheck(joint, (low, high), speed, speed_max, spectrum, *rest)
+            for joint, spectrum, (low, high, speed, speed_max, *rest) in zip(
+                run.joints, spectra(run), of_joints, strict=True
+            )
+        ),
         position=positions.array(),
         used=used,
-        distances=distances_of(prepared, decimator, values),
+        distances=distances_along(prepared, decimator, values),
         nearest=tuple(nearest_poses(prepared, decimator, values)),
         preparation=prepared.preparation,
     )
-
-
-def _wrench_checks(run: Run, power: np.ndarray) -> Iterator[WrenchCheck]:
-    """Describe the wrenches of a run by the mean squares of its command columns."""
-    of_wrenches = power[run.given].reshape(-1, 2, 3).sum(axis=2)
-    for frame, (moment, force) in zip(run.wrenches, np.sqrt(of_wrenches).tolist(), strict=True):
-        yield WrenchCheck(frame.body, "world" if frame.of_world else "body", force, moment)

@@ -30,6 +30,8 @@ from gtau.signals.run import Run
 if TYPE_CHECKING:
     import polars as pl
 
+NUMBERS = ("gains", "std", "residuals")
+
 
 @dataclass(frozen=True, eq=False)
 class Row:
@@ -79,9 +81,8 @@ class EstimatorComparison:
             for row in self.rows
             for j, joint in enumerate(self.joints)
         ]
-        texts, numbers = ("method", "joint", "verdict", "refusal"), ("gain", "std", "residual")
-        types = dict.fromkeys(texts, pl.String) | dict.fromkeys(numbers, pl.Float64)
-        return pl.DataFrame(rows, schema_overrides=types)
+        types = dict.fromkeys(("method", "joint", "verdict", "refusal"), pl.String)
+        return pl.DataFrame(rows, schema_overrides=types | dict.fromkeys(("gain", "std", "residual"), pl.Float64))
 
     def _repr_html_(self) -> str:
         html: str = display.views().html(self)
@@ -108,23 +109,21 @@ def compare(
     subject = read(source, runs, asked, progress)
 
     def row(method: str) -> Row:
-        start, options = perf_counter(), replace(subject.options, method=method)
+        start, asked = perf_counter(), replace(subject, options=replace(subject.options, method=method))
         try:
-            estimator = require_inputs(replace(subject, options=options))
-            planned = plan(replace(subject, options=options), dataset, system)
+            estimator = require_inputs(asked)
+            planned = plan(asked, dataset, system)
             usable = dataset if estimator.takes_priors else replace(dataset, priors={})
-            result = estimate(usable, *planned, options, progress)
+            result = estimate(usable, *planned, asked.options, progress)
         except GtauError as refusal:
             return Row(method, refusal=str(refusal))
-        seconds, gains = perf_counter() - start, list(result.drive_gains.values())
+        seconds, gains = perf_counter() - start, result.drive_gains.values()
         residuals = np.array([error.relative for error in result.residuals])
-        values = np.array([gain.value for gain in gains], dtype=float)
+        numbers = ((gain.value, gain.std, gain.half_interval()) for gain in gains)
+        values, std, halves = np.array(list(numbers), dtype=float).T
         if estimator.gains == Gains.GIVEN:
             return Row(method, values, None, residuals, seconds)
-        std = np.array([gain.std for gain in gains], dtype=float)
-        outcome = worst([gain.verdict for gain in gains])
-        halves = np.array([gain.half_interval() for gain in gains], dtype=float)
-        return Row(method, values, std, residuals, seconds, outcome, half_widths=halves)
+        return Row(method, values, std, residuals, seconds, worst(gain.verdict for gain in gains), half_widths=halves)
 
     with single_threaded_blas():
         dataset = reduced(subject, estimator_of("ml"), progress)
@@ -142,22 +141,14 @@ def compare(
 
 def to_document(comparison: EstimatorComparison) -> dict[str, Any]:
     """Describe the comparison as a JSON document."""
-
-    def numbers(values: Sequence[float] | np.ndarray | None) -> list[float] | None:
-        return None if values is None else [float(value) for value in values]
-
-    return {
-        "joints": list(comparison.joints),
-        "estimators": [
-            {
-                "method": row.method,
-                "gains": numbers(row.gains),
-                "std": numbers(row.std),
-                "residuals": numbers(row.residuals),
-                "seconds": row.seconds,
-                "outcome": None if row.outcome is None else row.outcome.value,
-                "refusal": row.refusal,
-            }
-            for row in comparison.rows
-        ],
-    }
+    rows = [
+        {
+            "method": row.method,
+            **{key: None if (held := getattr(row, key)) is None else held.tolist() for key in NUMBERS},
+            "seconds": row.seconds,
+            "outcome": None if row.outcome is None else row.outcome.value,
+            "refusal": row.refusal,
+        }
+        for row in comparison.rows
+    ]
+    return {"joints": list(comparison.joints), "estimators": rows}

@@ -23,7 +23,7 @@ from gtau.signals.reading.statements import Prior, StatedGain, as_priors
 from gtau.signals.run import Run, read_run
 
 if TYPE_CHECKING:
-    from gtau.estimation.diagnostics.geometry_findings import GeometryTest
+    from gtau.estimation.diagnostics.geometry import GeometryTest
 
 OF_RUNS = "the runs of a robot are a list of runs; read each log with gtau.read_run."
 

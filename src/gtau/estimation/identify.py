@@ -12,8 +12,12 @@ import numpy as np
 from gtau.display import late
 from gtau.documents.validation import FUNCTION, NUMBER, TEXT, TRUTH, takes
 from gtau.errors import GtauError
+<<<<<<< HEAD
 from gtau.estimation.diagnostics.alternatives import TOOL_BODIES
 from gtau.estimation.diagnostics.diagnose import diagnose
+=======
+from gtau.estimation.diagnostics.diagnose import channel_verdicts, diagnose
+>>>>>>> main
 from gtau.estimation.diagnostics.examine import estimates_of, examine
 from gtau.estimation.diagnostics.log_checks import command_lag, lack_of_fit, require_payload_excitation
 from gtau.estimation.diagnostics.stated_constants import weigh_known
@@ -25,7 +29,7 @@ from gtau.estimation.experiment_runs import Options, Subject, geometry_of, optio
 from gtau.estimation.preconditions import given_gains, plan, reduced, require_inputs
 from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.problem import Estimates
-from gtau.estimation.results.build import evidence, fit_record, model_estimates
+from gtau.estimation.results.build import evidence, fit_record, model_estimates, sensor_estimates
 from gtau.estimation.results.estimate import Requirement, TorqueError
 from gtau.estimation.results.friction_curves import friction_step
 from gtau.estimation.results.result import Result
@@ -223,14 +227,21 @@ def estimate(
         fit = replace(fit, system=replace(fit.system, problem=essential), solution=reduced)
         nothing = np.zeros_like(reduced.covariance)
         estimates = Estimates(essential.unknowns, reduced.values, reduced.covariance, nothing, nothing, None)
-    diagnosis = diagnose(fit, examined, estimates, payloads, options.gains, accuracy, audit)
+    findings = diagnose(fit, examined, estimates, payloads, options.gains, accuracy, audit)
+    verdicts = channel_verdicts(fit, estimates, findings)
     predicting, curves, errors = (estimates, {}, {}) if as_paper else friction_step(fit, estimates)
+<<<<<<< HEAD
     figures = {"reduction_loss": loss, "lack_of_fit": lack, "accuracy": float(accuracy)}
+=======
+    figures = {"reduction_loss": loss, "lack_of_fit": examined.lack_of_fit, "accuracy": float(accuracy)}
+    sensors = sensor_estimates(fit, predicting, verdicts, accuracy) if fit.system.problem.sensor_channels else ()
+    described = model_estimates(fit, estimates, predicting, curves, verdicts, payloads, essential)
+>>>>>>> main
     return Result(
         dataset.robot,
-        replace(model_estimates(fit, estimates, predicting, curves, diagnosis, essential), consistency=bodies),
+        replace(described, consistency=bodies, sensors=sensors),
         fit_record(fit, estimator.name, errors, figures),
-        replace(evidence(fit, estimates, examined, diagnosis, curves), audit=audit),
+        replace(evidence(fit, estimates, examined, findings, curves), audit=audit),
     )
 
 

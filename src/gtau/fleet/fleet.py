@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from platform import node
@@ -36,13 +36,7 @@ class Member:
     @property
     def anywhere(self) -> Member:
         """The same member with absolute paths, for processes that run in another folder."""
-        return replace(
-            self, experiment=self.experiment.absolute(), logs=None if self.logs is None else self.logs.absolute()
-        )
-
-    def read(self) -> Experiment:
-        """Read its experiment; raises GtauError."""
-        return read_experiment(self.experiment, self.logs)
+        return Member(self.name, self.experiment.absolute(), self.logs and self.logs.absolute())
 
 
 @dataclass(frozen=True)
@@ -72,9 +66,8 @@ class FleetFile(Keys):
 
     @model_validator(mode="after")
     def _one_way(self) -> FleetFile:
-        if (self.experiments is None) == (self.experiment is None) or (self.experiment is None) != (
-            self.folders is None
-        ):
+        ways = [self.experiments is None, self.experiment is None, self.folders is None]
+        if ways not in ([False, True, True], [True, False, False]):
             raise ValueError("give 'experiments', one file for each robot; or 'experiment' and 'folders', one for all")
         return self
 
@@ -140,13 +133,13 @@ def identify_fleet(
     Raises GtauError where the folder is not writable. Errors of a robot are in its report.
     """
     known = [_read_text(_file(out, member, "key")) if _file(out, member).is_file() else "" for member in members]
+    items = [(member.anywhere, key) for member, key in zip(members, known, strict=True)]
     reports: dict[int, Report] = {}
     progress("robots", 0, len(members))
-    items = [(member.anywhere, key) for member, key in zip(members, known, strict=True)]
     for k, outcome in mapper(partial(identify_member, method), items):
         reports[k] = _keep(out, members[k], outcome)
         progress("robots", len(reports), len(members))
-    return tuple(reports[k] for k in range(len(members)))
+    return tuple(report for _, report in sorted(reports.items(), key=lambda item: item[0]))
 
 
 def identify_member(method: str, item: tuple[Member, str]) -> tuple[str, str] | GtauError:
@@ -155,7 +148,7 @@ def identify_member(method: str, item: tuple[Member, str]) -> tuple[str, str] | 
 
     member, known = item
     try:
-        experiment = member.read()
+        experiment = read_experiment(member.experiment, member.logs)
         key = inputs_key(experiment, method)
         return key, "" if key == known else model_text(identify(experiment, method=method))
     except GtauError as error:

@@ -157,22 +157,21 @@ class FleetTable:
 
 def fleet_table(reports: Sequence[Report]) -> FleetTable:
     """Compare the gains of each joint over the robots of the same model; see :func:`median_and_spread`."""
-    gains = [
-        FleetGain(report.member.name, report.model["robot"], _estimate(gain), gain["outcome"], gain["why"])
-        for report in reports
-        if report.model is not None
-        for gain in report.model["drive_gains"]
-    ]
+    gains, models = [], [(report.member.name, report.model) for report in reports if report.model is not None]
+    for robot, model in models:
+        for gain in model["drive_gains"]:
+            estimate = Estimate(gain["joint"], gain["value"], gain["std"], gain["unit"], freedom=gain["freedom"])
+            gains.append(FleetGain(robot, model["robot"], estimate, gain["outcome"], gain["why"]))
     groups: dict[tuple[str, str, str], list[int]] = {}
-    for k, gain in enumerate(gains):
-        if gain.estimate.value is not None and gain.estimate.std is not None:
-            groups.setdefault((gain.model, gain.joint, gain.estimate.unit), []).append(k)
+    for k, member in enumerate(gains):
+        if member.estimate.value is not None and member.estimate.std is not None:
+            groups.setdefault((member.model, member.joint, member.estimate.unit), []).append(k)
     tests = sum(map(len, groups.values()))
     joints = []
     for group, members in groups.items():
         estimates = [gains[k].estimate for k in members]
-        numbers = np.array([(gain.value, gain.std, gain.freedom or np.inf) for gain in estimates], dtype=float)
-        values, std, freedom = numbers.T
+        rows = [(gain.value, gain.std, gain.freedom or np.inf) for gain in estimates]
+        values, std, freedom = np.array(rows, dtype=float).T
         median, spread = median_and_spread(values, std)
         total = np.hypot(spread, std)
         median_std = float(np.sqrt(np.pi / 2 / np.sum(1 / np.maximum(total, 1e-150) ** 2)))
@@ -189,7 +188,3 @@ def fleet_table(reports: Sequence[Report]) -> FleetTable:
             )
     refused = tuple((report.member.name, report.sentence) for report in reports if report.model is None)
     return FleetTable(tuple(gains), tuple(joints), refused)
-
-
-def _estimate(gain: dict[str, Any]) -> Estimate:
-    return Estimate(gain["joint"], gain["value"], gain["std"], gain["unit"], freedom=gain["freedom"])

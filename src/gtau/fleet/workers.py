@@ -13,7 +13,6 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from multiprocessing import Pipe
@@ -44,42 +43,42 @@ class WorkerDied(GtauError):
     """The worker of an item died, or another one of the same executor."""
 
 
-@dataclass(frozen=True)
-class Workers:
-    """A :class:`concurrent.futures.Executor` by its ``submit``, and how its workers fail.
+def mapper_of(
+    submit: Callable[[Function, Any], Future[Any]],
+    failure: Callable[[BaseException], GtauError],
+    at_once: int = sys.maxsize,
+    check: Callable[[], None] = lambda: None,
+) -> Mapper:
+    """Make a map of what submits items to the workers of an executor.
 
     ``failure`` makes a GtauError of a future's exception, :class:`WorkerDied` where its worker died, or raises what
     ends all work. ``at_once`` items at most are submitted at a time: all of them may fail with one worker. ``check``
-    is called at least once a second, and may raise.
+    is called at least once a second, and may raise. Items whose worker died are tried once more, one by one.
     """
 
-    submit: Callable[[Function, Any], Future[Any]]
-    failure: Callable[[BaseException], GtauError]
-    at_once: int = sys.maxsize
-    check: Callable[[], None] = lambda: None
+    def results(function: Function, items: Sequence[Any], indices: Iterable[int]) -> Iterator[tuple[int, Any]]:
+        waiting, futures = deque(indices), dict[Future[Any], int]()
+        while waiting or futures:
+            while waiting and len(futures) < at_once:
+                k = waiting.popleft()
+                futures[submit(function, items[k])] = k
+            done = wait(futures, timeout=1.0, return_when=FIRST_COMPLETED).done
+            check()
+            for future in done:
+                error = CancelledError() if future.cancelled() else future.exception()
+                yield futures.pop(future), future.result() if error is None else failure(error)
 
-    def map(self, function: Function, items: Sequence[Any]) -> Iterator[tuple[int, Any]]:
-        """Map as a :data:`Mapper`; items whose worker died are tried once more, one by one."""
+    def mapped(function: Function, items: Sequence[Any]) -> Iterator[tuple[int, Any]]:
         died = []
-        for k, result in self._results(function, items, range(len(items))):
+        for k, result in results(function, items, range(len(items))):
             if isinstance(result, WorkerDied):
                 died.append(k)
             else:
                 yield k, result
         for k in died:
-            yield from self._results(function, items, [k])
+            yield from results(function, items, [k])
 
-    def _results(self, function: Function, items: Sequence[Any], indices: Iterable[int]) -> Iterator[tuple[int, Any]]:
-        waiting, futures = deque(indices), dict[Future[Any], int]()
-        while waiting or futures:
-            while waiting and len(futures) < self.at_once:
-                k = waiting.popleft()
-                futures[self.submit(function, items[k])] = k
-            done = wait(futures, timeout=1.0, return_when=FIRST_COMPLETED).done
-            self.check()
-            for future in done:
-                error = CancelledError() if future.cancelled() else future.exception()
-                yield futures.pop(future), future.result() if error is None else self.failure(error)
+    return mapped
 
 
 def serial_map(function: Function, items: Sequence[Any]) -> Iterator[tuple[int, Any]]:
@@ -110,7 +109,7 @@ def processes(jobs: int) -> Iterator[Mapper]:
 
     with watched, held:
         try:
-            yield Workers(submit, failure, jobs).map
+            yield mapper_of(submit, failure, jobs)
         finally:
             executor().shutdown(kill_workers=True)
 
@@ -190,7 +189,7 @@ def dask_workers(
                     "and run the same command again."
                 )
 
-        yield Workers(partial(submit, _work, installed()), _dask_failure, check=check).map
+        yield mapper_of(partial(submit, _work, installed()), _dask_failure, check=check)
 
 
 def _check_scheduler(address: str, patience: float) -> None:
@@ -203,11 +202,12 @@ def _check_scheduler(address: str, patience: float) -> None:
         return str(answer["type"]).lower()
 
     try:
-        kind = asyncio.run(identity())
-        reason = "" if kind == "scheduler" else f"this is a {kind}"
-    except (OSError, ValueError) as error:
-        reason = "it does not answer" if isinstance(error, OSError) else str(error)
-    if reason:
+        reason = f"this is a {asyncio.run(identity())}"
+    except OSError:
+        reason = "it does not answer"
+    except ValueError as error:
+        reason = str(error)
+    if reason != "this is a scheduler":
         raise GtauError(
             f"the Dask scheduler '{address}' cannot be reached ({reason}); give an address such as tcp://host:8786, or "
             "'local'."

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gtau.estimation.check_logs import ExperimentCheck, LogCheck
-from gtau.estimation.diagnostics.geometry_findings import to_document as geometry_document
+from gtau.estimation.diagnostics.geometry import to_document as geometry_document
 from gtau.estimation.results.estimate import write_distances
 from gtau.findings import Finding, FindingKind, Severity
 from gtau.findings.finding import by_severity, note_document
@@ -208,8 +208,8 @@ def _wrenches(log: LogCheck) -> Table | None:
 def motion_chart(log: LogCheck, robot: Robot) -> Chart:
     """Draw the motion of the joints in a log, and its distances to singularities of both types."""
     start, joints = float(log.run.time[0]), [joint.joint for joint in log.joints]
-    panels = joint_panels(robot, joints, log.distances.time - start, log.position, "position", 2.1)
-    distances = distances_panels([log.distances], {log.distances.run: start})
+    panels = joint_panels(robot, joints, log.distances["time"] - start, log.position, "position", 2.1)
+    distances = distances_panels([(log.run.name, start, log.distances)])
     return Chart((*panels, *(replace(panel, title="") for panel in distances)), log.run.name, live=True)
 
 
@@ -224,7 +224,7 @@ def write_check(checked: ExperimentCheck, folder: Path) -> list[Path]:
     charts = [motion_chart(log, checked.robot) for log in checked.logs]
     distances = folder / "singularities.parquet"
     written = _saved(checked, charts, folder)
-    write_distances([log.distances for log in checked.logs], distances)
+    write_distances(((log.run.name, log.distances) for log in checked.logs), distances)
     return [*written, distances]
 
 

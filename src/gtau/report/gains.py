@@ -9,7 +9,7 @@ from functools import partial
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.results.conclusions import reasons
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.payload import PayloadEstimate
+from gtau.estimation.results.groups import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import ACCURACY
 from gtau.findings.words import percent_text

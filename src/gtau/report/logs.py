@@ -150,7 +150,7 @@ def _steps(run: Run) -> Panel:
 
 def _used(log: LogCheck) -> Panel:
     """Draw which decimated rows of each joint are used: bars; the gaps are reversals, rests and masked samples."""
-    time, series = log.distances.time - float(log.run.time[0]), []
+    time, series = log.distances["time"] - float(log.run.time[0]), []
     for j in range(len(log.run.joints)):
         edges = np.flatnonzero(np.diff(np.r_[False, log.used[:, j], False]))
         ends = np.column_stack([time[edges[::2]], time[np.minimum(edges[1::2], len(time) - 1)]])

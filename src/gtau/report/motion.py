@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import combinations
 
 import numpy as np
 
-from gtau.estimation.diagnostics.geometry_findings import GeometryTest, percent
-from gtau.estimation.results.estimate import Distances, NearestPose
+from gtau.estimation.diagnostics.geometry import GeometryTest, percent
+from gtau.estimation.results.estimate import NearestPose
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.logs import NEAR_SINGULAR, POSE_DELAY_STD
 from gtau.report.chart import Axis, Chart, Panel, Series, colour
@@ -42,7 +42,8 @@ def motion_section(result: Result, runs: Sequence[RunEvidence]) -> Section:
     paths = [(run.name, body_path(result, run)) for run in drawn]
     title = f"Path of the frame of '{result.robot.tool}', the body that carries the payload"
     starts = {run.run.name: float(run.run.time[0]) for run in runs}
-    distances = distances_panels(result.distances, starts) if used else []
+    along = zip(result.runs, result.distances, strict=False)  # none of a result that was loaded from a file
+    distances = distances_panels((name, starts.get(name, 0.0), run) for name, run in along) if used else []
     return section(
         "Robot and motion",
         result.robot,
@@ -86,21 +87,21 @@ def singularities_section(nearest: Sequence[NearestPose]) -> Section | None:
     return section("Distance to singular poses", listed, Text(words, style="soft"))
 
 
-def distances_panels(distances: Sequence[Distances], starts: Mapping[str, float]) -> list[Panel]:
-    """Draw distances to singular poses along runs that begin at ``starts``, s, by name; none where a run has none."""
+def distances_panels(runs: Iterable[tuple[str, float, np.ndarray]]) -> list[Panel]:
+    """Draw distances to singular poses along runs: name, start (s), and distances; none where a run has none."""
     panels = []
-    for run in distances:
-        time = run.time - starts.get(run.run, 0.0)
+    for run, start, distances in runs:
+        time = distances["time"] - start
         series = [
-            Series(name, time, values, COLOURS[kind], width=1.4)
-            for (kind, name), values in zip(TYPES.items(), run.values.T, strict=True)
-            if np.isfinite(values).any()
+            Series(name, time, distances[f"type_{kind}"], COLOURS[kind], width=1.4)
+            for kind, name in TYPES.items()
+            if np.isfinite(distances[f"type_{kind}"]).any()
         ]
         if len(series) == len(TYPES):  # at singularities of type 2 alone errors are magnified
             limit = np.full(len(time), NEAR_SINGULAR)
             series.append(Series(f"near: {NEAR_SINGULAR:g}", time, limit, "c7", width=0.8))
         axis = Axis("distance", limits=(0.0, 1.05))
-        panels += [Panel(TIME, axis, tuple(series), run.run, height=1.4)] if series else []
+        panels += [Panel(TIME, axis, tuple(series), run, height=1.4)] if series else []
     return panels
 
 

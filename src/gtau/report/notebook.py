@@ -9,7 +9,7 @@ from gtau.documents.files import write_atomically
 from gtau.estimation.check_logs import ExperimentCheck
 from gtau.estimation.compare import EstimatorComparison
 from gtau.estimation.results.estimate import Named
-from gtau.estimation.results.payload import PayloadEstimate
+from gtau.estimation.results.groups import PayloadEstimate
 from gtau.estimation.results.predicted import Prediction
 from gtau.estimation.results.result import Result
 from gtau.report.check import check_page

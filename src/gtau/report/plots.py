@@ -89,8 +89,8 @@ class Plots:
 
     def distances(self) -> Figure:
         """Draw distances to singular poses along the runs."""
-        starts = {run.name: float(run.time[0]) for run in self.result.data}
-        panels = distances_panels(self.result.distances, starts)
+        along = zip(self.result.data, self.result.distances, strict=False)
+        panels = distances_panels((run.name, float(run.time[0]), distances) for run, distances in along)
         if not panels:
             raise GtauError("a result that was loaded from a file has no distances; identify from the logs again.")
         return figure_of(Chart(tuple(panels)))

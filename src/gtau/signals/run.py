@@ -176,10 +176,7 @@ class Run:
     def ordered(self, joints: Sequence[str], link_side: bool = True) -> Run:
         """Return the run with its channels in the order of ``joints``, with or without those on the ``link_side``.
 
-        Raises
-        ------
-        GtauError
-            The run lacks one of the joints, a robot's actuated ones, or has others.
+        Raises GtauError where the run lacks one of the joints, a robot's actuated ones, or has others.
         """
         if set(self.joints) != set(joints) or len(self.joints) != len(joints):
             raise GtauError(

@@ -34,8 +34,7 @@ from gtau.robots.parameter import torque_unit
 from gtau.robots.robot import Placement
 from gtau.signals.run import Run
 from gtau.uses.identified import OBSERVED, functions, identified
-from gtau.uses.prediction import loaded_parameters, predict
-from gtau.uses.runs import suited
+from gtau.uses.prediction import loaded_parameters, predict, suited
 from gtau.uses.wrench import WrenchAlongLog, wrench_along_log
 
 if TYPE_CHECKING:
@@ -88,20 +87,9 @@ def torques_along_log(
 ) -> TorquesAlongLog:
     """Compute motor, model and external torques at every sample of a run, after the low-pass of identification.
 
-    Parameters
-    ----------
-    result, run : Result, Run
-        The model and the run.
-    frame : tuple, optional
-        Frame for the wrench, and whether it is a pure force (``force_only``); see
-        :func:`gtau.uses.wrench.wrench_along_log`.
-    bandwidth : float, optional
-        Of :func:`gtau.uses.external_torques.momentum_observer`, Hz, to add its estimate.
-
-    Raises
-    ------
-    GtauError
-        Where the run does not suit the robot, or the model refuses a sample.
+    With a ``frame``, also the wrench there, a pure force if ``force_only``; see
+    :func:`gtau.uses.wrench.wrench_along_log`. With a ``bandwidth``, Hz, also the estimate of :func:`momentum_observer`.
+    Raises GtauError where the run does not suit the robot, or the model refuses a sample.
     """
     raw = predict_under_load(result, run)
     prediction = raw.in_band
@@ -207,13 +195,7 @@ def _summary(torque: Prediction, unit: str, residual: float | None) -> External:
 
 
 def write_table(torques: TorquesAlongLog, path: Path) -> None:
-    """Write the table as Parquet or CSV, by the ending of ``path``.
-
-    Raises
-    ------
-    GtauError
-        Where the extension is another one, or the file cannot be written.
-    """
+    """Write the table as Parquet or CSV, by the ending of ``path``; raises GtauError."""
     if path.suffix.lower() not in (".csv", ".parquet"):
         raise GtauError(f"{path} ends in neither .csv nor .parquet; give the table one of these endings.")
     files.write_table(torques.table, path)

@@ -11,14 +11,13 @@ so that an update of the configuration updates them too: ``z <- clip(z + ratios 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 
 from gtau.documents.files import identifier
-from gtau.errors import GtauError
 from gtau.estimation.friction.law import SHAPES, transmitted
 from gtau.estimation.regression.column_blocks import TEMPERATURE_TERMS
 from gtau.estimation.results.estimate import Estimate
@@ -28,8 +27,8 @@ from gtau.model.closures import closed_motion, newton_step
 from gtau.model.kinematics import configuration_rates
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter, parameter_of, torque_unit
-from gtau.robots.robot import INERTIAL, PLAIN_FRICTION
-from gtau.uses.prediction import torques_along
+from gtau.robots.robot import PLAIN_FRICTION
+from gtau.uses.prediction import on_tool, require_all_parameters, torques_along
 
 SLIDING = 2.0  # beyond every state: the joint slides, its friction has the sign of the velocity
 OUTPUTS = {
@@ -47,22 +46,11 @@ OBSERVED = {
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """Model from which torques are computed.
+    """Model from which torques are computed: its identification, and the robot's ``name`` as an identifier of C.
 
-    Attributes
-    ----------
-    result : Result
-        Its identification.
-    name : str
-        The robot's name as an identifier of C, MATLAB and Python.
-    parameters : tuple of Estimate
-        Base parameters, those of friction as the model predicts it, then the friction terms f3, fb and fl.
-    payloads : dict
-        Name of each identified or known payload to the values of all parameters (n_p,) with it.
-    gains : ndarray
-        Drive gains (n,), N m/A or N/A; torque scales where the logs hold torques.
-    units : tuple of str
-        ``N m`` or ``N`` for each actuated joint.
+    ``parameters`` are the base ones, those of friction as the model predicts it, then the friction terms f3, fb and fl;
+    ``payloads`` the values of all (n_p,) with each payload, by name. ``gains`` (n,) are N m/A or N/A, torque scales
+    where the logs hold torques; ``units`` of the actuated joints ``N m`` or ``N``.
     """
 
     result: Result
@@ -95,46 +83,15 @@ class Identified:
 
 
 def identified(result: Result) -> Identified:
-    """Collect the data of a result for exports of torques.
-
-    Raises
-    ------
-    GtauError
-        Where the result lacks a base parameter or a drive gain.
-    """
-    base, robot = result.base, result.robot
-    missing = [name for name in base.names if name not in result.parameters]
-    if missing:
-        raise GtauError(f"the model lacks the base parameter '{missing[0]}'; identify it again.")
+    """Collect the data of a result for exports of torques; raises GtauError where it lacks a base parameter."""
+    require_all_parameters(result)
+    robot = result.robot
     terms = [term for name, term in result.friction.items() if name.kind not in (*TEMPERATURE_TERMS, *SHAPES)]
-    parameters = [*(result.parameters[name] for name in base.names), *terms]
+    parameters = (*(result.parameters[name] for name in result.base.names), *terms)
     gains = np.array([result.drive_gains[joint].value for joint in robot.actuated], dtype=float)
-    values = np.array([parameter.value or 0.0 for parameter in parameters])
     units = tuple(torque_unit(robot, joint) for joint in robot.actuated)
-    return Identified(result, identifier(robot.name), tuple(parameters), _payloads(result, values), gains, units)
-
-
-def torques(
-    model: Identified, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, values: np.ndarray | None = None
-) -> np.ndarray:
-    """Compute torques (N, n) in N m or N along a path of the actuated joints, (N, n) each.
-
-    Parameters
-    ----------
-    model : Identified
-        From :func:`identified`.
-    q, qd, qdd : ndarray
-        Positions, velocities and accelerations, SI units; the path begins near home.
-    values : ndarray, optional
-        Parameters (n_p,) other than the identified ones, those of a payload for instance.
-
-    Raises
-    ------
-    GtauError
-        Where the loops cannot be closed, or a pose is too close to a singularity.
-    """
-    idm = model.result.idm
-    return torques_of(model, idm.motion(q.T, qd.T, qdd.T), model.values if values is None else values).T
+    model = Identified(result, identifier(robot.name), parameters, {}, gains, units)
+    return replace(model, payloads=_payloads(result, model.values))
 
 
 def torques_of(model: Identified, motion: Motion, values: np.ndarray, z: np.ndarray | None = None) -> np.ndarray:
@@ -146,17 +103,11 @@ def torques_of(model: Identified, motion: Motion, values: np.ndarray, z: np.ndar
 
 
 def _payloads(result: Result, values: np.ndarray) -> dict[str, np.ndarray]:
-    base, place = result.base, {name: k for k, name in enumerate(result.idm.parameter_names)}
-    loaded = {}
-    for name in dict.fromkeys(payload.name for payload in result.payloads):
-        weighed = result.payload(name)
-        if "m" in weighed:
-            with_it = values.copy()
-            for kind in INERTIAL:
-                with_it[: base.count] += (
-                    weighed.get(kind, 0.0) * base.matrix[:, place[Parameter(kind, result.robot.tool)]]
-                )
-            loaded[name] = with_it
+    names = dict.fromkeys(payload.name for payload in result.payloads)
+    weighed = {name: parameters for name in names if "m" in (parameters := result.payload(name))}
+    loaded = {name: values.copy() for name in weighed}
+    for name, parameters in weighed.items():
+        loaded[name][: result.base.count] += on_tool(result, parameters)
     return loaded
 
 
@@ -181,20 +132,12 @@ def notes_on(model: Identified) -> tuple[str, ...]:
 class Functions:
     """CasADi functions of one sample, all outputs dense.
 
-    Attributes
-    ----------
-    outputs : dict
-        By the names of ``OUTPUTS`` and ``OBSERVED``: functions of c and z (n_c + s,), qd, qdd (n,) and the parameters
-        (n_p,).
-    step, last_step : Function, optional
-        Configuration after a step of Newton's method and the size of its correction, rad or lengths over
-        ``length``; the last one also gives the condition number of the loops. None for a serial robot.
-    home : ndarray
-        Closed configuration to start from, with sliding joints, (n_c + s,).
-    actuated : ndarray
-        Indices of the actuated joints in c, (n,).
-    presliding : tuple
-        Of each state, its place behind c: its width, rad or m, and the ratios of actuated joints, by place in c.
+    ``outputs``, by the names of ``OUTPUTS`` and ``OBSERVED``, are functions of c and z (n_c + s,), qd, qdd (n,) and the
+    parameters (n_p,). ``step`` gives the configuration after a step of Newton's method and the size of its correction,
+    rad or lengths over ``length``, and ``last_step`` also the condition number of the loops; None for a serial robot.
+    ``home`` (n_c + s,) is a closed configuration to start from, with sliding joints, ``actuated`` (n,) the indices of
+    the actuated joints in c. ``presliding`` has of each state its width, rad or m, and the ratios of actuated joints,
+    by place in c.
     """
 
     outputs: dict[str, ca.Function]
@@ -220,10 +163,13 @@ def functions(model: Identified) -> Functions:
         step, last_step = _function("step", [start], stepped[:2]), _function("last_step", [start], stepped)
     p = ca.SX.sym("p", len(model.parameters))
     base, chi = model.result.base, ca.vertsplit(p[: model.result.base.count])
-    load = dynamics.torques(layout, c, yd, ydd, J, _standard(model, transmitted(ca, base.standard, chi)))
+    # standard parameters with the same torques: base parameters at their representatives, else zero
+    standard = {name: ca.SX(1, 1) for name in idm.parameter_names}
+    standard |= dict(zip(base.standard, transmitted(ca, base.standard, chi), strict=True))
+    load = dynamics.torques(layout, c, yd, ydd, J, standard)
     law = model.result.friction_law
     z = ca.SX.sym("z", len(law.states))
-    friction = _Friction(model, p, yd, J, z)
+    friction, regressor = _friction(model, p, yd, J, z)
     friction_torque = friction(load)
     coasting = ca.substitute(load, qdd, ca.SX.zeros(n))
     still = ca.substitute(coasting, qd, ca.SX.zeros(n))
@@ -235,7 +181,7 @@ def functions(model: Identified) -> Functions:
         "gravity": still,
         "friction": friction_torque,
         "inertia": ca.jacobian(load, qdd),
-        "regressor": friction.regressor(load),
+        "regressor": regressor(load),
         "momentum": momentum,
         "drift": turning - coasting - friction(coasting),
     }
@@ -254,51 +200,34 @@ def _function(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.Functi
     return ca.Function(name, inputs, [ca.densify(output) for output in outputs], {"cse": True})
 
 
-def _standard(model: Identified, chi: list[ca.SX]) -> dict[Parameter, ca.SX]:
-    """Choose standard parameters with the same torques: base parameters at their representatives, else zero."""
-    standard = {name: ca.SX(1, 1) for name in model.result.idm.parameter_names}
-    return standard | dict(zip(model.result.base.standard, chi, strict=True))
+def _friction(
+    model: Identified, p: ca.SX, yd: ca.SX, J: ca.SX, z: ca.SX
+) -> tuple[Callable[[ca.SX], ca.SX], Callable[[ca.SX], ca.SX]]:
+    """Make the torque of friction and offsets, by the friction law with parameters p, and the regressor of a load."""
+    law, joints = model.result.friction_law, model.result.robot.joints
+    names = (*model.result.base.standard, *model.terms)
+    values: dict[str, ca.SX] = dict(zip(names, ca.vertsplit(p), strict=True))
+    offsets = ca.vertcat(*(values.get(Parameter("off", joint.name), 0.0) for joint in joints))
 
-
-@dataclass(frozen=True, eq=False)
-class _Friction:
-    """Torques of friction and offsets by :class:`gtau.estimation.friction.law.FrictionLaw`, of parameters p."""
-
-    model: Identified
-    p: ca.SX
-    yd: ca.SX
-    J: ca.SX
-    z: ca.SX
-
-    def __call__(self, load: ca.SX) -> ca.SX:
-        forces, scales = self._scaled(load)
-        return self._on_motors(forces, scales)
-
-    def regressor(self, load: ca.SX) -> ca.SX:
-        """Build ``W`` (n, n_p) with ``load + friction = W p``: load-dependent friction and scales take those of p."""
-        _, scales = self._scaled(load)
-        frozen, at = ca.SX.sym("load", load.shape[0]), ca.SX.sym("scales", scales.shape[0])
-        columns = ca.jacobian(self._on_motors(self._scaled(frozen)[0], at), self.p)
-        return ca.jacobian(load, self.p) + ca.substitute(ca.substitute(columns, frozen, load), at, scales)
-
-    @property
-    def _values(self) -> dict[str, ca.SX]:
-        names = (*self.model.result.base.standard, *self.model.terms)
-        return dict(zip(names, ca.vertsplit(self.p), strict=True))
-
-    def _scaled(self, load: ca.SX) -> tuple[ca.SX, ca.SX]:
-        law = self.model.result.friction_law
-        forces, speeds = (ca.densify(ca.vertcat(*rows)) for rows in law.forces(ca, self._values, self.yd, load))
+    def scaled(load: ca.SX) -> tuple[ca.SX, ca.SX]:
+        forces, speeds = (ca.densify(ca.vertcat(*rows)) for rows in law.forces(ca, values, yd, load))
         scales = law.scales(ca, forces, speeds)
         if law.states:
-            slides = self.z > 1.0
-            moving = ca.vertcat(*(ca.sign(self.yd[row]) for row in law.states))
-            z = law.directions(ca, self.yd, slides * moving + (1.0 - slides) * self.z)
-            forces = ca.densify(ca.vertcat(*law.forces(ca, self._values, self.yd, load, z)[0]))
+            slides = z > 1.0
+            moving = ca.vertcat(*(ca.sign(yd[row]) for row in law.states))
+            directions = law.directions(ca, yd, slides * moving + (1.0 - slides) * z)
+            forces = ca.densify(ca.vertcat(*law.forces(ca, values, yd, load, directions)[0]))
         return forces, scales
 
-    def _on_motors(self, forces: ca.SX, scales: ca.SX) -> ca.SX:
-        joints = self.model.result.robot.joints
-        offsets = ca.vertcat(*(self._values.get(Parameter("off", joint.name), 0.0) for joint in joints))
+    def on_motors(forces: ca.SX, scales: ca.SX) -> ca.SX:
         acting = forces * scales
-        return self.J[: len(joints), :].T @ (acting[: len(joints)] + offsets) + acting[len(joints) :]
+        return J[: len(joints), :].T @ (acting[: len(joints)] + offsets) + acting[len(joints) :]
+
+    def regressor(load: ca.SX) -> ca.SX:
+        """Build ``W`` (n, n_p) with ``load + friction = W p``: load-dependent friction and scales take those of p."""
+        _, scales = scaled(load)
+        frozen, at = ca.SX.sym("load", load.shape[0]), ca.SX.sym("scales", scales.shape[0])
+        columns = ca.jacobian(on_motors(scaled(frozen)[0], at), p)
+        return ca.jacobian(load, p) + ca.substitute(ca.substitute(columns, frozen, load), at, scales)
+
+    return lambda load: on_motors(*scaled(load)), regressor

@@ -17,7 +17,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.estimators.standard_parameters import Body, constrained_least_squares, unbounded
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.payload import PayloadBody, PayloadEstimate, Weighed
+from gtau.estimation.results.groups import PayloadBody, PayloadEstimate, Weighed
 from gtau.robots.parameter import RigidBody, inertial_parameters
 from gtau.robots.readers.links import frame_on
 from gtau.robots.robot import INERTIAL, Pose

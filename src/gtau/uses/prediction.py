@@ -6,6 +6,7 @@ The position filter of each joint is chosen for this on the runs of the identifi
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -15,17 +16,18 @@ from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.friction.law import SHAPES, transmitted
 from gtau.estimation.regression.column_blocks import TEMPERATURE_TERMS, known_values
+from gtau.estimation.regression.dataset import at_rate_of
+from gtau.estimation.regression.plausibility import check_wrenches, motor_to_joint_speed
 from gtau.estimation.regression.rows import Law, stream_torques
 from gtau.estimation.results.result import Result
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter
 from gtau.signals.preparation.bandwidth import position_noise
 from gtau.signals.preparation.filters import HIGHEST_CUTOFF
-from gtau.signals.preparation.prepared_run import PreparedRun
+from gtau.signals.preparation.prepared_run import PreparedRun, prepare
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 from gtau.signals.storage import spans
-from gtau.uses.runs import prepared_for
 
 if TYPE_CHECKING:
     from gtau.estimation.results.predicted import Prediction
@@ -36,6 +38,30 @@ STEP = np.sqrt(2.0)  # between the cut-offs tried
 # Panda's from 7 to 50 Hz by 1 %), so the highest one is taken: other motions than those of the logs may be faster.
 RAISED = 0.01
 NOISY = 2.0  # times its least: noise then rules the error of a joint, and higher cut-offs are not tried
+
+
+def suited(result: Result, run: Run) -> Run:
+    """Order the columns of a run as the model's joints; raises GtauError where it is of another kind."""
+    if not isinstance(run, Run):
+        raise GtauError(
+            f"this takes a run, not a {type(run).__name__}; read the log with gtau.read_run(log, signals), which knows "
+            "its columns."
+        )
+    run = run.ordered(result.idm.actuated)
+    if run.kind != result.kind:
+        raise GtauError(
+            f"run '{run.name}' holds {run.kind}s, but the model was identified from {result.kind}s; give a run of the "
+            "same kind."
+        )
+    return run
+
+
+def prepared_for(result: Result, run: Run) -> tuple[PreparedRun, range]:
+    """Prepare all samples of a run as for identification, and mark those in which the robot moves."""
+    run = suited(result, run)
+    check_wrenches(result.robot, run)
+    prepared = prepare(run, at_rate_of([run], result.preparation), motor_to_joint_speed(result.idm))
+    return replace(prepared, kept=range(len(run.time))), prepared.kept
 
 
 def predict(result: Result, run: Run, external: np.ndarray | None = None) -> Prediction:
@@ -117,15 +143,14 @@ def friction_values(
     values: dict[str, Any] = dict(zip(result.base.standard, chi, strict=True))
     terms = {name: estimate.value or 0.0 for name, estimate in result.friction.items() if name.kind not in SHAPES}
     values |= {name: value for name, value in terms.items() if name.kind not in TEMPERATURE_TERMS}
-    if result.temperatures is None or run is None or run.temperature is None or time is None:
+    warm = None if run is None else run.temperature
+    if result.temperatures is None or warm is None or time is None:
         return values
-    warm = {name: value for name, value in terms.items() if name.kind in TEMPERATURE_TERMS}
-    for name, slope in warm.items():
-        term, site = name.kind, name.body
-        joint = result.friction_law.motor_of(site)
-        if joint is not None and joint in run.temperature.of_joint:
-            above = run.temperature.at(joint, time) - result.temperatures.of_joint[joint]
-            kind = Parameter(TEMPERATURE_TERMS[term], site)
+    for name, slope in terms.items():
+        joint = result.friction_law.motor_of(name.body)
+        if name.kind in TEMPERATURE_TERMS and joint is not None and joint in warm.of_joint:
+            above = warm.at(joint, time) - result.temperatures.of_joint[joint]
+            kind = Parameter(TEMPERATURE_TERMS[name.kind], name.body)
             values[kind] = values[kind] + slope * above
     return values
 
@@ -157,55 +182,56 @@ def torques(result: Result, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, payl
     return torques_along(result, model.motion(q, qd, qdd), chi).T
 
 
+def require_all_parameters(result: Result) -> None:
+    """Refuse a model that lacks a base parameter; raises GtauError."""
+    if missing := [name for name in result.base.names if name not in result.parameters]:
+        raise GtauError(f"the model lacks the base parameter '{missing[0]}'; identify it again.")
+
+
 def loaded_parameters(result: Result, payload: Payload | None, carrier: str) -> np.ndarray:
     """Add a ``payload`` to base parameters (n_b,): what it leaves out takes the identified values.
 
-    Raises
-    ------
-    GtauError
-        Where the model lacks a parameter, or nothing says how heavy the payload is that the ``carrier`` carries.
+    Raises GtauError where the model lacks a parameter, or nothing says how heavy the payload is that the ``carrier``
+    has.
     """
-    model, base = result.idm, result.base
-    missing = [name for name in base.names if name not in result.parameters]
-    if missing:
-        raise GtauError(f"the model lacks the base parameter '{missing[0]}'; identify it again.")
-    chi = np.array([result.params[name] for name in base.names])
+    require_all_parameters(result)
+    chi = np.array([result.params[name] for name in result.base.names])
     if payload is None:
         return chi
-    tool = {name: k for k, name in enumerate(model.parameter_names)}
     identified = result.payload(payload.name)
     if payload.mass is None and "m" not in identified:
         raise GtauError(
             f"{carrier} carries the payload '{payload.name}', whose mass neither the run nor the model knows; add its "
             "'mass'."
         )
-    for kind, value in {**identified, **known_values(payload)}.items():
-        chi = chi + value * base.matrix[:, tool[Parameter(kind, result.robot.tool)]]
-    return chi
+    return chi + on_tool(result, {**identified, **known_values(payload)})
+
+
+def on_tool(result: Result, payload: Mapping[str, float]) -> np.ndarray:
+    """Compute what inertial parameters of a payload, by kind, add to the base parameters, (n_b,)."""
+    columns = [result.idm.parameter_names.index(Parameter(kind, result.robot.tool)) for kind in payload]
+    return np.asarray(result.base.matrix[:, columns] @ list(payload.values()))
 
 
 def with_prediction_cutoffs(result: Result, runs: Sequence[Run]) -> Result:
-    """Choose the position filter of each joint for predictions, from runs that a model was identified from.
+    """Choose the position filter of each joint for predictions, from ``runs`` that a model was identified from.
 
     A lower cut-off loses the torque of fast motion, a higher one lets position noise pass, which inertia and friction
     turn into torque. Of each joint the highest is taken whose error against the raw torque exceeds the least by no more
-    than 1 %. A run with faster motion is filtered less, see :func:`gtau.signals.preparation.bandwidth.widened`.
-
-    Parameters
-    ----------
-    result : Result
-        The model; a position filter set by hand is kept.
-    runs : sequence of Run
-        Those of its identification.
-
-    Returns
-    -------
-    Result
-        With ``prediction_cutoffs`` and ``position_noise`` in its preparation.
+    than 1 %. A run with faster motion is filtered less, see :func:`gtau.signals.preparation.bandwidth.widened`. A
+    position filter set by hand is kept.
     """
-    preparation = result.preparation
-    blocks = [block for run in runs if (block := _stretch(result, run, SAMPLES // len(runs))) is not None]
-    if "position_filter" in preparation.given or not blocks:
+    preparation, blocks = result.preparation, []
+    if "position_filter" in preparation.given:
+        return result
+    for run in runs:
+        prepared, moving = prepared_for(result, run)
+        middle, half = (moving.start + moving.stop) // 2, SAMPLES // len(runs) // 2
+        kept = range(max(moving.start, middle - half), min(moving.stop, middle + half))
+        with suppress(GtauError):  # of a payload whose mass is unknown
+            chi = loaded_parameters(result, run.payload, f"run '{run.name}'")
+            blocks.append((replace(prepared, kept=kept), chi))
+    if not blocks:
         return result
     highest, tried = HIGHEST_CUTOFF * min(run.rate for run in runs), [preparation.bandwidth]
     while tried[-1] * STEP < highest:
@@ -221,18 +247,6 @@ def with_prediction_cutoffs(result: Result, runs: Sequence[Run]) -> Result:
     noise = np.max([position_noise(prepared.run, cutoffs) for prepared, _ in blocks], axis=0)
     preparation = replace(preparation, prediction_cutoffs=cutoffs, position_noise=tuple(noise.tolist()))
     return result.replaced(preparation=preparation)
-
-
-def _stretch(result: Result, run: Run, samples: int) -> tuple[PreparedRun, np.ndarray] | None:
-    """Prepare the middle of a run, with the base parameters (n_b,) of its payload; None if its mass is unknown."""
-    prepared, moving = prepared_for(result, run)
-    try:
-        chi = loaded_parameters(result, run.payload, f"run '{run.name}'")
-    except GtauError:
-        return None
-    middle = (moving.start + moving.stop) // 2
-    kept = range(max(moving.start, middle - samples // 2), min(moving.stop, middle + samples // 2))
-    return replace(prepared, kept=kept), chi
 
 
 def _squares(result: Result, cutoff: float, prepared: PreparedRun, chi: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Runs for an identified model: logs and experiments that suit it, prepared as for its identification."""
+"""Logs and experiments for an identified model: read, and checked to be of its robot."""
 
 from __future__ import annotations
 
@@ -9,60 +9,19 @@ from typing import Any
 
 from gtau.errors import GtauError
 from gtau.estimation.experiment_runs import describe
-from gtau.estimation.regression.dataset import at_rate_of
-from gtau.estimation.regression.plausibility import check_wrenches, motor_to_joint_speed
 from gtau.estimation.results.result import Result
 from gtau.robots.robot import Limits, Robot, RobotFile
-from gtau.signals.preparation.prepared_run import PreparedRun, prepare
 from gtau.signals.reading.experiment import Experiment, read_experiment
 from gtau.signals.reading.samples import WHOLE, Part
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run, read_run
 
 
-def suited(result: Result, run: Run) -> Run:
-    """Order the columns of a run as the model's joints; raises GtauError where it is of another kind."""
-    if not isinstance(run, Run):
-        raise GtauError(
-            f"this takes a run, not a {type(run).__name__}; read the log with gtau.read_run(log, signals), which knows "
-            "its columns."
-        )
-    run = run.ordered(result.idm.actuated)
-    if run.kind != result.kind:
-        raise GtauError(
-            f"run '{run.name}' holds {run.kind}s, but the model was identified from {result.kind}s; give a run of the "
-            "same kind."
-        )
-    return run
-
-
-def prepared_for(result: Result, run: Run) -> tuple[PreparedRun, range]:
-    """Prepare all samples of a run as for identification, and mark those in which the robot moves."""
-    run = suited(result, run)
-    check_wrenches(result.robot, run)
-    prepared = prepare(run, at_rate_of([run], result.preparation), motor_to_joint_speed(result.idm))
-    return replace(prepared, kept=range(len(run.time))), prepared.kept
-
-
 def read_log(model: Result, log: str | Path, experiment: str | Path | None = None, part: Part = WHOLE) -> Run:
-    """Read a log to be used with a model.
+    """Read a log, or a ``part`` of it, to be used with a model; raises GtauError.
 
-    Parameters
-    ----------
-    model : Result
-        Of the robot.
-    log : path
-        The log.
-    experiment : path, optional
-        Experiment file whose ``signals`` and ``units`` name the columns; left out, they are ``t``, and for each joint
-        ``q`` and ``v`` with the joint's name (``tau`` where the model was identified from torques), SI units.
-    part : Part
-        Which part of the log is used.
-
-    Raises
-    ------
-    GtauError
-        Where the log or the experiment file cannot be read, or the columns are not there.
+    The ``signals`` and ``units`` of an experiment file name the columns; without it they are ``t``, and for each joint
+    ``q`` and ``v`` with the joint's name (``tau`` where the model was identified from torques), SI units.
     """
     if experiment is not None:
         described = read_experiment(experiment)
@@ -89,13 +48,7 @@ def carrying(model: Result, run: Run, payload: str) -> Run:
 
 
 def experiment_of(model: Result, path: str | Path) -> Experiment:
-    """Read an experiment file that is to be used with an identified model.
-
-    Raises
-    ------
-    GtauError
-        Where the file is wrong, or its robot or signals are not those of the model.
-    """
+    """Read an experiment file to be used with a model; raises GtauError where robot or signals are not the model's."""
     subject = describe(path)
     experiment = subject.experiment
     assert experiment is not None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,15 +12,14 @@ from gtau.documents.validation import FUNCTION, TEXT, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
 from gtau.estimation.estimators.essential import select_friction
-from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.estimators.least_squares import wls
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.experiment_runs import options_of, read
 from gtau.estimation.preconditions import given_gains
 from gtau.estimation.regression.dataset import at_rate_of, reduce_runs
-from gtau.estimation.regression.problem import Estimates, Problem
+from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.results.build import payload_estimates
-from gtau.estimation.results.payload import PayloadEstimate
+from gtau.estimation.results.groups import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.model.interpreter.program import single_threaded_blas
 from gtau.progress import Progress, silent
@@ -98,9 +98,7 @@ def weigh(
     weighed = tuple(run.ordered(run.joints, link_side=False) for run in chosen)  # the model's gains say as much
     dataset = reduce_runs(robot, weighed, at_rate_of(weighed, model.preparation), progress=progress)
 
-    def solve(problem: Problem) -> Solution:
-        return wls(problem, g_tau)
-
+    solve = partial(wls, gains=g_tau)
     system = select_friction(dataset, solve, progress)
     lost = [name for carried in system.payloads for name in carried.unknown if name in system.unexcited]
     if lost:
@@ -111,7 +109,10 @@ def weigh(
     solution = solve(system.problem)
     total = solution.jackknife + scale_uncertainty(system, solve)
     if covariance.any():
-        slopes = np.stack([_slope(system.problem, g_tau, j, solution.values) for j in range(len(g_tau))], axis=1)
+        # derivatives (k, n) of the estimates by the gains
+        steps = 1e-4 * g_tau
+        moved = np.stack([wls(system.problem, g_tau + step).values for step in np.diag(steps)], axis=1)
+        slopes = (moved - solution.values[:, None]) / steps
         total = total + slopes @ covariance @ slopes.T
     none = np.zeros_like(total)
     freedom = degrees_of_freedom(system.problem, solution, False)
@@ -129,12 +130,3 @@ def exact_gains(model: Result, experiment: Experiment, gains: str) -> tuple[str,
         return tuple(joint for joint, gain in model.drive_gains.items() if gain.std is None)
     known = {joint for joint, gain in experiment.stated_gains.items() if gain.std is not None}
     return tuple(joint for joint in experiment.signals.joints if joint not in known)
-
-
-def _slope(problem: Problem, gains: np.ndarray, j: int, estimates: np.ndarray) -> np.ndarray:
-    """Differentiate the WLS estimates (k,) with respect to the gain of joint j."""
-    step = 1e-4 * gains[j]
-    moved = gains.copy()
-    moved[j] += step
-    shift = wls(problem, moved).values - estimates
-    return shift / step

@@ -25,7 +25,7 @@ from gtau.robots.parameter import Parameter
 from gtau.robots.placement import WRENCH, WrenchFrame
 from gtau.robots.robot import Placement
 from gtau.signals.run import Run
-from gtau.uses.runs import prepared_for
+from gtau.uses.prediction import prepared_for
 
 # Of the largest singular value of J^T, lengths over the robot's, down to which directions are seen, however precise the
 # torques: on a UR10e 0.06 is the least in a regular pose, 0.01 the wrist 3 degrees from straight. On seven of its logs
@@ -113,19 +113,10 @@ def wrench_along_log(
 ) -> WrenchAlongLog:
     """Compute the wrench at a frame of the body that carries the payload, at every sample of a run.
 
-    Parameters
-    ----------
-    result, run, prediction : Result, Run, Prediction
-        The model, the run, and :meth:`gtau.Result.predict` of it.
-    frame : tuple
-        Name and placement on the body, by :func:`gtau.robots.readers.read.frame_on`.
-    force_only : bool
-        True if the contact exerts no moment about the frame's origin, so that three motors suffice for the force.
-
-    Raises
-    ------
-    GtauError
-        Where the base floats, or the model lacks a joint's residual.
+    ``prediction`` is :meth:`gtau.Result.predict` of it, ``frame`` a name and the placement on the body (see
+    :func:`gtau.robots.readers.read.frame_on`). If ``force_only``, the contact exerts no moment about the frame's
+    origin, so that three motors suffice for the force. Raises GtauError where the base floats, or the model lacks a
+    residual.
     """
     refuse_floating(result.robot, "the external wrench is")
     errors = {error.joint: error for error in result.residuals}
@@ -197,11 +188,8 @@ def _dense(model: InverseDynamics, columns: Regressor, motion: Motion) -> np.nda
 def _solve(A: np.ndarray, covariance: np.ndarray, torque: np.ndarray) -> tuple[np.ndarray, ...]:
     """Solve ``A w = torque`` (N, n) by weighted least squares in the directions that the pose shows, all in N.
 
-    Returns
-    -------
-    tuple of ndarray
-        Unknowns w, their standard deviations, and the share of each in the directions that the pose shows, (N, 6)
-        each; and the number of these directions, (N,).
+    Returns the unknowns w, their standard deviations, and the share of each in the directions that the pose shows, (N,
+    6) each; and the number of these directions, (N,).
     """
     _, size, directions = np.linalg.svd(A, full_matrices=False)
     shown = size > CLEAR * size[:, :1]

@@ -1,56 +1,75 @@
-"""Diagnose a fit: verdicts on gains and delays from the findings of all checks."""
+"""Diagnose a fit: the findings of all checks, and verdicts on gains and delays from them.
+
+A cross-validated torque says nothing about a wrong gain, as both sides of the equation carry it. The user needs the
+possible error of a gain: its interval, with a random part and one from model deficits. It is good where the whole
+interval lies within the required accuracy, and contradictory only where the data refute the description of robot and
+logs and the gain would move by more than that.
+
+Every scale of logged torques is proportional to the stated mass of the payload; but torques of different motors rarely
+share one scale error, while a mistyped mass, or a gripper that was not weighed with its load, has that effect. Gains
+and parameters also absorb part of a wrench of wrong sign, body or axes, and lengths or single currents look wrong
+instead: so wherever wrenches are measured, the advice names them first. Each check stands alone, and
+:func:`verdict.decide` ranks what they find; units and signs are checked in
+:mod:`gtau.estimation.diagnostics.unit_checks`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from gtau.estimation.diagnostics.alternatives import friction_levels, rms_speeds, rms_torques
+from gtau.estimation.diagnostics.effort import stated_meaning
 from gtau.estimation.diagnostics.examine import Examination
-from gtau.estimation.diagnostics.gain_checks import (
-    common_scale,
-    estimated_gains,
-    given_gains,
-    half_widths,
-    impossible_parameters,
-    logged_torques,
-    wrench_contradictions,
-)
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit, prior_findings
+from gtau.estimation.diagnostics.log_checks import doubtful_commands
 from gtau.estimation.diagnostics.other_estimators import position_noise
+<<<<<<< HEAD
 from gtau.estimation.diagnostics.stated_constants import (
     SensorScale,
     prior_contradictions,
     sensor_contradictions,
     sensor_scales,
 )
+=======
+from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings
+from gtau.estimation.diagnostics.stated_constants import prior_contradictions, sensor_contradictions, sensor_scales
+>>>>>>> main
 from gtau.estimation.diagnostics.unit_checks import units_and_signs, unlike_legs
-from gtau.estimation.diagnostics.verdict import GIVEN, GOOD, OUTCOMES, Outcome, Verdict, decide, delay_verdicts, motors
+from gtau.estimation.diagnostics.verdict import (
+    GIVEN,
+    GOOD,
+    OUTCOMES,
+    Outcome,
+    Verdict,
+    decide,
+    delay_verdicts,
+    half_widths,
+    judge_parameter,
+    motors,
+    unexplained_shares,
+)
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.problem import Estimates
+from gtau.estimation.thresholds.estimates import (
+    APART,
+    APART_REFUTED,
+    BASE_MISFIT,
+    LOST_GAIN,
+    MISFIT,
+    MISFIT_GIVEN,
+    NAMED_SHARE,
+    NEGATIVE_STD,
+)
+from gtau.estimation.thresholds.logs import ALIKE, BEYOND_GEARS, FRICTIONLESS, GEARED, MODEL_RESIDUAL
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
-from gtau.model.base_parameters import whole_mass
+from gtau.model.base_parameters import regrouped, whole_mass
+from gtau.robots.parameter import Parameter, unit_of
 
 WIDTH = 1.96  # standard deviations in half a 95 % interval
-
-
-@dataclass(frozen=True, eq=False)
-class Diagnosis:
-    """Verdicts on gains, delays and known payloads, and notes on the findings.
-
-    Of the drive ``gains`` by joint, the ``delays`` (c,), with those of torque sensors, and the ``payloads`` by name.
-    ``accuracy`` is half the relative width of the 95 % interval up to which a gain is good; ``sensors`` are the scales
-    of torque sensors from the other stated constants.
-    """
-
-    gains: Mapping[str, Verdict]
-    delays: tuple[Verdict, ...]
-    payloads: Mapping[str, Verdict]
-    notes: tuple[Finding, ...]
-    accuracy: float
-    sensors: tuple[SensorScale, ...] = ()
 
 
 def diagnose(
@@ -61,28 +80,18 @@ def diagnose(
     prior_gains: Mapping[str, float],
     accuracy: float,
     audit: InertiaAudit | None = None,
-) -> Diagnosis:
-    """Judge which estimates of a fit can be trusted.
+) -> tuple[Finding, ...]:
+    """Collect what speaks against the estimates of a fit, and what the user should know beside that.
 
-    Parameters
-    ----------
-    fit, examined, estimates : Fit, Examination, Estimates
-        What was estimated, what the data say against it, and how well it is known.
-    payloads : mapping
-        Verdicts on known payloads, by name.
-    prior_gains : mapping
-        Gains expected, N m/A or N/A, by joint; may be empty.
-    accuracy : float
-        Half the relative width of the 95 % interval up to which a gain is good.
-    audit : InertiaAudit, optional
-        What the data say of the inertias of the robot's file.
+    ``payloads`` are verdicts on known payloads by name, ``prior_gains`` those expected, N m/A or N/A, by joint.
+    ``accuracy`` is half the relative width of the 95 % interval up to which a gain is good, and ``audit`` what the data
+    say of the inertias of the robot's file.
     """
-    dataset, problem = fit.dataset, fit.system.problem
-    sensors = sensor_scales(fit) if fit.free_gains else ()
+    problem, robot = fit.system.problem, fit.dataset.robot
     findings = [
-        *wrench_contradictions(fit),
-        *impossible_parameters(fit, estimates),
-        *unlike_legs(dataset, problem, fit.solution.theta, estimates.covariance),
+        *(_wrench_contradictions(fit) if robot.floating else ()),
+        *_impossible_parameters(fit, estimates),
+        *unlike_legs(fit, estimates),
         *_wrong_priors(fit, estimates, accuracy),
         *(prior_findings(audit) if audit else ()),
         *units_and_signs(fit, estimates, prior_gains, audit),
@@ -94,29 +103,184 @@ def diagnose(
 
         findings += repeated_motion_findings(fit, examined.alternatives)
     if fit.free_gains:
+        findings += _estimated_gains(fit, examined, estimates, accuracy, prior_gains)
+        if problem.sensor_channels:
+            findings += sensor_contradictions(sensor_scales(fit), problem.joints, accuracy)
         findings += [
-            *estimated_gains(fit, examined, estimates, accuracy, prior_gains),
-            *sensor_contradictions(sensors, problem.joints, accuracy),
-            *_wrong_payloads(fit, payloads),
-            *_small_refutations(examined, accuracy),
-            *common_scale(fit, estimates, accuracy),
+            Finding(F.PAYLOAD, motors(fit), name, size=verdict.finding.size)
+            for name, verdict in payloads.items()
+            if verdict.finding and verdict.outcome == Outcome.CONTRADICTORY
         ]
+        # parts of the description that the data refute without moving any gain by more than the accuracy
+        findings += [
+            Finding(F.SMALL_REFUTATION, values={"share": part.share, "move": move}, causes=part.causes)
+            for part in examined.refuted
+            if (move := part.largest_move / 100) <= accuracy
+        ]
+        if fit.dataset.runs[0].kind == "torque":
+            findings += _common_scale(fit, estimates, accuracy)
     else:
-        findings += given_gains(fit, examined, payloads)
-    findings += [*logged_torques(fit, examined, estimates), *examined.findings]
-    in_context = [_in_context(fit, finding) for finding in findings]
-    against = [finding for finding in in_context if finding.kind in OUTCOMES]
+        findings += _given_gains(fit, examined, payloads)
+    findings += [*_logged_torques(fit, examined, estimates), *examined.findings]
+    # their advice depends on whether there is a payload, or a wrench on a body or a floating base
+    context = {"payload": bool(fit.system.payloads), "wrenches": bool(problem.wrenches or problem.base)}
     halves = half_widths(fit, estimates) if fit.free_gains else np.zeros(0)
-    delay_std = np.sqrt(np.diag(estimates.random))[problem.unknowns.delays]
-    period = 1 / min(run.rate for run in dataset.runs)
-    return Diagnosis(
-        dict(zip(motors(fit), decide(motors(fit), against, GOOD if fit.free_gains else GIVEN), strict=True)),
-        delay_verdicts(problem, fit.solution, delay_std, period) if delay_std.any() else (GOOD,) * len(delay_std),
-        payloads,
-        tuple(replace(note, size=_moves(note, halves)) for note in in_context if note.kind not in OUTCOMES),
-        accuracy,
-        sensors,
+    return tuple(
+        replace(
+            finding,
+            values={**context, **finding.values},
+            size=finding.size if finding.kind in OUTCOMES else _moves(finding, halves),
+        )
+        for finding in findings
     )
+
+
+def channel_verdicts(fit: Fit, estimates: Estimates, findings: Sequence[Finding]) -> dict[Parameter, Verdict]:
+    """Judge the gains of the motors by findings on them, and the delays of all channels."""
+    gains = decide(motors(fit), findings, GOOD if fit.free_gains else GIVEN)
+    unknowns = estimates.unknowns
+    std = np.sqrt(np.diag(estimates.random))[unknowns.delays]
+    period = 1 / min(run.rate for run in fit.dataset.runs)
+    delays = delay_verdicts(fit.system.problem, fit.solution, std, period) if std.any() else [GOOD] * len(std)
+    of_delays = dict(zip(unknowns.select("delay"), delays, strict=True))
+    return {Parameter("gain", joint): verdict for joint, verdict in gains.items()} | of_delays
+
+
+def _estimated_gains(
+    fit: Fit, examined: Examination, estimates: Estimates, accuracy: float, prior_gains: Mapping[str, float]
+) -> Iterator[Finding]:
+    """Check drive gains that were estimated by their own equations; see :func:`diagnose` for what it takes."""
+    problem, solution, gains, rows = fit.system.problem, fit.solution, fit.gains, fit.system.problem.gain_rows
+    random, total = (np.sqrt(np.diag(part)[rows]) for part in (estimates.random, estimates.covariance))
+    stds, halves = random / np.abs(gains), half_widths(fit, estimates)
+    wide_at_random = halves * random / total > accuracy
+    misfits = unexplained_shares(problem, solution)
+    unknown = problem.unknown_gains[: len(gains)]
+    turned = any(all(move < -100 for move in part.moves.values()) for part in examined.refuted)  # by another gravity
+    # a negative prior gain says that a motor turns against its joint, and all may
+    if min(prior_gains.values(), default=1.0) > 0 and np.all(gains[unknown] < 0) and not turned:
+        yield Finding(F.ALL_NEGATIVE, motors(fit))
+    if not solution.converged:
+        yield Finding(F.UNSETTLED, motors(fit))
+    for j, joint in enumerate(problem.joints):
+        if not problem.channels[j].kind.of_joint:
+            continue  # the six rows of a base are judged together
+        std, half, mine = float(stds[j]), float(halves[j]), (joint,)
+        if std > LOST_GAIN:
+            yield Finding(F.LOST, mine, values={"std": std})
+            if "singular_ratio" in solution.statistics:
+                yield Finding(F.TLS_CONFUSED, mine, values={"limit": float(LOST_GAIN)})
+        for part in examined.refuted:
+            move = part.moves[joint] / 100
+            if abs(move) > accuracy:
+                values = {"size": part.size, "unit": part.unit, "share": part.share, "move": move}
+                yield Finding(F.REFUTED, mine, values=values, causes=part.causes, size=part.share)
+        if misfits[j] > MISFIT:
+            yield _unexplained(fit, joint, misfits[j])
+        if half >= 1:  # an interval that includes zero leaves not even the sign
+            yield Finding(F.SIGN_OPEN, mine)
+        for other in examined.alternatives:
+            move = other.moves[joint] / 100
+            if other.hypothesis == F.TWO_STAGE and abs(move) > accuracy and abs(other.t) > APART_REFUTED:
+                values = {"move": move, "t": other.t}
+                yield Finding(F.OTHER_ESTIMATOR, mine, values=values, causes=other.causes, size=abs(other.t))
+        if half > accuracy:
+            values = {"half": half, "accuracy": accuracy, "random": bool(wide_at_random[j])}
+            kind, causes = _widest(examined, estimates, rows.start + j)
+            yield Finding(kind, mine, values=values, causes=causes)
+
+
+def _unexplained(fit: Fit, joint: str, share: float) -> Finding:
+    values = {"share": float(share), "kind": fit.dataset.runs[0].kind, "given": not fit.free_gains}
+    return Finding(F.UNEXPLAINED, (joint,), values=values)
+
+
+def _widest(examined: Examination, estimates: Estimates, row: int) -> tuple[F, tuple[Finding, ...]]:
+    """Find the largest contribution to the interval of an estimate."""
+    random, model = estimates.random[row, row], estimates.model[row, row]
+    if estimates.scale[row, row] > NAMED_SHARE * (random + model):
+        return F.WIDE_SCALE, ()
+    if model < NAMED_SHARE * (random + model):
+        return F.WIDE_RANDOM, ()
+    effects = (*examined.alternatives, *([examined.ripple] if examined.ripple else []))
+    most = max(effects, key=lambda other: other.probability * other.shifts[row] ** 2, default=None)
+    if most is None or most is examined.ripple:
+        return F.WIDE_RIPPLE, ()
+    return F.WIDE_CAUSE, most.causes
+
+
+def _given_gains(fit: Fit, examined: Examination, payloads: Mapping[str, Verdict]) -> Iterator[Finding]:
+    """Check gains that are given, or 1 for torques: the model has to explain each joint.
+
+    Where a wrong value of a payload (``payloads``: verdicts by name) leaves a joint unexplained, that is named instead.
+    """
+    misfit = unexplained_shares(fit.system.problem, fit.solution)[: len(fit.gains)]
+    wrong = {name: verdict.finding for name, verdict in payloads.items() if verdict.finding is not None}
+    of_payload = {
+        joint: Finding(F.PAYLOAD, (joint,), name, {"given": True})
+        for name, finding in wrong.items()
+        for joint in finding.joints
+    }
+    best = min((finding.values["remains"] for finding in wrong.values()), default=1.0)
+    for part in examined.refuted:
+        cause = part.causes[0]
+        if cause.values.get("remains", best) < best:
+            values = {"size": part.size, "unit": part.unit, "share": part.share}
+            yield Finding(F.REFUTED, cause.joints, values=values, causes=part.causes, size=part.share)
+    for joint, share in zip(fit.system.problem.joints, misfit, strict=True):
+        if share > MISFIT_GIVEN:
+            yield of_payload.get(joint, _unexplained(fit, joint, share))
+
+
+def _impossible_parameters(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
+    """Find base parameters that no body or joint has, against the gain of their joint, or all where it has no motor.
+
+    Gains and parameters are estimated together: friction that drives a joint is what a wrong description looks like.
+    """
+    dataset, places, stds = fit.dataset, estimates.unknowns.places, np.sqrt(np.diag(estimates.covariance))
+    listed: dict[str, list[list[object]]] = {}
+    for name, terms in regrouped(dataset.base, dataset.model.parameter_names).items():
+        if name in places:
+            value, std = float(fit.solution.theta[places[name]]), float(stds[places[name]])
+            if judge_parameter(value, std, terms).outcome == Outcome.CONTRADICTORY:
+                unit = unit_of(name.kind, dataset.robot, name.body)
+                listed.setdefault(name.body, []).append([name, value, std, unit])
+    for body, parameters in listed.items():
+        joints = (body,) if body in motors(fit) else motors(fit)
+        yield Finding(F.IMPOSSIBLE_PARAMETERS, joints, values={"parameters": parameters}, size=len(parameters))
+
+
+def _wrench_contradictions(fit: Fit) -> Iterator[Finding]:
+    """Find, against all gains, a negative mass of a floating robot, and an unexplained wrench on its base."""
+    floating, problem = fit.dataset.robot.floating, fit.system.problem
+    name = whole_mass(fit.dataset.base, fit.dataset.model.parameter_names)
+    if name in problem.parameters:
+        k = problem.parameters.index(name)
+        mass, std = float(fit.solution.theta[k]), float(np.sqrt(fit.solution.covariance[k, k]))
+        if mass < -NEGATIVE_STD * std:
+            yield Finding(F.NEGATIVE_MASS, motors(fit), name, {"mass": mass})
+    for part, share in base_misfit(fit).items():
+        if share > BASE_MISFIT:
+            yield Finding(F.BASE_UNEXPLAINED, motors(fit), floating, {"share": share, "part": part}, size=share)
+
+
+def base_misfit(fit: Fit) -> dict[str, float]:
+    """Compute the unexplained shares (rms) of the forces and moments on a floating base, empty for a fixed one.
+
+    They are shares of everything measured together, wrenches on bodies included; of forces and moments in three
+    directions each, as a single component may be small. Where all are small, they are shares of a third of the model's
+    terms.
+    """
+    problem, theta = fit.system.problem, fit.solution.theta
+    rows = problem.base
+    residual, measured = fit.solution.sigma[rows] ** 2, problem.balance(theta)[rows] ** 2
+    terms = problem.largest_terms(theta)[rows] ** 2
+    parts = {"forces": slice(0, 3), "moments": slice(3, 6)} if len(rows) else {}
+    # a base that hangs still at its centre of mass has hardly a moment but noise
+    return {
+        part: float(np.sqrt(residual[axes].sum() / max(measured[axes].sum(), terms[axes].sum() / 9, 1e-300)))
+        for part, axes in parts.items()
+    }
 
 
 def _wrong_priors(fit: Fit, estimates: Estimates, accuracy: float) -> Iterator[Finding]:
@@ -129,24 +293,51 @@ def _wrong_priors(fit: Fit, estimates: Estimates, accuracy: float) -> Iterator[F
             yield replace(finding, kind=F.WHOLE_MASS, joints=motors(fit))
 
 
-def _wrong_payloads(fit: Fit, payloads: Mapping[str, Verdict]) -> Iterator[Finding]:
-    for name, verdict in payloads.items():
-        if verdict.finding is not None and verdict.outcome == Outcome.CONTRADICTORY:
-            yield Finding(F.PAYLOAD, motors(fit), name, size=verdict.finding.size)
+def _logged_torques(fit: Fit, examined: Examination, estimates: Estimates) -> Iterator[Finding]:
+    """Find shares of rated values, motor-side torques, or torques and currents of a model: the first that holds."""
+    kind, scales = fit.dataset.runs[0].kind, np.zeros(0)
+    if doubtful := list(doubtful_commands(fit.dataset.runs, fit.dataset.robot)):
+        yield doubtful[0]
+        return
+    if kind == "torque" and fit.free_gains:
+        scales = np.abs(fit.gains)[half_widths(fit, estimates) < 1]
+    elif kind == "torque" and (scale := stated_meaning(examined.effort).values.get("scale")):
+        share, std = scale
+        scales = 1 / np.maximum([abs(share) + 2 * std, abs(share) - 2 * std], 1e-300)
+    if len(scales) and scales.min() > GEARED and scales.max() < BEYOND_GEARS:
+        yield Finding(F.MOTOR_SIDE, values={"least": float(scales.min()), "most": float(scales.max())})
+        return
+    joints, known = fit.dataset.robot.motors, set(fit.system.problem.parameters)
+    if any({name := Parameter("fs", joint), name + "R"}.isdisjoint(known) for joint in joints):
+        return
+    rows = [fit.dataset.model.actuated.index(joint) for joint in joints]
+    (fv, fs), torques = friction_levels(fit), rms_torques(fit)
+    friction = ((fv * rms_speeds(fit) + fs) / np.maximum(torques, 1e-300))[rows].max()
+    residual = unexplained_shares(fit.system.problem, fit.solution)[rows].max()
+    if friction < FRICTIONLESS and residual < MODEL_RESIDUAL:
+        values = {"kind": kind, "friction": float(friction), "residual": float(residual)}
+        yield Finding(F.MODEL_TORQUES, values=values)
 
 
-def _small_refutations(examined: Examination, accuracy: float) -> Iterator[Finding]:
-    """Find the parts of the description that the data refute without moving any gain by more than the accuracy."""
-    for part in examined.refuted:
-        move = part.largest_move / 100
-        if move <= accuracy:
-            yield Finding(F.SMALL_REFUTATION, values={"share": part.share, "move": move}, causes=part.causes)
+def _common_scale(fit: Fit, estimates: Estimates, accuracy: float) -> Iterator[Finding]:
+    """Find one factor, other than 1, that explains the torque scales of all joints which rest on one payload's mass."""
+    from scipy.stats import chi2
 
-
-def _in_context(fit: Fit, finding: Finding) -> Finding:
-    """Note in a finding whether there is a payload, or a wrench on a body or a floating base, for its advice."""
-    wrenches = bool(fit.system.problem.wrenches or fit.system.problem.base)
-    return replace(finding, values={"payload": bool(fit.system.payloads), "wrenches": wrenches, **finding.values})
+    masses = {run.payload.name: run.payload.mass for run in fit.dataset.runs if run.payload}
+    known = {name: mass for name, mass in masses.items() if mass is not None}
+    judged = np.flatnonzero(half_widths(fit, estimates) < 1)
+    if fit.system.problem.scaled or len(known) != 1 or len(judged) < 2:
+        return
+    rows = fit.system.problem.gain_rows
+    covariance = estimates.covariance[rows, rows][np.ix_(judged, judged)]
+    gains, precision = fit.gains[judged], np.linalg.pinv(covariance)
+    variance = 1 / float(precision.sum())
+    scale = variance * float(precision.sum(axis=0) @ gains)
+    apart = float((gains - scale) @ precision @ (gains - scale))
+    if chi2.sf(apart, len(judged) - 1) > ALIKE and abs(scale - 1) > max(APART * np.sqrt(variance), accuracy):
+        ((name, mass),) = known.items()
+        values = {"scale": scale, "std": float(np.sqrt(variance)), "mass": float(mass / scale), "declared": float(mass)}
+        yield Finding(F.COMMON_SCALE, (), name, values)
 
 
 def _moves(finding: Finding, halves: np.ndarray) -> float:

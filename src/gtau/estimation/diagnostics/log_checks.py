@@ -44,7 +44,6 @@ from gtau.robots.robot import Robot
 from gtau.signals.reading.samples import extremes
 from gtau.signals.repair.checks import whole_numbers
 from gtau.signals.run import Run
-from gtau.signals.storage import block, spans
 
 
 def command_lags(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
@@ -54,18 +53,19 @@ def command_lags(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     which ``n n''`` takes away on average (parts integrated). The error is that of a ratio, from its scatter over the
     units.
     """
-    lag, error = np.full(len(problem.joints), np.nan), np.full(len(problem.joints), np.nan)
+    lags = np.full((2, len(problem.joints)), np.nan)
     for j in range(len(problem.joints)):
         R, columns = problem.triangles[j], problem.own_columns[j]
         model = np.linalg.lstsq(R[:, columns], R[:, SIGNALS], rcond=None)[0]
         rest = problem.blocks[:, j, :, SIGNALS] - problem.blocks[:, j][:, :, columns] @ model
         r, rate, change = np.moveaxis(rest, -1, 0)  # (U, p) each
-        along, of_rate = np.einsum("up,up->u", r, rate), np.einsum("up,up->u", rate, rate)
-        of_motion = of_rate + np.einsum("up,up->u", r, change)
+        along, of_rate, of_change = (np.einsum("up,up->u", *pair) for pair in ((r, rate), (rate, rate), (r, change)))
+        of_motion = of_rate + of_change
         share = of_motion.sum() / max(of_rate.sum(), 1e-300)
         if share * of_rate.sum() > DELAY_MOTION * np.linalg.norm(of_motion - share * of_rate):
-            lag[j] = -along.sum() / of_motion.sum()
-            error[j] = np.linalg.norm(along + lag[j] * of_motion) / of_motion.sum()
+            lag = -along.sum() / of_motion.sum()
+            lags[:, j] = lag, np.linalg.norm(along + lag * of_motion) / of_motion.sum()
+    lag, error = lags
     return lag, error
 
 
@@ -90,63 +90,56 @@ def command_lag(dataset: Dataset, system: System) -> list[Finding]:
 
 def doubtful_commands(runs: Sequence[Run], robot: Robot) -> Iterator[Finding]:
     """Find integer-valued commands, and torques far below all effort limits, in all ``runs``."""
-    n, kind = len(runs[0].joints), runs[0].kind
-    peaks = np.zeros(n)
-    for run in runs:
-        for span in spans(len(run.time)):
-            peaks = np.maximum(peaks, np.abs(block(run.command, *span)[:, :n]).max(axis=0))
+    joints, kind = runs[0].joints, runs[0].kind
+    peaks = np.max([np.abs(extremes(run.command)) for run in runs], axis=(0, 1))[: len(joints)]
+    shares = (run.log.whole_share for run in runs)
     integers = min(
-        whole_numbers(run.command, n) if run.log.whole_share is None else run.log.whole_share for run in runs
+        whole_numbers(run.command, len(joints)) if share is None else share
+        for run, share in zip(runs, shares, strict=True)
     )
     if integers > WHOLE and peaks.max() >= STEPS:
         yield Finding(F.WHOLE_NUMBERS, values={"kind": kind, "largest": float(peaks.max())})
         return
-    limits = {
-        joint.name: joint.limits.effort for joint in robot.joints if joint.limits.effort and joint.name in robot.motors
-    }
-    shares = {joint: peak / limits[joint] for joint, peak in zip(runs[0].joints, peaks, strict=True) if joint in limits}
+    efforts = {joint: robot.joint(joint).limits.effort for joint in robot.motors}
+    limits = {joint: limit for joint, limit in efforts.items() if limit}
     if kind != "torque" or len(set(limits.values())) < 2:  # the same for all joints is a placeholder
         return
-    joint = max(shares, key=lambda name: shares[name])
-    if shares[joint] < LIMIT_SHARE:
-        yield Finding(F.MOTOR_SIDE, (joint,), values={"share": float(shares[joint]), "limit": limits[joint]})
+    of_limits = {
+        joint: float(peak) / limits[joint] for joint, peak in zip(joints, peaks, strict=True) if joint in limits
+    }
+    joint = max(of_limits, key=lambda name: of_limits[name])
+    if of_limits[joint] < LIMIT_SHARE:
+        yield Finding(F.MOTOR_SIDE, (joint,), values={"share": of_limits[joint], "limit": limits[joint]})
 
 
 def require_payload_excitation(system: System) -> None:
-    """Refuse logs whose currents are explained as well without the payload as with it.
+    """Refuse logs whose currents are explained as well without the payload as with it; raises GtauError.
 
     Each joint's current is fitted by its own equations, once with the columns of all payloads and once with none.
-
-    Raises
-    ------
-    GtauError
-        Where no joint's residual grows without them: the currents never felt the payload.
     """
-    if not any(each.payload for each in system.payloads):
-        return
-    own = {name for each in system.payloads for name in each.unknown}
-    problem = system.problem
+    problem, carried = system.problem, [columns for columns in system.payloads if columns.payload]
     n = len(problem.parameters)
-    if np.any(problem.total_rows < 3 * (n + 1)):
+    if not carried or np.any(problem.total_rows < 3 * (n + 1)):
         return  # with so few equations, the robot's own parameters explain whatever the payload does
-    robot_columns = [k for k, name in enumerate(problem.parameters) if name not in own]
-    without = np.array([_residual(problem, j, robot_columns) for j in range(len(problem.joints))])
-    with_all = np.array([_residual(problem, j, list(range(n + 1))) for j in range(len(problem.joints))])
+    of_payloads = {name for columns in system.payloads for name in columns.unknown}
+    robot_columns = [k for k, name in enumerate(problem.parameters) if name not in of_payloads]
+    without, with_all = (
+        np.array([_residual(R, columns) for R in problem.triangles[: len(problem.joints)]])
+        for columns in (robot_columns, list(range(n + 1)))
+    )
     if np.all(without < UNFELT_PAYLOAD * with_all):
-        name = next(each.payload.name for each in system.payloads if each.payload)
         raise GtauError(
-            f"the currents are explained as well without payload '{name}' (residual of the worst joint "
-            f"{100 * without.max():.2g} % of its current, {100 * with_all.max():.2g} % with it), so they do not fix "
-            "the drive gains; give actual currents or the references of the current loops, not targets of the "
+            f"the currents are explained as well without payload '{carried[0].payload.name}' (residual of the worst "
+            f"joint {100 * without.max():.2g} % of its current, {100 * with_all.max():.2g} % with it), so they do not "
+            "fix the drive gains; give actual currents or the references of the current loops, not targets of the "
             "controller's own model, check which runs carry the payload, or log longer runs with a heavier one."
         )
 
 
-def _residual(problem: Problem, joint: int, columns: list[int]) -> float:
+def _residual(R: np.ndarray, columns: list[int]) -> float:
     """Compute the relative residual of a joint's current, fitted by ``columns`` of its own equations."""
-    R, v = problem.triangles[joint], SIGNAL
-    solved = np.linalg.lstsq(R[:, columns], R[:, v], rcond=1e-10)[0]
-    return float(np.linalg.norm(R[:, v] - R[:, columns] @ solved) / np.linalg.norm(R[:, v]))
+    solved = np.linalg.lstsq(R[:, columns], R[:, SIGNAL], rcond=1e-10)[0]
+    return float(np.linalg.norm(R[:, SIGNAL] - R[:, columns] @ solved) / np.linalg.norm(R[:, SIGNAL]))
 
 
 def lack_of_fit(problem: Problem, solution: Solution) -> float:
@@ -159,18 +152,14 @@ def lack_of_fit(problem: Problem, solution: Solution) -> float:
     return float(np.sqrt(np.median(ratio))) if ratio.size else 1.0
 
 
-def frozen_encoders(fit: Fit) -> tuple[Finding, ...]:
+def frozen_encoders(fit: Fit) -> Iterator[Finding]:
     """Find the joints that never move in a run, by their positions, but whose motion its other joints feel."""
-    runs, n = fit.dataset.runs, len(fit.gains)
-    moving = np.array([np.subtract(*extremes(run.position)[::-1]) > 0 for run in runs])
-    acting = np.array([np.subtract(*extremes(run.command)[::-1])[:n] > 0 for run in runs])
-    return tuple(_frozen(fit, moving, acting)) if np.any(acting & ~moving) else ()
-
-
-def _frozen(fit: Fit, moving: np.ndarray, acting: np.ndarray) -> Iterator[Finding]:
-    joints, runs = fit.system.problem.joints, fit.dataset.runs
-    shares = unexplained_by_run(fit)
-    for run, joint in np.argwhere(acting & ~moving).tolist():
+    joints, runs, n = fit.system.problem.joints, fit.dataset.runs, len(fit.gains)
+    moving = np.array([np.subtract(*extremes(run.position)) < 0 for run in runs])
+    acting = np.array([np.subtract(*extremes(run.command))[:n] < 0 for run in runs])
+    frozen = np.argwhere(acting & ~moving).tolist()
+    shares = unexplained_by_run(fit) if frozen else np.zeros(0)
+    for run, joint in frozen:
         usual = shares[moving[:, joint]].max(axis=0, initial=0.0)
         least = np.where(usual > 0, np.maximum(UNSEEN_RATIO * usual, UNSEEN_MISFIT), MISFIT)
         worst = int(np.argmax(shares[run] / least))
@@ -194,23 +183,19 @@ def unexplained_by_run(fit: Fit) -> np.ndarray:
 
 
 def gravity_not_shown(fit: Fit) -> Iterator[Finding]:
-    """Find that hardly any torque of a robot that gravity could move is due to it."""
-    felt = float(gravity_shares(fit).max(initial=0.0))
-    if UNFELT <= felt < GRAVITY_FELT:
-        yield Finding(F.NO_GRAVITY_SHOWN, values={"felt": felt})
+    """Find that hardly any torque of a robot that gravity could move is due to it.
 
-
-def gravity_shares(fit: Fit) -> np.ndarray:
-    """Compute the ratio of rms gravity torque (about its mean) to rms total torque of each joint, (n,)."""
+    Its share is the ratio of rms gravity torque (about its mean) to rms total torque, of the joint that feels it most.
+    """
     dataset, n = fit.dataset, len(fit.gains)
     gravity = np.array(dataset.robot.gravity)
     if not gravity.any():
-        return np.zeros(n)
-    regressor, shares = dataset.model.gravity_torques(dataset.base.standard), np.zeros(n)
+        return
+    model, regressor, torques = dataset.model, dataset.model.gravity_torques(dataset.base.standard), np.zeros(n)
     for run, window in dataset.windows():
-        entries = regressor(
-            dataset.model.layout, window_motion(dataset.model, window), fit.system.motion(run, fit.solution.theta)
-        )
-        torques = np.reshape(regressor.torques(entries, gravity, n), (n, -1))
-        shares = np.maximum(shares, torques.std(axis=1))
-    return np.asarray(shares / np.maximum(rms_torques(fit), 1e-300))
+        motion, parameters = window_motion(model, window), fit.system.motion(run, fit.solution.theta)
+        along = regressor.torques(regressor(model.layout, motion, parameters), gravity, n)
+        torques = np.maximum(torques, np.reshape(along, (n, -1)).std(axis=1))
+    felt = float(np.max(torques / np.maximum(rms_torques(fit), 1e-300)))
+    if UNFELT <= felt < GRAVITY_FELT:
+        yield Finding(F.NO_GRAVITY_SHOWN, values={"felt": felt})

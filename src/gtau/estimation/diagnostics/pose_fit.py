@@ -52,19 +52,20 @@ def component_names(columns: PoseColumns) -> tuple[tuple[str, str], ...]:
     named = [(column, "m") for column in columns.position.values()]
     if columns.angles is not None:
         return (*named, *((column, "rad") for column in columns.angles.turning[1]))
-    if columns.quaternion is not None or columns.rotation_vector is not None:
-        named += [(f"turn about {axis}", "rad") for axis in "xyz"]
-    return tuple(named)
+    turns = [(f"turn about {axis}", "rad") for axis in "xyz"] if _turns(columns) else []
+    return (*named, *turns)
+
+
+def _turns(columns: PoseColumns) -> bool:
+    """Decide whether anything of the orientation is logged."""
+    return any(logged is not None for logged in (columns.angles, columns.quaternion, columns.rotation_vector))
 
 
 def compare(poses: Poses, body: BodyPose, frames: Frames) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Compare logged poses with those of the body, computed from the positions, behind tracker and marker.
 
-    Returns
-    -------
-    tuple of ndarray
-        Logged less computed components (N, m), and their derivatives: by the steps of :meth:`Frames.moved`, (N, m, 7 +
-        6 runs), and by the constants, (N, m, constants); the points (runs, 3) about which the tracker turns.
+    Returns logged less computed components (N, m), and their derivatives: by the steps of :meth:`Frames.moved`, (N, m,
+    7 + 6 runs), and by the constants, (N, m, constants); and the points (runs, 3) about which the tracker turns.
     """
     columns, run = poses.columns, poses.run
     R_t, p_t, (R_m, p_m) = frames.tracker[0][run], frames.tracker[1][run], frames.marker
@@ -92,7 +93,7 @@ def compare(poses: Poses, body: BodyPose, frames: Frames) -> tuple[np.ndarray, n
     return residual, by_twist @ by_frames, by_twist @ carried(body.by_constants), about
 
 
-def first_frames(poses: Poses, body: BodyPose) -> Frames:
+def _first_frames(poses: Poses, body: BodyPose) -> Frames:
     """Guess the poses of tracker and marker from full positions and orientations; otherwise leave them unchanged."""
     columns, values, run = poses.columns, poses.values, poses.run
     runs, measured = int(run.max()) + 1, _orientations(columns, values)
@@ -216,20 +217,14 @@ class PoseFit:
     def free(self) -> np.ndarray:
         """Entries of a step of the frames that are unknown (7 + 6 runs,)."""
         columns, runs = self.poses.columns, len(self.frames.tracker[0])
-        turns = columns.angles is not None or columns.quaternion is not None or columns.rotation_vector is not None
         marker, tracker = columns.source != "controller", columns.source == "tracker"
         # where only a position is logged, nobody sees how a marker is turned
-        return np.array([True, *[marker] * 3, *[marker and turns] * 3, *[tracker] * (6 * runs)])
+        return np.repeat([True, marker, marker and _turns(columns), tracker], [1, 3, 3, 6 * runs])
 
     @property
     def residual(self) -> np.ndarray:
         """Weighted residuals (N m,)."""
         return (self.compared[0] * self.poses.weights).reshape(-1)
-
-    @property
-    def squares(self) -> float:
-        """Sum of the squared weighted residuals."""
-        return float(self.residual @ self.residual)
 
     def column(self, constant: int) -> np.ndarray:
         """Return the weighted derivatives (N m,) of the computed pose with respect to a constant."""
@@ -255,10 +250,9 @@ class PoseFit:
         return np.asarray(U[:, sigma > DEPENDENT * sigma[0]])
 
     @cached_property
-    def left(self) -> float:
+    def rest(self) -> float:
         """Sum of the squared weighted residuals that the columns do not explain to first order."""
-        beyond = self.beyond(self.residual)
-        return float(beyond @ beyond)
+        return float(np.sum(self.beyond(self.residual) ** 2))
 
     def beyond(self, vector: np.ndarray) -> np.ndarray:
         """Project a ``vector`` (N m,) on the complement of the columns."""
@@ -278,8 +272,20 @@ class PoseFit:
         inverse = Vt[kept].T / sigma[kept] @ U[:, kept].T / size[:, None]
         N = len(self.poses.stretch)
         parts = (inverse * self.beyond(self.residual)).reshape(len(inverse), N, -1).sum(axis=2)
-        scores = np.array([parts[:, self.poses.stretch == k].sum(axis=1) for k in np.unique(self.poses.stretch)])
-        return np.asarray(np.sqrt(np.sum(scores**2, axis=0) * len(scores) / (len(scores) - 1)))
+        stretches = np.unique(self.poses.stretch)
+        return jackknife_std(np.array([parts[:, self.poses.stretch == k].sum(axis=1) for k in stretches]))
+
+
+def jackknife_std(scores: np.ndarray) -> np.ndarray:
+    """Compute the standard deviation of a sum from its parts (stretches, ...), which are independent."""
+    return np.asarray(np.sqrt(np.sum(scores**2, axis=0) * len(scores) / (len(scores) - 1)))
+
+
+def unfitted(poses: Poses, c: np.ndarray) -> PoseFit:
+    """Begin a fit at configurations ``c`` (n_c, N) of the robot's file, frames guessed."""
+    change = np.zeros(len(poses.geometry.constants))
+    body = poses.geometry.pose(c, change)
+    return PoseFit(poses, _first_frames(poses, body), change, c, body, ())
 
 
 def fit_poses(start: PoseFit, chosen: Sequence[int]) -> PoseFit | None:
@@ -290,13 +296,14 @@ def fit_poses(start: PoseFit, chosen: Sequence[int]) -> PoseFit | None:
     fit, damping = replace(start, chosen=tuple(chosen)), LEAST_DAMPING
     for _ in range(STEPS):
         moved = _moved(fit, fit.step(damping))
-        if moved is None or not moved.squares < fit.squares:
+        gained = 0.0 if moved is None else float(np.sum(fit.residual**2) - np.sum(moved.residual**2))
+        if moved is None or not gained > 0:
             if damping > 1:
                 break
             damping *= 10
             continue
-        gained = fit.squares - moved.squares
-        converged = damping < DAMPED and gained <= SETTLED * moved.squares + (FLOOR * fit.poses.weights.max()) ** 2
+        small = SETTLED * np.sum(moved.residual**2) + (FLOOR * fit.poses.weights.max()) ** 2
+        converged = damping < DAMPED and gained <= small
         fit, damping = moved, max(damping / 10, LEAST_DAMPING)
         if converged:
             break
@@ -305,13 +312,12 @@ def fit_poses(start: PoseFit, chosen: Sequence[int]) -> PoseFit | None:
 
 def _moved(fit: PoseFit, step: np.ndarray) -> PoseFit | None:
     """Take a step (k,) of the free frames and constants; None where the loops cannot follow."""
-    constants, free = list(fit.chosen), fit.free
-    of_frames = np.zeros(free.size)
-    of_frames[free] = step[: len(step) - len(constants)]
+    of_frames, count = np.zeros(fit.free.size), np.count_nonzero(fit.free)
+    of_frames[fit.free] = step[:count]
     fit = replace(fit, frames=fit.frames.moved(of_frames, fit.compared[3]))
-    if not constants:
+    if not fit.chosen:
         return fit
     change, geometry = fit.change.copy(), fit.poses.geometry
-    change[constants] += step[len(step) - len(constants) :]
+    change[list(fit.chosen)] += step[count:]
     c = geometry.close(fit.c, fit.change, change)
     return None if c is None else replace(fit, change=change, c=c, body=geometry.pose(c, change))

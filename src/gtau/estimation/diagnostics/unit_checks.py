@@ -15,12 +15,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from gtau.estimation.diagnostics.gain_checks import half_widths
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
-from gtau.estimation.diagnostics.verdict import motors
+from gtau.estimation.diagnostics.verdict import half_widths, motors
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.problem import Estimates, Problem
+from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.thresholds.estimates import (
     EFFORT_FACTOR,
     FILE_FACTOR,
@@ -50,83 +48,78 @@ def units_and_signs(
 
     Prior gains (N m/A or N/A, by joint) settle the size of a gain that is estimated.
     """
-    dataset = fit.dataset
+    dataset, apart = fit.dataset, []
     settled = set(prior_gains) if fit.free_gains else set()
     if fit.free_gains:
-        yield from _prior_gains_off(fit, prior_gains)
-        yield from _turned(fit, estimates, prior_gains)
+        # signed, of joints whose interval excludes zero
+        of_joints = zip(fit.system.problem.joints, fit.gains, half_widths(fit, estimates), strict=True)
+        base = dataset.robot.base
+        known = {joint: float(gain) for joint, gain, half in of_joints if half < 1 and joint not in base}
+        yield from _unlike_priors(fit, known, prior_gains)
+        apart = list(_gains_apart(fit, known))
     of_sizes = (
-        *(_gains_apart(fit, estimates) if fit.free_gains else ()),
+        *apart,
         *doubtful_payloads(dataset.robot, (run.payload for run in dataset.runs)),
         *doubtful_currents(dataset.runs, dataset.robot.base),
-        *unlike_file(audit),
+        *(unlike_file(audit) if audit else ()),
     )
     for finding in of_sizes:
-        joints = tuple(joint for joint in finding.joints or motors(fit) if joint not in settled)
-        if joints:
-            yield replace(finding, joints=joints)
+        joints = finding.joints or motors(fit)
+        if doubted := tuple(joint for joint in joints if joint not in settled):
+            yield replace(finding, joints=doubted)
     yield from _efforts_exceeded(fit, settled)
 
 
-def _known_gains(fit: Fit, estimates: Estimates) -> dict[str, float]:
-    """Collect the gains, signed, of joints whose interval excludes zero."""
-    known = zip(fit.system.problem.joints, fit.gains, half_widths(fit, estimates), strict=True)
-    return {joint: float(gain) for joint, gain, half in known if half < 1 and joint not in fit.dataset.robot.base}
+def _unlike_priors(fit: Fit, known: Mapping[str, float], priors: Mapping[str, float]) -> Iterator[Finding]:
+    """Find gains more than a factor of two from their prior (by joint, N m/A or N/A), or of another sign.
 
-
-def _prior_gains_off(fit: Fit, priors: Mapping[str, float]) -> Iterator[Finding]:
-    """Find gains that differ by more than a factor of two from their prior (by joint, N m/A or N/A)."""
-    robot = fit.dataset.robot
-    for joint, gain in zip(fit.system.problem.joints, fit.gains, strict=True):
-        ratio = abs(gain / priors[joint]) if joint in priors else 1.0
+    Without a prior they are positive.
+    """
+    robot, kind = fit.dataset.robot, fit.dataset.runs[0].kind
+    for joint, gain in zip(fit.system.problem.joints, fit.gains.tolist(), strict=True):
+        prior = priors.get(joint)
+        ratio = abs(gain / prior) if prior else 1.0
         if not 1 / PRIOR_FACTOR <= ratio <= PRIOR_FACTOR:
-            unit = gain_unit(robot, joint, fit.dataset.runs[0].kind)
-            values = {"ratio": float(ratio), "prior": priors[joint], "unit": unit}
+            values = {"ratio": ratio, "prior": prior, "unit": gain_unit(robot, joint, kind)}
             yield Finding(F.PRIOR_GAIN, (joint,), values=values)
-
-
-def _turned(fit: Fit, estimates: Estimates, priors: Mapping[str, float]) -> Iterator[Finding]:
-    """Find gains of the other sign than their prior, or negative ones without a prior."""
-    kind = fit.dataset.runs[0].kind
-    for joint, gain in _known_gains(fit, estimates).items():
-        if gain * priors.get(joint, 1.0) < 0:
-            values = {"kind": kind, "negative": gain < 0, "prior": joint in priors}
+        if joint in known and gain * (prior or 1.0) < 0:
+            values = {"kind": kind, "negative": gain < 0, "prior": prior is not None}
             yield Finding(F.NEGATIVE_GAIN, (joint,), values=values)
 
 
-def _gains_apart(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
+def _gains_apart(fit: Fit, known: Mapping[str, float]) -> Iterator[Finding]:
     """Find joints whose gains differ from all others by more than motors and gears of one robot explain."""
     robot, kind = fit.dataset.robot, fit.dataset.runs[0].kind
     of_unit: dict[str, list[tuple[float, str]]] = {}
-    for joint, gain in _known_gains(fit, estimates).items():
+    for joint, gain in known.items():
         of_unit.setdefault(gain_unit(robot, joint, kind), []).append((abs(gain), joint))
     for unit, gains in of_unit.items():
         gains.sort()
         for k, ((smaller, below), (larger, above)) in enumerate(pairwise(gains), start=1):
             if larger <= GAINS_APART * smaller:
                 continue
-            few = [*(gains[:k] if 2 * k <= len(gains) else []), *(gains[k:] if 2 * k >= len(gains) else [])]
+            # the fewer of the two groups, or both
+            few = gains[:k] if 2 * k < len(gains) else gains[k:] if 2 * k > len(gains) else gains
             for gain, joint in few:
                 peer, of_peer = (above, larger) if gain <= smaller else (below, smaller)
-                values = {"ratio": max(gain / of_peer, of_peer / gain), "gain": gain, "unit": unit, "kind": kind}
-                yield Finding(F.GAINS_APART, (joint,), peer, {**values, "of_peer": of_peer})
+                ratio = max(gain / of_peer, of_peer / gain)
+                values = {"ratio": ratio, "gain": gain, "unit": unit, "kind": kind, "of_peer": of_peer}
+                yield Finding(F.GAINS_APART, (joint,), peer, values)
 
 
 def doubtful_currents(runs: Sequence[Run], base: Collection[str] = ()) -> Iterator[Finding]:
     """Find currents that are too large, or of very different size between joints but those of a floating ``base``."""
     if runs[0].kind != "current":
         return
-    squares, samples = np.zeros(len(runs[0].joints)), 0
-    for run in runs:
-        n = len(run.joints)
-        squares += sum(np.sum(block(run.command, *span)[:, :n] ** 2, axis=0) for span in spans(len(run.time)))
-        samples += len(run.time)
-    # joints at rest may have no current
-    driven = sorted(
-        (float(rms), joint)
-        for joint, rms in zip(runs[0].joints, np.sqrt(squares / samples), strict=True)
-        if joint not in base and rms > 0
+    joints = runs[0].joints
+    squares = sum(
+        np.sum(block(run.command, *span)[:, : len(joints)] ** 2, axis=0)
+        for run in runs
+        for span in spans(len(run.time))
     )
+    sizes = np.sqrt(squares / sum(len(run.time) for run in runs)).tolist()
+    # joints at rest may have no current
+    driven = sorted((rms, joint) for joint, rms in zip(joints, sizes, strict=True) if joint not in base and rms > 0)
     if large := tuple(joint for rms, joint in driven if rms > LARGEST_CURRENT):
         yield Finding(F.LARGE_CURRENT, large, large[-1], {"rms": driven[-1][0]})
     for (small, below), (larger, above) in pairwise(driven):
@@ -159,11 +152,11 @@ def _reach(robot: Robot) -> float | None:
     return reach
 
 
-def unlike_file(audit: InertiaAudit | None) -> Iterator[Finding]:
+def unlike_file(audit: InertiaAudit) -> Iterator[Finding]:
     """Find first moments that are all together out of scale with those of the robot's file."""
     moments = [
         (audited.value, audited.stated)
-        for audited in (() if audit is None else audit.parameters)
+        for audited in audit.parameters
         if parameter_of(audited.name).kind in FIRST_MOMENTS and audited.value and audited.std and audited.stated
         if abs(audited.value) > NEGATIVE_STD * audited.std
     ]
@@ -181,35 +174,37 @@ def _efforts_exceeded(fit: Fit, settled: Collection[str]) -> Iterator[Finding]:
     """
     robot, problem = fit.dataset.robot, fit.system.problem
     limits = {joint: robot.joint(joint).limits.effort for joint in problem.joints}
-    placeholder = len(limits) >= 3 and len(set(limits.values())) == 1 and not robot.closures
-    torques = dict(zip(problem.joints, np.abs(fit.solution.gains) * problem.signal, strict=False))
-    ratios = {joint: float(torques[joint] / limit) for joint, limit in limits.items() if limit}
-    over = sorted((ratio, joint) for joint, ratio in ratios.items() if ratio > EFFORT_FACTOR)
-    for kind, joints in (
-        (F.DOUBTFUL_LIMIT, [joint for _, joint in over if placeholder or joint in settled]),
-        (F.EFFORT, [joint for _, joint in over if not placeholder and joint not in settled]),
-    ):
-        if joints:
-            worst = joints[-1]
-            values = {"torque": float(torques[worst]), "limit": limits[worst], "ratio": ratios[worst]}
-            of_all = {"all": len(joints) == len(ratios), "given": not fit.free_gains, "kind": fit.dataset.runs[0].kind}
-            yield Finding(kind, tuple(joints), worst, {**values, **of_all, "unit": torque_unit(robot, worst)})
+    if len(limits) >= 3 and len(set(limits.values())) == 1 and not robot.closures:
+        settled = limits  # a placeholder
+    levels = np.abs(fit.solution.gains) * problem.signal
+    torques = dict(zip(problem.joints, levels.tolist(), strict=False))
+    ratios = {joint: torques[joint] / limit for joint, limit in limits.items() if limit}
+    context = {"given": not fit.free_gains, "kind": fit.dataset.runs[0].kind}
+    over = sorted((joint for joint, ratio in ratios.items() if ratio > EFFORT_FACTOR), key=lambda name: ratios[name])
+    doubtful = tuple(joint for joint in over if joint in settled)
+    exceeded = tuple(joint for joint in over if joint not in settled)
+    for kind, joints in ((F.DOUBTFUL_LIMIT, doubtful), (F.EFFORT, exceeded)):
+        for worst in joints[-1:]:
+            values = {"torque": torques[worst], "limit": limits[worst], "ratio": ratios[worst]}
+            values |= {"all": len(joints) == len(ratios), "unit": torque_unit(robot, worst)}
+            yield Finding(kind, joints, worst, values | context)
 
 
-def unlike_legs(dataset: Dataset, problem: Problem, theta: np.ndarray, covariance: np.ndarray) -> Iterator[Finding]:
+def unlike_legs(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
     """Find the leg that differs most from those of the same geometry (the paper's check after section 3.1).
 
     Their frictions always differ, and the table shows them.
     """
-    place = {name: k for k, name in enumerate(problem.parameters)}
+    dataset, unknowns = fit.dataset, estimates.unknowns
     listed = regrouped(dataset.base, dataset.model.parameter_names)
-    terms = {name: listed[name] for name in dataset.base.names if name in place}
-    index = [place[name] for name in terms]
-    if not np.diag(covariance)[index].all():
+    terms = {name: regrouping for name, regrouping in listed.items() if name in unknowns.places}
+    index = unknowns.at(terms)
+    covariance = estimates.covariance[np.ix_(index, index)]
+    if not np.diag(covariance).all():
         return
     unlike = [
         finding
-        for finding in leg_differences(dataset.robot, terms, theta[index], covariance[np.ix_(index, index)])
+        for finding in leg_differences(dataset.robot, terms, fit.solution.theta[index], covariance)
         if finding.values["probability"] < LEG_PROBABILITY
         and finding.values["parameter"].kind not in PLAIN_FRICTION
         and 100 * finding.values["share"] > LEG_DIFFERENCE
@@ -224,47 +219,36 @@ def leg_differences(
 ) -> Iterator[Finding]:
     """Compare every leg's identified parameters with the mean of those of the legs of the same geometry.
 
-    Parameters
-    ----------
-    robot : Robot
-    terms : mapping
-        Base parameters that were identified, all or the essential ones, with what each regroups: only those that
-        regroup the same standard ones, leg by leg, are compared.
-    parameters : ndarray
-        Their values, (len(terms),).
-    covariance : ndarray
-        (len(terms), len(terms)).
-
-    Yields
-    ------
-    Finding
-        By leg that has like ones (of two like legs only the first) and parameter: the difference as ``share`` of the
-        mean of the others and in standard deviations, ``t``; and the ``probability`` that legs which are alike differ
-        by as much or more in all parameters together (Mahalanobis).
+    ``terms`` are base parameters (k,) that were identified, with what each regroups: only those that regroup the same
+    standard ones, leg by leg, are compared. ``parameters`` (k,) are their values, with ``covariance`` (k, k). Yields by
+    leg that has like ones (of two like legs only the first) and parameter: the difference as ``share`` of the mean of
+    the others and in standard deviations, ``t``; and the ``probability`` that legs which are alike differ by as much or
+    more in all parameters together (Mahalanobis).
     """
     from scipy.stats import chi2
 
     names = list(terms)
     for group in identical_legs(robot):
         tables = [{_in_leg(terms[name], leg): k for k, name in enumerate(names) if name.body in leg} for leg in group]
-        shared = [meaning for meaning in tables[0] if all(meaning in table for table in tables)]
+        shared = set.intersection(*map(set, tables))
+        # (legs, parameters), in the order of the first leg
+        places = np.array([[table[meaning] for meaning in tables[0] if meaning in shared] for table in tables])
         if len(group) < 2 or not shared:
             continue
         for k in range(len(group) if len(group) > 2 else 1):
             contrast = np.zeros((len(shared), len(names)))
-            for row, meaning in enumerate(shared):
-                for j, table in enumerate(tables):
-                    contrast[row, table[meaning]] = 1.0 if j == k else -1.0 / (len(group) - 1)
+            contrast[range(len(shared)), places] = -1.0 / (len(group) - 1)
+            contrast[range(len(shared)), places[k]] = 1.0
             difference, scatter = contrast @ parameters, contrast @ covariance @ contrast.T
             others, std = np.minimum(contrast, 0.0) @ parameters, np.sqrt(np.diag(scatter))
             correlation, t = scatter / np.outer(std, std), difference / std
             square = float(t @ np.linalg.pinv(correlation, rcond=1e-10, hermitian=True) @ t)
             rank = int(np.linalg.matrix_rank(correlation, tol=1e-10, hermitian=True))
             shares = np.abs(np.divide(difference, others, out=np.full(len(shared), np.inf), where=others != 0))
-            for row, meaning in enumerate(shared):
-                values = {"parameter": names[tables[k][meaning]], "share": float(shares[row]), "t": float(t[row])}
-                probability = float(chi2.sf(square, rank))
-                yield Finding(F.UNLIKE_LEGS, (), group[k][0], {**values, "probability": probability})
+            probability = float(chi2.sf(square, rank))
+            for place, share, by in zip(places[k], shares.tolist(), t.tolist(), strict=True):
+                values = {"parameter": names[place], "share": share, "t": by, "probability": probability}
+                yield Finding(F.UNLIKE_LEGS, (), group[k][0], values)
 
 
 def _in_leg(terms: Mapping[Parameter, float], leg: Sequence[str]) -> frozenset[tuple[str, int | str, float]]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit, Solution
 from gtau.estimation.regression.factors import SIGNALS, modelled
-from gtau.estimation.regression.problem import Problem
+from gtau.estimation.regression.problem import Estimates, Problem
 from gtau.estimation.thresholds.estimates import APART, NEGATIVE_STD, WEAK_PARAMETER
 from gtau.estimation.thresholds.logs import DELAY_MOTION, DELAY_STD
 from gtau.findings import Finding
@@ -45,9 +45,9 @@ class Verdict:
 GIVEN, GOOD = Verdict(Outcome.GIVEN), Verdict(Outcome.GOOD)
 NONNEGATIVE = {"m", "xx", "yy", "zz", "ia", "fv", "fs"}
 OUTCOMES: Mapping[str, Outcome] = {kind: kind.outcome for kind in F if kind.outcome}
+"""Kinds with an outcome, in the order in which they count where several are on one estimate."""
 ALONE = frozenset({F.NEGATIVE_GAIN, F.GAINS_APART, F.LARGE_CURRENT})
 """Factors of one joint's channel, which its gain takes up whole: those of the other joints stay as they are."""
-RANKS: Mapping[str, int] = {kind: rank for rank, kind in enumerate(OUTCOMES)}
 
 
 def verdict_of(finding: Finding) -> Verdict:
@@ -55,35 +55,28 @@ def verdict_of(finding: Finding) -> Verdict:
     return Verdict(OUTCOMES[finding.kind], finding)
 
 
-def decide(joints: Sequence[str], findings: Iterable[Finding], otherwise: Verdict = GOOD) -> tuple[Verdict, ...]:
+def decide(joints: Sequence[str], findings: Iterable[Finding], otherwise: Verdict = GOOD) -> dict[str, Verdict]:
     """Judge the gain of each joint by the highest-ranked finding on it, in whatever order the checks found them.
 
     Of findings of one kind that of the largest size counts. No gain is good beside a contradictory one, since all
     joints share the parameters of one model, but for what concerns the channel of one joint alone. A gain without a
     finding is judged as ``otherwise``.
     """
-    deciding: dict[str, Finding] = {}
-    for finding in sorted(findings, key=lambda finding: (RANKS[finding.kind], -finding.size, repr(finding))):
-        for joint in finding.joints:
-            deciding.setdefault(joint, finding)
-    verdicts = {joint: verdict_of(deciding[joint]) if joint in deciding else otherwise for joint in joints}
-    wrong = next((joint for joint in joints if couples(verdicts[joint])), None)
-    if wrong is not None:
-        good = [joint for joint, verdict in verdicts.items() if verdict.outcome == Outcome.GOOD]
-        verdicts |= {joint: verdict_of(Finding(F.COUPLED, (joint,), wrong)) for joint in good}
-    return tuple(verdicts.values())
+    verdicts, rank = dict.fromkeys(joints, otherwise), list(OUTCOMES).index
+    against = [finding for finding in findings if finding.kind in OUTCOMES]
+    against.sort(key=lambda finding: (rank(finding.kind), -finding.size, repr(finding)))
+    for finding in reversed(against):  # the one that counts most comes last
+        verdicts |= dict.fromkeys(verdicts.keys() & finding.joints, verdict_of(finding))
+    for joint, verdict in verdicts.items():
+        if verdict.finding and verdict.outcome == Outcome.CONTRADICTORY and verdict.finding.kind not in ALONE:
+            good = [name for name in joints if verdicts[name].outcome == Outcome.GOOD]
+            return verdicts | {name: verdict_of(Finding(F.COUPLED, (name,), joint)) for name in good}
+    return verdicts
 
 
-def couples(verdict: Verdict) -> bool:
-    """Decide whether a verdict on a joint's gain puts those of the others in doubt."""
-    kind = None if verdict.finding is None else verdict.finding.kind
-    return verdict.outcome == Outcome.CONTRADICTORY and kind not in ALONE
-
-
-def worst(verdicts: Mapping[str, Verdict] | Sequence[Verdict]) -> Outcome:
+def worst(verdicts: Iterable[Verdict]) -> Outcome:
     """Return the worst outcome of several."""
-    listed = verdicts.values() if isinstance(verdicts, Mapping) else verdicts
-    return max((verdict.outcome for verdict in listed), key=list(Outcome).index, default=Outcome.GOOD)
+    return max((verdict.outcome for verdict in verdicts), key=list(Outcome).index, default=Outcome.GOOD)
 
 
 def parameter_verdict(value: float | None, std: float | None) -> Verdict:
@@ -127,7 +120,7 @@ def known_verdict(values: Mapping[str, Any], explained: tuple[str, ...] = ()) ->
     return verdict_of(Finding(kind, explained, values=values, size=size))
 
 
-def delay_verdicts(problem: Problem, solution: Solution, std: np.ndarray, period: float) -> tuple[Verdict, ...]:
+def delay_verdicts(problem: Problem, solution: Solution, std: np.ndarray, period: float) -> list[Verdict]:
     """Judge the delay of every channel: of the joints' currents, and of torque sensors.
 
     A delay is read off the current's rate of change. Where a joint moves slowly, that is mostly noise, which looks the
@@ -135,35 +128,39 @@ def delay_verdicts(problem: Problem, solution: Solution, std: np.ndarray, period
     it a curvature of its own: the standard deviation ``std`` (c,), s, means nothing. A delay within the ``period`` of
     the samples, s, is believed whatever its relative standard deviation.
     """
-    verdicts = []
-    for share, error, delay, deviation in zip(*moving_share(problem, solution), solution.delays, std, strict=True):
-        if share <= DELAY_MOTION * error:
-            verdicts.append(verdict_of(Finding(F.DELAY_NOISE)))
-        elif abs(delay) > period and deviation > DELAY_STD * abs(delay):
-            verdicts.append(verdict_of(Finding(F.DELAY_UNCERTAIN, values={"std": float(deviation)})))
-        else:
-            verdicts.append(GOOD)
-    return tuple(verdicts)
-
-
-def moving_share(problem: Problem, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the share of motion in the mean square of each channel's rate of change, and its standard error, (c,).
-
-    The rest is noise n, of which ``n n''`` takes away on average what ``n'^2`` adds (parts integrated). The error is
-    that of a ratio, from its scatter over the units.
-    """
     v, rate, change = np.moveaxis(problem.blocks[..., SIGNALS], -1, 0)  # (U, c, p) each
     e = v - modelled(problem.blocks, solution.theta) / solution.gains[:, None]
     squares = np.einsum("ujp,ujp->uj", rate, rate)
+    # what is not motion is noise n, of which n n'' takes away on average what n'^2 adds (parts integrated)
     of_motion = squares + np.einsum("ujp,ujp->uj", e, change)
-    total = np.maximum(squares.sum(axis=0), 1e-300)
-    share = of_motion.sum(axis=0) / total
-    return share, np.linalg.norm(of_motion - share * squares, axis=0) / total
+    share = of_motion.sum(axis=0) / np.maximum(squares.sum(axis=0), 1e-300)
+    # the error of a ratio, from its scatter over the units
+    error = np.linalg.norm(of_motion - share * squares, axis=0)
+    noise = of_motion.sum(axis=0) <= DELAY_MOTION * error
+    size = np.abs(solution.delays)
+    uncertain = (size > period) & (std > DELAY_STD * size)
+    return [
+        verdict_of(Finding(F.DELAY_NOISE))
+        if noise[k]
+        else verdict_of(Finding(F.DELAY_UNCERTAIN, values={"std": float(std[k])}))
+        if uncertain[k]
+        else GOOD
+        for k in range(len(std))
+    ]
 
 
 def unexplained_shares(problem: Problem, solution: Solution) -> np.ndarray:
     """Compute the share of each channel's current or torque that the model leaves unexplained, rms, (c,)."""
     return np.asarray(solution.sigma / problem.balance(solution.theta))
+
+
+def half_widths(fit: Fit, estimates: Estimates) -> np.ndarray:
+    """Compute half the relative widths of the gains' 95 % intervals, (n,)."""
+    from scipy.special import ndtri, stdtrit
+
+    rows, freedom = fit.system.problem.gain_rows, estimates.effective_freedom
+    std = np.sqrt(np.diag(estimates.covariance)[rows]) / np.abs(fit.gains)
+    return np.asarray(std * (ndtri(0.975) if freedom is None else stdtrit(freedom[rows], 0.975)))
 
 
 def motors(fit: Fit) -> tuple[str, ...]:

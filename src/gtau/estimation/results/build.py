@@ -7,10 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from gtau.estimation.diagnostics.diagnose import Diagnosis
 from gtau.estimation.diagnostics.examine import Examination
-from gtau.estimation.diagnostics.stated_constants import scale_shares, sensor_verdict
-from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, judge_parameter, parameter_verdict, verdict_of
+from gtau.estimation.diagnostics.stated_constants import scale_shares, sensor_scales, sensor_verdict
+from gtau.estimation.diagnostics.verdict import (
+    GOOD,
+    OUTCOMES,
+    Outcome,
+    Verdict,
+    judge_parameter,
+    parameter_verdict,
+    verdict_of,
+)
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import squared, stacked
 from gtau.estimation.regression.column_blocks import BEARING, PayloadColumns, known_values
@@ -23,12 +30,11 @@ from gtau.estimation.results.estimate import (
     Named,
     SensorEstimate,
     TorqueError,
-    distances_of,
+    distances_along,
     nearest_poses,
 )
 from gtau.estimation.results.friction_curves import friction_unit, reference_temperatures
-from gtau.estimation.results.groups import Evidence, FitRecord, ModelEstimates
-from gtau.estimation.results.payload import PayloadEstimate, Weighed
+from gtau.estimation.results.groups import Evidence, FitRecord, ModelEstimates, PayloadEstimate, Weighed
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import regrouped
@@ -43,19 +49,17 @@ def model_estimates(
     equations: Estimates,
     predicting: Estimates,
     curves: Mapping[str, FrictionCurve],
-    diagnosis: Diagnosis,
+    verdicts: Mapping[Parameter, Verdict],
+    payloads: Mapping[str, Verdict],
     essential: Problem,
 ) -> ModelEstimates:
     """Collect the estimates with which the model predicts.
 
-    ``equations`` are those of the fit, ``predicting`` the same after the step of friction, with its ``curves``.
+    ``equations`` are those of the fit, ``predicting`` the same after the step of friction, with its ``curves``;
+    ``verdicts`` those on gains and delays, ``payloads`` those on known payloads by name.
     """
     dataset, channels, terms = fit.dataset, fit.system.problem.channels, fit.system.terms
     temperatures, base_names = reference_temperatures(fit), set(dataset.base.names)
-    delays = [
-        _estimate(predicting, Parameter("delay", channel.name), "s", channel.joint, verdict)
-        for channel, verdict in zip(channels, diagnosis.delays, strict=True)
-    ]
     sensors = {channel.name for channel in channels if channel.kind.link_side}
     friction = _friction_names(fit, curves)
     given = {Parameter("gain", sensor) for sensor in sensors}
@@ -63,18 +67,17 @@ def model_estimates(
         given |= set(terms) - set(friction)
     listed = sorted((name for name in predicting.unknowns if name not in given), key=_group)
     return ModelEstimates(
-        drive_gains=Named(_gains(fit, predicting, diagnosis)),
-        delays=Named(zip(dataset.model.actuated, delays, strict=False)),
+        drive_gains=Named(_gains(fit, predicting, verdicts)),
+        delays=Named((joint, _delay(predicting, joint, joint, verdicts)) for joint in dataset.model.actuated),
         parameters=Named(_parameters(fit, predicting, essential)),
         friction=Named(
             (name, _estimate(predicting, name, friction_unit(name, dataset.robot, temperatures)))
             for name in friction
             if name in predicting.unknowns.places and name not in base_names and name.body not in sensors
         ),
-        payloads=payload_estimates(fit.system, equations, diagnosis.payloads),
+        payloads=payload_estimates(fit.system, equations, payloads),
         covariance_names=tuple(listed),
         covariance=predicting.select(listed).covariance,
-        sensors=_sensors(fit, diagnosis, predicting, delays),
         temperatures=temperatures,
     )
 
@@ -125,7 +128,11 @@ def _scale(fit: Fit) -> dict[str, dict[str, float]]:
 
 
 def evidence(
-    fit: Fit, estimates: Estimates, examined: Examination, diagnosis: Diagnosis, curves: Mapping[str, FrictionCurve]
+    fit: Fit,
+    estimates: Estimates,
+    examined: Examination,
+    findings: Sequence[Finding],
+    curves: Mapping[str, FrictionCurve],
 ) -> Evidence:
     """Collect what speaks for and against the estimates, those of the equations among them."""
     dataset, temperatures = fit.dataset, reference_temperatures(fit)
@@ -136,7 +143,7 @@ def evidence(
         if factors.distances is not None
     ]
     return Evidence(
-        notes=(*dataset.notes, *diagnosis.notes),
+        notes=(*dataset.notes, *(finding for finding in findings if finding.kind not in OUTCOMES)),
         alternatives=examined.alternatives,
         curves=curves,
         equation_friction=Named(
@@ -145,7 +152,7 @@ def evidence(
             if name in replaced
         ),
         singularities=tuple(nearest for run in along for nearest in nearest_poses(*run)),
-        distances=tuple(distances_of(*run) for run in along),
+        distances=tuple(distances_along(*run) for run in along),
     )
 
 
@@ -171,13 +178,19 @@ def _estimate(
     return Estimate(called or name, value, std, unit, verdict=judged, freedom=freedom, model_std=model_std)
 
 
-def _gains(fit: Fit, vector: Estimates, diagnosis: Diagnosis) -> dict[str, Estimate]:
+def _gains(fit: Fit, vector: Estimates, verdicts: Mapping[Parameter, Verdict]) -> dict[str, Estimate]:
     """Collect the drive gains of the motors."""
     robot, kind = fit.dataset.robot, fit.dataset.runs[0].kind
     return {
-        joint: _estimate(vector, Parameter("gain", joint), gain_unit(robot, joint, kind), joint, diagnosis.gains[joint])
+        joint: _estimate(vector, gain, gain_unit(robot, joint, kind), joint, verdicts[gain])
         for joint in robot.motors
+        for gain in (Parameter("gain", joint),)
     }
+
+
+def _delay(vector: Estimates, channel: str, joint: str, verdicts: Mapping[Parameter, Verdict]) -> Estimate:
+    delay = Parameter("delay", channel)
+    return _estimate(vector, delay, "s", joint, verdicts[delay])
 
 
 def _parameters(fit: Fit, vector: Estimates, essential: Problem) -> dict[Parameter, Estimate]:
@@ -232,11 +245,12 @@ def _levels(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
     return solution.sigma * ratio, fit.unweighted.balance(solution.theta)
 
 
-def _sensors(
-    fit: Fit, diagnosis: Diagnosis, vector: Estimates, delays: Sequence[Estimate]
+def sensor_estimates(
+    fit: Fit, vector: Estimates, verdicts: Mapping[Parameter, Verdict], accuracy: float
 ) -> tuple[SensorEstimate, ...]:
     """Collect the estimates of the own parameters of sensors behind the drives."""
     robot, problem, sensors, (sigma, signal) = fit.dataset.robot, fit.system.problem, [], _levels(fit)
+    scales = sensor_scales(fit) if fit.free_gains else ()
     for k in problem.sensor_channels:
         channel, joint = problem.channels[k], problem.channels[k].joint
         parameters = {
@@ -245,11 +259,12 @@ def _sensors(
             if (name := Parameter(kind, channel.name)) in vector.unknowns.places
         }
         residual = TorqueError(joint, float(sigma[k]), float(signal[k]), torque_unit(robot, joint))
-        scale = next((sensor for sensor in diagnosis.sensors if sensor.channel == channel), None)
+        scale = next((sensor for sensor in scales if sensor.channel == channel), None)
         ratio = None
         if scale is not None:
-            ratio = Estimate(joint, scale.value, scale.std, "1", verdict=sensor_verdict(scale, diagnosis.accuracy))
-        sensors.append(SensorEstimate(joint, parameters, delays[k], residual, ratio, channel.kind))
+            ratio = Estimate(joint, scale.value, scale.std, "1", verdict=sensor_verdict(scale, accuracy))
+        delay = _delay(vector, channel.name, joint, verdicts)
+        sensors.append(SensorEstimate(joint, parameters, delay, residual, ratio, channel.kind))
     return tuple(sensors)
 
 

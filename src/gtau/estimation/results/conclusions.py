@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.regression.column_blocks import TEMPERATURE_TERMS
 from gtau.estimation.results.estimate import Estimate, NearestPose, Requirement
-from gtau.estimation.results.payload import PayloadEstimate
+from gtau.estimation.results.groups import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.torque_scale import listed, torque_headline
 from gtau.estimation.thresholds.estimates import INFLATED
@@ -43,11 +43,11 @@ def _against(result: Result) -> Iterator[str]:
     """Say what contradicts the result, and which requirements it misses; empty where it is accepted."""
     groups = [reason for reason in reasons(result) if reason.outcome == Outcome.CONTRADICTORY]
     for reason in groups[:NAMED]:
-        verb = "contradict" + "s" * (len(reason.joints) == 1)
-        subject = "All joints" if 1 < len(reason.joints) == len(result.drive_gains) else _subject(reason.joints)
-        yield f"{subject} {verb} the description: {reason.why}."
+        all_joints = 1 < len(reason.joints) == len(result.drive_gains)
+        contradict = "All joints contradict" if all_joints else _subject(reason.joints, "contradicts", "contradict")
+        yield f"{contradict} the description: {reason.why}."
     if others := [joint for reason in groups[NAMED:] for joint in reason.joints]:
-        yield f"{_subject(others)} contradict{'s' * (len(others) == 1)} it too."
+        yield f"{_subject(others, 'contradicts', 'contradict')} it too."
     for name, verdict in _stated(result):
         if verdict.outcome == Outcome.CONTRADICTORY:
             yield f"{name[0].upper()}{name[1:]} contradicts the data: {verdict.why}."
@@ -87,18 +87,17 @@ def _known(result: Result) -> str:
         return torque_headline(result)
     if all(gain.std is None for gain in gains):
         return "The drive gains were given, not identified."
-    accuracy = result.statistics.get("accuracy", 0.0)
+    accuracy = 100 * result.statistics.get("accuracy", 0.0)
     sentences = [_good(gains, accuracy)]
     if lost := [gain.name for gain in gains if gain.verdict.outcome == Outcome.NOT_IDENTIFIABLE]:
-        sentences.append(
-            f"{_subject(lost)} {'has no identifiable gain' if len(lost) == 1 else 'have no identifiable gains'}."
-        )
-    weak = [gain for gain in gains if gain.verdict.outcome == Outcome.WEAK]
-    doubted = [gain for gain in weak if (gain.half_width or 0.0) <= 100 * accuracy]  # for what is wrong elsewhere
-    sentences += _weak([gain for gain in weak if gain not in doubted], 100 * accuracy)
-    if doubted:
-        names = _subject([gain.name for gain in doubted])
-        sentences.append(f"{names} {'is' if len(doubted) == 1 else 'are'} in doubt.")
+        sentences.append(f"{_subject(lost, 'has no identifiable gain', 'have no identifiable gains')}.")
+    weak = {gain.name: gain.half_width or 0.0 for gain in gains if gain.verdict.outcome == Outcome.WEAK}
+    wide = [f"'{name}'{{}} to +-{percent_text(width, accuracy)} %" for name, width in weak.items() if width > accuracy]
+    if wide:
+        sentences.append(listed([text.format("" if k else " is known") for k, text in enumerate(wide)]) + ".")
+    # for what is wrong elsewhere
+    if doubted := [name for name, width in weak.items() if width <= accuracy]:
+        sentences.append(f"{_subject(doubted, 'is', 'are')} in doubt.")
     return " ".join(sentences)
 
 
@@ -112,15 +111,16 @@ def reasons(result: Result) -> tuple[Reason, ...]:
         if gain.verdict.finding is not None:
             key = gain.verdict.outcome, gain.verdict.finding.kind, gain.verdict.advice
             groups.setdefault(key, []).append(gain)
-    listed = []
+    merged = []
     for (outcome, _, advice), gains in groups.items():
         whys = [gain.verdict.why for gain in gains]
         why = whys[0] if len(set(whys)) == 1 else f"{whys[0]} ('{gains[0].name}')"
-        listed.append(Reason(outcome, tuple(gain.name for gain in gains), why, advice))
-    return tuple(sorted(listed, key=lambda reason: -list(Outcome).index(reason.outcome)))
+        merged.append(Reason(outcome, tuple(gain.name for gain in gains), why, advice))
+    return tuple(sorted(merged, key=lambda reason: -list(Outcome).index(reason.outcome)))
 
 
 def _good(gains: Sequence[Estimate], accuracy: float) -> str:
+    """Count the gains that are known to the ``accuracy``, per cent."""
     good = [gain for gain in gains if gain.verdict.outcome == Outcome.GOOD]
     total = _number(len(gains))
     if len(good) == len(gains):
@@ -128,26 +128,16 @@ def _good(gains: Sequence[Estimate], accuracy: float) -> str:
         which = {1: "The drive gain is", 2: "Both drive gains are"}.get(len(gains), f"All {total} drive gains are")
         return f"{which} known to within {percent_text(widest)} % (95 % intervals)."
     if not good:
-        return f"No drive gain is known to {100 * accuracy:g} %."
-    verb = "is" if len(good) == 1 else "are"
-    known = f"{_number(len(good))} of {total} drive gains {verb} known to {100 * accuracy:g} % (95 % intervals)."
-    return known[0].upper() + known[1:]
+        return f"No drive gain is known to {accuracy:g} %."
+    count, verb = _number(len(good)), "is" if len(good) == 1 else "are"
+    count = count[0].upper() + count[1:]
+    return f"{count} of {total} drive gains {verb} known to {accuracy:g} % (95 % intervals)."
 
 
-def _weak(gains: Sequence[Estimate], accuracy: float) -> list[str]:
-    """State the accuracy of the weak gains."""
-    if not gains:
-        return []
-    known = [
-        f"'{gain.name}'{'' if k else ' is known'} to +-{percent_text(gain.half_width or 0.0, accuracy)} %"
-        for k, gain in enumerate(gains)
-    ]
-    return [listed(known) + "."]
-
-
-def _subject(joints: Sequence[str]) -> str:
+def _subject(joints: Sequence[str], one: str, several: str) -> str:
+    """Begin a sentence on joints, with its verb for one of them or several."""
     names = listed([f"'{joint}'" for joint in joints])
-    return f"Joint {names}" if len(joints) == 1 else f"Joints {names}"
+    return f"Joint {names} {one}" if len(joints) == 1 else f"Joints {names} {several}"
 
 
 def _number(count: int) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from numbers import Integral
 from pathlib import Path
@@ -245,18 +245,6 @@ class Requirement:
         return self.found is not None and self.found <= self.limit
 
 
-@dataclass(frozen=True, eq=False)
-class Distances:
-    """Distances to singularities along a run: ``time`` (K,) in s, and of each type ``values`` (K, 2).
-
-    Reciprocal condition numbers, 1 at best and 0 at a singularity; NaN for type 2 without closures.
-    """
-
-    run: str
-    time: np.ndarray
-    values: np.ndarray
-
-
 @dataclass(frozen=True)
 class NearestPose:
     """Nearest pose of a run to a singularity of ``type`` 1 or 2: distance, time (s) since the run's start, pose.
@@ -271,9 +259,14 @@ class NearestPose:
     pose: Mapping[str, float]
 
 
-def distances_of(prepared: PreparedRun, decimator: Decimator, values: np.ndarray) -> Distances:
-    """Combine the distances ``values`` (K, 2) with the times of the run's decimated samples."""
-    return Distances(prepared.run.name, rows_at(prepared.time, decimator.instants(len(prepared))), values)
+def distances_along(prepared: PreparedRun, decimator: Decimator, values: np.ndarray) -> np.ndarray:
+    """Make a table (K,) of the distances ``values`` (K, 2): ``time``, ``type_1`` and ``type_2``."""
+    types = [f"type_{kind}" for kind in TYPES]
+    table = np.empty(len(values), [("time", float), *((kind, np.float32) for kind in types)])
+    table["time"] = rows_at(prepared.time, decimator.instants(len(prepared)))
+    for kind, column in zip(types, values.T, strict=True):
+        table[kind] = column
+    return table
 
 
 def nearest_poses(prepared: PreparedRun, decimator: Decimator, values: np.ndarray) -> Iterator[NearestPose]:
@@ -289,13 +282,9 @@ def nearest_poses(prepared: PreparedRun, decimator: Decimator, values: np.ndarra
             yield NearestPose(prepared.run.name, kind, float(distances[k]), since_start, pose)
 
 
-def write_distances(runs: Sequence[Distances], path: str | Path) -> None:
+def write_distances(runs: Iterable[tuple[str, np.ndarray]], path: str | Path) -> None:
     """Write a table ``run, time, type_1, type_2`` as a Parquet file, atomically; NaN is written as null."""
     import polars
 
-    tables = []
-    for run in runs:
-        values = {f"type_{kind}": distances for kind, distances in zip(TYPES, run.values.T, strict=True)}
-        table = polars.DataFrame({"time": run.time} | values)
-        tables.append(table.select(polars.lit(run.run).alias("run"), polars.all()))
+    tables = [polars.DataFrame(along).select(polars.lit(run).alias("run"), polars.all()) for run, along in runs]
     write_table(polars.concat(tables).fill_nan(None), path)

@@ -27,8 +27,8 @@ from pydantic import (
 
 from gtau.documents.validation import Positive, unknown
 from gtau.estimation.diagnostics.alternatives import Alternative
-from gtau.estimation.diagnostics.geometry_findings import GeometryTest, from_document
-from gtau.estimation.diagnostics.geometry_findings import to_document as geometry_document
+from gtau.estimation.diagnostics.geometry import GeometryTest, from_document
+from gtau.estimation.diagnostics.geometry import to_document as geometry_document
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.estimators.physical_consistency import Consistency, Move
@@ -42,8 +42,7 @@ from gtau.estimation.results.estimate import (
     SensorEstimate,
     TorqueError,
 )
-from gtau.estimation.results.groups import Evidence, FitRecord, ModelEstimates
-from gtau.estimation.results.payload import PayloadEstimate
+from gtau.estimation.results.groups import Evidence, FitRecord, ModelEstimates, PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.extensions import registered
 from gtau.findings import Finding, FindingKind

@@ -16,7 +16,6 @@ from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.friction.law import SHAPES, FrictionLaw
 from gtau.estimation.regression.dataset import base_of, model_of
 from gtau.estimation.results.estimate import (
-    Distances,
     Estimate,
     FrictionCurve,
     Named,
@@ -26,8 +25,7 @@ from gtau.estimation.results.estimate import (
     SensorEstimate,
     TorqueError,
 )
-from gtau.estimation.results.groups import Evidence, FitRecord, ModelEstimates
-from gtau.estimation.results.payload import PayloadEstimate
+from gtau.estimation.results.groups import Evidence, FitRecord, ModelEstimates, PayloadEstimate
 from gtau.findings import Finding
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -40,7 +38,7 @@ from gtau.signals.run import Run
 if TYPE_CHECKING:
     import polars as pl
 
-    from gtau.estimation.diagnostics.geometry_findings import GeometryTest
+    from gtau.estimation.diagnostics.geometry import GeometryTest
     from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
     from gtau.estimation.estimators.physical_consistency import Consistency
     from gtau.estimation.results.predicted import Prediction
@@ -141,7 +139,7 @@ class Result:
         "evidence", "What the experiment file requires, and what was found of it."
     )
     singularities = Forwarded[tuple[NearestPose, ...]]("evidence", "Where each run comes nearest to singularities.")
-    distances = Forwarded[tuple[Distances, ...]]("evidence", "Distances to singularities along the runs.")
+    distances = Forwarded[tuple[np.ndarray, ...]]("evidence", "Times and distances to singularities, run by run.")
 
     def __repr__(self) -> str:
         gains = ", ".join(f"{joint} {gain}" for joint, gain in self.drive_gains.items())

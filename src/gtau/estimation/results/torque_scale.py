@@ -6,7 +6,7 @@ its inverse.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import yaml
@@ -82,37 +82,34 @@ def torque_headline(result: Result) -> str:
             "The logged torques are assumed to be correct: their scale was not tested. To test it, log one run with a "
             "payload of known mass and one without."
         )
-    return " ".join(_sentences(scales))
-
-
-def _sentences(scales: Sequence[TorqueScale]) -> Iterator[str]:
-    wrong = [scale for scale in scales if scale.state == "wrong"]
+    of_state: dict[str, list[TorqueScale]] = {}
+    for scale in scales:
+        of_state.setdefault(scale.state, []).append(scale)
+    sentences, wrong, right = [], of_state.get("wrong", []), of_state.get("consistent with 1", [])
     if wrong:
         parts = [f"{_reported(scale)}{' of the torque' * (k == 0)} at '{scale.joint}'" for k, scale in enumerate(wrong)]
-        yield f"The arm reports {listed(parts)} (95 % intervals)."
-    right = [scale for scale in scales if scale.state == "consistent with 1"]
+        sentences.append(f"The arm reports {listed(parts)} (95 % intervals).")
     if right:
         widest = percent_text(max(scale.gain.half_width or 0.0 for scale in right))
         known = f"consistent with 1, known to within {widest} %{'' if wrong else ' (95 % intervals)'}"
-        names = "all joints" if len(right) == len(scales) > 1 else _names(right)
-        yield _scale_of(right, names, f"is {known}", f"are {known}")
+        sentences.append(_scales_are(right, known, "all joints" if len(right) == len(scales) > 1 else ""))
     for state in ("in doubt", Outcome.NOT_IDENTIFIABLE.value):
-        if members := [scale for scale in scales if scale.state == state]:
-            yield _scale_of(members, _names(members), f"is {state}", f"are {state}")
+        if members := of_state.get(state):
+            sentences.append(_scales_are(members, state))
+    return " ".join(sentences)
 
 
-def _scale_of(members: Sequence[TorqueScale], names: str, one: str, several: str) -> str:
-    return f"The torque scales of {names} {several}." if len(members) > 1 else f"The torque scale of {names} {one}."
+def _scales_are(members: Sequence[TorqueScale], state: str, called: str = "") -> str:
+    names = called or listed([f"'{scale.joint}'" for scale in members])
+    return (
+        f"The torque scale{'s' if len(members) > 1 else ''} of {names} {'are' if len(members) > 1 else 'is'} {state}."
+    )
 
 
 def _reported(scale: TorqueScale) -> str:
-    low, high = scale.reported_interval
     shown = ".2f" if 0.1 <= abs(scale.reported) < 10 else ".3g"
-    return f"{scale.reported:{shown}} ({low:{shown}} to {high:{shown}})"
-
-
-def _names(members: Sequence[TorqueScale]) -> str:
-    return listed([f"'{scale.joint}'" for scale in members])
+    value, low, high = (f"{end:{shown}}" for end in (scale.reported, *scale.reported_interval))
+    return f"{value} ({low} to {high})"
 
 
 def listed(parts: Sequence[str]) -> str:
@@ -124,16 +121,8 @@ def torque_scale_text(result: Result) -> str:
     """Write the correction of the torques as YAML: a factor for each joint, with its interval and state."""
     joints: dict[str, dict[str, object]] = {}
     for scale in torque_scales(result):
-        value, interval = scale.gain.value, scale.gain.interval()
-        known = scale.gain.verdict.outcome in KNOWN and value is not None and interval is not None
-        joints[scale.joint] = {
-            "factor": _rounded(value) if known and value is not None else None,
-            "interval": [_rounded(end) for end in interval] if known and interval is not None else None,
-            "state": scale.state,
-        }
+        interval = scale.gain.interval() if scale.gain.verdict.outcome in KNOWN else None
+        factor, *ends = (float(f"{value:.4g}") for value in (scale.gain.value, *interval)) if interval else (None,)
+        joints[scale.joint] = {"factor": factor, "interval": ends or None, "state": scale.state}
     head = HEAD.format(robot=" ".join(result.robot.name.split()), runs=", ".join(result.runs))
     return head + str(yaml.safe_dump({"torque_scale": joints}, sort_keys=False, default_flow_style=None, width=120))
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.4g}")

@@ -91,10 +91,7 @@ def smooth_path(position: np.ndarray, rate: float, cutoff: Cutoff, start: int, s
 
 
 def filter_edge(rate: float, cutoff: Cutoff, periods: float = EDGE) -> int:
-    """Count samples at either end of a log that its unknown past or future affects by more than 1e-3.
-
-    By more than 1e-18 where the ``periods`` of the cut-off are those of ``FORGOTTEN``.
-    """
+    """Count samples at either end of a log that what is beyond affects: by more than 1e-3 for these ``periods``."""
     given = [frequency for frequency in (cutoff if isinstance(cutoff, tuple) else (cutoff,)) if frequency is not None]
     return STENCIL + (ceil(periods * rate / min(given)) if given else 0)
 

@@ -161,14 +161,14 @@ def _time(
 ) -> Any:
     """Find the time columns of positions, and of commands with stamps of their own, or the sampling rate."""
     if not log.time:
-        rate = log.table.rate
+        rate = log.rate
         reasons["time"] = f"no time column; {rate or 0:g} Hz by the description of the data set (meta/info.json)"
         if rate is None:
             rate, reasons["time"] = log.rate_from_velocities(positions)
             unsure.add("rate" if rate is None else "velocities")
         return {"rate": rate}
     units["time"], reasons["time"] = log.time_unit()
-    apart = command_log.path == log.path or command_log.rows != log.rows
+    apart = command_log.table.path == log.table.path or command_log.rows != log.rows
     stamps = command_log.time if command_log is not log and apart else ()
     if unstamped := [name for name in (*log.time[:1], *stamps[:1]) if name.endswith("/received")]:
         reasons["received"] = " and ".join(unstamped)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from gtau.robots.robot import Robot
 from gtau.signals.reading.column_names import ColumnName, parse_column_name, parse_item
 from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
 from gtau.signals.reading.formats import Table
+from gtau.signals.reading.formats.columnar import data_set
 from gtau.signals.reading.logs import find_columns, read_log
 
 ROWS = 200_000  # of a log that are evaluated
@@ -53,20 +54,20 @@ class Group:
 
 @dataclass(frozen=True)
 class LogContents:
-    """A log with its columns by kind, and the values of the first rows (N,) by column."""
+    """A log with its columns by kind, and the values of the first rows (N,) by column; ``rate`` (Hz) if described."""
 
-    path: Path
     table: Table
     values: Mapping[str, np.ndarray]
     time: tuple[str, ...]
     groups: tuple[Group, ...]
-    reasons: Mapping[str, str]
+    reasons: Mapping[str, str] = field(default_factory=dict)
+    rate: float | None = None
 
     @classmethod
     def read(cls, path: Path, robot: Robot | None, kinds: Sequence[str] = ("position",), but: str = "") -> LogContents:
         """Read a log; of a bag the first topic of one of these ``kinds`` that is not ``but``."""
         table = find_columns(path)
-        joints, labels = robot.actuated if robot else (), table.labels
+        joints, (rate, labels) = robot.actuated if robot else (), data_set(path, table.columns)
         names = [
             parse_item(name, labels[name], joints) if name in labels else parse_column_name(name, joints)
             for name in table.columns
@@ -84,7 +85,7 @@ class LogContents:
             groups = [group for group in groups if _topic(group.first, topics) == main]
         values = _values(path, [name.name for name in wanted], table)
         time = _time_columns(wanted, values)
-        return cls(path, table, values, time, tuple(_classified(groups, values, path)), {})
+        return cls(table, values, time, tuple(_classified(groups, values, path)), rate=rate)
 
     def of_another_topic(self, robot: Robot | None) -> LogContents | None:
         """Return the commands of a bag whose positions are in this topic."""
@@ -92,7 +93,7 @@ class LogContents:
         positions = self.group("position")
         if len(topics) < 2 or positions is None:
             return None
-        other = LogContents.read(self.path, robot, COMMANDS, but=_topic(positions.first, topics))
+        other = LogContents.read(self.table.path, robot, COMMANDS, but=_topic(positions.first, topics))
         return other if other.command_group() else None
 
     @property
@@ -292,4 +293,4 @@ def _numbered(path: Path, table: Table, joints: int) -> LogContents:
         for k, (kind, block) in enumerate(zip(kinds, blocks, strict=True))
     ]
     reasons = {"velocity": f"columns {groups[1].listed} are the velocities (correlation {best:.3f})"}
-    return LogContents(path, table, values, time, tuple(groups), reasons)
+    return LogContents(table, values, time, tuple(groups), reasons)

@@ -40,13 +40,7 @@ def reader_of(ending: str) -> Callable[[Path], Table] | None:
 
 
 def read_log(path: str | Path, names: Iterable[str]) -> Table:
-    """Locate columns of a log by name, unchecked; the ending of its name gives the format, see :func:`reader_of`.
-
-    Raises
-    ------
-    GtauError
-        The file cannot be read, or a column is not in it.
-    """
+    """Locate columns of a log by name, unchecked; raises GtauError where it cannot be read, or lacks one."""
     table = find_columns(Path(path))
     names = tuple(dict.fromkeys(names))
     _refuse_missing(names, table)
@@ -206,10 +200,7 @@ def _side_by_side(files: Sequence[Table], wanted: range) -> Iterator[tuple[np.nd
 
 
 def _interpolated(log: np.ndarray, longest: float, time: np.ndarray) -> np.ndarray:
-    """Interpolate commands (M, c) of a ``log`` (K, 1 + c) linearly at other instants (M,).
-
-    They are nan where the step between their stamps is longer than ``longest`` (s).
-    """
+    """Interpolate a ``log`` (K, 1 + c) at instants (M,): commands (M, c), nan in steps longer than ``longest`` (s)."""
     known = np.isfinite(time)
     commands = np.full((len(time), log.shape[1] - 1), np.nan)
     if not known.any():

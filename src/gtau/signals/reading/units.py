@@ -184,10 +184,7 @@ class Units(of_link_side(_one_or_by_joint("torque")), Keys):  # type: ignore[mis
     def scale(self, signals: Signals) -> tuple[list[float], list[float], float]:
         """Compute factors to SI of the columns of positions and base pose, of all measured ones, and of the time.
 
-        Raises
-        ------
-        GtauError
-            A share of a rated value is logged, but the rated value is not given.
+        Raises GtauError where a share of a rated value is logged, but the rated value is not given.
         """
         positions = [si_factor(self.of_position(joint) or "rad", "position") for joint in signals.position]
         positions += self.base.scale(signals.base) if signals.base else []

@@ -26,6 +26,7 @@ from gtau.signals.storage import block, blocks, rows_at, spans, stored_like
 FINER = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # units of time in a second
 # s; maximum lateness of the stamps of packets or messages. In the shared logs it is 5 ms (a polled Panda).
 LATEST = 0.25
+Ends = tuple[np.ndarray, np.ndarray]  # smallest and largest values of the commands
 LARGEST_VALUE = 1e9  # of any logged value; even encoder and converter counts are smaller
 
 
@@ -37,14 +38,11 @@ def check(
     Those that are repeated are dropped, angles that wrap around are unwrapped. Samples of a joint whose command is
     clipped at a limit are masked, and outliers of positions are interpolated. Irregular sampling is resampled at the
     mean rate: cubic splines for positions, lines for commands; see :mod:`gtau.signals.repair.clock` for what the
-    samples' instants are, unless that is ``given``. ``notes`` report every repair.
-    Also returns the share of whole numbers among the joints' commands as logged.
-
-    Raises GtauError where the log has fewer than 100 samples, more than 5 % of them bad or missing, a gap of more than
-    0.1 s (or three steps), reversed time, a command that never changes or is clipped in more than a tenth of the
-    samples, a position that jumps or freezes, no moving joint, or values that cannot be right.
+    samples' instants are, unless that is ``given``. ``notes`` report every repair. Raises GtauError where values cannot
+    be right, or too many are missing. Also returns the share of whole numbers among the joints' commands as logged.
     """
-    _refuse_stuck(samples, notes)
+    ends = extremes(samples.command)  # repairs leave them
+    _refuse_stuck(samples, ends, notes)
     samples = _without_repeated(samples, notes, given)
     clock = clock_of(samples.time, samples.position, given)
     _refuse_rates(samples, clock)
@@ -63,15 +61,15 @@ def check(
         instants, holds = clock.instants(samples.time), holds_of(samples)
     refuse_frozen(samples, instants, holds[POSITIONS])
     refuse_slips(samples, instants, holds[POSITIONS])
-    _refuse_magnitudes(samples)
-    clips = _clipped(samples, notes)
+    _refuse_magnitudes(samples, ends)
+    clips = _clipped(samples, ends, notes)
     whole_share = whole_numbers(samples.command, len(samples.joints))  # resampled ones are between
     return uniform(samples, clock, instants, holds, clips, notes, given is not None), whole_share
 
 
-def _refuse_stuck(samples: Samples, notes: list[Finding]) -> None:
+def _refuse_stuck(samples: Samples, ends: Ends, notes: list[Finding]) -> None:
     n, time = len(samples.joints), samples.time
-    low, high = (np.concatenate(pair) for pair in zip(*map(extremes, (samples.position, samples.command)), strict=True))
+    low, high = (np.concatenate(pair) for pair in zip(extremes(samples.position), ends, strict=True))
     for column, least, most in zip(samples.columns, low, high, strict=False):
         if max(-least, most) > LARGEST_VALUE:
             value = most if most > -least else least
@@ -190,13 +188,12 @@ UNSIGNED = (
 )
 
 
-def _refuse_magnitudes(samples: Samples) -> None:
+def _refuse_magnitudes(samples: Samples, ends: Ends) -> None:
     """Refuse commands without sign: of joints that move and reverse none is ever negative, half come near zero.
 
     A joint that holds against gravity may need one sign only, but it then stays away from zero; not all joints do.
     """
-    n = len(samples.joints)
-    low, high = (ends[:n] for ends in extremes(samples.command))
+    low, high = (column[: len(samples.joints)] for column in ends)
     steps = [np.abs(np.diff(part, axis=0)).sum(axis=0) for part in blocks(samples.position, before=1)]
     first, last = extremes(samples.position)
     acting = (high > low) & (last > first)
@@ -217,22 +214,21 @@ PILE_UP = 5.0  # times as many samples at the extreme value as at the one next t
 MAX_CLIPPED = 0.1
 
 
-def _clipped(samples: Samples, notes: list[Finding]) -> list[tuple[int, float]]:
+def _clipped(samples: Samples, ends: Ends, notes: list[Finding]) -> list[tuple[int, float]]:
     """Find joints whose commands saturate while they move, as at a drive limit, with the levels.
 
     Raises GtauError where more than a tenth of the samples are clipped, or a command has no sign.
     """
     count, clips = len(samples.time), []
-    low, high = extremes(samples.command)
-    for j, channel in enumerate(samples.channels):
-        if low[j] == high[j] or not channel.kind.of_joint:
+    for j, (channel, low, high) in enumerate(zip(samples.channels, *ends, strict=True)):
+        if low == high or not channel.kind.of_joint:
             continue
         what = f"the {channel.kind.name} of joint '{channel.joint}'"
-        for level in (float(high[j]), float(low[j])):
+        for level in (float(high), float(low)):
             at, beside = _counts_at(samples.command, j, level)
             if at < max(CLIPPED_RUN, PILE_UP * beside) or _longest_at(samples, j, channel.row, level) < CLIPPED_RUN:
                 continue
-            if at > MAX_CLIPPED * count and level == low[j] == 0.0:
+            if at > MAX_CLIPPED * count and level == low == 0.0:
                 raise GtauError(f"{what} is {UNSIGNED}.", source=samples.name)
             if at > MAX_CLIPPED * count:
                 raise GtauError(

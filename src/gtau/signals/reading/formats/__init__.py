@@ -31,10 +31,9 @@ class Table:
 
     ``frames`` reads columns by name, some rows of them: Polars frames, block by block, each with the fraction of the
     log that is then read; a column that holds no numbers is refused there. Row 0 is in ``first_line`` of a text file;
-    other logs have rows, counted from 1. ``notes`` report what the reader left out. What files beside the log say of it
-    are the ``rate`` (Hz) of its rows, ``labels`` of columns whose names do not say what they are, and the rows of its
-    ``episodes``, by their number, where there are several. ``texts`` holds, as far as the log has been read, of every
-    column with a value that is no number the first one as written.
+    other logs have rows, counted from 1. ``notes`` report what the reader left out, ``episodes`` are the rows of each
+    by its number, where there are several. ``texts`` holds, as far as the log has been read, of every column with a
+    value that is no number the first one as written.
     """
 
     path: Path
@@ -42,15 +41,13 @@ class Table:
     frames: Callable[[Sequence[str], range], Iterator[tuple[pl.DataFrame, float]]]
     first_line: int | None = None
     notes: tuple[Finding, ...] = ()
-    rate: float | None = None
-    labels: Mapping[str, str] = field(default_factory=dict)
     episodes: Mapping[int, range] = field(default_factory=dict)
     texts: dict[str, str] = field(default_factory=dict)
 
     @property
     def numbered(self) -> bool:
         """True where the log has no header, and its columns are named by their number."""
-        return self.columns == numbers(len(self.columns))
+        return self.columns != () and self.columns == numbers(len(self.columns))
 
     def blocks(self, rows: range = ALL) -> Iterator[tuple[np.ndarray, float]]:
         """Read numbers (M, columns), nan where a value is missing or not a number, with the fraction read so far."""

@@ -81,14 +81,7 @@ def _table(path: Path, parts: Sequence[Path], scan: Callable[[Path], pl.LazyFram
                 yield frame, (first + stop) / sum(lengths)
             first += length
 
-    rate, features = _data_set(path)
-    labels = {
-        f"{feature}[{k + 1}]": f"{feature}/{name}"
-        for feature, names in features.items()
-        if f"{feature}[{len(names)}]" in columns and f"{feature}[{len(names) + 1}]" not in columns
-        for k, name in enumerate(names)
-    }
-    return Table(path, tuple(columns), frames, rate=rate, labels=labels, episodes=episodes)
+    return Table(path, tuple(columns), frames, episodes=episodes)
 
 
 def _columns(schema: Mapping[str, pl.DataType], table: pl.LazyFrame) -> dict[str, pl.Expr]:
@@ -136,25 +129,27 @@ def _refuse_unusable(path: Path, name: str, kind: pl.DataType | None) -> None:
     raise GtauError(f"{path}, column '{name}' {remedy}.")
 
 
-def _data_set(log: Path) -> tuple[float | None, Mapping[str, Sequence[str]]]:
-    """Read rate (Hz) and names of the items of each feature from the data set of a file of frames, or their folder.
-
-    None and no names where a log is of no data set.
-    """
+def data_set(log: Path, columns: Sequence[str]) -> tuple[float | None, dict[str, str]]:
+    """Read rate (Hz) and labels of ``columns`` from the data set of a file of frames, or their folder, if any."""
     folders = [log, *log.absolute().parents[:DEPTH]]
     file = next((folder / INFO for folder in folders if (folder / INFO).is_file()), None)
-    if file is None:
+    if file is None or not (log.is_dir() or log.suffix.lower() in LOG_FORMATS):
         return None, {}
     try:
         info = json.loads(file.read_text(encoding="utf-8"))
-        features, rate = info.get("features", {}), info.get("fps")
-        names = {name: _flat(feature.get("names")) for name, feature in features.items()}
-        return None if rate is None else float(rate), names
+        rate = None if info.get("fps") is None else float(info["fps"])
+        features = {name: _flat(feature.get("names")) for name, feature in info.get("features", {}).items()}
     except (OSError, ValueError, TypeError, AttributeError):
         raise GtauError(
             f"{file} is not a readable description of a LeRobot data set; correct it, or move {log.name} out of "
             "its folder."
         ) from None
+    return rate, {
+        f"{feature}[{k + 1}]": f"{feature}/{name}"
+        for feature, names in features.items()
+        if f"{feature}[{len(names)}]" in columns and f"{feature}[{len(names) + 1}]" not in columns
+        for k, name in enumerate(names)
+    }
 
 
 def _flat(names: Any) -> list[str]:
