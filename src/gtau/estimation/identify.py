@@ -12,12 +12,8 @@ import numpy as np
 from gtau.display import late
 from gtau.documents.validation import FUNCTION, NUMBER, TEXT, TRUTH, takes
 from gtau.errors import GtauError
-<<<<<<< HEAD
 from gtau.estimation.diagnostics.alternatives import TOOL_BODIES
-from gtau.estimation.diagnostics.diagnose import diagnose
-=======
 from gtau.estimation.diagnostics.diagnose import channel_verdicts, diagnose
->>>>>>> main
 from gtau.estimation.diagnostics.examine import estimates_of, examine
 from gtau.estimation.diagnostics.log_checks import command_lag, lack_of_fit, require_payload_excitation
 from gtau.estimation.diagnostics.stated_constants import weigh_known
@@ -230,13 +226,9 @@ def estimate(
     findings = diagnose(fit, examined, estimates, payloads, options.gains, accuracy, audit)
     verdicts = channel_verdicts(fit, estimates, findings)
     predicting, curves, errors = (estimates, {}, {}) if as_paper else friction_step(fit, estimates)
-<<<<<<< HEAD
     figures = {"reduction_loss": loss, "lack_of_fit": lack, "accuracy": float(accuracy)}
-=======
-    figures = {"reduction_loss": loss, "lack_of_fit": examined.lack_of_fit, "accuracy": float(accuracy)}
     sensors = sensor_estimates(fit, predicting, verdicts, accuracy) if fit.system.problem.sensor_channels else ()
     described = model_estimates(fit, estimates, predicting, curves, verdicts, payloads, essential)
->>>>>>> main
     return Result(
         dataset.robot,
         replace(described, consistency=bodies, sensors=sensors),

@@ -26,17 +26,7 @@ from gtau.estimation.diagnostics.examine import Examination
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit, prior_findings
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
 from gtau.estimation.diagnostics.other_estimators import position_noise
-<<<<<<< HEAD
-from gtau.estimation.diagnostics.stated_constants import (
-    SensorScale,
-    prior_contradictions,
-    sensor_contradictions,
-    sensor_scales,
-)
-=======
-from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings
 from gtau.estimation.diagnostics.stated_constants import prior_contradictions, sensor_contradictions, sensor_scales
->>>>>>> main
 from gtau.estimation.diagnostics.unit_checks import units_and_signs, unlike_legs
 from gtau.estimation.diagnostics.verdict import (
     GIVEN,
@@ -98,7 +88,8 @@ def diagnose(
         *position_noise(fit, examined.alternatives),
         *(examined.ripple.causes if examined.ripple else ()),
     ]
-    if len(set(dataset.prepared.places[0].tolist())) < len(dataset.runs):  # some repeat a motion
+    groups, _ = fit.dataset.prepared.places
+    if len(np.unique(groups)) < len(groups):  # some runs repeat a motion
         from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings
 
         findings += repeated_motion_findings(fit, examined.alternatives)
