@@ -35,7 +35,8 @@ class Keys(BaseModel):
 
     def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
         """List the fields that differ from their defaults."""
-        yield from ((name, getattr(self, name)) for name in type(self).model_fields if name in self.model_fields_set)
+        given = (name for name in type(self).model_fields if name in self.model_fields_set)
+        yield from ((name, getattr(self, name)) for name in given)
 
 
 def validate(model_class: type[Model], document: Document, context: Any = None) -> Model:
@@ -52,20 +53,24 @@ def validate(model_class: type[Model], document: Document, context: Any = None) 
         errors = failure.errors()
     # A misspelt key also leaves the right one missing: report the spelling.
     error = min(errors, key=lambda error: error["type"] != "extra_forbidden")
-    keys = _written(error["loc"], document.data)
-    if error["type"] == "extra_forbidden":
-        raise document.error(keys, unknown(f"key '{keys[-1]}'", str(keys[-1]), _fields(model_class, keys[:-1])))
-    if error["type"] == "missing" and isinstance(error["loc"][-1], int):
-        needed = 1 + max(int(other["loc"][-1]) for other in errors if other["loc"][:-1] == error["loc"][:-1])
-        raise document.error(keys, _count(error["loc"][-1], f"{needed}"))
-    if error["type"] == "missing":
-        raise document.error(keys, f"the key '{error['loc'][-1]}' is missing; add it")
-    raise document.error(keys, _sentence(error))
+    location, keys = error["loc"], _written(error["loc"], document.data)
+    match error["type"], location[-1] if location else "":
+        case "extra_forbidden", key:
+            choices = _fields(model_class, keys[:-1])
+            problem = unknown(f"key '{key}'", str(key), choices)
+        case "missing", int(position):  # of a tuple that is too short
+            places = [other["loc"] for other in errors if other["loc"][:-1] == location[:-1]]
+            problem = _count(position, f"{1 + max(int(place[-1]) for place in places)}")
+        case "missing", key:
+            problem = f"the key '{key}' is missing; add it"
+        case _:
+            problem = _sentence(error)
+    raise document.error(keys, problem)
 
 
 def read_group(model_class: type[Model], name: str, value: Any) -> Model:
     """Take an instance, or read a mapping as in a file called ``name``; raises GtauError."""
-    return value if isinstance(value, model_class) else validate(model_class, Document.of(name, value))
+    return value if isinstance(value, model_class) else validate(model_class, Document(name, value))
 
 
 def name_problem(name: str) -> str | None:
@@ -81,15 +86,18 @@ def name_problem(name: str) -> str | None:
 def unknown(what: str, name: str, choices: typing.Iterable[str]) -> str:
     """Say that `what` is unknown, with the closest of `choices` to `name`, or with all of them."""
     choices = sorted(choices)
-    close = get_close_matches(name, choices, n=1, cutoff=0.5 if len(name) <= 2 else 0.52)  # one letter of two is close
-    return f"unknown {what}; " + (f"did you mean '{close[0]}'?" if close else f"choose from {', '.join(choices)}")
+    cutoff = 0.5 if len(name) <= 2 else 0.52  # one letter of two is close
+    if close := get_close_matches(name, choices, n=1, cutoff=cutoff):
+        return f"unknown {what}; did you mean '{close[0]}'?"
+    return f"unknown {what}; choose from {', '.join(choices)}"
 
 
 def _written(location: KeyPath, data: Any) -> KeyPath:
     """Drop names of union members and of missing keys, which are not in the file, from pydantic's location."""
     keys: list[str | int] = []
     for key in location:
-        if key in (data if isinstance(data, dict) else range(len(data)) if isinstance(data, list) else ()):
+        inside = range(len(data)) if isinstance(data, list) else data if isinstance(data, dict) else ()
+        if key in inside:
             keys.append(key)
             data = data[key]
     return tuple(keys)
@@ -108,19 +116,35 @@ def _fields(annotation: Any, keys: KeyPath) -> set[str]:
         fields = {field.alias or name: field.annotation for name, field in annotation.model_fields.items()}
         if not keys:
             return set(fields)
-        return _fields(fields[str(keys[0])], keys[1:]) if keys[0] in fields else set()
-    if keys and arguments:  # dict: its values; list or tuple: its items
-        index = keys[0] if origin is tuple and isinstance(keys[0], int) and keys[0] < len(arguments) else -1
-        item = arguments[index] if arguments[index] is not Ellipsis else arguments[0]
-        return _fields(item, keys[1:])
-    return set()
+        return _fields(fields.get(str(keys[0])), keys[1:])
+    if not keys or not arguments:
+        return set()
+    # of a dict its values, of a list or tuple its items
+    of_tuple = origin is tuple and isinstance(keys[0], int) and keys[0] < len(arguments)
+    item = arguments[int(keys[0]) if of_tuple else -1]
+    return _fields(arguments[0] if item is Ellipsis else item, keys[1:])
+
+
+BOUNDS = {
+    "greater_than": ("above", "gt"),
+    "less_than": ("below", "lt"),
+    "greater_than_equal": ("of at least", "ge"),
+    "less_than_equal": ("of at most", "le"),
+}
 
 
 def _sentence(error: ErrorDetails) -> str:
     """Translate pydantic's error into a sentence of gtau."""
     value, context = error["input"], error.get("ctx", {})
-    written = "null" if value is None else f"'{shorten(str(value), 60)}'"
-    written = "a list" if isinstance(value, list) else "a group of keys" if isinstance(value, dict) else written
+    match value:
+        case None:
+            written = "null"
+        case list():
+            written = "a list"
+        case dict():
+            written = "a group of keys"
+        case _:
+            written = f"'{shorten(str(value), 60)}'"
     match error["type"]:
         case "value_error":
             return str(context["error"])
@@ -138,19 +162,14 @@ def _sentence(error: ErrorDetails) -> str:
             return f"write {shorten(context['expected'], 200, placeholder=' ...')}, not {written}"
         case "too_short" | "too_long":
             bound = context.get("min_length", context.get("max_length"))
-            least = "" if context["field_type"] == "Tuple" else "at least " if "min_length" in context else "at most "
-            return _count(context["actual_length"], f"{least}{bound}")
-        case "greater_than" | "greater_than_equal" | "less_than" | "less_than_equal":
-            return f"{value} is out of range; write a number {_bound(error['type'], context)}"
+            most = "at least " if "min_length" in context else "at most "
+            most = "" if context["field_type"] == "Tuple" else most
+            return _count(context["actual_length"], f"{most}{bound}")
+        case kind if kind in BOUNDS:
+            words, key = BOUNDS[kind]
+            return f"{value} is out of range; write a number {words} {context[key]:g}"
         case _:
             return f"{written} does not fit: {error['msg'][0].lower()}{error['msg'][1:]}"
-
-
-def _bound(kind: str, context: Mapping[str, Any]) -> str:
-    """Describe the range that a number must lie in, as ``of at least 2``."""
-    words = {"greater_than": "above", "less_than": "below", "greater_than_equal": "of at least"}
-    key = {"greater_than": "gt", "less_than": "lt", "greater_than_equal": "ge", "less_than_equal": "le"}[kind]
-    return f"{words.get(kind, 'of at most')} {context[key]:g}"
 
 
 def _count(written: int, needed: str) -> str:
@@ -200,4 +219,5 @@ def expect(what: str, value: object, accepted: Accepted) -> None:
 
 def some_of(texts: Sequence[str], most: int, between: str = ", ") -> str:
     """List texts in a sentence, the first ``most`` of many."""
-    return between.join(texts[:most]) + (f" and {len(texts) - most} more" if len(texts) > most else "")
+    more = f" and {len(texts) - most} more" if len(texts) > most else ""
+    return between.join(texts[:most]) + more

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,18 +24,17 @@ KeyPath = tuple[str | int, ...]
 """The way to a value: keys of mappings and positions (from 0) in lists."""
 
 
-@dataclass(frozen=True)
 class Document:
-    """Content of a file: nested dicts and lists of texts, and the line of every value."""
+    """A file of nested dicts and lists of texts: its path, its ``data``, and the line of every value.
 
-    path: Path
-    data: dict[str, Any]
-    lines: Mapping[KeyPath, int]
+    ``content`` is YAML, of whose events PyYAML's parser resolves no tags and constructs no objects, or what was read
+    from a file elsewhere, with keys and integers made texts.
+    """
 
-    @classmethod
-    def of(cls, name: str, data: Any) -> Document:
-        """Convert a mapping to the document read from a file called ``name``, with keys and integers as texts."""
-        return cls(Path(name), _as_written(data), {})
+    def __init__(self, path: str | Path, content: str | Mapping[str, Any]) -> None:
+        self.path = Path(path)
+        self.lines: dict[KeyPath, int] = {}
+        self.data: dict[str, Any] = self._parsed(content) if isinstance(content, str) else _as_written(content)
 
     def line(self, keys: KeyPath) -> int | None:
         """Find the line (from 1) of the value at `keys`, or of the nearest value around it that is written."""
@@ -52,6 +50,71 @@ class Document:
         if keys:
             place.append(".".join(str(key + 1) if isinstance(key, int) else key for key in keys))
         return GtauError(f"{', '.join(place)}: {problem}{'' if problem.endswith('?') else '.'}")
+
+    def _parsed(self, text: str) -> dict[str, Any]:
+        self._events: Iterator[Any] = yaml.parse(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+        try:
+            next(self._events)  # stream start
+            if isinstance(next(self._events), yaml.StreamEndEvent):
+                raise GtauError(f"{self.path} is empty; write 'key: value' lines.")
+            root = next(self._events)
+            if not isinstance(root, yaml.MappingStartEvent):
+                raise self._error(root, "the file must consist of 'key: value' lines")
+            data: dict[str, Any] = self._value(root, ())
+            next(self._events)  # document end
+            after = next(self._events)
+            if not isinstance(after, yaml.StreamEndEvent):
+                raise self._error(after, "a second document begins here; keep one document in a file")
+        except yaml.MarkedYAMLError as error:
+            mark = error.problem_mark or error.context_mark
+            line = f", line {mark.line + 1}" if mark else ""
+            raise GtauError(f"{self.path}{line}: this is not valid YAML: {_syntax(error)}.") from None
+        except yaml.YAMLError:
+            raise GtauError(f"{self.path} holds control characters; save it as plain text.") from None
+        del self._events
+        return data
+
+    def _value(self, event: Any, keys: KeyPath) -> Any:
+        self.lines[keys] = event.start_mark.line + 1
+        if isinstance(event, yaml.AliasEvent) or event.anchor is not None:
+            raise self._error(event, "anchors (&) and aliases (*) are not read; write the value out")
+        if event.tag is not None:
+            raise self._error(event, f"the tag '{event.tag}' is not read; write the value without it")
+        if len(keys) > MAX_DEPTH:
+            raise self._error(event, f"values are nested more than {MAX_DEPTH} levels deep; write them flatter")
+        if isinstance(event, yaml.ScalarEvent):
+            if event.implicit[0] and not event.value:
+                key = keys[-1] if isinstance(keys[-1], str) else "-"
+                self._refuse_rest(event, key)
+                raise self._error(event, f"nothing is written after '{key}'; write a value or remove the line")
+            return event.value
+        if isinstance(event, yaml.SequenceStartEvent):
+            items: list[Any] = []
+            while not isinstance(item := next(self._events), yaml.SequenceEndEvent):
+                if event.flow_style and items and isinstance(item, yaml.ScalarEvent) and item.implicit[0]:
+                    self._refuse_rest(item, item.value)
+                items.append(self._value(item, (*keys, len(items))))
+            return items
+        mapping: dict[str, Any] = {}
+        while not isinstance(key := next(self._events), yaml.MappingEndEvent):
+            if not isinstance(key, yaml.ScalarEvent) or key.anchor is not None or key.tag is not None:
+                raise self._error(key, "a key must be plain text")
+            if key.value in mapping:
+                raise self._error(key, f"the key '{key.value}' is written twice; keep one of them")
+            mapping[key.value] = self._value(next(self._events), (*keys, key.value))
+            # Users look at the key's line, even if its value begins below it.
+            self.lines[(*keys, key.value)] = key.start_mark.line + 1
+        return mapping
+
+    def _refuse_rest(self, event: Any, text: str) -> None:
+        """Refuse the end of an expression: in braces and brackets, a comma ends a value."""
+        if text.count(")") > text.count("("):
+            raise self._error(
+                event, f"the comma before '{text}' ends a value; quote the expression, as in s: 'atan2(h, a)'"
+            )
+
+    def _error(self, event: Any, problem: str) -> GtauError:
+        return GtauError(f"{self.path}, line {event.start_mark.line + 1}: {problem}.")
 
 
 def _as_written(data: Any) -> Any:
@@ -78,84 +141,7 @@ def read_yaml(path: str | Path) -> Document:
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
         raise GtauError(f"{path}, line {line}: the text is not UTF-8; save the file in that encoding.") from None
-    return parse_yaml(text, path)
-
-
-def parse_yaml(text: str, path: str | Path) -> Document:
-    """Read YAML from a text; as :func:`read_yaml`, with ``path`` for the messages."""
-    return _Composer(Path(path), text).document()
-
-
-class _Composer:
-    """Builds a document from the events of PyYAML's parser, which resolves no tags and constructs no objects."""
-
-    def __init__(self, path: Path, text: str) -> None:
-        self.path = path
-        self.events: Iterator[Any] = yaml.parse(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-        self.lines: dict[KeyPath, int] = {}
-
-    def document(self) -> Document:
-        try:
-            next(self.events)  # stream start
-            if isinstance(next(self.events), yaml.StreamEndEvent):
-                raise GtauError(f"{self.path} is empty; write 'key: value' lines.")
-            root = next(self.events)
-            if not isinstance(root, yaml.MappingStartEvent):
-                raise self.error(root, "the file must consist of 'key: value' lines")
-            data = self.value(root, ())
-            next(self.events)  # document end
-            after = next(self.events)
-            if not isinstance(after, yaml.StreamEndEvent):
-                raise self.error(after, "a second document begins here; keep one document in a file")
-        except yaml.MarkedYAMLError as error:
-            mark = error.problem_mark or error.context_mark
-            line = f", line {mark.line + 1}" if mark else ""
-            raise GtauError(f"{self.path}{line}: this is not valid YAML: {_syntax(error)}.") from None
-        except yaml.YAMLError:
-            raise GtauError(f"{self.path} holds control characters; save it as plain text.") from None
-        return Document(self.path, data, self.lines)
-
-    def value(self, event: Any, keys: KeyPath) -> Any:
-        self.lines[keys] = event.start_mark.line + 1
-        if isinstance(event, yaml.AliasEvent) or event.anchor is not None:
-            raise self.error(event, "anchors (&) and aliases (*) are not read; write the value out")
-        if event.tag is not None:
-            raise self.error(event, f"the tag '{event.tag}' is not read; write the value without it")
-        if len(keys) > MAX_DEPTH:
-            raise self.error(event, f"values are nested more than {MAX_DEPTH} levels deep; write them flatter")
-        if isinstance(event, yaml.ScalarEvent):
-            if event.implicit[0] and not event.value:
-                key = keys[-1] if isinstance(keys[-1], str) else "-"
-                self.refuse_rest(event, key)
-                raise self.error(event, f"nothing is written after '{key}'; write a value or remove the line")
-            return event.value
-        if isinstance(event, yaml.SequenceStartEvent):
-            items: list[Any] = []
-            while not isinstance(item := next(self.events), yaml.SequenceEndEvent):
-                if event.flow_style and items and isinstance(item, yaml.ScalarEvent) and item.implicit[0]:
-                    self.refuse_rest(item, item.value)
-                items.append(self.value(item, (*keys, len(items))))
-            return items
-        mapping: dict[str, Any] = {}
-        while not isinstance(key := next(self.events), yaml.MappingEndEvent):
-            if not isinstance(key, yaml.ScalarEvent) or key.anchor is not None or key.tag is not None:
-                raise self.error(key, "a key must be plain text")
-            if key.value in mapping:
-                raise self.error(key, f"the key '{key.value}' is written twice; keep one of them")
-            mapping[key.value] = self.value(next(self.events), (*keys, key.value))
-            # Users look at the key's line, even if its value begins below it.
-            self.lines[(*keys, key.value)] = key.start_mark.line + 1
-        return mapping
-
-    def refuse_rest(self, event: Any, text: str) -> None:
-        """Refuse the end of an expression: in braces and brackets, a comma ends a value."""
-        if text.count(")") > text.count("("):
-            raise self.error(
-                event, f"the comma before '{text}' ends a value; quote the expression, as in s: 'atan2(h, a)'"
-            )
-
-    def error(self, event: Any, problem: str) -> GtauError:
-        return GtauError(f"{self.path}, line {event.start_mark.line + 1}: {problem}.")
+    return Document(path, text)
 
 
 SYNTAX = (

@@ -93,7 +93,7 @@ def load_robot(
     else:
         options: dict[str, Any] = {"file": str(source), "base": base, "joints": tuple(joints), "held": dict(held or {})}
         options["limits"] = dict(limits or {})
-        described, name = validate(RobotSource, Document(Path("load_robot"), options, {})), str(source)
+        described, name = validate(RobotSource, Document("load_robot", options)), str(source)
     robot = read_robot(described)
     try:
         return close_home(robot)

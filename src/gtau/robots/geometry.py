@@ -24,7 +24,7 @@ Frame = tuple[np.ndarray, np.ndarray]
 def characteristic_length(robot: Robot) -> float:
     """Compute the mean length (m) of the robot's placements that have one: the scale between m and rad."""
     placements = [joint.placement for joint in robot.joints]
-    placements += [end.placement for closure in robot.closures for end in (closure.a, closure.b)]
+    placements += [end.placement for tie in robot.closures for end in (tie.a, tie.b)]
     lengths = [float(np.linalg.norm(placement.position)) for placement in placements]
     lengths = [length for length in lengths if length > 1e-9]
     return float(np.mean(lengths)) if lengths else 1.0
@@ -99,21 +99,18 @@ def identical_legs(robot: Robot) -> list[list[tuple[str, ...]]]:
             )
             for k, joint in enumerate(joints)
         )
-        ends = ((closure.kind, end) for closure in robot.closures for end in (closure.a, closure.b) if end.body in leg)
-        tied = sorted((kind, leg.index(end.body), _placement(end.placement)) for kind, end in ends)
+        ties: list[tuple[tuple[str, ...], Attachment]] = []
+        ties += [((tie.kind,), end) for tie in robot.closures for end in (tie.a, tie.b)]
+        ties += [(tie.parameters, end) for tie in robot.springs for end in (tie.a, tie.b)]
+        held = [(kind, end) for kind, end in ties if end.body in leg]
+        tied = sorted((kind, leg.index(end.body), _placement(end.placement)) for kind, end in held)
         coupled = sorted(
             (name == coupling.joint, leg.index(name), ratio)
             for coupling in robot.couplings
             for name, ratio in ((coupling.joint, 1.0), *coupling.ratios)
             if name in leg
         )
-        sprung = sorted(
-            (spring.parameters, leg.index(end.body), _placement(end.placement))
-            for spring in robot.springs
-            for end in (spring.a, spring.b)
-            if end.body in leg
-        )
-        groups.setdefault((tree, tuple(tied), tuple(coupled), tuple(sprung)), []).append(leg)
+        groups.setdefault((tree, tuple(tied), tuple(coupled)), []).append(leg)
     return list(groups.values())
 
 
@@ -146,9 +143,10 @@ def tool_note(robot: Robot) -> tuple[str, ...]:
 
 def massless(robot: Robot, parameters: Iterable[str]) -> tuple[str, ...]:
     """List links and platforms without a mass, moment or inertia in ``parameters``, which are massless."""
-    named = {parameter_of(name).body for name in parameters if parameter_of(name).kind in INERTIAL}
-    links = [joint.name for joint in robot.joints if joint.has_mass]
-    return tuple(body for body in (*links, *(platform.name for platform in robot.platforms)) if body not in named)
+    named = {name.body for name in map(parameter_of, parameters) if name.kind in INERTIAL}
+    bodies = [joint.name for joint in robot.joints if joint.has_mass]
+    bodies += [platform.name for platform in robot.platforms]
+    return tuple(body for body in bodies if body not in named)
 
 
 def _lengths(robot: Robot) -> Iterator[str]:
@@ -158,27 +156,18 @@ def _lengths(robot: Robot) -> Iterator[str]:
         placed += [(f"closure {number} on '{end.body}'", end.placement) for end in (closure.a, closure.b)]
     for spring in robot.springs:
         placed += [(f"spring '{spring.name}' on '{end.body}'", end.placement) for end in (spring.a, spring.b)]
-    long = [
-        f"{what} is placed {size:.4g} m away"
-        for what, place in placed
-        if (size := np.linalg.norm(place.position)) > FAR
-    ]
-    long += [
-        f"the position limits of joint '{joint.name}' are {_limits(joint)}"
-        for joint in robot.joints
-        if not joint.turns and _reach(joint) > FAR
-    ]
+    sizes = [(what, np.linalg.norm(place.position)) for what, place in placed]
+    long = [f"{what} is placed {size:.4g} m away" for what, size in sizes if size > FAR]
+    slides = [joint for joint in robot.joints if not joint.turns and _reach(joint) > FAR]
+    long += [f"the position limits of joint '{joint.name}' are {_limits(joint)}" for joint in slides]
     if long:
         yield f"{'; '.join(long)}: lengths are in m, so check whether these are mm"
 
 
 def _angles(robot: Robot) -> Iterator[str]:
-    far = [
-        f"joint '{joint.name}' ({_limits(joint)})"
-        for joint in robot.joints
-        # a motor's shaft, before its gear, does turn that often
-        if joint.turns and joint.parameters != "drive" and _reach(joint) > TURNS * 2 * pi
-    ]
+    # a motor's shaft, before its gear, does turn that often
+    links = (joint for joint in robot.joints if joint.turns and joint.parameters != "drive")
+    far = [f"joint '{joint.name}' ({_limits(joint)})" for joint in links if _reach(joint) > TURNS * 2 * pi]
     if far:
         yield (
             f"position limits of many turns: {', '.join(far)}; angles are in rad; if these are degrees, divide them by"

@@ -45,10 +45,9 @@ def select_joints(robot: Robot, patterns: Sequence[str], held: Mapping[str, floa
     moving |= set(robot.base)
     if both := moving & held.keys():
         raise GtauError(f"joint '{min(both)}' is both among the 'joints' that move and 'held'; remove one of them.")
-    positions = {joint.name: held.get(joint.name, joint.home) for joint in robot.joints if joint.name not in moving}
-    if not positions:
-        return robot
-    return hold_joints(robot, positions, "as chosen")
+    still = [joint for joint in robot.joints if joint.name not in moving]
+    positions = {joint.name: held.get(joint.name, joint.home) for joint in still}
+    return hold_joints(robot, positions, "as chosen") if positions else robot
 
 
 def hold_joints(robot: Robot, positions: Mapping[str, float], why: str) -> Robot:
@@ -67,12 +66,15 @@ def lock_joints(robot: Robot, positions: Mapping[str, float]) -> Robot:
 
     Closures and springs with both ends on one body are dropped.
     """
-    carried = {GROUND: Attachment(GROUND)} | {platform.name: Attachment(platform.name) for platform in robot.platforms}
+    fixed = (GROUND, *(platform.name for platform in robot.platforms))
+    carried = {body: Attachment(body) for body in fixed}
     joints: list[Joint] = []
     heavy = set()
     for joint in robot.joints:
         before = carried[joint.antecedent]
-        placement = joint.placement if before.placement == Pose() else compose(before.placement, joint.placement)
+        placement = joint.placement
+        if before.placement != Pose():
+            placement = compose(before.placement, placement)
         if joint.name not in positions:
             joints.append(replace(joint, antecedent=before.body, placement=placement))
             carried[joint.name] = Attachment(joint.name)
@@ -103,23 +105,24 @@ def lock_joints(robot: Robot, positions: Mapping[str, float]) -> Robot:
 
 def _inertias(robot: Robot, carried: Mapping[str, Attachment]) -> tuple[tuple[str, float], ...]:
     """Add the stated inertias of locked links to those of the links that carry them; their rotors no longer turn."""
-    stated = robot.inertias
-    bodies = dict.fromkeys(parameter_of(name).body for name in stated if parameter_of(name).kind in INERTIAL)
-    rotors = {name: value for name, value in stated.items() if parameter_of(name).kind not in INERTIAL}
+    stated = {parameter_of(name): value for name, value in robot.file.inertias}
+    bodies = dict.fromkeys(name.body for name in stated if name.kind in INERTIAL)
+    summed = lumped((carried[body], rigid_body(robot.inertias, body)) for body in bodies)
     turning = {body for body, at in carried.items() if at.body == body}
-    kept = ((name, value) for name, value in rotors.items() if parameter_of(name).body in turning)
-    summed = lumped((carried[body], rigid_body(stated, body)) for body in bodies)
-    return (*summed.items(), *kept)
+    rotors = (name for name in stated if name.kind not in INERTIAL and name.body in turning)
+    return (*summed.items(), *((name, stated[name]) for name in rotors))
 
 
 def _after(joint: Joint, placement: Placement, position: float) -> Placement:
     """Place a joint's link at a position, its frame being at ``placement`` at zero."""
     if not position:
         return placement
-    axis = np.array(joint.axis)
+    axis, rotation, shift = np.array(joint.axis), np.eye(3), np.zeros(3)
     if joint.turns:
-        return compose(placement, pose_of(turn(axis, position), np.zeros(3)))
-    return compose(placement, pose_of(np.eye(3), axis * position))
+        rotation = turn(axis, position)
+    else:
+        shift = axis * position
+    return compose(placement, pose_of(rotation, shift))
 
 
 def _heavy(joint: Joint) -> Joint:
@@ -135,11 +138,12 @@ def _with_coupled(robot: Robot, positions: Mapping[str, float]) -> dict[str, flo
     while not settled:
         settled = True
         for coupling in robot.couplings:
-            terms = {coupling.joint: 1.0} | {name: -ratio for name, ratio in coupling.ratios}
-            free = [name for name in terms if name not in known]
-            if len(free) == 1:
-                rest = sum(factor * known[name] for name, factor in terms.items() if name in known)
-                known[free[0]] = (coupling.offset - rest) / terms[free[0]]
+            terms = coupling.terms
+            unknown_joints = [name for name in terms if name not in known]
+            if len(unknown_joints) == 1:
+                factor = terms.pop(unknown_joints[0])
+                rest = sum(term * known[name] for name, term in terms.items())
+                known[unknown_joints[0]] = (coupling.offset - rest) / factor
                 settled = False
     return known
 
@@ -147,13 +151,12 @@ def _with_coupled(robot: Robot, positions: Mapping[str, float]) -> dict[str, flo
 def _couplings(robot: Robot, positions: Mapping[str, float]) -> Iterator[Coupling]:
     """List the couplings of the joints that are not held."""
     for coupling in robot.couplings:
-        terms = {coupling.joint: 1.0} | {name: -ratio for name, ratio in coupling.ratios}
-        free = [name for name in terms if name not in positions]
-        if free:
-            offset = coupling.offset - sum(terms[name] * positions[name] for name in terms if name in positions)
-            first, *others = free
-            ratios = tuple((name, -terms[name] / terms[first]) for name in others)
-            yield Coupling(first, ratios, offset / terms[first])
+        terms = coupling.terms
+        held = [name for name in terms if name in positions]
+        offset = coupling.offset - sum(terms.pop(name) * positions[name] for name in held)
+        if terms:
+            (first, factor), *others = terms.items()
+            yield Coupling(first, tuple((name, -term / factor) for name, term in others), offset / factor)
 
 
 def listed(names: Sequence[str]) -> str:
@@ -219,9 +222,8 @@ def _lone(robot: Robot, body: str) -> Joint | None:
     """Find the joint of a body that carries one thing only, a closure's end or another joint."""
     if all(joint.name != body for joint in robot.joints):
         return None
-    uses = [joint.antecedent for joint in robot.joints]
-    uses += [end.body for end in robot.ends]
-    uses += [name for coupling in robot.couplings for name in (coupling.joint, *dict(coupling.ratios))]
+    uses = [joint.antecedent for joint in robot.joints] + [end.body for end in robot.ends]
+    uses += [name for coupling in robot.couplings for name in coupling.terms]
     return robot.joint(body) if uses.count(body) == 1 else None
 
 

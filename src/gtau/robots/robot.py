@@ -93,6 +93,11 @@ class Coupling:
     ratios: tuple[tuple[str, float], ...]
     offset: float = 0.0
 
+    @property
+    def terms(self) -> dict[str, float]:
+        """Factors of all its joints in their sum, which is the offset."""
+        return {self.joint: 1.0} | {name: -ratio for name, ratio in self.ratios}
+
 
 TRANSLATIONS, ROTATIONS = ("x", "y", "z"), ("rx", "ry", "rz")
 RATIO = 1e6  # of a coupling: a screw of 1 mm a turn has 6283 rad/m; beyond 1e7 the rank of the closures fails
@@ -266,7 +271,7 @@ class Robot:
     @property
     def driven(self) -> frozenset[str]:
         """Names of the joints that a motor moves itself, or that are coupled to one."""
-        coupled = {name for coupling in self.couplings for name in (coupling.joint, *dict(coupling.ratios))}
+        coupled = {name for coupling in self.couplings for name in coupling.terms}
         return frozenset(coupled.union(self.actuated))
 
     def joint(self, name: str) -> Joint:

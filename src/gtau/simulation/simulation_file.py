@@ -143,7 +143,7 @@ def as_simulation(source: str | Path | Simulation | Mapping[str, Any]) -> Simula
     if isinstance(source, Simulation):
         return source
     expect("a simulation", source, ("the path of a simulation file, or a mapping with its keys", (Mapping,)))
-    return validate(Simulation, Document.of("simulation", source), context=Path())
+    return validate(Simulation, Document("simulation", source), context=Path())
 
 
 def check_joints(simulation: Simulation, robot: Robot, path: str | Path) -> None:

@@ -56,7 +56,7 @@ def load(path: str | Path) -> Result:
         )
     if document["schema"] == "gtau-model/3":
         document = _one_friction(document)
-    result = validate(ModelDocument, Document(path, document, {})).made(path)
+    result = validate(ModelDocument, Document(path, document)).made(path)
     for problem in _problems(result):
         raise GtauError(f"{path} is damaged ({problem}); write it again with 'gtau identify'.")
     return result

@@ -11,7 +11,7 @@ import numpy as np
 from gtau.documents.validation import some_of
 from gtau.robots.parameter import Parameter, RigidBody, lumped
 from gtau.robots.readers.xml_document import decimals, line_of, numbers
-from gtau.robots.robot import Attachment, Pose
+from gtau.robots.robot import GROUND, Attachment, Pose
 
 if TYPE_CHECKING:
     import mujoco
@@ -32,21 +32,22 @@ def urdf_inertias(root: Element, frames: Mapping[str, Attachment]) -> tuple[tupl
 
 def _urdf_bodies(root: Element) -> Iterator[tuple[str, RigidBody]]:
     for link in root.findall("link"):
-        name, inertial = link.get("name", ""), link.find("inertial")
-        if inertial is None:
-            continue
-        mass, tensor, origin = (inertial.find(tag) for tag in ("mass", "inertia", "origin"))
-        weight = 0.0 if mass is None else numbers(mass.get("value", ""), 1, f"mass of link '{name}'")[0]
-        entries = [
-            0.0 if tensor is None else numbers(tensor.get(key, "0"), 1, f"{key} of link '{name}'")[0]
-            for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-        ]
-        xyz, rpy = (
-            [0.0] * 3 if origin is None else numbers(origin.get(key, "0 0 0"), 3, f"inertial {key} of link '{name}'")
-            for key in ("xyz", "rpy")
-        )
-        rotation = Pose(rpy=(rpy[0], rpy[1], rpy[2])).rotation
-        yield name, RigidBody(weight, np.array(xyz), rotation @ np.array(entries)[TENSOR] @ rotation.T)
+        if (inertial := link.find("inertial")) is not None:
+            yield link.get("name", ""), _urdf_body(link.get("name", ""), inertial)
+
+
+def _urdf_body(name: str, inertial: Element) -> RigidBody:
+    def read(tag: str, key: str, default: str, what: str) -> list[float]:
+        element, count = inertial.find(tag), len(default.split()) or 1
+        if element is None:
+            return [0.0] * count
+        return numbers(element.get(key, default), count, f"{what} of link '{name}'")
+
+    (mass,) = read("mass", "value", "", "mass")
+    moments = [read("inertia", f"i{axes}", "0", f"i{axes}")[0] for axes in ("xx", "yy", "zz", "xy", "xz", "yz")]
+    xyz, rpy = (read("origin", key, "0 0 0", f"inertial {key}") for key in ("xyz", "rpy"))
+    rotation = Pose(rpy=(rpy[0], rpy[1], rpy[2])).rotation
+    return RigidBody(mass, np.array(xyz), rotation @ np.array(moments)[TENSOR] @ rotation.T)
 
 
 def mjcf_inertias(file: MjcfFile, carried: Mapping[int, Attachment]) -> tuple[tuple[str, float], ...]:
@@ -79,36 +80,31 @@ def _stated(parameters: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
     return tuple(parameters.items()) if any(parameters.values()) else ()
 
 
-def urdf_masses(root: Element, carried: Mapping[str, str]) -> Iterator[str]:
-    """Note implausible masses and inertias of a URDF file.
-
-    ``carried`` are links by the moving joint whose link they are part of; links of the ground are left out.
-    """
-    masses, odd, bodies = {}, [], {}
-    for link in root.findall("link"):
-        name, inertial = link.get("name", ""), link.find("inertial")
-        given = None if inertial is None else inertial.find("mass")
-        masses[name] = 0.0 if given is None else numbers(given.get("value", ""), 1, f"mass of link '{name}'")[0]
-        bodies[name] = link
-        if inertial is not None and name in carried and (tensor := inertial.find("inertia")) is not None:
-            xx, yy, zz, xy, xz, yz = (_number(tensor, f"i{key}") or 0.0 for key in ("xx", "yy", "zz", "xy", "xz", "yz"))
-            odd += _impossible(f"link '{name}'", link, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+def urdf_masses(root: Element, frames: Mapping[str, Attachment]) -> Iterator[str]:
+    """Note implausible masses and inertias of a URDF file; ``frames`` say which body carries each link."""
+    links = {link.get("name", ""): link for link in root.findall("link")}
+    bodies = dict(_urdf_bodies(root))
+    carried = {link: at.body for link, at in frames.items() if link in links and at.body != GROUND}
+    odd = []
+    for name in bodies:
+        if name in carried:
+            odd += _impossible(f"link '{name}'", links[name], bodies[name].inertia)
+    masses = {name: bodies[name].mass if name in bodies else 0.0 for name in links}
     typical = float(np.median([mass for mass in masses.values() if mass > 1e-6] or [1.0]))
     for name, mass in masses.items():
         if mass < 0.0 or mass > max(HEAVIEST * typical, HEAVIEST):
-            odd.append(f"link '{name}' (line {line_of(bodies[name])}) weighs {mass:,.0f} kg")
+            odd.append(f"link '{name}' (line {line_of(links[name])}) weighs {mass:,.0f} kg")
     yield from _note(odd)
-    if any(masses.values()):  # else the file has no masses at all
-        moved = {
-            joint: [link for link in carried if carried[link] == joint] for joint in dict.fromkeys(carried.values())
-        }
-        light = [links[0] for links in moved.values() if not any(masses[link] for link in links)]
-        if light:
-            names = some_of([f"'{name}' (line {line_of(bodies[name])})" for name in light], SHOWN)
-            yield (
-                f"these links have no mass in the file, though a joint moves them: {names}; here they have parameters "
-                "all the same, and where one is really massless, write 'parameters: none' for it in a saved robot file"
-            )
+    moved: dict[str, list[str]] = {}
+    for link, joint in carried.items():
+        moved.setdefault(joint, []).append(link)
+    light = [group[0] for group in moved.values() if not any(masses[link] for link in group)]
+    if light and any(masses.values()):  # else the file has no masses at all
+        names = some_of([f"'{name}' (line {line_of(links[name])})" for name in light], SHOWN)
+        yield (
+            f"these links have no mass in the file, though a joint moves them: {names}; here they have parameters "
+            "all the same, and where one is really massless, write 'parameters: none' for it in a saved robot file"
+        )
 
 
 def mjcf_masses(roots: Iterable[Element]) -> Iterator[str]:
@@ -118,15 +114,13 @@ def mjcf_masses(roots: Iterable[Element]) -> Iterator[str]:
         if (inertial := body.find("inertial")) is None:
             continue
         name = f"body '{body.get('name', '')}'"
-        mass = _number(inertial, "mass")
-        if mass is not None and mass <= 0.0 and body.find("joint") is not None:
-            odd.append(f"{name} (line {line_of(inertial)}) weighs {mass:g} kg")
-        diagonal, full = (decimals(inertial.get(key, "")) or [] for key in ("diaginertia", "fullinertia"))
+        mass, diagonal, full = (decimals(inertial.get(key, "")) or [] for key in ("mass", "diaginertia", "fullinertia"))
+        if len(mass) == 1 and mass[0] <= 0.0 and body.find("joint") is not None:
+            odd.append(f"{name} (line {line_of(inertial)}) weighs {mass[0]:g} kg")
         if len(diagonal) == 3:
             odd += _impossible(name, inertial, np.diag(diagonal))
         elif len(full) == 6:
-            xx, yy, zz, xy, xz, yz = full
-            odd += _impossible(name, inertial, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+            odd += _impossible(name, inertial, np.array(full)[TENSOR])
     yield from _note(odd)
 
 
@@ -150,8 +144,3 @@ def _note(odd: list[str]) -> Iterator[str]:
             f"physically impossible masses and inertias: {some_of(odd, SHOWN, '; ')}; they are identified, not read, "
             "but correct them before you use the file elsewhere"
         )
-
-
-def _number(element: Element, key: str) -> float | None:
-    values = decimals(element.get(key, "")) or []
-    return values[0] if len(values) == 1 else None

@@ -38,18 +38,16 @@ def urdf_shapes(path: Path) -> tuple[dict[str, list[Blob]], dict[str, list[np.nd
             continue
         ends.setdefault(at.body, []).append(at.placement.position)
         for collision in link.findall("collision"):
-            geometry = collision.find("geometry")
-            blob = None if geometry is None else next(filter(None, (_blob(shape, path) for shape in geometry)), None)
-            if blob is not None:
-                placement = compose(at.placement, _origin(collision))
-                shapes.setdefault(at.body, []).append((_placed(blob[0], placement), blob[1]))
-            elif geometry is not None:
+            if (geometry := collision.find("geometry")) is None:
+                continue
+            blob = next(filter(None, (_blob(shape, path) for shape in geometry)), None)
+            if blob is None:
                 missing[at.body] = missing.get(at.body, 0) + 1
+                continue
+            placement = compose(at.placement, _origin(collision))
+            points = blob[0] @ placement.rotation.T + placement.position
+            shapes.setdefault(at.body, []).append((np.asarray(points), blob[1]))
     return shapes, ends, missing
-
-
-def _placed(points: np.ndarray, placement: Placement) -> np.ndarray:
-    return np.asarray(points @ placement.rotation.T + placement.position)
 
 
 def _origin(collision: Element) -> Pose:

@@ -114,10 +114,8 @@ def _check_motors(joints: Sequence[Joint], actuated: AbstractSet[str], loops_alo
 
 
 def _gravity(model: mujoco.MjModel) -> tuple[float, float, float]:
-    if _weightless(model):
-        return (0.0, 0.0, 0.0)
-    x, y, z = (float(rounded(g)) for g in model.opt.gravity)
-    return (x, y, z)
+    x, y, z = map(rounded, model.opt.gravity.tolist())
+    return (0.0, 0.0, 0.0) if _weightless(model) else (x, y, z)
 
 
 def _weightless(model: mujoco.MjModel) -> bool:
@@ -152,17 +150,17 @@ def _simulated_alone(file: MjcfFile, floating: str) -> Iterator[str]:
     balls = [name_in(model, "joint", k) for k in sprung]
     if balls:
         yield f"springs of balls act in the simulator and are not modelled: joint {listed(balls)}"
-    if floating and _braked(model, model.body(floating).jntadr[0]):
+    if floating and _is_braked(model, int(model.body(floating).jntadr[0])):
         yield f"damping, friction or armature of the floating '{floating}' acts in the simulator and is not modelled"
     yield from mjcf_masses(file.elements)
     yield from angle_notes(file.elements)
 
 
-def _braked(model: mujoco.MjModel, free: int) -> bool:
+def _is_braked(model: mujoco.MjModel, free: int) -> bool:
     """Decide whether damping and similar effects act on a free joint, as set by the defaults of its class."""
-    six = slice(int(model.jnt_dofadr[free]), int(model.jnt_dofadr[free]) + 6)
-    acting = (model.dof_damping[six], model.dof_frictionloss[six], model.dof_armature[six], model.jnt_stiffness[free])
-    return any(np.any(effect) for effect in acting)
+    start = int(model.jnt_dofadr[free])
+    effects = [model.dof_damping, model.dof_frictionloss, model.dof_armature]
+    return bool(np.any(model.jnt_stiffness[free])) or any(np.any(effect[start : start + 6]) for effect in effects)
 
 
 @dataclass(frozen=True)
@@ -279,7 +277,7 @@ def _moved(robot: Robot) -> set[str]:
 def _groups(robot: Robot) -> list[set[str]]:
     """Group the joints (and platforms) that loops and couplings tie to each other."""
     carriers = _carriers(robot) | {platform.name: {platform.name} for platform in robot.platforms}
-    ties = [{coupling.joint, *dict(coupling.ratios)} for coupling in robot.couplings]
+    ties = [set(coupling.terms) for coupling in robot.couplings]
     for closure in robot.closures:
         a, b = (carriers[end.body] | {end.body} for end in (closure.a, closure.b))
         ties.append((a ^ b) - {GROUND})

@@ -29,11 +29,12 @@ def fixed_tendons(spec: mujoco.MjSpec) -> dict[str, dict[str, float]]:
     """Read the joints of the fixed tendons and their coefficients in the tendon's length."""
     import mujoco
 
-    tendons = {}
+    tendons: dict[str, dict[str, float]] = {}
     for tendon in spec.tendons:
-        parts = [part for part in tendon.path if part.type == mujoco.mjtWrap.mjWRAP_JOINT and part.target]
-        if parts:
-            tendons[tendon.name] = {part.target.name: float(part.coef) for part in parts}
+        for part in tendon.path:
+            if part.type == mujoco.mjtWrap.mjWRAP_JOINT and part.target:
+                terms = tendons.setdefault(tendon.name, {})
+                terms[part.target.name] = float(part.coef)
     return tendons
 
 
@@ -64,16 +65,19 @@ def site_springs(file: MjcfFile, carried: Mapping[int, Attachment]) -> tuple[lis
             forces[actuator.target] = forces.get(actuator.target, np.zeros(3)) + force
     taken = {name_in(model, "joint", k) for k in range(model.njnt)} | {at.body for at in carried.values()}
     for tendon in file.spec.tendons:
-        k, c, rest = (np.ravel(getattr(tendon, key)) for key in ("stiffness", "damping", "springlength"))
+        k, c = np.ravel(tendon.stiffness), np.ravel(tendon.damping)
+        rest = np.ravel(tendon.springlength)
         f0, by_length, by_speed = forces.get(tendon.name, np.zeros(3))
         has = {PRELOAD: f0 or k[0], STIFFNESS: by_length or k[0], DAMPING: by_speed or c[0]}
-        linear = not (np.any(k[1:]) or np.any(c[1:]) or tendon.frictionloss) and rest[0] == rest[-1]
+        linear = not (k[1:].any() or c[1:].any() or tendon.frictionloss)
+        linear &= bool(rest[0] == rest[-1])
         if tendon.name in straight and linear and any(has.values()):
-            a, b = (attached_site(model, model.site(name).id, carried) for name in straight[tendon.name])
+            sites = (model.site(name).id for name in straight[tendon.name])
+            a, b = (attached_site(model, site, carried) for site in sites)
             name = f"tendon {tendon.name}" if tendon.name in taken else tendon.name
             if a.body != b.body:
                 springs.append(Spring(name, a, b, tuple(kind for kind in SPRING if has[kind])))
-        elif np.any(k) or np.any(c) or tendon.frictionloss:
+        elif k.any() or c.any() or tendon.frictionloss:
             notes.append(
                 f"tendon '{tendon.name}' acts as a spring, damper or friction in the simulator, which is not modelled, "
                 "as it is no linear spring straight between two sites"
@@ -84,7 +88,8 @@ def site_springs(file: MjcfFile, carried: Mapping[int, Attachment]) -> tuple[lis
 def attached_site(model: mujoco.MjModel, site: int, carried: Mapping[int, Attachment]) -> Attachment:
     """Find what carries a site."""
     at = carried[int(model.site_bodyid[site])]
-    return Attachment(at.body, compose(at.placement, pose_in(model.site_pos[site], model.site_quat[site])))
+    pose = pose_in(model.site_pos[site], model.site_quat[site])
+    return Attachment(at.body, compose(at.placement, pose))
 
 
 def tied_tendons(file: MjcfFile) -> list[Coupling]:
@@ -110,14 +115,16 @@ def tied_tendons(file: MjcfFile) -> list[Coupling]:
             terms[name] = terms.get(name, 0.0) - factor * coefficient
         for name, value in terms.items():
             constant += value * float(file.model.qpos0[int(file.model.joint(name).qposadr[0])])
-        couplings.append(_solved(terms, next(name for name, value in terms.items() if value), constant))
+        leading = next(name for name, value in terms.items() if value)
+        couplings.append(_solved(terms, leading, constant))
     return couplings
 
 
 def _solved(terms: Mapping[str, float], joint: str, length: float) -> Coupling:
     """Make the coupling that gives a joint from the others whose sum, each by its factor, is a length."""
-    factor = terms[joint]
-    ratios = tuple((name, -value / factor) for name, value in terms.items() if value and name != joint)
+    others = {name: value for name, value in terms.items() if value}
+    factor = others.pop(joint)
+    ratios = tuple((name, -value / factor) for name, value in others.items())
     return Coupling(joint, ratios, length / factor)
 
 
@@ -126,7 +133,8 @@ def limited_tendons(file: MjcfFile, kinds: Mapping[str, str], tied: AbstractSet[
 
     ``kinds`` of joints are by name; those ``tied`` otherwise are not coupled again. Each coupling has its note.
     """
-    tendons, targets = fixed_tendons(file.spec), {actuator.target for actuator in actuators(file.spec)}
+    tendons = fixed_tendons(file.spec)
+    targets = {actuator.target for actuator in actuators(file.spec)}
     known = targets | tied | {joint for target in targets for joint in tendons.get(target, {})}
     for tendon in file.spec.tendons if targets else ():
         terms = {name: value for name, value in tendons.get(tendon.name, {}).items() if value}

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
 
 from gtau.documents.validation import validate
-from gtau.documents.yaml_document import Document, parse_yaml, read_yaml
+from gtau.documents.yaml_document import Document, read_yaml
 from gtau.errors import GtauError
 from gtau.robots.floating import base_joints
 from gtau.robots.placement import DEGREES_ADVICE, exact_placement, in_degrees, short_angles_note
@@ -223,7 +223,7 @@ def read_native(path: str | Path) -> Robot:
 
 def parse_native(text: str, path: str | Path) -> Robot:
     """Read a robot from the text of a robot file, with angles as written; ``path`` is for messages."""
-    return _robot(parse_yaml(text, path))
+    return _robot(Document(path, text))
 
 
 def _robot(document: Document) -> Robot:

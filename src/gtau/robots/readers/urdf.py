@@ -8,11 +8,9 @@ joints that a URDF cannot describe.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
-from xml.etree.ElementTree import Element
 
 from pydantic import BaseModel, ConfigDict, field_validator
 
@@ -47,48 +45,42 @@ def read_urdf(path: str | Path, base: BaseChoice = None) -> Robot:
         )
     try:
         robot = Robot(tree.name, tree.joints, couplings=tree.couplings, file=replace(tree.file, notes=notes))
-        return _without_motors_of_base(robot, tree.root, tree.carried)
+        return _without_motors_of_base(robot, tree)
     except GtauError as error:
         raise GtauError(f"{path}: {error}") from None
 
 
-def _without_motors_of_base(robot: Robot, root: Element, carried: Mapping[str, str]) -> Robot:
+def _without_motors_of_base(robot: Robot, tree: UrdfTree) -> Robot:
     """Remove the motors of six joints that carry all others and represent a floating base.
 
     A URDF does not define which joints have motors. These six have none if all joints beyond them have what they lack:
     a transmission (or ros2_control interface), which decides alone, an effort, or the masses of links in between.
-    ``robot`` has a motor at every joint that mimics no other; ``carried`` are links by the moving joint whose link they
-    are part of.
+    ``robot`` has a motor at every joint that mimics no other.
     """
     if len(robot.joints) <= 6:
         return robot
-    six = drawn_base(
-        replace(robot, joints=tuple(replace(joint, actuated=k >= 6) for k, joint in enumerate(robot.joints)))
-    )
+    joints = tuple(replace(joint, actuated=k >= 6) for k, joint in enumerate(robot.joints))
+    six = drawn_base(replace(robot, joints=joints))
     rest = set(robot.actuated).difference(six)
     if not six or not rest:
         return robot
-    driven = {
-        joint.get("name", "")
-        for parent in ("transmission", "ros2_control")
-        for drive in root.iter(parent)
-        for joint in drive
-    }
+    drives = (drive for parent in ("transmission", "ros2_control") for drive in tree.root.iter(parent))
+    driven = {joint.get("name", "") for drive in drives for joint in drive}
     strong = {joint.name for joint in robot.joints if joint.limits.effort}
-    heavy = {carried[link.get("name", "")] for link in root.iter("link") if link.get("name") in carried and _mass(link)}
+    masses = {link.get("name", ""): link.find("inertial/mass") for link in tree.root.findall("link")}
+    heavy = {
+        tree.frames[name].body
+        for name, mass in masses.items()
+        if name in tree.frames and mass is not None and any(decimals(mass.get("value", "")) or [])
+    }
     if rest <= driven:
         drawn = driven.isdisjoint(six)
     else:
         drawn = (rest <= strong and strong.isdisjoint(six)) or (rest <= heavy and heavy.isdisjoint(six[:-1]))
     if not drawn:
         return robot
-    joints = (replace(joint, actuated=joint.actuated and joint.name not in six) for joint in robot.joints)
-    return replace(robot, joints=tuple(joints))
-
-
-def _mass(link: Element) -> float:
-    mass = link.find("inertial/mass")
-    return 0.0 if mass is None else next(iter(decimals(mass.get("value", "")) or []), 0.0)
+    joints = tuple(replace(joint, actuated=joint.actuated and joint.name not in six) for joint in robot.joints)
+    return replace(robot, joints=joints)
 
 
 class _Loops(BaseModel):

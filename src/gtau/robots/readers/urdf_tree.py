@@ -65,8 +65,7 @@ class UrdfTree:
     """Tree described by a URDF file.
 
     ``frames`` says where the frame of every joint (after its motion) and of every link is fixed; as in Pinocchio, a
-    joint's frame and that of the link it moves are the same. ``carried`` are the links by the moving joint whose link
-    they are part of, ``root`` is the file's outermost element.
+    joint's frame and that of the link it moves are the same. ``root`` is the file's outermost element.
     """
 
     name: str
@@ -74,7 +73,6 @@ class UrdfTree:
     couplings: tuple[Coupling, ...]
     frames: Mapping[str, Attachment]
     root: Element
-    carried: Mapping[str, str]
     file: RobotFile
 
 
@@ -103,11 +101,10 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
         _check_circles(couplings)
         slaves = {coupling.joint for coupling in couplings}
         joints = tuple(replace(joint, actuated=joint.name not in slaves) for joint in joints)
-        carried = _carried(ordered)
-        notes = (*urdf_masses(root, carried), *_limit_notes(ordered))
+        notes = (*urdf_masses(root, frames), *_limit_notes(ordered))
         notes += (*_reduction_notes(root), *short_angles_note({edge.name: edge.short for edge in ordered}))
         file = RobotFile(path.name, notes, inertias=urdf_inertias(root, frames), rounding=_rounding(root))
-        return UrdfTree(root.get("name") or path.stem, joints, couplings, frames, root, carried, file)
+        return UrdfTree(root.get("name") or path.stem, joints, couplings, frames, root, file)
     except GtauError as error:
         raise GtauError(f"{path}: {error}") from None
 
@@ -226,17 +223,6 @@ def _moving(ordered: list[_Edge], types: Mapping[str, str]) -> tuple[tuple[Joint
     return tuple(joints), frames
 
 
-def _carried(ordered: list[_Edge]) -> dict[str, str]:
-    """Map each moving link to the moving joint that carries it."""
-    carriers: dict[str, str] = {}
-    for edge in ordered:
-        if edge.kind is not None:
-            carriers[edge.child] = edge.name
-        elif edge.parent in carriers:
-            carriers[edge.child] = carriers[edge.parent]
-    return carriers
-
-
 def _mimic(edge: _Edge) -> Coupling | None:
     mimic = edge.element.find("mimic")
     if mimic is None or edge.kind is None:
@@ -309,33 +295,31 @@ def _limits(edge: _Edge) -> Limits:
     limit = edge.element.find("limit")
     if limit is None:
         return Limits()
-    values = {
-        key: numbers(text, 1, f"{key} of joint '{edge.name}'", endless=True)[0]
-        for key in ("lower", "upper", "velocity", "effort")
-        if (text := limit.get(key)) is not None
-    }
-    endless = edge.element.get("type") == "continuous" or not values.keys() & {"lower", "upper"}
-    low, high = values.get("lower", 0.0), values.get("upper", 0.0)
-    velocity, effort = values.get("velocity", 0.0), values.get("effort", 0.0)
+    velocity, effort = (_limit(edge, limit, key) for key in ("velocity", "effort"))
+    stated = _range(edge)
     return Limits(
-        position=None if endless else position_limits(low, high),
+        position=position_limits(*stated) if stated else None,
         velocity=velocity if 0.0 < velocity <= LARGEST else None,
         effort=effort if 0.0 < effort <= LARGEST else None,
     )
 
 
+def _limit(edge: _Edge, limit: Element, key: str) -> float:
+    return numbers(limit.get(key, "0"), 1, f"{key} of joint '{edge.name}'", endless=True)[0]
+
+
+def _range(edge: _Edge) -> tuple[float, float] | None:
+    """Read the position limits of a joint; None where it has none."""
+    limit = edge.element.find("limit")
+    if limit is None or not {"lower", "upper"}.intersection(limit.keys()):
+        return None
+    low, high = (_limit(edge, limit, key) for key in ("lower", "upper"))
+    return None if edge.element.get("type") == "continuous" else (low, high)
+
+
 def _limit_notes(ordered: list[_Edge]) -> Iterator[str]:
     """Note position limits with an empty range, which are ignored."""
-    dropped = []
-    for edge in ordered:
-        limit = edge.element.find("limit")
-        if edge.kind is None or limit is None or _limits(edge).position or edge.element.get("type") == "continuous":
-            continue
-        low, high = (
-            numbers(limit.get(key, "0"), 1, f"{key} of joint '{edge.name}'", endless=True)[0]
-            for key in ("lower", "upper")
-        )
-        if {"lower", "upper"}.intersection(limit.keys()) and low >= high:
-            dropped.append(f"'{edge.name}' ({low:g} to {high:g})")
+    ranges = [(edge.name, *(_range(edge) or (0.0, 1.0))) for edge in ordered if edge.kind is not None]
+    dropped = [f"'{name}' ({low:g} to {high:g})" for name, low, high in ranges if low >= high]
     if dropped:
         yield f"empty position limits were ignored: joint {', '.join(dropped)}"

@@ -204,7 +204,7 @@ class Units(of_link_side(_one_or_by_joint("torque")), Keys):  # type: ignore[mis
         if unit not in SHARES:
             return ratio * si_factor(unit, signals.kind)
         if joint not in self.rated:
-            raise Document.of("units", {}).error(
+            raise Document("units", {}).error(
                 ("rated",), f"joint '{joint}' has no rated {signals.kind}, to which its column is relative; add it"
             )
         return ratio * SHARES[unit] * self.rated[joint]
