@@ -20,28 +20,25 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
+from scipy.special import stdtrit
 
 sys.path.append(str(Path(__file__).parent))
-from gtau.estimation.pipeline import DEFAULT, estimate
 from realism.plants import ANY, PLANTS, Plant, random_parameters
 from zoo import ENTRIES
 
-from gtau.estimation import pipeline
+from gtau.estimation import identify as stages
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.friction.law import stop
 from gtau.estimation.friction.normal_equations import FrictionGroup, FrictionJoint
 from gtau.estimation.friction.selection import Candidate, choose
 from gtau.estimation.identify import identify
-from gtau.estimation.regression.dataset import reduce_runs
-from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.friction_curves import curves_of
+from gtau.estimation.regression.problem import Estimates
+from gtau.estimation.results.friction_curves import group_estimates
 from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
 from gtau.robots.robot import PLAIN_FRICTION
@@ -132,9 +129,9 @@ def simulated(count: int) -> None:
             inside: list[bool] = []
             for seed in range(count):
                 group = experiment(truth, error, seed)
-                candidate, plain, evidence = choose(group)
+                candidate, _, evidence = choose(group)
                 kinds = {kind for _, kind in evidence}
-                inside += covered(group, candidate, plain, truth) if kinds == right[truth] else []
+                inside += covered(group, candidate, truth) if kinds == right[truth] else []
                 found.update(kinds)
                 found["false"] += bool(kinds - right[truth])
             shares = " | ".join(f"{100 * found[kind] / count:.0f}" for kind in ("width", "speed", "load", "false"))
@@ -142,20 +139,15 @@ def simulated(count: int) -> None:
             print(f"| {truth} | {error} | {shares} | {share} |", flush=True)
 
 
-def covered(group: FrictionGroup, candidate: Candidate, plain: Candidate, truth: str) -> list[bool]:
+def covered(group: FrictionGroup, candidate: Candidate, truth: str) -> list[bool]:
     """Whether each parameter is in its interval."""
-    (found,) = curves_of(group, candidate, plain, {}, np.zeros((0, 0)), lambda *_: "").values()
+    names, values, _, scatter = group_estimates(group, candidate)
+    halves = stdtrit(len(group.G) - 1, 0.975) * np.sqrt(np.diag(scatter))
+    found = {name.kind: (value, half) for name, value, half in zip(names, values, halves, strict=True)}
     true = {"off": 0.3, "fv": 0.8, "fs": 2.0} | ({"fb": 1.0} if truth == "Stribeck" else {})
     true |= {"fl": 0.1} if truth == "load" else {}
-
-    def near(estimate: Estimate, value: float) -> bool:
-        return abs((estimate.value or 0.0) - value) <= (estimate.half_interval() or 0.0)
-
-    inside = [near(found.parameters[f"{kind}_j"], value) for kind, value in true.items()]
-    if truth == "Maxwell slip":
-        width = group.joints[0].travel * 10**-3.5
-        inside.append(found.width is not None and near(found.width, width))
-    return inside
+    true |= {"width": group.joints[0].travel * 10**-3.5} if truth == "Maxwell slip" else {}
+    return [kind in found and abs(found[kind][0] - value) <= found[kind][1] for kind, value in true.items()]
 
 
 def experiment(truth: str, error: str, seed: int) -> FrictionGroup:
@@ -225,12 +217,11 @@ def disturbance(error: str, q: np.ndarray, load: np.ndarray, rng: np.random.Gene
 
 
 def robots(count: int) -> None:
-    """Print what is found of whole robots: shares of joints, coverage, errors of a third run, and what gains do."""
+    """Print what is found of whole robots: shares of joints, coverage, and errors of a third run."""
     print(
         "\n| robot | friction | joints | presliding | bent | load | false terms | in 95 % | plain | all samples | s |"
     )
     print("| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |")
-    moved: list[float] = []
     for name, plant in ROBOTS.items():
         for truth, right in RUBBED.items():
             found: Counter[str] = Counter()
@@ -240,8 +231,6 @@ def robots(count: int) -> None:
                 runs, truths = experiment_of(plant, truth, seed)
                 result, *spent = timed(lambda runs=runs, robot=plant.model.robot: identify(robot, runs[:2]))
                 seconds += spent
-                if not seed:
-                    moved.append(gains_moved(plant, runs[:2], result, truths))
                 for k, joint in enumerate(plant.model.actuated):
                     terms, expected = set(result.curves[joint].evidence), right[k % len(right)]
                     found.update(terms)
@@ -256,7 +245,6 @@ def robots(count: int) -> None:
             cells = [name, truth, found["joints"], *(f"{100 * each:.0f}" for each in shares), covered]
             cells += [f"{before:.2f}", f"{after:.2f}", "{:.1f}, {:.1f}".format(*seconds / count)]
             print("|", *(f"{each} |" for each in cells), flush=True)
-    print(f"rms errors of the gains with the friction step over those without: {min(moved):.6f} to {max(moved):.6f}")
 
 
 def experiment_of(plant: Plant, truth: str, seed: int) -> tuple[list[Run], dict[str, float]]:
@@ -294,12 +282,10 @@ def experiment_of(plant: Plant, truth: str, seed: int) -> tuple[list[Run], dict[
 
 
 def within(result: Result, joint: str, truths: dict[str, float]) -> list[bool]:
-    """Whether each parameter of a joint's curve is in its 95 % interval."""
-    curve = result.curves[joint]
-    estimates = {name: each for name, each in curve.parameters.items() if name.split("_")[0] != "off"}
-    estimates |= {f"width_{joint}": curve.width} if curve.width else {}
-    estimates |= {f"vs_{joint}": curve.speed} if curve.speed else {}
-    return [low <= truths[name] <= high for name, each in estimates.items() for low, high in [each.interval(0.95)]]
+    """Whether each parameter of a joint's friction but the offset is in its 95 % interval."""
+    friction = {**result.friction_parameters, **result.friction}
+    intervals = {name: each.interval() for name, each in friction.items() if name.body == joint and name.kind != "off"}
+    return [low <= truths[name] <= high for name, (low, high) in intervals.items()]
 
 
 def relative(result: Result, run: Run) -> float:
@@ -309,27 +295,19 @@ def relative(result: Result, run: Run) -> float:
 
 def timed(work: Callable[[], Result]) -> tuple[Result, float, float]:
     """A result, and the seconds that it took: in all, and for the friction step."""
-    step, spent = pipeline.friction_curves, []
+    step, spent = stages.friction_step, []
 
-    def friction_step(fit: Fit, covariance: np.ndarray) -> tuple[dict, dict]:
+    def friction_step(fit: Fit, estimates: Estimates) -> tuple:
         begin = perf_counter()
-        found = step(fit, covariance)
+        found = step(fit, estimates)
         spent.append(perf_counter() - begin)
         return found
 
-    pipeline.friction_curves = friction_step
+    stages.friction_step = friction_step
     begin = perf_counter()
     result = work()
-    pipeline.friction_curves = step
+    stages.friction_step = step
     return result, perf_counter() - begin, sum(spent)
-
-
-def gains_moved(plant: Plant, runs: list[Run], result: Result, truths: dict[str, float]) -> float:
-    """The rms error of the gains over that of an identification without the friction step."""
-    without = estimate(reduce_runs(plant.model.robot, runs), ML, replace(DEFAULT, all_samples=False))
-    true = np.array([truths[f"gain_{joint}"] for joint in plant.model.actuated])
-    after, before = (np.sqrt(np.mean((each.gains / true - 1) ** 2)) for each in (result, without))
-    return float(after / before)
 
 
 if __name__ == "__main__":

@@ -122,11 +122,8 @@ def numbers(found: Result) -> str:
 
 
 def said(found: Result) -> str:
-    """The notes, the first clause of each."""
-    notes = [
-        re.split(r"[:;(]|, (?:so|which|as) ", note.split(": ", 1)[-1])[0].strip() for note in map(str, found.notes)
-    ]
-    return "; ".join(dict.fromkeys(notes)) or "nothing"
+    """Kinds of the notes, each once."""
+    return "; ".join(dict.fromkeys(str.__str__(note.kind) for note in found.notes)) or "nothing"
 
 
 def experiment_file(

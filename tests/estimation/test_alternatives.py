@@ -85,7 +85,7 @@ def test_an_encoder_zero_has_its_size(runs: list[Run]) -> None:
     assert each.size == pytest.approx(-1.0, abs=max(0.3, 3 * each.std))
 
 
-@pytest.mark.parametrize(("joint", "scale"), [("j3", 0.5), ("j2", 1.03)])
+@pytest.mark.parametrize(("joint", "scale"), [pytest.param("j3", 0.5, marks=pytest.mark.slow), ("j2", 1.03)])
 def test_a_wrong_gear_ratio_is_named(tmp_path: Path, joint: str, scale: float) -> None:
     body = {"m": 1.5, "mx": 0.05, "mz": 0.1}
     made = replace(plant(robot(tmp_path), noise=0.02), tool="j4", gains=(8.0, 9.0, 7.0, 5.0))
@@ -194,7 +194,7 @@ def test_the_largest_of_several_is_less_likely() -> None:
     assert alone / (1 - alone) == pytest.approx(3 * one_of_three / (1 - one_of_three))
 
 
-@pytest.mark.parametrize("share", [0.05, 0.2])
+@pytest.mark.parametrize("share", [0.05, pytest.param(0.2, marks=pytest.mark.slow)])
 def test_friction_that_falls_along_a_run_widens_intervals_and_contradicts_nothing(share: float) -> None:
     plant, known = Plant(noise=0.01), Payload(name="steel", mass=STEEL["m"])
     logged = []

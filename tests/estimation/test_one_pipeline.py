@@ -43,9 +43,8 @@ def experiment(tmp_path_factory: pytest.TempPathFactory) -> Path:
     "method",
     [
         "ml",
-        "tls",
         "wls",
-        *(pytest.param(m, marks=pytest.mark.slow) for m in NAMES if m not in ("ml", "tls", "wls")),
+        *(pytest.param(m, marks=pytest.mark.slow) for m in NAMES if m not in ("ml", "wls")),
     ],
 )
 def test_compare_says_what_identify_says(method: str, experiment: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -32,7 +32,7 @@ def frozen(result: Result) -> set[tuple[str, ...]]:
     return {each.joints for each in verdicts if each is not None and each.kind == F.FROZEN}
 
 
-@pytest.mark.parametrize("joint", [1, 2])
+@pytest.mark.parametrize("joint", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_an_encoder_that_is_not_read_is_named(tmp_path: Path, joint: int) -> None:
     free, loaded = logged(tmp_path, held=None)
     position = loaded.position.copy()
@@ -41,7 +41,7 @@ def test_an_encoder_that_is_not_read_is_named(tmp_path: Path, joint: int) -> Non
     assert {each[0] for each in found} == {f"j{joint + 1}"}
 
 
-@pytest.mark.parametrize("joint", [1, 2])
+@pytest.mark.parametrize("joint", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_held_joint_is_not_suspected(tmp_path: Path, joint: int) -> None:
     """Its motor holds the others' weight, so its current varies with theirs."""
     free, loaded = logged(tmp_path, held=joint)

@@ -45,7 +45,7 @@ def cause_of(result: Result) -> dict:
     ("loaded", "more"),
     [
         ((False, True), {"run 1": BODY["m"]}),
-        ((False, True, False), {"run 1": BODY["m"]}),
+        pytest.param((False, True, False), {"run 1": BODY["m"]}, marks=pytest.mark.slow),
         ((True, True, False), {"run 2": -BODY["m"]}),
     ],
 )

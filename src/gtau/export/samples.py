@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -93,34 +94,28 @@ class Samples:
 
     def results(self) -> Iterator[Result]:
         """Convert each draw to a result, the input of every export."""
-        return (self._result(k) for k in range(len(self)))
+        return map(self._result, range(len(self)))
 
     def _result(self, k: int) -> Result:
-        result, names = self.result, self.result.idm.parameter_names
+        result, joints = self.result, self.result.idm.actuated
         assert result.consistency is not None
-        gains = dict(zip(result.idm.actuated, map(float, self.gains[k]), strict=True))
-        standard: dict[str, float] = dict(zip(names, map(float, self.standard[k]), strict=True))
-        base = dict(zip(result.base.names, map(float, self.base[k]), strict=True))
-
-        friction = {str(name): float(values[k]) for name, values in self.friction.items()}
-
-        def drawn(estimate: Estimate) -> Estimate:
-            return replace(estimate, value=friction.get(estimate.name, estimate.value))
-
+        gains, delays = (dict(zip(joints, drawn[k].tolist(), strict=True)) for drawn in (self.gains, self.delays))
+        base = dict(zip(result.base.names, self.base[k].tolist(), strict=True))
+        standard = dict(zip(result.idm.parameter_names, self.standard[k].tolist(), strict=True))
+        friction = {name: float(values[k]) for name, values in self.friction.items()}
+        exact = {joint: (gain, 0.0) for joint, gain in gains.items()}
         return result.replaced(
-            consistency=replace(
-                result.consistency, standard=standard, gains={joint: (gain, 0.0) for joint, gain in gains.items()}
-            ),
-            drive_gains={
-                joint: replace(estimate, value=gains[joint]) for joint, estimate in result.drive_gains.items()
-            },
-            parameters={name: replace(estimate, value=base[name]) for name, estimate in result.parameters.items()},
-            friction={name: drawn(estimate) for name, estimate in result.friction.items()},
-            delays={
-                joint: replace(estimate, value=float(self.delays[k, j]))
-                for j, (joint, estimate) in enumerate(result.delays.items())
-            },
+            consistency=replace(result.consistency, standard=standard, gains=exact),
+            drive_gains=_with(result.drive_gains, gains),
+            parameters=_with(result.parameters, base),
+            friction=_with(result.friction, friction),
+            delays=_with(result.delays, delays),
         )
+
+
+def _with(estimates: Mapping[Any, Estimate], values: Mapping[Any, float]) -> dict[Any, Estimate]:
+    """Replace the values of estimates by name."""
+    return {name: replace(estimate, value=values.get(name, estimate.value)) for name, estimate in estimates.items()}
 
 
 def draw(result: Result, count: int, seed: int = 0) -> Samples:
