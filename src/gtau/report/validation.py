@@ -20,16 +20,7 @@ from gtau.report.gains import gains_section, masses_section, payloads_section
 from gtau.report.logs import logs_section, seconds
 from gtau.report.motion import motion_section
 from gtau.report.page import Column, Kind, Page, Section, Text, page, section, table_of
-from gtau.report.torques import (
-    REVERSALS,
-    bands_section,
-    errors_table,
-    part_of,
-    stretch_title,
-    torques_chart,
-    torques_section,
-    units_of,
-)
+from gtau.report.torques import REVERSALS, bands_section, errors_table, stretch_chart, torques_section
 
 CAUTION = (
     "A small error does not validate the gains: they scale both sides. Weigh a known payload ('gtau payload') for that."
@@ -98,10 +89,8 @@ def validation_chart(result: Result, evidence: RunEvidence) -> Chart:
     """Draw measured and predicted torques of a run around the largest residual."""
     assert evidence.prediction is not None
     start, stop = worst_stretch(evidence, SHOWN)
-    part, time = part_of(evidence.prediction, evidence.time, start, stop)
-    length, title = seconds(evidence.run), evidence.run.name
-    title = title if stop - start >= 0.95 * length else stretch_title(title, start, stop, length)
-    return torques_chart(part, units_of(result, part), evidence.run.kind, time, title=title)
+    whole = stop - start >= 0.95 * seconds(evidence.run)
+    return stretch_chart(result, evidence.run, evidence.prediction, start, stop, whole)
 
 
 def write_torques(result: Result, runs: Sequence[RunEvidence], folder: Path) -> list[Path]:
