@@ -57,8 +57,8 @@ from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.findings.words import RELATIVE
 from gtau.model.base_parameters import base_parameters
-from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.lengths import SAME, models_alike
+from gtau.model.inverse_dynamics import InverseDynamics, models_alike
+from gtau.model.kinematics import SAME_LENGTH
 from gtau.progress import Progress, silent
 from gtau.robots.geometry import moved_ends
 from gtau.robots.robot import Attachment, Joint, Mdh, Placement, Robot
@@ -191,7 +191,7 @@ def _longer(robot: Robot, step: float) -> Iterator[tuple[Finding, Robot]]:
     lengths: dict[float, list[str]] = {}
     for name, placement in places:
         for length in filter(None, _lengths(placement).values()):
-            same = next((known for known in lengths if isclose(known, length, rel_tol=SAME)), length)
+            same = next((known for known in lengths if isclose(known, length, rel_tol=SAME_LENGTH)), length)
             if name not in lengths.setdefault(same, []):
                 lengths[same].append(name)
     longest = sorted((length for length in lengths if length > LENGTH_TRIED * max(lengths)), reverse=True)[:MOST]
@@ -215,7 +215,7 @@ def _scaled(placed: Placed, length: float, step: float) -> Placed:
     """Lengthen the lengths of this size in the placement of a joint or an end by a share ``step``."""
     placement, longer = placed.placement, dict[str, Any]()
     for name, size in _lengths(placement).items():
-        if isclose(size, length, rel_tol=SAME):
+        if isclose(size, length, rel_tol=SAME_LENGTH):
             value = np.multiply(getattr(placement, name), 1 + step).tolist()
             longer[name] = value if name in OF_MDH else tuple(value)
     return replace(placed, placement=replace(placement, **longer))

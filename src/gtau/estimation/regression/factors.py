@@ -23,7 +23,7 @@ import numpy as np
 from gtau.estimation.regression.rows import FAST_SAMPLES, TERMS, Rows, stream_rows
 from gtau.estimation.regression.run_blocks import BLOCKS, block_edges, block_of
 from gtau.model.inverse_dynamics import InverseDynamics, Regressor
-from gtau.model.singularities import singularities
+from gtau.model.singularities import singular_distances
 from gtau.robots.parameter import Parameter
 from gtau.signals.channel import Channel
 from gtau.signals.preparation.filters import Decimator
@@ -187,7 +187,7 @@ def reduce_rows(
     With ``weigh``, coefficients (c, p) and limits (c,), rows have the weights ``min(1, limit / |residual|)`` in the sum
     of squares; the product of a row and the coefficients of its channel is its residual.
     """
-    regressor, near = idm.columns(columns), singularities(idm)
+    regressor, near = idm.columns(columns), singular_distances(idm)
     channels = [channel for channel in channels if channel.kind.modelled]
     c, p, n = len(channels), len(columns) + EXTRA, len(idm.actuated)
     rows_of = (regressor.columns[regressor.rows == channel.row] for channel in channels)
@@ -195,7 +195,7 @@ def reduce_rows(
     collected, distances, residuals = Triangles(own), Store((2,), np.float32), Store((c,))
     speeds = np.zeros((BLOCKS, n))
     for part in rows:
-        distances.append(near.distances(part.motion).T)
+        distances.append(near(part.motion).T)
         block = blocks[part.outputs]
         A = equations(regressor, channels, part)
         if weigh is not None:
