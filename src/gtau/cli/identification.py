@@ -93,7 +93,7 @@ def identify(
     experiment, guessed = experiment_of(sources, robot, payload, kind, preset, out)
     with progress_bar() as progress:
         from gtau.estimation.identify import identify as run
-        from gtau.estimation.results.model_document import to_document
+        from gtau.estimation.results.model_file import to_document
         from gtau.report.identification import full_page, summary_page
         from gtau.report.write import write_identification
 

@@ -37,7 +37,7 @@ from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
 from gtau.signals.reading.experiment import Experiment
-from gtau.signals.reading.statements import Drive, Prior, Requirements, data_sheet_notes
+from gtau.signals.reading.statements import Drive, Prior, data_sheet_notes
 from gtau.signals.run import Run
 
 PAPER_RATIO = 10.0  # the paper's r_sigma for the essential parameters
@@ -132,7 +132,10 @@ def identify(
         beside = [*([geometry.note] if geometry else []), *command_lag(dataset, system)]
         notes = (*beside, *_data_sheet_notes(experiment.drives if experiment else {}, result), *result.notes)
         result = result.replaced(geometry=geometry, notes=notes)
-        return _judged(late("uses.prediction").with_prediction_cutoffs(result, dataset.runs), experiment, progress)
+        result = late("uses.prediction").with_prediction_cutoffs(result, dataset.runs)
+        if experiment is None:
+            return result
+        return result.replaced(requirements=tuple(_requirements(result, experiment, progress)))
 
 
 def _identified(subject: Subject, dataset: Dataset, system: System, progress: Progress) -> Result:
@@ -227,8 +230,8 @@ def estimate(
     verdicts = channel_verdicts(fit, estimates, findings)
     predicting, curves, errors = (estimates, {}, {}) if as_paper else friction_step(fit, estimates)
     figures = {"reduction_loss": loss, "lack_of_fit": lack, "accuracy": float(accuracy)}
-    sensors = sensor_estimates(fit, predicting, verdicts, accuracy) if fit.system.problem.sensor_channels else ()
-    described = model_estimates(fit, estimates, predicting, curves, verdicts, payloads, essential)
+    sensors = sensor_estimates(fit, estimates, verdicts, accuracy) if fit.system.problem.sensor_channels else ()
+    described = model_estimates(fit, estimates, predicting, verdicts, payloads, essential)
     return Result(
         dataset.robot,
         replace(described, consistency=bodies, sensors=sensors),
@@ -237,20 +240,12 @@ def estimate(
     )
 
 
-def _judged(result: Result, experiment: Experiment | None, progress: Progress) -> Result:
-    """Compare a result with what its experiment requires."""
-    if experiment is None:
-        return result
-    tested = experiment.validation if experiment.require.torque_error is not None else ()
-    validation = read_runs(experiment, tested, progress)
-    return result.replaced(requirements=tuple(_requirements(result, experiment.require, validation)))
-
-
-def _requirements(result: Result, require: Requirements, validation: Sequence[Run]) -> Iterator[Requirement]:
-    """Compare with the limits, those of torque errors also on the runs kept for ``validation``."""
+def _requirements(result: Result, experiment: Experiment, progress: Progress) -> Iterator[Requirement]:
+    """Compare with the limits of an experiment, those of torque errors also on the runs kept for validation."""
+    require = experiment.require
     if require.torque_error is not None:
         yield _of_torques(require.torque_error, result.residuals)
-        for run in validation:
+        for run in read_runs(experiment, experiment.validation, progress):
             try:
                 errors = result.validate(run)
             except GtauError:

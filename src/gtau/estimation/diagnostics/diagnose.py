@@ -135,7 +135,7 @@ def channel_verdicts(fit: Fit, estimates: Estimates, findings: Sequence[Finding]
     std = np.sqrt(np.diag(estimates.random))[unknowns.delays]
     period = 1 / min(run.rate for run in fit.dataset.runs)
     delays = delay_verdicts(fit.system.problem, fit.solution, std, period) if std.any() else [GOOD] * len(std)
-    of_delays = dict(zip(unknowns.select("delay"), delays, strict=True))
+    of_delays = dict(zip(unknowns[unknowns.delays], delays, strict=True))
     return {Parameter("gain", joint): verdict for joint, verdict in gains.items()} | of_delays
 
 
