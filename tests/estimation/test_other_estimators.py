@@ -100,7 +100,7 @@ def test_nothing_is_said_of_clean_logs() -> None:
     fit = fit_of(logs())
     alternatives = by_estimate(fit)
     assert F.TWO_STAGE in {each.hypothesis for each in alternatives}
-    assert position_noise(fit, alternatives) == []
+    assert not list(position_noise(fit, alternatives))
     n_theta = fit.system.problem.n_theta
     std = np.sqrt(np.diag(fit.solution.jackknife))[n_theta : n_theta + 2]
     added = np.sqrt([sum(each.probability * each.shifts[n_theta + j] ** 2 for each in alternatives) for j in range(2)])

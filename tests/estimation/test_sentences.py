@@ -333,6 +333,9 @@ SENTENCES = [  # finding, reason, advice
      "estimates by instrumental variables or estimates with a bandwidth 0.7 times as large could not be computed for "
      "comparison: the loops do not close at 1.2 s",
      ""),
+    (Finding(F.UNTESTED, values={"check": "lengths", "refusal": "the loops do not close at 1.2 s"}),
+     "lengths could not be tested: the loops do not close at 1.2 s",
+     ""),
     (Finding(F.AUTOCORRELATED, values={"factor": 2.34}),
      "residuals are autocorrelated: standard errors are 2.3 times those of white noise, so the model lacks an effect, "
      "such as another kind of friction, motor ripple, cables or elasticity",
