@@ -12,10 +12,10 @@ import numpy as np
 from gtau.display import late
 from gtau.documents.validation import FUNCTION, NUMBER, TEXT, TRUTH, takes
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.alternatives import TOOL_BODIES
 from gtau.estimation.diagnostics.diagnose import channel_verdicts, diagnose
 from gtau.estimation.diagnostics.examine import estimates_of, examine
-from gtau.estimation.diagnostics.log_checks import command_lag, require_payload_excitation
-from gtau.estimation.diagnostics.other_robots import TOOL_BODIES
+from gtau.estimation.diagnostics.log_checks import command_lag, lack_of_fit, require_payload_excitation
 from gtau.estimation.diagnostics.stated_constants import weigh_known
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.essential import essential_fit, select_friction
@@ -208,30 +208,32 @@ def estimate(
     examined = examine(fit, progress)
     estimates = estimates_of(fit, examined, correlated=not as_paper)
     essential, reduced, loss = essential_fit(fit, ratio, correlated=not as_paper, joint=as_paper)
+    lack = lack_of_fit(fit.system.problem, fit.solution)
     bare: Fit | None = fit
-    audit = bodies = None
+    audit = bodies = lost = None
     if dataset.robot.inertias:
-        from gtau.estimation.diagnostics.inertia_audit import audit_inertias, without_file_inertias
+        from gtau.estimation.diagnostics.inertia_audit import audit_inertias
 
-        alone = without_file_inertias(fit, estimates.covariance, estimates.effective_freedom)
-        bare = None if alone is None else alone[0]
-        # the file is not blamed for a body that it lacks
-        if alone and TOOL_BODIES not in {alternative.hypothesis for alternative in examined.alternatives}:
-            audit = audit_inertias(*alone, dataset.prior_inertias)
+        loaded = TOOL_BODIES in {alternative.hypothesis for alternative in examined.alternatives}
+        bare, audit = audit_inertias(fit, estimates, loaded)
     payloads = {} if bare is None else weigh_known(bare, estimator.name, accuracy)
     if options.consistent:
         from gtau.estimation.estimators.physical_consistency import consistent
 
-        bodies = consistent(fit.system, fit.solution, options.priors or {}, fit.free_gains)
+        try:
+            bodies = consistent(fit.system, fit.solution, options.priors or {}, fit.free_gains)
+        except GtauError as refusal:  # what the data contradict, no bodies may have
+            lost = Finding(F.NO_BODIES, values={"why": str(refusal).rstrip(".")})
     progress("estimation", 1, 1)
     if as_paper:  # the gains that go with the essential parameters
         fit = replace(fit, system=replace(fit.system, problem=essential), solution=reduced)
         nothing = np.zeros_like(reduced.covariance)
         estimates = Estimates(essential.unknowns, reduced.values, reduced.covariance, nothing, nothing, None)
     findings = diagnose(fit, examined, estimates, payloads, options.gains, accuracy, audit)
+    findings += () if lost is None else (lost,)
     verdicts = channel_verdicts(fit, estimates, findings)
     predicting, curves, errors = (estimates, {}, {}) if as_paper else friction_step(fit, estimates)
-    figures = {"reduction_loss": loss, "lack_of_fit": examined.lack_of_fit, "accuracy": float(accuracy)}
+    figures = {"reduction_loss": loss, "lack_of_fit": lack, "accuracy": float(accuracy)}
     sensors = sensor_estimates(fit, estimates, verdicts, accuracy) if fit.system.problem.sensor_channels else ()
     described = model_estimates(fit, estimates, predicting, verdicts, payloads, essential)
     return Result(

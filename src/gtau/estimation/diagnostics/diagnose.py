@@ -26,7 +26,6 @@ from gtau.estimation.diagnostics.effort import stated_meaning
 from gtau.estimation.diagnostics.examine import Examination
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
 from gtau.estimation.diagnostics.other_estimators import position_noise
-from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings
 from gtau.estimation.diagnostics.stated_constants import prior_contradictions, sensor_contradictions, sensor_scales
 from gtau.estimation.diagnostics.unit_checks import units_and_signs, unlike_legs
 from gtau.estimation.diagnostics.verdict import (
@@ -90,12 +89,16 @@ def diagnose(
         *units_and_signs(fit, estimates, prior_gains, audit),
         *position_noise(fit, examined.alternatives),
         *(examined.ripple.causes if examined.ripple else ()),
-        *repeated_motion_findings(fit, examined.alternatives),
     ]
     if audit is not None:
         from gtau.estimation.diagnostics.inertia_audit import prior_findings
 
         findings += prior_findings(audit)
+    groups, _ = fit.dataset.prepared.places
+    if len(np.unique(groups)) < len(groups):  # some runs repeat a motion
+        from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings
+
+        findings += repeated_motion_findings(fit, examined.alternatives)
     if fit.free_gains:
         findings += _estimated_gains(fit, examined, estimates, accuracy, prior_gains)
         if problem.sensor_channels:

@@ -27,6 +27,7 @@ from gtau.estimation.results.estimate import (
 )
 from gtau.estimation.results.groups import Evidence, FitRecord, ModelEstimates, PayloadEstimate
 from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter
@@ -253,8 +254,9 @@ class Result:
 
     @property
     def accepted(self) -> bool:
-        """Whether the result is :attr:`believable` and meets all requirements of the experiment file."""
-        return self.believable and all(requirement.met for requirement in self.requirements)
+        """Whether the result is :attr:`believable`, has all that was asked for, and meets all requirements."""
+        lacking = any(note.kind == F.NO_BODIES for note in self.notes)
+        return self.believable and not lacking and all(requirement.met for requirement in self.requirements)
 
     @property
     def plot(self) -> Any:
