@@ -144,7 +144,9 @@ def differences(fit: Fit) -> Iterator[tuple[Finding, np.ndarray, np.ndarray] | F
     try:
         filtered = dataset if further is None else _prepared_as(dataset, further)
         pairs = _pairs(fit, windows, central_windows(filtered.prepared, WINDOWS, cut))
-    except GtauError as refusal:  # the loops do not close along motion that is filtered otherwise
+        if pairs and not any(errors.size for *_, errors in pairs):
+            raise GtauError("the runs are too short for the filter of their positions.")
+    except GtauError as refusal:  # such as loops that do not close along motion that is filtered otherwise
         yield _untested(refusal, Finding(F.INSTRUMENTS), *(changed for changed, _ in preparations))
         return
     if not pairs:
