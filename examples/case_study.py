@@ -36,7 +36,7 @@ from gtau.progress import Progress, silent
 from gtau.report.gains import NOT_SHOWN
 from gtau.report.render.charts import figure_of, save_figure
 from gtau.report.robot_figure import robot_figure
-from gtau.report.torques import part_of, torques_chart
+from gtau.report.torques import torques_chart
 from gtau.signals.reading.experiment import read_experiment
 from gtau.simulation.closed_loop import sample
 from gtau.simulation.simulation_file import read_simulation
@@ -199,7 +199,8 @@ def write_figures(study: Study, folder: Path, duration: float, images: Path) -> 
     motion = (exciting.q[::shown], exciting.qd[::shown], exciting.qdd[::shown])
     units = [each.unit for each in study.errors]
     time = prediction.time - prediction.time[0]
-    part, time = part_of(prediction, time, 0.0, min(6.0, exciting.time[-1]))
+    begun = time <= min(6.0, exciting.time[-1])
+    part, time = prediction.part(begun), time[begun]
     charts = {
         "gains": gains_chart(result.drive_gains),
         "payload": payload_chart(study.weighings["prior"], study.weighings["identified"], SECOND_PAYLOAD_MASS),

@@ -13,7 +13,7 @@ from gtau.model.dynamics import parameter_names, torques
 from gtau.model.interpreter.instructions import LANES
 from gtau.model.interpreter.program import compile_program
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.kinematics import coordinates
+from gtau.model.kinematics import Coordinates
 
 BATCHES = [0, 1, LANES - 1, LANES, LANES + 1, 3 * LANES + 5]
 
@@ -91,7 +91,7 @@ def test_inputs_of_another_shape_are_refused(shape):
 def test_a_whole_regressor(rng):
     """The entries of a parallel robot's regressor are those that CasADi computes."""
     robot = planar_3rrr()
-    layout = coordinates(robot)
+    layout = Coordinates(robot)
     symbols = [ca.SX.sym(*each) for each in (("c", layout.n_c), ("yd", layout.n_y), ("ydd", layout.n_y))]
     projection = ca.SX.sym("J", len(layout.passive), len(layout.actuated))
     J = ca.SX(layout.n_y, len(layout.actuated))

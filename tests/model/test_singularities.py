@@ -22,7 +22,7 @@ from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import Motion
-from gtau.model.singularities import random_motion, singularities
+from gtau.model.singularities import random_motion, singular_distances, tool_jacobian
 from gtau.robots.geometry import attached
 from gtau.robots.readers.native import parse_native
 from gtau.robots.readers.read import CATALOG
@@ -88,10 +88,10 @@ def test_the_five_bar_has_its_closed_forms(point: tuple[float, float]) -> None:
     motion = at_rest(idm, q[None])
     forearms, elbow_speeds = five_bar_bars(q, np.array(point))
     A, B = forearms, np.diag(np.einsum("ij,ij->i", forearms, elbow_speeds))  # A v = B qd
-    J = np.linalg.solve(A, B) / idm.loops.length
-    found = singularities(idm).jacobian(motion)[0]
+    J = np.linalg.solve(A, B) / idm.layout.length
+    found = tool_jacobian(idm)(motion)[0]
     assert_allclose(found.T @ found, J.T @ J, rtol=1e-10, atol=1e-12)
-    type_1, type_2 = singularities(idm).distances(motion)[:, 0]
+    type_1, type_2 = singular_distances(idm)(motion)[:, 0]
     assert type_1 == pytest.approx(index(J[None])[0], rel=1e-9)
     # type 2: det(A) = L2^2 sin(angle between the forearms), and the two columns of G_p are as long as each other
     assert type_2 == pytest.approx(abs(np.linalg.det(A)) / L2**2, rel=1e-9)
@@ -103,7 +103,7 @@ def test_a_stretched_leg_is_of_type_1_alone() -> None:
     for short in (1e-4, 1e-6, 1e-8):
         reach, angle = L1 + L2 - short, 0.9  # of the left leg
         q = five_bar_pose(-C + reach * np.cos(angle), reach * np.sin(angle))
-        found.append(singularities(five_bar()).distances(at_rest(five_bar(), q[None]))[:, 0])
+        found.append(singular_distances(five_bar())(at_rest(five_bar(), q[None]))[:, 0])
     type_1, type_2 = np.array(found).T
     assert_allclose(type_1[1:] / type_1[:-1], 0.1, rtol=0.1)  # the sine goes by the root of what the leg lacks
     assert type_1[-1] < 2e-3
@@ -117,12 +117,12 @@ def test_forearms_side_by_side_are_of_type_2_alone() -> None:
     for short in (0.3, 0.1, 0.03, 0.01):
         q = np.array([meet + short, pi - meet - short])
         motion = at_rest(five_bar(), q[None])
-        found.append(singularities(five_bar()).distances(motion)[:, 0])
+        found.append(singular_distances(five_bar())(motion)[:, 0])
     type_1, type_2 = np.array(found).T
     assert (np.diff(type_2) < 0).all()
     assert type_2[-1] < 0.03
     assert type_1.min() > 0.3
-    assert np.linalg.cond(singularities(five_bar()).jacobian(motion)[0]) > 10  # of J_t itself: no measure of type 1
+    assert np.linalg.cond(tool_jacobian(five_bar())(motion)[0]) > 10  # of J_t itself: no measure of type 1
     with pytest.raises(GtauError, match=r"too close to a singularity of type 2, where passive joints can move"):
         at_rest(five_bar(), np.array([[meet + 4e-4, pi - meet - 4e-4]]))
 
@@ -132,8 +132,8 @@ def test_a_larger_robot_is_as_far_from_singularities() -> None:
     larger = text.replace("c: 0.10", "c: 10").replace("l1: 0.25", "l1: 25").replace("l2: 0.35", "l2: 35")
     q = np.array([five_bar_pose(*point) for point in POINTS])
     large = InverseDynamics(parse_native(larger, "five-bar.yaml"))
-    expected = singularities(five_bar()).distances(at_rest(five_bar(), q))
-    assert_allclose(singularities(large).distances(at_rest(large, q)), expected, rtol=1e-9)
+    expected = singular_distances(five_bar())(at_rest(five_bar(), q))
+    assert_allclose(singular_distances(large)(at_rest(large, q)), expected, rtol=1e-9)
 
 
 # ---- Other robots -----------------------------------------------------------------------------------------------
@@ -171,10 +171,10 @@ def test_the_orthoglide_has_the_jacobian_of_its_bars(rng: np.random.Generator) -
     bars = signs[0] * d4 * e + moved
     J = np.linalg.solve(bars, np.eye(3) * np.einsum("kij,ij->ki", bars, e)[:, None, :])
     expected = np.concatenate([J, 0 * J], axis=1)
-    same_up_to_turns(singularities(idm).jacobian(motion), expected)
-    found = singularities(idm).distances(motion)
+    same_up_to_turns(tool_jacobian(idm)(motion), expected)
+    found = singular_distances(idm)(motion)
     assert_allclose(found[0], index(J), rtol=1e-9)
-    home = singularities(idm).distances(at_rest(idm, np.zeros((1, 3))))
+    home = singular_distances(idm)(at_rest(idm, np.zeros((1, 3))))
     assert home[0, 0] == pytest.approx(1.0, abs=1e-12)
 
 
@@ -186,7 +186,7 @@ def test_the_orthoglides_type_2_falls_as_the_bars_come_into_a_plane() -> None:
     bars = (t - q - -d4)[:, None, None] * np.eye(3) + t[:, None, None] * (1 - np.eye(3))
     assert_allclose(np.linalg.norm(bars, axis=2), d4)
     volume = np.abs(np.linalg.det(bars / d4))
-    type_1, type_2 = singularities(idm).distances(at_rest(idm, np.repeat(q[:, None], 3, axis=1)))
+    type_1, type_2 = singular_distances(idm)(at_rest(idm, np.repeat(q[:, None], 3, axis=1)))
     ratio = type_2 / volume
     assert_allclose(ratio[1:] / ratio[:-1], 1.0, atol=0.2)
     assert type_2[-1] < 0.05
@@ -196,7 +196,7 @@ def test_the_orthoglides_type_2_falls_as_the_bars_come_into_a_plane() -> None:
 def test_the_3rrr_has_the_jacobian_of_its_forearms(rng: np.random.Generator) -> None:
     """d_i . (v + w z x r_i) = d_i . (z x a_i) qd_i with arms a_i, forearms d_i and pins at r_i from the centre."""
     idm = model("3-rrr")
-    robot, motion, length = idm.robot, some_motion(idm, rng), idm.loops.length
+    robot, motion, length = idm.robot, some_motion(idm, rng), idm.layout.length
     z = np.array([0, 0, 1.0])
     expected = []
     for c in motion.c.T:
@@ -209,13 +209,13 @@ def test_the_3rrr_has_the_jacobian_of_its_forearms(rng: np.random.Generator) -> 
             B[k, k] = d @ np.cross(z, elbow - motor)
         v_x, v_y, w = np.linalg.solve(A, B)
         expected.append([v_x / length, v_y / length, 0 * w, 0 * w, 0 * w, w])
-    same_up_to_turns(singularities(idm).jacobian(motion), np.array(expected))
+    same_up_to_turns(tool_jacobian(idm)(motion), np.array(expected))
 
 
 def test_the_gough_stewart_has_the_lines_of_its_legs(rng: np.random.Generator) -> None:
     """The inverse Jacobian's rows are the legs' Pluecker coordinates about the platform's origin."""
     idm = model("gough-stewart")
-    robot, motion, length = idm.robot, some_motion(idm, rng), idm.loops.length
+    robot, motion, length = idm.robot, some_motion(idm, rng), idm.layout.length
     expected = []
     for c in motion.c.T:
         at = places(robot, c)
@@ -226,8 +226,8 @@ def test_the_gough_stewart_has_the_lines_of_its_legs(rng: np.random.Generator) -
             u = leg / np.linalg.norm(leg)
             lines.append([*u, *(np.cross(ball - at["P"][1], u) / length)])  # times (v / length, w) is qd / length
         expected.append(np.linalg.inv(lines))
-    same_up_to_turns(singularities(idm).jacobian(motion), np.array(expected))
-    assert_allclose(singularities(idm).distances(motion)[0], index(np.array(expected)), rtol=1e-9)
+    same_up_to_turns(tool_jacobian(idm)(motion), np.array(expected))
+    assert_allclose(singular_distances(idm)(motion)[0], index(np.array(expected)), rtol=1e-9)
 
 
 def test_a_wrist_whose_axes_align_is_of_type_1(rng: np.random.Generator) -> None:
@@ -235,15 +235,14 @@ def test_a_wrist_whose_axes_align_is_of_type_1(rng: np.random.Generator) -> None
     q = rng.uniform(-1.0, 1.0, (1, 6))
     near = np.repeat(q, 3, axis=0)
     near[:, 4] = [1e-1, 1e-3, 1e-5]
-    type_1, type_2 = singularities(idm).distances(at_rest(idm, near))
+    type_1, type_2 = singular_distances(idm)(at_rest(idm, near))
     assert_allclose(type_1[1:] / type_1[:-1], 0.01, rtol=0.2)
     assert np.isnan(type_2).all()
 
 
 def test_more_motors_than_freedoms_of_the_tool_are_no_singularity(rng: np.random.Generator) -> None:
     idm = InverseDynamics(seven_r())
-    assert singularities(idm).rank == 6
-    assert singularities(idm).distances(some_motion(idm, rng))[0].min() > 1e-3
+    assert singular_distances(idm)(some_motion(idm, rng))[0].min() > 1e-3
 
 
 def test_the_dead_centre_of_a_driven_crank() -> None:
@@ -255,7 +254,7 @@ def test_the_dead_centre_of_a_driven_crank() -> None:
     q = np.array([[dead - 1.0], [dead - 1e-3], [dead]])
     assert slider.tool == "3"
     speed = np.abs(at_rest(idm, q).J[2, 0])
-    type_1, type_2 = singularities(idm).distances(at_rest(idm, q))
+    type_1, type_2 = singular_distances(idm)(at_rest(idm, q))
     assert_allclose(type_1 / type_1[0], speed / speed[0], atol=1e-12)
     assert type_1[-1] < 1e-12
     assert type_2.min() > 0.5
@@ -263,7 +262,7 @@ def test_the_dead_centre_of_a_driven_crank() -> None:
 
 @pytest.mark.parametrize("name", ["orthoglide", "gough-stewart", "delta", "3-rrr", "palletiser", "five-bar", "ur10e"])
 def test_distances_are_between_0_and_1(name: str, rng: np.random.Generator) -> None:
-    found = singularities(model(name)).distances(some_motion(model(name), rng))
+    found = singular_distances(model(name))(some_motion(model(name), rng))
     closed = found[~np.isnan(found)]
     assert (closed > 0).all()
     assert (closed <= 1 + 1e-12).all()
@@ -325,7 +324,7 @@ def test_a_check_tells_what_identification_tells_later(folder: Path) -> None:
         assert nearest["time"] in column["time"]
         # the pose at that time has this distance, from the motor angles alone
         q = np.array([[nearest["pose"]["left"], nearest["pose"]["right"]]])
-        again = singularities(five_bar()).distances(at_rest(five_bar(), q))[nearest["type"] - 1, 0]
+        again = singular_distances(five_bar())(at_rest(five_bar(), q))[nearest["type"] - 1, 0]
         assert again == pytest.approx(nearest["distance"], rel=1e-5)
     written = pl.read_parquet(checked / "singularities.parquet")
     assert written["run"].unique(maintain_order=True).to_list() == ["free", "loaded", "check"]

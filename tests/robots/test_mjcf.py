@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.kinematics import coordinates, poses
+from gtau.model.kinematics import Coordinates, poses
 from gtau.model.loop_closure import loop_errors
 from gtau.robots.readers.mjcf import as_written
 from gtau.robots.readers.mjcf_file import compile_mjcf
@@ -75,7 +75,7 @@ def test_frames_and_closures_are_mujoco_s(equality: str, tmp_path: Path, rng: np
     assert [joint.parameters for joint in robot.joints] == ["all", "drive", "all", "none", "none", "inertial"]
     assert robot.joint("j2").limits.position == (-1.0, 2.0)
     assert any("gear of 30" in note for note in robot.notes)
-    errors = loop_errors(coordinates(robot))
+    errors = loop_errors(Coordinates(robot))
     c = errors.layout.home
     for _ in range(3):
         q = rng.uniform(-1, 1, 6)
@@ -102,7 +102,7 @@ def test_frames_and_closures_are_mujoco_s(equality: str, tmp_path: Path, rng: np
             np.testing.assert_allclose(R, pose[name][0], atol=1e-9)
             np.testing.assert_allclose(p - R @ anchor, pose[name][1], atol=1e-9)
         error, _ = errors(c)
-        np.testing.assert_allclose(error[:3] * errors.length, data.efc_pos[:3], atol=1e-9)
+        np.testing.assert_allclose(error[:3] * errors.layout.length, data.efc_pos[:3], atol=1e-9)
         if robot.closures[0].kind == "weld":  # MuJoCo's orientation error is the sine of half the angle, ours twice it
             assert np.linalg.norm(error[3:6]) / 2 == pytest.approx(np.linalg.norm(data.efc_pos[3:6]), abs=1e-9)
 
@@ -140,7 +140,7 @@ def test_a_quaternion_of_zeros_in_a_keyframe_is_no_rotation(tmp_path: Path) -> N
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     mujoco.mj_kinematics(model, data)
-    R, p = poses(coordinates(robot), coordinates(robot).home)["k"]
+    R, p = poses(Coordinates(robot), Coordinates(robot).home)["k"]
     np.testing.assert_allclose(R, data.body("d").xmat.reshape(3, 3), atol=1e-12)
     np.testing.assert_allclose(p, data.body("d").xpos, atol=1e-12)
 
@@ -609,7 +609,7 @@ def test_the_motor_of_a_gripper_pulls_a_fixed_tendon(tmp_path: Path, rng: np.ran
     motion = InverseDynamics(robot).motion(*rng.uniform(-0.1, 0.1, (3, 1, 6)))
     chi = {"m_left": 0.3, "m_right": 0.5}
     values = np.array([chi.get(name, 0.0) for name in InverseDynamics(robot).parameter_names])
-    tau = InverseDynamics(robot).full.torques_along(coordinates(robot), motion, values)[0]
+    tau = InverseDynamics(robot).full.torques_along(Coordinates(robot), motion, values)[0]
     for k in range(6):
         data.qpos, data.qvel = motion.c[:2, k], motion.yd[:2, k]
         mujoco.mj_forward(model, data)

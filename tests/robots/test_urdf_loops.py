@@ -13,7 +13,7 @@ from engines import Mujoco, Pinocchio, closed_torques, random_parameters, tree_t
 from gtau.errors import GtauError
 from gtau.model.home import close_home, load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.kinematics import coordinates
+from gtau.model.kinematics import Coordinates
 from gtau.model.loop_closure import CLOSED, loop_errors
 from gtau.robots.parts import without_idle_pins
 from gtau.robots.readers.native import read_native
@@ -25,7 +25,7 @@ MODELS = ("5bar_linkage", "robot_delta")
 
 
 def gap(robot: Robot) -> float:
-    error, _ = loop_errors(coordinates(robot))(coordinates(robot).home)
+    error, _ = loop_errors(Coordinates(robot))(Coordinates(robot).home)
     return float(np.abs(error).max())
 
 
@@ -101,7 +101,7 @@ def test_as_drawn_the_models_have_idle_pins(shared: Path) -> None:
             for k, pair in enumerate(pairs, start=1)
         )
         drawn = close_home(Robot("drawn", tree.joints, closures=closures).with_file(home_given=False))
-        _, J = loop_errors(coordinates(drawn))(coordinates(drawn).home)
+        _, J = loop_errors(Coordinates(drawn))(Coordinates(drawn).home)
         mobility[folder] = J.shape[1] - np.linalg.matrix_rank(J, tol=1e-7)
     assert mobility == {"5bar_linkage": 3, "robot_delta": 5}
 
@@ -312,7 +312,7 @@ def test_the_jacobian_of_the_loops_is_a_derivative(rng: np.random.Generator) -> 
     """Where weld and connect, platforms and couplings are nearly closed, against differences."""
     for name in ("gough-stewart", "3-rrr", "orthoglide", "staubli-tx40", "palletiser"):
         robot = load_robot(name)
-        errors = loop_errors(coordinates(robot))
+        errors = loop_errors(Coordinates(robot))
         home = errors.layout.home
         _, J = errors(home)
         step = rng.normal(size=J.shape[1])

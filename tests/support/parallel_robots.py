@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gtau.model.kinematics import coordinates
+from gtau.model.kinematics import Coordinates
 from gtau.model.loop_closure import loop_errors
 from gtau.robots.placement import angles_of
 from gtau.robots.robot import GROUND, Attachment, Closure, Joint, Placement, Platform, Pose, Robot
@@ -228,8 +228,8 @@ def draw(kind: Kind, seed: int) -> Robot:
         gx, gy, gz = (drawing.mount @ [1.0, -9.0, 2.0]).tolist()
         parts = tuple(drawing.joints), tuple(drawing.platforms), tuple(drawing.closures)
         robot = Robot(kind.__name__.replace("_", "-"), *parts, gravity=(gx, gy, gz))
-        errors = loop_errors(coordinates(robot))
-        if errors.condition(errors(errors.layout.home)[1]) < CONDITION:
+        errors = loop_errors(Coordinates(robot))
+        if errors.condition(errors.layout.home) < CONDITION:
             return robot
 
 

@@ -28,7 +28,7 @@ from gtau.findings import FindingKind as F
 from gtau.findings.finding import by_severity
 from gtau.model.interpreter.program import single_threaded_blas
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.singularities import singularities
+from gtau.model.singularities import singular_distances
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.bandwidth import JointSpectrum, spectra
@@ -273,7 +273,7 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
         q, labels = samples.q[at].T.copy(), instants(run.name, samples.time[at])
         path = model.path(q, labels, None if path is None else path[:, -1])
         still = np.zeros_like(q)
-        distances.append(singularities(model).distances(model.rates(path, still, still, labels)).T)
+        distances.append(singular_distances(model)(model.rates(path, still, still, labels)).T)
         positions.append(samples.q[at])
         power += (samples.command[at] ** 2).sum(axis=0)
         largest = [np.abs(values).max(axis=0) for values in (samples.qd, samples.command[:, :n])]

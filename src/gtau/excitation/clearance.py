@@ -18,7 +18,7 @@ import numpy as np
 from gtau.errors import GtauError, missing_extra
 from gtau.model.interpreter.program import Program, compile_program
 from gtau.model.kinematics import Coordinates, frames
-from gtau.robots.robot import GROUND, Pose, Robot
+from gtau.robots.robot import GROUND, Pose
 
 FLOOR = "the floor"
 """Place of a :class:`Floor` among the bodies; no body has a name with a blank."""
@@ -53,17 +53,11 @@ FIXED = (GROUND, FLOOR)
 Shape = Capsule | Floor | Hull
 Poses = tuple[np.ndarray, np.ndarray]
 """Orientations (3, 3, N) and positions (3, N) in the base."""
-Contacts = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-"""Distance (N,), normal from the first shape to the second, and nearest points (3, N) of both in the base."""
 
 
 @dataclass(frozen=True, eq=False)
 class Nearest:
-    """Of two bodies and N samples: signed ``distance`` (N,), m, negative where they overlap, along ``normal`` (3, N).
-
-    ``a`` and ``b`` (3, N) are the nearest points, in the frames of the bodies; the normal, in the base, points from the
-    first body to the second.
-    """
+    """Signed distance (N,), m, of two bodies, nearest points and the normal from a to b (3, N), in the base."""
 
     distance: np.ndarray
     normal: np.ndarray
@@ -82,16 +76,16 @@ class Clearance:
 
     def nearest(self, c: np.ndarray, pair: tuple[str, str]) -> Nearest:
         """Find the nearest points of a pair of bodies at configurations (n_c, N)."""
-        samples = c.shape[1]
         first, second = (self.poses(body, c) for body in pair)
-        best = np.full(samples, np.inf)
-        normal, a, b = (np.zeros((3, samples)) for _ in range(3))
-        for one, other in product(self.shapes[pair[0]], self.shapes[pair[1]]):
-            distance, along, on_one, on_other = _contacts(one, first, other, second)
-            nearer = distance < best
-            best[nearer], normal[:, nearer] = distance[nearer], along[:, nearer]
-            a[:, nearer], b[:, nearer] = on_one[:, nearer], on_other[:, nearer]
-        return Nearest(best, normal, _seen_from(first, a), _seen_from(second, b))
+        shapes = product(self.shapes[pair[0]], self.shapes[pair[1]])
+        contacts = [_contacts(one, first, other, second) for one, other in shapes]
+        distances = np.array([contact.distance for contact in contacts])
+        which, samples = np.argmin(distances, axis=0), np.arange(c.shape[1])
+        normal, a, b = (
+            np.array([getattr(contact, name) for contact in contacts])[which, :, samples].T
+            for name in ("normal", "a", "b")
+        )
+        return Nearest(distances[which, samples], normal, a, b)
 
     def holds(self, c: np.ndarray) -> bool:
         """Decide whether all bodies keep their distance at configurations (n_c, N)."""
@@ -102,7 +96,9 @@ class Clearance:
         total = np.zeros_like(c)
         for body, point, sign in zip(pair, (nearest.a, nearest.b), (-1.0, 1.0), strict=True):
             if body not in FIXED:
-                total += self._programs[body][1](np.vstack([c, point, sign * nearest.normal]))
+                R, p = self.poses(body, c)
+                on_body = np.einsum("jin,jn->in", R, point - p)
+                total += self._programs[body][1](np.vstack([c, on_body, sign * nearest.normal]))
         return total
 
     def poses(self, body: str, c: np.ndarray) -> Poses:
@@ -132,22 +128,11 @@ def clearance(layout: Coordinates, least: float, shapes: Mapping[str, Sequence[S
     for body in shapes:
         if body not in (FLOOR, *known):
             raise GtauError(f"limits.shapes names '{body}', which is no body; choose from {', '.join(known)}.")
-    joined = _joined(robot) | {frozenset(FIXED)}
-    order = {body: shapes[body] for body in (GROUND, FLOOR, *robot.bodies) if body in shapes}
-    pairs = tuple(
-        pair for pair in combinations(order, 2) if frozenset(pair) not in joined and all(map(order.get, pair))
-    )
+    joined = {frozenset((joint.name, joint.antecedent)) for joint in robot.joints} | {frozenset(FIXED)}
+    joined |= {frozenset((closure.a.body, closure.b.body)) for closure in robot.closures}
+    order = [body for body in (GROUND, FLOOR, *robot.bodies) if shapes.get(body)]
+    pairs = tuple(pair for pair in combinations(order, 2) if frozenset(pair) not in joined)
     return Clearance(layout, least, shapes, pairs)
-
-
-def _joined(robot: Robot) -> set[frozenset[str]]:
-    joints = {frozenset((joint.name, joint.antecedent)) for joint in robot.joints}
-    return joints | {frozenset((closure.a.body, closure.b.body)) for closure in robot.closures}
-
-
-def _seen_from(poses: Poses, points: np.ndarray) -> np.ndarray:
-    R, p = poses
-    return np.einsum("jin,jn->in", R, points - p)
 
 
 def _placed(poses: Poses, point: np.ndarray) -> np.ndarray:
@@ -155,29 +140,29 @@ def _placed(poses: Poses, point: np.ndarray) -> np.ndarray:
     return p + np.einsum("ijn,j->in", R, point)
 
 
-def _contacts(one: Shape, first: Poses, other: Shape, second: Poses) -> Contacts:
+def _contacts(one: Shape, first: Poses, other: Shape, second: Poses) -> Nearest:
     if isinstance(one, Hull) or isinstance(other, Hull):
         return _between_hulls(one, first, other, second)
     if isinstance(one, Floor):
-        distance, normal, a, b = _contacts(other, second, one, first)
-        return distance, -normal, b, a
+        turned = _contacts(other, second, one, first)
+        return Nearest(turned.distance, -turned.normal, turned.b, turned.a)
     assert isinstance(one, Capsule)
     ends = _placed(first, one.start), _placed(first, one.end)
     if isinstance(other, Floor):
         lowest = np.where(ends[0][2] < ends[1][2], *ends)
         down = np.broadcast_to([[0.0], [0.0], [-1.0]], lowest.shape)
         below = np.vstack([lowest[:2], np.full((1, lowest.shape[1]), other.height)])
-        return lowest[2] - one.radius - other.height, down, lowest + one.radius * down, below
+        return Nearest(lowest[2] - one.radius - other.height, down, lowest + one.radius * down, below)
     a, b = nearest_points(*ends, _placed(second, other.start), _placed(second, other.end))
     apart = np.linalg.norm(b - a, axis=0)
     normal = (b - a) / np.maximum(apart, 1e-12)
-    return apart - one.radius - other.radius, normal, a + one.radius * normal, b - other.radius * normal
+    return Nearest(apart - one.radius - other.radius, normal, a + one.radius * normal, b - other.radius * normal)
 
 
 def nearest_points(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Find the nearest points (3, N) of segments from ``a`` to ``b`` and from ``c`` to ``d``, (3, N) each.
 
-    The best of: the common perpendicular, if its feet are on both, and each end with its foot on the other segment.
+    They are on the common perpendicular, if its feet are on both, or an end and its foot on the other segment.
     """
     along, across, between = b - a, d - c, c - a
     uu, vv, uv = np.sum(along**2, 0), np.sum(across**2, 0), np.sum(along * across, 0)
@@ -206,7 +191,7 @@ def nearest_points(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -
     return on_first[best, :, samples].T, on_second[best, :, samples].T
 
 
-def _between_hulls(one: Shape, first: Poses, other: Shape, second: Poses) -> Contacts:
+def _between_hulls(one: Shape, first: Poses, other: Shape, second: Poses) -> Nearest:
     """Compute the contacts of two shapes of which one is a hull, sample by sample."""
     coal = _coal()
     (mine, R_1, p_1), (theirs, R_2, p_2) = _of_coal(one), _of_coal(other)
@@ -221,7 +206,7 @@ def _between_hulls(one: Shape, first: Poses, other: Shape, second: Poses) -> Con
             theirs, coal.Transform3s(R_b @ R_2, p_b + R_b @ p_2), request, result,
         )  # fmt: skip
         normal[:, k], a[:, k], b[:, k] = result.normal, result.getNearestPoint1(), result.getNearestPoint2()
-    return distance, normal, a, b
+    return Nearest(distance, normal, a, b)
 
 
 def _of_coal(shape: Shape) -> tuple[Any, np.ndarray, np.ndarray]:

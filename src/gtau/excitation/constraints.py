@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from gtau.excitation.evaluation import Grid, Point
 from gtau.excitation.task import DesignProblem, close
 from gtau.excitation.trajectory import approach_duration, quintic
 from gtau.robots.parameter import torque_unit
-from gtau.signals.reading.statements import Payload
 
 ORDERS = ("position", "velocity", "acceleration", "jerk")
 APPROACH = 12  # poses between rest and the motion's beginning in which distances are kept while searching
@@ -70,25 +69,25 @@ class ConstraintUsage:
 def constraint_usages(points: Sequence[Point], shares: Sequence[np.ndarray] = ()) -> Iterator[ConstraintUsage]:
     """Compute the usage of all limits along all motions, with gradients (N, task.size) as :func:`usages_of_motion`."""
     for k, point in enumerate(points):
-        padding = (0, 0), (k * point.task.series.size, (len(points) - 1 - k) * point.task.series.size)
-        for usage in usages_of_motion(point, shares[k] if shares else None):
-            if len(points) == 1:
-                yield usage
-                continue
-
-            def rows(
-                of_motion: Callable[[], np.ndarray] = usage.rows, padding: tuple[tuple[int, int], ...] = padding
-            ) -> Any:
-                return np.pad(of_motion(), padding)
-
+        usages = usages_of_motion(point, shares[k] if shares else None)
+        if len(points) == 1:
+            yield from usages
+            continue
+        size = point.task.series.size
+        others = (0, 0), (k * size, (len(points) - 1 - k) * size)
+        for usage in usages:
+            rows = partial(_padded, usage.rows, others)
             yield replace(usage, what=f"{usage.what} in run {k + 1}", rows=rows)
 
 
-def usages_of_motion(point: Point, share: np.ndarray | None = None) -> Iterator[ConstraintUsage]:
-    """Compute the usage of all limits along one motion, with gradients (N, series.size) with respect to its numbers.
+def _padded(rows: Callable[[], np.ndarray], others: tuple[tuple[int, int], tuple[int, int]]) -> np.ndarray:
+    return np.pad(rows(), others)
 
-    ``share`` (n,) is the part of each joint's samples that lies away from its reversals, where it has been counted;
-    left out it is the smooth estimate of a design grid.
+
+def usages_of_motion(point: Point, share: np.ndarray | None = None) -> Iterator[ConstraintUsage]:
+    """Compute the usage of all limits along one motion, with gradients (N, series.size).
+
+    ``share`` (n,) of the samples away from reversals, where counted, replaces the smooth estimate of a design grid.
     """
     task = point.task
     yield from _kinematic(point)
@@ -135,21 +134,16 @@ def _kinematic(point: Point) -> Iterator[ConstraintUsage]:
 
 def _drives(point: Point) -> Iterator[ConstraintUsage]:
     """Compute the usage of limits of torque, or of current where the file states one, at the worst end of the gain."""
-    task, robot = point.task, point.task.model.robot
-    carried_before: list[Payload | None] = []
-    for run in point.runs:
-        payload = task.payloads[run]
-        if payload in carried_before:
+    task, n = point.task, len(point.task.model.actuated)
+    torques, currents = (np.broadcast_to(limit, n) for limit in (task.limits.torque, task.limits.current))
+    payloads = [task.payloads[run] for run in point.runs]
+    for number, (run, payload) in enumerate(zip(point.runs, payloads, strict=True)):
+        if payload in payloads[:number]:
             continue
-        carried_before.append(payload)
         carried = "" if payload is None else f" with payload '{payload.name}'"
         for j, joint in enumerate(task.model.actuated):
-            torque, current = (
-                np.broadcast_to(limit, task.prior.sigma.shape)[j] for limit in (task.limits.torque, task.limits.current)
-            )
-            gain = task.prior.known[j]
-            unit = torque_unit(robot, joint)
-            kinds = (("torque", torque, 1 / gain.excess, unit), ("current", current, gain.least, "A"))
+            gain, unit = task.prior.known[j], torque_unit(task.model.robot, joint)
+            kinds = (("torque", torques[j], 1 / gain.excess, unit), ("current", currents[j], gain.least, "A"))
             for kind, limit, factor, unit in kinds:
                 if not np.isfinite(limit):
                     continue
@@ -160,9 +154,8 @@ def _drives(point: Point) -> Iterator[ConstraintUsage]:
                     weights[j] = load
                     return point.to_rows(point.to_joints(task.regressor.slopes(point.motion, weights)))
 
-                yield ConstraintUsage(
-                    f"{kind} of joint '{joint}'{carried}", float(limit), unit, point.W[j] @ load, rows
-                )
+                what = f"{kind} of joint '{joint}'{carried}"
+                yield ConstraintUsage(what, float(limit), unit, point.W[j] @ load, rows)
 
 
 def _workspace(point: Point) -> Iterator[ConstraintUsage]:
@@ -176,9 +169,8 @@ def _workspace(point: Point) -> Iterator[ConstraintUsage]:
             weights[k] = 1.0 / half
             return point.rows_by_configuration(task.tool[1](motion.c, weights))
 
-        yield ConstraintUsage(
-            f"{axis} of the tool's frame", half, "m", (position[k] - middle) / half, rows, middle=middle
-        )
+        values = (position[k] - middle) / half
+        yield ConstraintUsage(f"{axis} of the tool's frame", half, "m", values, rows, middle=middle)
 
 
 def _clearances(point: Point, clearance: Clearance) -> Iterator[ConstraintUsage]:
@@ -189,9 +181,8 @@ def _clearances(point: Point, clearance: Clearance) -> Iterator[ConstraintUsage]
         nearest = [[clearance.nearest(part.motion.c, pair) for pair in pairs] for part in parts]
 
         def rows(pairs: list[tuple[str, str]] = pairs, nearest: list[list[Nearest]] = nearest) -> np.ndarray:
-            return np.vstack(
-                [_nearing(part, clearance, pairs, near) for part, near in zip(parts, nearest, strict=True)]
-            )
+            ways = zip(parts, nearest, strict=True)
+            return np.vstack([_nearing(part, clearance, pairs, near) for part, near in ways])
 
         others = [first if first == FLOOR else f"'{first}'" for first, _ in pairs]
         distance = np.concatenate([np.min([near.distance for near in of_part], axis=0) for of_part in nearest])
@@ -223,7 +214,7 @@ def _approach(point: Point) -> Point | None:
     joints = np.zeros((4, len(task.rest), APPROACH))
     joints[0] = task.rest[:, None] + np.outer(point.joints[0, :, 0] - task.rest, part)
     try:
-        motion = close(task.model, joints[0], joints[1], joints[2], None)
+        motion = close(task.model, joints)
     except GtauError:  # which the whole run is checked for
         return None
     return Point(task, Grid(point.grid.step, way), point.runs, joints, motion, None, point.W[:, :APPROACH])
@@ -246,10 +237,7 @@ def _away_from_reversals(point: Point, counted: np.ndarray | None) -> Iterator[C
 
 
 def whole_run(task: DesignProblem, period: np.ndarray, rate: float) -> np.ndarray:
-    """Sample a run at ``rate``, Hz: approach from rest, all periods, and return; (4, n, N) with q, qd, qdd and jerk.
-
-    ``period`` are the joints (4, n, .) at the instants of one period at that rate.
-    """
+    """Sample a run at ``rate``, Hz, (4, n, N): approach, all periods of the joints (4, n, .), and return."""
     periods = np.concatenate([np.tile(period, task.repetitions), period[:, :, :1]], axis=2)
     if task.rest is None:
         return periods

@@ -31,10 +31,7 @@ SMALLER = (1.0, 0.97, 0.93, 0.88, 0.8)  # parts of an interrupted motion, of whi
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Design:
-    """A designed motion within its limits: x, the criterion value, and the usage of each limit on the finer grid.
-
-    ``cut_short`` is True if the search was stopped before all starts were tried.
-    """
+    """A designed motion x with its criterion and usages of limits, ``cut_short`` if the search was stopped."""
 
     task: DesignProblem
     criterion: str
@@ -242,10 +239,7 @@ def check(task: DesignProblem, x: np.ndarray, finer: int = FINER) -> tuple[Const
 
 
 def share_away(task: DesignProblem, qd: np.ndarray, step: float, rms: np.ndarray) -> np.ndarray:
-    """Compute the share (n,) of the instants of a period, ``step`` apart, whose rows identification will keep.
-
-    ``rms`` (n,) are the joints' rms speeds in the whole run.
-    """
+    """Compute the share (n,) of instants whose rows are kept, by the rms speeds (n,) of the whole run."""
     slow = np.abs(qd) < SPEED_FRACTION * rms[:, None]
     slow |= np.sign(qd) != np.sign(np.roll(qd, 1, axis=1))
     reach = round(task.decimator.guard / task.rate / step)

@@ -8,33 +8,22 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_validator
+from pydantic import Field, FiniteFloat, field_validator, model_validator
 
 from gtau.documents.files import DESIGN, refuse_other_kind
 from gtau.documents.validation import PATH, Keys, Positive, some_of, takes, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
-from gtau.estimation.results.result import Result
 from gtau.excitation.clearance import Shape, capsule, hull
 from gtau.excitation.gradients import in_platform_space
 from gtau.excitation.guards import Guarded, guard
-from gtau.excitation.prior import (
-    KnownGain,
-    Prior,
-    given_parameters,
-    identified_gains,
-    noise_of,
-    parameters_of,
-    rough_noise,
-    rough_parameters,
-)
+from gtau.excitation.prior import DesignPrior, FilePath, prior_of
 from gtau.excitation.task import DesignProblem, MotionLimits
 from gtau.excitation.trajectory import FourierSeries
 from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.floating import refuse_floating
-from gtau.robots.geometry import massless
 from gtau.robots.robot import Pose, Robot
 from gtau.signals.reading.logged_run import RobotName
 from gtau.signals.reading.statements import Payload
@@ -51,40 +40,15 @@ class PlannedRun(Keys):
     payload: Payload | Literal["none"]
 
 
-class DesignPrior(Keys):
-    """Prior knowledge: a model, or standard parameters and drive gains; and the currents' noise, A."""
-
-    model: Path | None = None
-    gains: dict[str, FiniteFloat] = Field(default_factory=dict)
-    parameters: dict[str, FiniteFloat] = Field(default_factory=dict)
-    noise: dict[str, Positive] = Field(default_factory=dict)
-
-    @field_validator("model")
-    @classmethod
-    def _beside_the_file(cls, model: Path | None, info: ValidationInfo) -> Path | None:
-        return model if model is None or info.context is None else info.context / model
-
-    @model_validator(mode="after")
-    def _one_source(self) -> DesignPrior:
-        if self.model is not None and (self.gains or self.parameters):
-            raise ValueError("a model has gains and parameters of its own; give the model, or these")
-        return self
-
-
 class ShapeEntry(Keys):
     """Shape of a body, in its frame: a capsule about the line between two points, or the convex hull of a mesh."""
 
     capsule: tuple[Triple, Triple] | None = None
     radius: Positive | None = None
-    mesh: Path | None = None
+    mesh: FilePath | None = None
     scale: Positive = 1.0
     xyz: Triple = (0.0, 0.0, 0.0)
     rpy: Triple = (0.0, 0.0, 0.0)
-
-    @field_validator("mesh")
-    @classmethod
-    def _beside_the_file(cls, mesh: Path | None, info: ValidationInfo) -> Path | None:
-        return mesh if mesh is None or info.context is None else info.context / mesh
 
     @model_validator(mode="after")
     def _one_kind(self) -> ShapeEntry:
@@ -95,6 +59,14 @@ class ShapeEntry(Keys):
         if self.capsule is not None and not self.model_fields_set.isdisjoint({"scale", "xyz", "rpy"}):
             raise ValueError("'scale', 'xyz' and 'rpy' place a mesh; a capsule stands where its points are")
         return self
+
+    @property
+    def shape(self) -> Shape:
+        """The shape itself; raises GtauError where its mesh cannot be read."""
+        if self.capsule is not None and self.radius is not None:
+            return capsule(*self.capsule, self.radius)
+        assert self.mesh is not None
+        return hull(self.mesh, self.scale, Pose(self.xyz, self.rpy))
 
 
 class LimitsEntry(Keys):
@@ -138,12 +110,15 @@ class DesignFile(Keys):
     limits: LimitsEntry = LimitsEntry()
     prior: DesignPrior = DesignPrior()
 
+    @property
+    def payloads(self) -> tuple[Payload | None, ...]:
+        """Payloads of the runs."""
+        return tuple(None if run.payload == "none" else run.payload for run in self.runs)
+
     @model_validator(mode="after")
     def _payloads_give_the_scale(self) -> DesignFile:
-        payloads = [None if run.payload == "none" else run.payload for run in self.runs]
-        if len({None if payload is None else payload.name for payload in payloads}) < 2 or not any(
-            payload and payload.mass for payload in payloads
-        ):
+        names = {payload and payload.name for payload in self.payloads}
+        if len(names) < 2 or not any(payload and payload.mass for payload in self.payloads):
             raise ValueError(
                 "the drive gains need a run with a payload of known mass and one with another load or none; "
                 "add it to 'runs'"
@@ -178,22 +153,17 @@ def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
     """Make the task of a design file, and list the assumptions."""
     robot = load_robot(file.robot)
     refuse_floating(robot, "exciting trajectories are")
-    for key in ("position", "velocity", "acceleration", "jerk", "current"):
-        _known_joints(f"limits.{key}", getattr(file.limits, key), robot)
-    _known_joints("rest", file.rest, robot)
-    for key in ("gains", "noise"):
-        _known_joints(f"prior.{key}", getattr(file.prior, key), robot)
+    _require_actuated(file, robot)
     rest = np.array([file.rest.get(name, robot.joint(name).home) for name in robot.actuated])
     robot, said = _with_limits(robot, file.limits, dict(zip(robot.actuated, rest, strict=True)))
     model = InverseDynamics(robot)
     base = base_parameters(model)
-    payloads = tuple(None if run.payload == "none" else run.payload for run in file.runs)
     assumed: dict[str, str] = {}
-    prior = _prior(file.prior, model, payloads, assumed)
+    prior = prior_of(file.prior, model, base, file.payloads, assumed)
     if "gains" in assumed and file.limits.current:
         raise GtauError("limits.current needs the drive gains; add prior.gains or prior.model, or limit torques.")
-    limits = _limits(file.limits, robot, assumed)
-    stated = None if file.limits.shapes == "none" else _shapes(file.limits.shapes)
+    limits, shapes = _limits(file.limits, robot, assumed), file.limits.shapes
+    stated = None if shapes == "none" else {body: [entry.shape for entry in shapes[body]] for body in shapes}
     still = np.zeros((len(rest), 1))
     poses = model.motion(rest[:, None], still, still).c
     guarded = guard(model, poses, file.limits.clearance, stated, file.limits.floor, Path(file.robot))
@@ -212,22 +182,23 @@ def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
         home = np.array([robot.joint(name).home for name in robot.actuated])
         free = ~np.isfinite(half)
         series = FourierSeries(np.where(free, home, center), np.where(free, TURN, half), 1 / period, file.harmonics)
-    return (
-        DesignProblem(
-            model, base, series, file.rate, file.repetitions,
-            rest if file.approach else None, payloads, file.motions == "one", limits, prior,
-        ),
-        assumed,
-    )  # fmt: skip
+    start, one = rest if file.approach else None, file.motions == "one"
+    problem = DesignProblem(model, base, series, file.rate, file.repetitions, start, file.payloads, one, limits, prior)
+    return problem, assumed
 
 
-def _known_joints(key: str, values: Mapping[str, object], robot: Robot) -> None:
-    for joint in values:
-        if joint not in robot.actuated:
-            raise GtauError(
-                f"{key} names '{joint}', which is no actuated joint of robot '{robot.name}'; choose from "
-                f"{', '.join(robot.actuated)}."
-            )
+def _require_actuated(file: DesignFile, robot: Robot) -> None:
+    """Refuse limits, rest and prior knowledge of what is no actuated joint."""
+    limits, prior = ("position", "velocity", "acceleration", "jerk", "current"), ("gains", "noise")
+    named = {f"limits.{key}": getattr(file.limits, key) for key in limits} | {"rest": file.rest}
+    named |= {f"prior.{key}": getattr(file.prior, key) for key in prior}
+    for key, values in named.items():
+        for joint in values:
+            if joint not in robot.actuated:
+                raise GtauError(
+                    f"{key} names '{joint}', which is no actuated joint of robot '{robot.name}'; choose from "
+                    f"{', '.join(robot.actuated)}."
+                )
 
 
 def _with_limits(robot: Robot, entry: LimitsEntry, rest: Mapping[str, float]) -> tuple[Robot, tuple[str, ...]]:
@@ -261,40 +232,29 @@ def _with_limits(robot: Robot, entry: LimitsEntry, rest: Mapping[str, float]) ->
 
 
 def _limits(entry: LimitsEntry, robot: Robot, assumed: dict[str, str]) -> MotionLimits:
-    joints = [robot.joint(name) for name in robot.actuated]
-    none = (-np.inf, np.inf)
-    velocity = np.array([joint.limits.velocity or np.inf for joint in joints])
+    limits = [robot.joint(name).limits for name in robot.actuated]
+    velocity, acceleration, effort = (
+        np.array([getattr(limit, key) or np.inf for limit in limits]) for key in ("velocity", "acceleration", "effort")
+    )
     if np.isinf(velocity).any():
-        name = joints[int(np.argmax(np.isinf(velocity)))].name
+        name = robot.actuated[int(np.argmax(np.isinf(velocity)))]
         raise GtauError(f"joint '{name}' has no velocity limit; add it under limits.velocity.")
-    acceleration = np.array([joint.limits.acceleration or np.inf for joint in joints])
     if np.isinf(acceleration).any():
         assumed["acceleration"] = "acceleration limits: where none is given, the speed limit is reached in 0.3 s"
-        acceleration = np.where(np.isinf(acceleration), velocity / 0.3, acceleration)
-    current = np.array([entry.current.get(name, np.inf) for name in robot.actuated])
-    effort = np.array([joint.limits.effort or np.inf for joint in joints])
+    current, jerk = (
+        np.array([stated.get(name, np.inf) for name in robot.actuated]) for stated in (entry.current, entry.jerk)
+    )
     return MotionLimits(
-        position=np.array([joint.limits.position or none for joint in joints], dtype=float),
+        position=np.array([limit.position or (-np.inf, np.inf) for limit in limits]),
         velocity=velocity,
-        acceleration=acceleration,
-        jerk=np.array([entry.jerk.get(name, np.inf) for name in robot.actuated]),
+        acceleration=np.where(np.isinf(acceleration), velocity / 0.3, acceleration),
+        jerk=jerk,
         current=current,
         torque=np.where(np.isfinite(current), np.inf, effort),
         workspace={str(axis): interval for axis, interval in entry.workspace.items()},
         condition=entry.condition,
         away=entry.away_from_reversals,
     )
-
-
-def _shapes(entry: Mapping[str, tuple[ShapeEntry, ...]]) -> dict[str, list[Shape]]:
-    return {body: [_shape(shape) for shape in shapes] for body, shapes in entry.items()}
-
-
-def _shape(entry: ShapeEntry) -> Shape:
-    if entry.capsule is not None and entry.radius is not None:
-        return capsule(*entry.capsule, entry.radius)
-    assert entry.mesh is not None
-    return hull(entry.mesh, entry.scale, Pose(entry.xyz, entry.rpy))
 
 
 def _platform_series(robot: Robot, entry: LimitsEntry, period: float, harmonics: int) -> FourierSeries:
@@ -310,44 +270,3 @@ def _platform_series(robot: Robot, entry: LimitsEntry, period: float, harmonics:
             low, high = entry.workspace[dof]
             center[k], half[k] = (low + high) / 2 - platform.home.xyz["xyz".index(dof)], (high - low) / 2
     return FourierSeries(center, half, 1 / period, harmonics, of_platform=True)
-
-
-def _prior(
-    prior: DesignPrior, model: InverseDynamics, payloads: tuple[Payload | None, ...], assumed: dict[str, str]
-) -> Prior:
-    """Determine base parameters, gains and noise."""
-    base = base_parameters(model)
-    result = None if prior.model is None else Result.load(prior.model)
-    if result is not None and prior.model is not None:
-        if result.robot.actuated != model.actuated:
-            raise GtauError(f"{prior.model} is the model of another robot; give one of '{model.robot.name}'.")
-        known = identified_gains(result, prior.model)
-        chi, sigma = parameters_of(result, base), noise_of(result)
-    else:
-        if prior.parameters:
-            chi = given_parameters(model, base, prior.parameters)
-            light = massless(model.robot, prior.parameters)
-            if light:
-                assumed["massless"] = (
-                    f"no mass and inertia of {', '.join(light)}: 'prior.parameters' names none of theirs"
-                )
-        else:
-            carried = max(payload.mass or 1.0 for payload in payloads if payload is not None)
-            rough, mass = rough_parameters(model, base, carried)
-            chi = given_parameters(model, base, rough)
-            assumed["parameters"] = (
-                f"parameters: every link a rod of {mass:.3g} kg, and friction a tenth of the torque; "
-                "give prior.parameters or prior.model for better predictions"
-            )
-        missing = [joint for joint in model.actuated if joint not in prior.gains]
-        if missing and prior.gains:
-            raise GtauError(f"prior.gains has no gain for joint '{missing[0]}'; give one for every joint or for none.")
-        gains = np.array([prior.gains.get(joint, 1.0) for joint in model.actuated])
-        known = tuple(KnownGain(gain, (gain, gain), "assumed" if missing else "given") for gain in gains)
-        if missing:
-            assumed["gains"] = "gains: 1 N m/A or N/A in every joint; currents are then torques"
-        sigma = rough_noise(model, base, chi) / np.abs(gains)
-        if len(prior.noise) < len(gains):
-            assumed["noise"] = "noise of the currents: white, 0.5 % of the largest current, a sample"
-    sigma = np.array([prior.noise.get(joint, rough) for joint, rough in zip(model.actuated, sigma, strict=True)])
-    return Prior(chi, known, sigma)

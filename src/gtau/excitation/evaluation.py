@@ -33,9 +33,9 @@ def design_grid(task: DesignProblem, finer: int = 1) -> Grid:
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """One motion: joints (4, n, N) with q, qd, qdd and jerk, the whole robot, the base regressor (n, N, n_b).
+    """One motion of some ``runs``: joints (4, n, N), the whole robot, the base regressor (n, N, n_b).
 
-    ``runs`` follow it. In platform space ``platform`` is the motion of the robot driven by its platform.
+    In platform space ``platform`` is the motion of the robot driven by its platform.
     """
 
     task: DesignProblem
@@ -96,23 +96,20 @@ def evaluate_one(
     task: DesignProblem, x: np.ndarray, grid: Grid, runs: tuple[int, ...], near: Point | None = None
 ) -> Point:
     """Evaluate the motion of the ``runs`` for the numbers x (series.size,) of its series; see :func:`evaluate`."""
-    series, platform = task.series, None
-    numbers = x.reshape(-1, series.free) * series.half[:, None]
-    table = (grid.basis @ numbers.T).transpose(0, 2, 1)
-    table[0] += series.center[:, None]
+    table, platform = task.series.along(x, grid.basis), None
     if task.platform_model is not None:
         before = near.platform.c if near is not None and near.platform is not None else None
-        platform = close(task.platform_model, table[0], table[1], table[2], before)
+        platform = close(task.platform_model, table, before)
         motors = task.motors
         qdd = platform.ydd[motors]
         table = np.stack([platform.c[motors], platform.yd[motors], qdd, derivative(qdd, grid.step)])
-    motion = close(task.model, table[0], table[1], table[2], None if near is None else near.motion.c)
+    motion = close(task.model, table, None if near is None else near.motion.c)
     return Point(task, grid, runs, table, motion, platform, task.regressor(motion))
 
 
 def along(task: DesignProblem, joints: np.ndarray, step: float, runs: tuple[int, ...]) -> Point:
     """Evaluate a motion of joints (4, n, N), ``step`` s apart, that is more than a period of the series, or another."""
-    motion = close(task.model, joints[0], joints[1], joints[2], None)
+    motion = close(task.model, joints)
     return Point(task, Grid(step), runs, joints, motion, None, task.regressor(motion))
 
 
@@ -129,35 +126,33 @@ def _weighted_rows(point: Point) -> tuple[list[np.ndarray], np.ndarray]:
 
 
 def objective(points: Sequence[Point], criterion: Criterion, of_regressor: bool) -> tuple[float, np.ndarray]:
-    """Compute the logarithm of a criterion and its gradient (task.size,) with respect to x.
-
-    ``of_regressor`` for a criterion of the regressor's factor, in place of that of the information.
-    """
+    """Compute the logarithm of a criterion, of the information or the regressor, and its gradient (task.size,) by x."""
     if of_regressor:
         value, F, f = criterion(triangle(*(point.W.reshape(-1, point.W.shape[2]) for point in points)))
-        return value, np.concatenate([_slope_of_regressor(point, F, f) for point in points])
-    weighted = [_weighted_rows(point) for point in points]
-    factors = (point.task.information.factor(*rows) for point, rows in zip(points, weighted, strict=True))
-    value, F, f = criterion(triangle(*factors))
-    return value, np.concatenate(
-        [_slope_of_information(point, *rows, F, f) for point, rows in zip(points, weighted, strict=True)]
-    )
+        slopes = [_by_columns(point, 2 * (point.W @ F * f) @ F.T) for point in points]
+    else:
+        weighted = [_weighted_rows(point) for point in points]
+        factors = (point.task.information.factor(*rows) for point, rows in zip(points, weighted, strict=True))
+        value, F, f = criterion(triangle(*factors))
+        slopes = [_by_information(point, *rows, F, f) for point, rows in zip(points, weighted, strict=True)]
+    by_x = [point.to_rows(slope).sum(axis=0) for point, slope in zip(points, slopes, strict=True)]
+    return value, np.concatenate(by_x)
 
 
-def _slope_of_regressor(point: Point, F: np.ndarray, f: np.ndarray) -> np.ndarray:
-    by_W = 2 * (point.W @ F * f) @ F.T
-    return point.to_rows(point.to_joints(point.task.regressor.slopes(point.motion, by_W))).sum(axis=0)
+def _by_columns(point: Point, by_W: np.ndarray) -> np.ndarray:
+    return point.to_joints(point.task.regressor.slopes(point.motion, by_W))
 
 
-def _slope_of_information(
+def _by_information(
     point: Point, rows: list[np.ndarray], counts: np.ndarray, F: np.ndarray, f: np.ndarray
 ) -> np.ndarray:
+    """Differentiate a criterion by q, qd and qdd, (3, n, N)."""
     info, step = point.task.information, point.grid.step
     by_W, by_counts = np.zeros_like(point.W), np.zeros_like(counts)
     for run, A in zip(point.runs, rows, strict=True):
         along = A @ F
         by_W += info.back(2 * counts[:, :, None] * ((along * f) @ F.T), run, step)
         by_counts += along**2 @ f
-    by_joints = point.to_joints(point.task.regressor.slopes(point.motion, by_W))
+    by_joints = _by_columns(point, by_W)
     by_joints[1] += point.task.window(step).back(point.joints[1], info.counts(by_counts, step))
-    return point.to_rows(by_joints).sum(axis=0)
+    return by_joints

@@ -41,10 +41,7 @@ class Expected:
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """Expected standard deviations of gains and base parameters, and the share of rows kept of each joint, (n,).
-
-    ``std`` has those of all unknowns by name, of ``gain_`` relative to the gain; absent ones are not identifiable.
-    """
+    """Expected gains and parameters, shares of rows kept (n,), and ``std`` of all unknowns, relative for gains."""
 
     gains: tuple[Expected, ...]
     parameters: tuple[Expected, ...]
@@ -63,12 +60,11 @@ def sampled_motions(task: DesignProblem, x: np.ndarray) -> tuple[tuple[np.ndarra
 
 def expected_runs(task: DesignProblem, x: np.ndarray) -> tuple[Run, ...]:
     """Simulate the runs as they would be logged without noise, at the prior values."""
-    regressor = task.model.columns(task.base.standard)
-    runs = []
+    regressor, runs = task.model.columns(task.base.standard), []
     for (time, joints), followed in zip(sampled_motions(task, x), task.motions, strict=True):
-        entries = regressor(task.model.layout, task.model.motion(joints[0], joints[1], joints[2]))
+        motion = task.model.motion(*joints[:3])
         for k in followed:
-            torques = regressor.torques(entries, task.information.load[k], len(task.prior.gains))
+            torques = regressor.torques_along(task.model.layout, motion, task.information.load[k])
             currents = (torques / task.prior.gains[:, None]).T
             name, payload = f"run{k + 1}", task.payloads[k]
             runs.append(Run(name, task.model.actuated, time, joints[0].T, currents, payload=payload))
@@ -93,23 +89,18 @@ def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
     # a row is a mean over its filter, whose gain is one where the motion is: white noise is divided by the factor
     sigma = task.prior.sigma / np.sqrt(preparation.decimator.factor)
     std = np.sqrt(np.diag(ml_covariance(problem, theta, task.prior.gains, sigma)))
-    expected = dict(zip(problem.parameters, std, strict=False))
-    gains = [Parameter("gain", joint) for joint in task.model.actuated]
+    joints, names = task.model.actuated, problem.parameters
+    of_gains = std[problem.unknowns.gains]
+    expected: dict[str, float] = dict(zip(names, map(float, std[: len(names)]), strict=True))
+    rows = sum(len(preparation.decimator.instants(len(run.time))) for run in prepared)
     return Forecast(
         tuple(
-            Expected(joint, float(g), float(g * of_gain))
-            for joint, g, of_gain in zip(
-                task.model.actuated, task.prior.gains, std[problem.unknowns.gains], strict=True
-            )
+            Expected(joint, float(gain), float(gain * relative))
+            for joint, gain, relative in zip(joints, task.prior.gains, of_gains, strict=True)
         ),
-        tuple(
-            Expected(name, float(value), float(expected.get(name, np.nan)))
-            for name, value in zip(task.base.names, task.prior.chi, strict=True)
-        ),
-        problem.total_rows
-        / sum(len(preparation.decimator.instants(len(run.time))) for run in prepared)
-        * np.ones(len(gains)),
-        {name: float(value) for name, value in zip((*problem.parameters, *gains), std, strict=False)},
+        tuple(Expected(name, float(value), expected.get(name, np.nan)) for name, value in prior.items()),
+        problem.total_rows / rows * np.ones(len(joints)),
+        expected | {Parameter("gain", joint): float(value) for joint, value in zip(joints, of_gains, strict=True)},
     )
 
 
@@ -136,10 +127,9 @@ SPANS = {"over its whole range, slowly": (0.9, 0.2), "as fast as it may": (0.5, 
 
 @dataclass(frozen=True)
 class Weak:
-    """Unidentified unknown, its relative standard deviation, and the single-joint motion that helps most.
+    """Unidentified unknown, its relative standard deviation, and that with the best single-joint motion added.
 
-    ``joint`` is None where no such motion helps; ``then`` is the relative standard deviation with that motion added.
-    Both are infinite for an unknown that is not separable from others.
+    ``joint`` is None where none helps; both are infinite for an unknown that is not separable from others.
     """
 
     name: str
@@ -150,12 +140,11 @@ class Weak:
 
 
 def weak_unknowns(design: Design, expected: Forecast) -> tuple[Weak, ...]:
-    """List gains and parameters that a design leaves unidentified, with the best single-joint motion to add for each.
+    """List unknowns that a design leaves unidentified, with the best single-joint motion to add for each.
 
-    A relative standard deviation is the ``expected`` one over the prior value, or over a typical one where that is
-    zero; the effect of a further motion on it is the ratio of the design's own, which are those of a coarser grid.
-    Candidates are every joint moving alone, slowly over its range or fast in the middle of it, for as long as a run;
-    they are carried out with every payload of the experiment.
+    Relative are the ``expected`` standard deviations to the prior value, or a typical one where that is zero; what a
+    motion adds is a ratio on the coarser grid of the design. Candidates are every joint alone, slowly over its range or
+    fast in the middle of it, for as long as a run, with every payload.
     """
     task = design.task
     points = evaluate(task, design.x, design_grid(task))
@@ -193,18 +182,15 @@ def _alone(task: DesignProblem, middle: np.ndarray, j: int, span: float, speed: 
     """Compute the information factor of joint j moving alone about the pose ``middle`` (n,); None if it cannot."""
     limits, every = task.limits, tuple(range(len(task.payloads)))
     low, high = limits.position[j] if np.isfinite(limits.position[j]).all() else middle[j] + np.array([-np.pi, np.pi])
-    center = (low + high) / 2
+    center, samples = (low + high) / 2, 8 * PER_HARMONIC
+    angle = 2 * np.pi / samples * np.arange(samples)
     for _ in range(4):
         amplitude = span * (high - low) / 2
         omega = min(speed * limits.velocity[j] / amplitude, np.sqrt(speed * limits.acceleration[j] / amplitude))
-        period = 2 * np.pi / omega
-        samples = 8 * PER_HARMONIC
-        time = period / samples * np.arange(samples)
+        period, sine = 2 * np.pi / omega, amplitude * np.sin(angle)
         joints = np.zeros((4, len(middle), samples))
         joints[0] = middle[:, None]
-        joints[0, j] = center + amplitude * np.sin(omega * time)
-        joints[1, j] = amplitude * omega * np.cos(omega * time)
-        joints[2, j] = -amplitude * omega**2 * np.sin(omega * time)
+        joints[:3, j] = center + sine, omega * amplitude * np.cos(angle), -(omega**2) * sine
         try:
             alone = along(task, joints, period / samples, every)
         except GtauError:  # not reachable
@@ -219,11 +205,7 @@ def _alone(task: DesignProblem, middle: np.ndarray, j: int, span: float, speed: 
 
 @dataclass(frozen=True, eq=False)
 class Outlook:
-    """A design with what it promises.
-
-    ``assumed`` is what the design file left out, as :func:`gtau.read_design` returns it, and ``masses`` are those of
-    other payloads to be tried with it, kg.
-    """
+    """A design with what it promises, what its file left out (``assumed``), and ``masses``, kg, to be tried with it."""
 
     design: Design
     assumed: Mapping[str, str]
@@ -258,7 +240,7 @@ class Outlook:
     def tool(self) -> tuple[float, np.ndarray]:
         """Greatest speed, m/s, and least and greatest coordinates (2, 3), m, of the tool's frame in the base."""
         path = self.task.tool[0]
-        places = [path(close(self.task.model, joints[0], joints[1], joints[2], None).c) for _, joints in self.motions]
+        places = [path(close(self.task.model, joints).c) for _, joints in self.motions]
         speeds = [np.gradient(place, time, axis=1) for (time, _), place in zip(self.motions, places, strict=True)]
         every = np.concatenate(places, axis=1)
         greatest = max(float(np.linalg.norm(speed, axis=0).max()) for speed in speeds)

@@ -1,6 +1,6 @@
 """Motion of the whole robot from that of its motors, and derivatives pulled back through the closures.
 
-Forward, the closures are solved numerically (:mod:`gtau.model.loop_paths`). Backward, derivatives of any
+Forward, the closures are solved numerically (:mod:`gtau.model.loops`). Backward, derivatives of any
 quantity by c, yd, ydd and J become derivatives by q, qd and qdd: each of the equations
 
     phi(c) = 0,    G yd = 0,    G J = 0,    G ydd + gamma = 0
@@ -25,7 +25,7 @@ from gtau.model.interpreter.program import Program, compile_program
 from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.kinematics import Coordinates, configuration_rates, constant
 from gtau.model.loops import Motion
-from gtau.robots.geometry import characteristic_length, moved_ends
+from gtau.robots.geometry import moved_ends
 from gtau.robots.parameter import Parameter
 from gtau.robots.placement import compose
 from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint, Limits, Pose, Robot
@@ -51,14 +51,12 @@ class Slopes:
 class Pullback:
     """Derivatives by c, yd, ydd, J to those by q, qd, qdd; see :func:`pullback`.
 
-    ``rows`` are the independent closure equations among all; ``G`` maps c to all rows, scaled as
-    :meth:`Loops.condition` does; ``by_yd`` and ``by_c`` give the derivatives of the equations weighted with
-    multipliers, and ``of_G`` those of the entries of the passive columns of ``G``.
+    ``rows`` are the independent closure equations among those of the scaled ``G``; ``by_yd`` and ``by_c`` differentiate
+    the equations weighted with multipliers, ``of_G`` the entries of its passive columns.
     """
 
     layout: Coordinates
     rows: np.ndarray
-    unit: np.ndarray  # (n_y,) rad or m in one unit of a scaled coordinate
     G: Program
     by_yd: Program
     by_c: Program
@@ -68,7 +66,7 @@ class Pullback:
         """Pull derivatives back to q, qd and qdd of the actuated joints, each (n, N)."""
         layout, samples = self.layout, motion.c.shape[1]
         a, p = layout.actuated, layout.passive
-        G = self.columns(motion.c)[self.rows] / self.unit[:, None]
+        G = self.columns(motion.c)[self.rows] / layout.unit[:, None]
         G_a, inverse = G[:, a], np.linalg.inv(G[:, p].transpose(2, 1, 0))  # (N, n_p, n_p)
 
         def multiplier(slope: np.ndarray) -> np.ndarray:
@@ -114,9 +112,9 @@ def pullback(model: InverseDynamics) -> Pullback | None:
     n, passive = len(layout.actuated), layout.passive.tolist()
     c, yd, ydd = (ca.SX.sym(s, k) for s, k in (("c", layout.n_c), ("yd", layout.n_y), ("ydd", layout.n_y)))
     _, velocity, gamma = closure_expressions(layout, c, yd)
-    unit = np.where(layout.angular, 1.0, characteristic_length(layout.robot))
     G = ca.jacobian(velocity, yd)
-    G_program = compile_program([c], [ca.densify(G @ constant(np.diag(unit))).T])
+    scaled = G @ constant(np.diag(layout.unit))
+    G_program = compile_program([c], [scaled.T])
     at_home = G_program(loops.home[:, None]).reshape(-1, layout.n_y)
     _, _, order = scipy.linalg.qr(at_home[:, passive].T, pivoting=True, mode="economic")
     rows = np.sort(order[: len(passive)])
@@ -133,26 +131,18 @@ def pullback(model: InverseDynamics) -> Pullback | None:
         column[passive] = J[:, k]
         weighted += ca.dot(on_J[:, k], G_own @ column)
     by_G = ca.SX.sym("by_G", G.shape[0], len(passive))
-    of_G = ca.gradient(ca.dot(by_G, (G @ constant(np.diag(unit)))[:, passive]), c)
+    of_G = ca.gradient(ca.dot(by_G, scaled[:, passive]), c)
+    v, by_c = ca.SX.sym("v", layout.n_y), ca.gradient(weighted, c)
+    by_displacement = ca.gradient(ca.dot(configuration_rates(layout, c, v), by_c), v)
     # arrays come row by row, CasADi stacks columns
     return Pullback(
         layout,
         rows,
-        unit,
         G_program,
         compile_program([c, yd, ydd, on_a], [ca.gradient(ca.dot(on_a, acceleration), yd)]),
-        compile_program(
-            [c, yd, ydd, J.T, on_a, on_v, on_J.T, slope_c],
-            [_to_velocities(layout, c, ca.gradient(weighted, c))],
-        ),
+        compile_program([c, yd, ydd, J.T, on_a, on_v, on_J.T, slope_c], [by_displacement]),
         compile_program([c, by_G.T], [of_G]),
     )
-
-
-def _to_velocities(layout: Coordinates, c: ca.SX, by_c: ca.SX) -> ca.SX:
-    """Convert derivatives with respect to c into derivatives with respect to displacements along the velocities."""
-    v = ca.SX.sym("v", layout.n_y)
-    return ca.gradient(ca.dot(configuration_rates(layout, c, v), by_c), v)
 
 
 def in_platform_space(robot: Robot) -> Robot:
@@ -222,10 +212,7 @@ class SmoothRegressor:
 
 
 def smooth_regressor(model: InverseDynamics, names: Sequence[Parameter], width: np.ndarray) -> SmoothRegressor:
-    """Compile the columns ``names`` of a robot's regressor and their pullback.
-
-    Coulomb friction acts as ``v / sqrt(v^2 + width^2)`` instead of ``sign(v)``.
-    """
+    """Compile columns of a regressor and their pullback, with Coulomb friction ``v / sqrt(v^2 + width^2)``."""
     inputs, J = model.symbols
     (c, yd, ydd, passive), wide = inputs, ca.SX.sym("width", len(model.robot.joints))
     chi = {name: ca.SX.sym(name) for name in model.parameter_names}

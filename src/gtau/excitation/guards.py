@@ -24,7 +24,7 @@ from gtau.excitation.clearance import (
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import random_motion
 from gtau.robots.readers.links import urdf_shapes
-from gtau.robots.robot import GROUND, Robot
+from gtau.robots.robot import GROUND, Joint, Robot
 
 SLENDER = 0.04  # radius of a link of unknown shape, of the arm's length: UR10e 0.07 m, Panda 0.06, as their tubes
 STUBBY = 0.4  # and at most this part of the link's own length
@@ -91,21 +91,17 @@ def _guesses(robot: Robot, stated: Mapping[str, Sequence[Shape]], file: Path) ->
     """Guess shapes of the bodies without a stated one, and say how."""
     in_file, ends, missing = urdf_shapes(file) if file.suffix.lower() == ".urdf" and file.is_file() else ({}, {}, {})
     bodies = [body for body in (GROUND, *robot.bodies) if body not in stated]
-    drawn = {
-        body: [_grown(bounding_capsule(points), radius) for points, radius in in_file[body]]
-        for body in bodies
-        if body in in_file
-    }
+    drawn = {body: [_around(*shape) for shape in in_file[body]] for body in bodies if body in in_file}
     links = {} if robot.closures else _links(robot, ends)
     lines = {body: links[body] for body in bodies if body in links and (body not in drawn or body in missing)}
-    counts = {"stated": len(stated), "the robot file's shapes": len(drawn), "links' lengths": len(lines)}
-    sources = [f"{words} ({count} of {len(robot.bodies) + 1} bodies)" for words, count in counts.items() if count]
     lost = sum(missing.values())
     meshes = f"; {lost} meshes of the file were not found or are neither STL nor OBJ" if lost else ""
     if robot.closures and not drawn:
         how = f"links of closed loops cross, and their thickness is unknown{meshes}; state {STATE}"
         kept = f"only bodies under {STATE} are checked" if stated else "self-collision: not checked"
         return {}, f"{kept}: {how}"
+    counts = {"stated": len(stated), "the robot file's shapes": len(drawn), "links' lengths": len(lines)}
+    sources = [f"{words} ({count} of {len(robot.bodies) + 1} bodies)" for words, count in counts.items() if count]
     if not sources:
         return {}, f"self-collision: not checked, as the robot file has no shapes and no lengths; state {STATE}"
     shapes = {body: [*drawn.get(body, ()), *lines.get(body, ())] for body in bodies if body in {**drawn, **lines}}
@@ -113,8 +109,9 @@ def _guesses(robot: Robot, stated: Mapping[str, Sequence[Shape]], file: Path) ->
     return shapes, f"self-collision: {guessed} with capsules from {', '.join(sources)}{meshes}; state {STATE}"
 
 
-def _grown(shape: Capsule, radius: float) -> Capsule:
-    return Capsule(shape.start, shape.end, shape.radius + radius)
+def _around(points: np.ndarray, radius: float) -> Capsule:
+    inner = bounding_capsule(points)
+    return replace(inner, radius=inner.radius + radius)
 
 
 def _links(robot: Robot, ends: Mapping[str, Sequence[np.ndarray]]) -> dict[str, list[Capsule]]:
@@ -124,8 +121,7 @@ def _links(robot: Robot, ends: Mapping[str, Sequence[np.ndarray]]) -> dict[str, 
         far[joint.name] = far[joint.antecedent] + float(np.linalg.norm(joint.placement.position))
     thick, radii, capsules = SLENDER * max(far.values()), {GROUND: 0.0}, {}
     for body in (GROUND, *(joint.name for joint in robot.joints)):
-        paths = [_path(joint.axis, joint.placement.rotation, joint.placement.position) for joint in robot.joints
-                 if joint.antecedent == body]  # fmt: skip
+        paths = [_path(joint) for joint in robot.joints if joint.antecedent == body]
         if not paths and body != GROUND:
             paths = [[np.zeros(3), end] for end in ends.get(body, ())] or [[np.zeros(3)] * 2]
         length = max((float(np.linalg.norm(path[-1])) for path in paths), default=0.0)
@@ -136,9 +132,9 @@ def _links(robot: Robot, ends: Mapping[str, Sequence[np.ndarray]]) -> dict[str, 
     return capsules
 
 
-def _path(axis: tuple[float, float, float], rotation: np.ndarray, end: np.ndarray) -> list[np.ndarray]:
+def _path(joint: Joint) -> list[np.ndarray]:
     """Lead from a body's origin to the next joint: across its axis, then along it, as arms with offsets are built."""
-    direction = rotation @ np.array(axis)
+    end, direction = joint.placement.position, joint.placement.rotation @ np.array(joint.axis)
     corner = end - (end @ direction) * direction
     inner = [corner] if min(np.linalg.norm(corner), np.linalg.norm(end - corner)) > 1e-6 else []
     return [np.zeros(3), *inner, end]

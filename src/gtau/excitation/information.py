@@ -47,12 +47,11 @@ def _scales(names: tuple[Parameter, ...], theta: np.ndarray, payloads: Sequence[
 class Window:
     """Loss of rows near a joint's reversals on a periodic grid of instants ``step`` s apart.
 
-    A row is lost where the joint is slower than ``fraction`` of its rms speed anywhere within ``reach`` s, the
-    guard of the decimation filter. The rms speed is that of a whole run, so ``floor`` (n,), rad/s or m/s, stands for
-    approach and return in the root of the mean square: without it a joint that hardly moves would lose nothing.
-    Here the loss is gradual: with ``s = u / sqrt(u^2 + fraction^2)``, u the speed over its rms value, a row counts
-    ``s^2`` times the product over the cells of the grid within reach of ``1 - share * (1 - s s') / 2``, where a cell's
-    two ends have s and s', and ``share`` of it is within reach.
+    A row is lost where the joint is slower than ``fraction`` of its rms speed within ``reach`` s, the guard of the
+    filter. ``floor`` (n,), rad/s or m/s, stands for approach and return in the root of the mean square: without it a
+    joint that hardly moves would lose nothing. The loss is gradual: with ``s = u / sqrt(u^2 + fraction^2)``, u the
+    relative speed, a row counts ``s^2`` times the product over cells of ``1 - share * (1 - s s') / 2``, ``share`` being
+    within reach.
     """
 
     step: float
@@ -62,37 +61,31 @@ class Window:
 
     def weights(self, qd: np.ndarray) -> np.ndarray:
         """Weight each joint's rows, (n, N), by speeds (n, N) over a period."""
-        return self._parts(qd)[0]
+        _, s, lost = self._speeds(qd)
+        weights = s**2
+        for offset, share in self._shares(qd.shape[1]):
+            weights = weights * (1 - share * np.roll(lost, -offset, axis=1))
+        return weights
 
     def back(self, qd: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         """Pull derivatives (n, N) with respect to the weights back to qd."""
-        weights, s, kept, shares, root = self._parts(qd)
-        product = weights / s**2
-        by_s = slopes * 2 * s * product
-        by_cell = np.zeros_like(s)
-        for offset, share in shares:
-            factor = np.roll(kept, -offset, axis=1)
-            by_cell += np.roll(slopes * weights * -share / (1 - share * factor), offset, axis=1)
+        rms, s, lost = self._speeds(qd)
+        by_weights = slopes * self.weights(qd)
+        by_s, by_cell = 2 * by_weights / s, np.zeros_like(s)
+        for offset, share in self._shares(qd.shape[1]):
+            factor = np.roll(lost, -offset, axis=1)
+            by_cell += np.roll(by_weights * -share / (1 - share * factor), offset, axis=1)
         # a cell's loss is (1 - s s') / 2
-        ahead = np.roll(s, -1, axis=1)
-        by_s += -by_cell / 2 * ahead + np.roll(-by_cell / 2 * s, 1, axis=1)
-        rms = self._rms(qd)
-        by_u = by_s * self.fraction**2 / root**3
+        by_s += -by_cell / 2 * np.roll(s, -1, axis=1) + np.roll(-by_cell / 2 * s, 1, axis=1)
+        by_u = by_s * self.fraction**2 / ((qd / rms) ** 2 + self.fraction**2) ** 1.5
         return by_u / rms - qd * np.sum(by_u * qd, axis=1, keepdims=True) / rms**3 / qd.shape[1]
 
-    def _rms(self, qd: np.ndarray) -> np.ndarray:
-        return np.asarray(np.sqrt(np.mean(qd**2, axis=1, keepdims=True) + self.floor[:, None] ** 2 + 1e-300))
-
-    def _parts(self, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[tuple[int, float]], np.ndarray]:
-        u = qd / self._rms(qd)
-        root = np.sqrt(u**2 + self.fraction**2)
-        s = np.where(u == 0, 1e-12, u) / root
-        lost = (1 - s * np.roll(s, -1, axis=1)) / 2
-        weights = s**2
-        shares = self._shares(qd.shape[1])
-        for offset, share in shares:
-            weights = weights * (1 - share * np.roll(lost, -offset, axis=1))
-        return weights, s, lost, shares, root
+    def _speeds(self, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return rms speeds (n, 1), s (n, N), and what each cell loses."""
+        rms = np.sqrt(np.mean(qd**2, axis=1, keepdims=True) + self.floor[:, None] ** 2 + 1e-300)
+        u = qd / rms
+        s = np.where(u == 0, 1e-12, u) / np.sqrt(u**2 + self.fraction**2)
+        return rms, s, (1 - s * np.roll(s, -1, axis=1)) / 2
 
     def _shares(self, samples: int) -> list[tuple[int, float]]:
         """List the cells (from instant i + offset to the next) within reach of instant i, and how much of each is."""
@@ -136,18 +129,16 @@ class Information:
 
     def jacobians(self, W: np.ndarray, run: int, step: float) -> np.ndarray:
         """Turn columns W (n, N, n_b) on a periodic grid into rows (n, N, P) of a run."""
-        n, P = W.shape[0], len(self.names)
         A = np.einsum("jsb,jbp->jsp", W, self.maps[run], optimize=True)
-        slope = derivative(W @ self.smooth[run], step) / self.gains[:, None]
-        for j in range(n):
-            A[j, :, P - n + j] = -slope[j]
+        joints = np.arange(len(W))
+        A[joints, :, joints - len(W)] = -derivative(W @ self.smooth[run], step) / self.gains[:, None]
         return A
 
     def back(self, by_A: np.ndarray, run: int, step: float) -> np.ndarray:
         """Pull derivatives with respect to the rows back to W."""
-        n, P = by_A.shape[0], len(self.names)
         by_W = np.einsum("jsp,jbp->jsb", by_A, self.maps[run], optimize=True)
-        by_slope = np.stack([-by_A[j, :, P - n + j] for j in range(n)]) / self.gains[:, None]
+        joints = np.arange(len(by_A))
+        by_slope = -by_A[joints, :, joints - len(by_A)] / self.gains[:, None]
         by_W -= derivative(by_slope, step)[:, :, None] * self.smooth[run]
         return by_W
 
@@ -172,10 +163,8 @@ def information_of(
     problem = plain_problem(model, base, [identity] * runs, payloads)
     names = problem.unknowns
     M = problem.blocks[:, 0, :n_b]  # (runs, n_b, parameters + 4), the same for all joints
-    theta = np.zeros(len(problem.parameters))
-    theta[[problem.parameters.index(name) for name in base.names if name in problem.parameters]] = [
-        value for name, value in zip(base.names, prior.chi, strict=True) if name in problem.parameters
-    ]
+    known = dict(zip(base.names, prior.chi, strict=True))
+    theta = np.array([known.get(name, 0.0) for name in problem.parameters])
     load = modelled(M, theta)
     smooth = load * np.array([not name.startswith("fs_") for name in base.names])
     maps = np.zeros((runs, n, n_b, len(names)))
@@ -198,32 +187,28 @@ def criterion(name: str, unknowns: Information) -> Criterion:
     ``gains``: rms of the relative standard deviations of the drive gains; ``logdet`` (D-optimal): geometric mean of all
     standard deviations; ``trace`` (A-optimal): rms of all relative ones; ``condition``: condition number of the base
     regressor, as in the paper; or names of unknowns, separated by commas (``gain_11,m_PR``): rms of their relative
-    standard deviations. These are relative to the prior value, or to a typical one where that is zero.
-
-    Raises
-    ------
-    GtauError
-        Where a name is neither a criterion nor an unknown.
+    standard deviations. These are relative to the prior value, or to a typical one where that is zero. Raises GtauError
+    where a name is neither a criterion nor an unknown.
     """
-    estimated = np.array([unknown.kind != "delay" and unknown.run is None for unknown in unknowns.names])
     if name == "condition":
         return condition
     if name == "logdet":
         return lambda R: logdet(R, unknowns.precision)
+    names = unknowns.names
+    estimated = np.array([unknown.kind != "delay" and unknown.run is None for unknown in names])
     if name == "trace":
         chosen = estimated
     elif name == "gains":
-        chosen = np.array([unknown.startswith("gain_") for unknown in unknowns.names])
+        chosen = np.array([unknown.kind == "gain" for unknown in names])
     else:
         wanted = [word.strip() for word in name.split(",")]
-        for unknown in wanted:
-            if unknown not in unknowns.names:
-                known = [*NAMED, *np.array(unknowns.names)[estimated].tolist()]
-                close = get_close_matches(unknown, known, n=1)
-                names = f"names of gains and base parameters such as {known[-1]} or {known[len(NAMED)]}"
-                advice = f"did you mean '{close[0]}'?" if close else f"choose {', '.join(NAMED)}, or {names}."
-                raise GtauError(f"there is no criterion or parameter '{unknown}'; {advice}")
-        chosen = np.isin(unknowns.names, wanted)
+        if unknown := next((word for word in wanted if word not in names), None):
+            known = [*NAMED, *np.array(names)[estimated].tolist()]
+            close = get_close_matches(unknown, known, n=1)
+            some = f"names of gains and base parameters such as {known[-1]} or {known[len(NAMED)]}"
+            advice = f"did you mean '{close[0]}'?" if close else f"choose {', '.join(NAMED)}, or {some}."
+            raise GtauError(f"there is no criterion or parameter '{unknown}'; {advice}")
+        chosen = np.isin(names, wanted)
     weight = chosen / unknowns.scale**2 / chosen.sum()
     return lambda R: weighted_trace(R, unknowns.precision, weight)
 

@@ -23,9 +23,6 @@ TOLERANCE = 1e-3  # of the logarithm of the criterion: a tenth of a per cent
 class Programme:
     """Criterion and limits of a task as functions of x, evaluated once for each x.
 
-    ``Programme(task, criterion, {}).value(x)`` is the criterion's logarithm and its gradient by x (task.size,). Six
-    axes with 5 harmonics have 60 Fourier coefficients, of which rest at the ends leaves 48, and 6 centers.
-
     ``tightness`` maps what a limit is of to the part of it that may be used; ``best`` is the best x so far whose loads
     are within that, and ``best_value`` the logarithm of its criterion.
     """
@@ -44,7 +41,7 @@ class Programme:
         self._value: tuple[float, np.ndarray] | None = None
 
     def points(self, x: np.ndarray) -> tuple[Point, ...]:
-        """Evaluate the motions for x; None where they leave the reachable workspace."""
+        """Evaluate the motions for x; none where they leave the reachable workspace."""
         if not np.array_equal(self._x, x):
             self._x = x.copy()
             try:
@@ -55,29 +52,28 @@ class Programme:
         return self._last
 
     def constraint_usages(self, x: np.ndarray) -> tuple[ConstraintUsage, ...]:
-        """Compute the usage of all limits; None where the motion is not reachable."""
+        """Compute the usage of all limits; none where the motion is not reachable."""
         points = self.points(x)
         if self._loads is None:
             self._loads = tuple(constraint_usages(points))
         return self._loads
 
-    def excess(self, x: np.ndarray) -> float:
-        """Compute the largest usage relative to the tightness; infinite where x is not reachable."""
-        if not self.points(x):
-            return float("inf")
-        return max((load.excess / self.tightness[load.what] for load in self.constraint_usages(x)), default=0.0)
-
     def value(self, x: np.ndarray) -> tuple[float, np.ndarray]:
-        """Compute the logarithm of the criterion and its gradient; nan where x is not reachable."""
+        """Compute the logarithm of the criterion and its gradient by x (task.size,); nan where x is not reachable."""
         points = self.points(x)
         if not points:
             return float("nan"), np.full(len(x), np.nan)
-        if self._value is not None:
-            return self._value
-        self._value = value, slope = objective(points, self.criterion, self.of_regressor)
-        if self.tightness and value < self.best_value and self.excess(x) <= 1.0 + 1e-6:
-            self.best, self.best_value = x.copy(), value
-        return value, slope
+        if self._value is None:
+            self._value = value, _ = objective(points, self.criterion, self.of_regressor)
+            if self.tightness and value < self.best_value and self.excess(x) <= 1.0 + 1e-6:
+                self.best, self.best_value = x.copy(), value
+        return self._value
+
+    def excess(self, x: np.ndarray) -> float:
+        """Compute the largest usage relative to the tightness; infinite where x is not reachable."""
+        if not self.points(x):
+            return np.inf
+        return max((load.excess / self.tightness[load.what] for load in self.constraint_usages(x)), default=0.0)
 
     def bounds(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper bounds of all loads, stacked."""
@@ -97,9 +93,8 @@ def solve(programme: Programme, x: np.ndarray, stop: Callable[[], bool]) -> np.n
         return np.concatenate([load.values for load in programme.constraint_usages(x)] or [np.full(len(low), np.nan)])
 
     def jacobian(x: np.ndarray) -> np.ndarray:
-        return np.concatenate(
-            [load.rows() for load in programme.constraint_usages(x)] or [np.full((len(low), len(x)), np.nan)]
-        )
+        rows = [load.rows() for load in programme.constraint_usages(x)]
+        return np.concatenate(rows or [np.full((len(low), len(x)), np.nan)])
 
     symbol = ca.MX.sym("x", len(x))
     # which entries can be other than zero shows at a point of no symmetry
@@ -209,12 +204,8 @@ def promising_start(
     part: float,
     stop: Callable[[], bool] = lambda: False,
 ) -> np.ndarray | None:
-    """Choose the best of random x that use a ``part`` of the limits; None where no such motion is reachable.
-
-    Drawing ends when ``stop`` returns True.
-    """
-    programme = Programme(task, criterion, {})
-    drawn: list[np.ndarray] = []
+    """Choose the best of random x that use a ``part`` of the limits; None if none is reachable."""
+    programme, drawn = Programme(task, criterion, {}), list[np.ndarray]()
     for _ in range(DRAWS):
         if drawn and stop():
             break
@@ -224,29 +215,21 @@ def promising_start(
 
 
 def random_start(task: DesignProblem, rng: np.random.Generator, part: float) -> np.ndarray | None:
-    """Draw a random x (task.size,), each of its motions scaled until it uses a ``part`` of the limits.
+    """Draw a random x (task.size,) whose motions use a ``part`` of what rest leaves of the limits.
 
-    What a limit allows counts from what rest at the center uses of it already; limits that rest breaks, and time away
-    from reversals, are left to the search. The center is free of collisions. None where the motion is not reachable.
+    Limits that rest breaks, and time away from reversals, are left to the search. None where it is not reachable.
     """
-    grid = design_grid(task)
-    parts = []
+    grid, parts = design_grid(task), []
     for runs in task.motions:
         x = task.series.random(rng)
         resting = _clear_center(task, rng, x)
-        parts.append(_scaled(task, grid, runs, x, resting, part))
-    return (
-        None
-        if any(motion is None for motion in parts)
-        else np.concatenate([motion for motion in parts if motion is not None])
-    )
+        if (motion := _scaled(task, grid, runs, x, resting, part)) is not None:
+            parts.append(motion)
+    return np.concatenate(parts) if len(parts) == len(task.motions) else None
 
 
 def _clear_center(task: DesignProblem, rng: np.random.Generator, x: np.ndarray) -> np.ndarray:
-    """Draw the x at rest (series.size,) in the pose with the most room, of those reached without collision.
-
-    It is zero, the middle of all ranges, where no bodies are kept apart; ``x`` then moves about its own center.
-    """
+    """Draw the x at rest (series.size,) in the pose with the most room, zero where no bodies are kept apart."""
     series, clearance = task.series, task.limits.clearance
     resting = np.zeros_like(x)
     if clearance is None or task.series.of_platform:
@@ -257,7 +240,7 @@ def _clear_center(task: DesignProblem, rng: np.random.Generator, x: np.ndarray) 
     q = start[:, :, None] + (poses - start)[:, :, None] * WAY
     q = q.reshape(len(q), -1)
     try:
-        c = close(task.model, q, np.zeros_like(q), np.zeros_like(q), None).c
+        c = close(task.model, np.stack([q, 0 * q, 0 * q])).c
     except GtauError:  # not every pose is reachable
         return resting
     room = np.min([clearance.nearest(c, pair).distance for pair in clearance.pairs], axis=0).reshape(CENTERS, -1)

@@ -5,22 +5,48 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from pydantic import AfterValidator, Field, FiniteFloat, ValidationInfo, model_validator
 
+from gtau.documents.validation import Keys, Positive
 from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
 from gtau.findings import Outcome
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import random_motion
-from gtau.robots.geometry import places_on
+from gtau.robots.geometry import massless, places_on
 from gtau.robots.parameter import Parameter
+from gtau.signals.reading.statements import Payload
 
 FRICTION = 0.1  # rough Coulomb friction, and viscous friction at the speed limit, of the rms torque
 MODERATE = 0.15  # rough rms torque, of the effort limit
 NOISE = 0.005  # rough noise of a current's sample, of the effort limit
 STATES = 200
+
+
+def _beside_the_file(path: Path, info: ValidationInfo) -> Path:
+    return path if info.context is None else info.context / path
+
+
+FilePath = Annotated[Path, AfterValidator(_beside_the_file)]
+
+
+class DesignPrior(Keys):
+    """Prior knowledge: a model, or standard parameters and drive gains; and the currents' noise, A."""
+
+    model: FilePath | None = None
+    gains: dict[str, FiniteFloat] = Field(default_factory=dict)
+    parameters: dict[str, FiniteFloat] = Field(default_factory=dict)
+    noise: dict[str, Positive] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _one_source(self) -> DesignPrior:
+        if self.model is not None and (self.gains or self.parameters):
+            raise ValueError("a model has gains and parameters of its own; give the model, or these")
+        return self
 
 
 @dataclass(frozen=True)
@@ -93,9 +119,8 @@ def given_parameters(model: InverseDynamics, base: BaseParameters, parameters: M
 def rough_parameters(model: InverseDynamics, base: BaseParameters, payload: float) -> tuple[dict[str, float], float]:
     """Guess standard parameters with links as rods of equal mass and matching friction; return that mass too.
 
-    The mass is twice that of the ``payload``, kg, or less where the motors are too weak for it. A link's rod leads
-    from its frame's origin to the mean of those of its followers and closures; friction is a tenth of the rms torque
-    of random states.
+    The mass is twice that of the ``payload``, kg, or less where the motors are too weak. A rod leads from its frame's
+    origin to the mean of its followers'; friction is a tenth of the rms torque of random states.
     """
     robot = model.robot
     chi: dict[str, float] = {}
@@ -129,17 +154,59 @@ def rms_torque(model: InverseDynamics, base: BaseParameters, chi: np.ndarray) ->
     """Compute rms torques (n,) over random states within the robot's limits, N m or N."""
     motion = random_motion(model, STATES, np.random.default_rng(0))
     regressor = model.columns(base.standard)
-    torques = regressor.torques(regressor(model.layout, motion), chi, len(model.actuated))
+    torques = regressor.torques_along(model.layout, motion, chi)
     return np.asarray(np.sqrt(np.mean(torques**2, axis=1)))
 
 
-def parameters_of(result: Result, base: BaseParameters) -> np.ndarray:
-    """Return the base parameters (n_b,) of an identified model; 0 where it has no value."""
-    return np.array([result.params.get(name, 0.0) for name in base.names])
+def prior_of(
+    entry: DesignPrior,
+    model: InverseDynamics,
+    base: BaseParameters,
+    payloads: tuple[Payload | None, ...],
+    assumed: dict[str, str],
+) -> Prior:
+    """Determine base parameters, gains and noise."""
+    if entry.model is not None:
+        result = Result.load(entry.model)
+        if result.robot.actuated != model.actuated:
+            raise GtauError(f"{entry.model} is the model of another robot; give one of '{model.robot.name}'.")
+        known = identified_gains(result, entry.model)
+        chi = np.array([result.params.get(name, 0.0) for name in base.names])
+        rms = np.array([error.rms for error in result.residuals])
+        # white noise of the currents' samples that explains the residuals
+        sigma = rms / np.abs([gain.value for gain in known]) * np.sqrt(result.preparation.decimator.factor)
+    else:
+        chi = _parameters(entry, model, base, payloads, assumed)
+        missing = [joint for joint in model.actuated if joint not in entry.gains]
+        if missing and entry.gains:
+            raise GtauError(f"prior.gains has no gain for joint '{missing[0]}'; give one for every joint or for none.")
+        gains = [entry.gains.get(joint, 1.0) for joint in model.actuated]
+        known = tuple(KnownGain(gain, (gain, gain), "assumed" if missing else "given") for gain in gains)
+        if missing:
+            assumed["gains"] = "gains: 1 N m/A or N/A in every joint; currents are then torques"
+        sigma = rough_noise(model, base, chi) / np.abs(gains)
+        if len(entry.noise) < len(gains):
+            assumed["noise"] = "noise of the currents: white, 0.5 % of the largest current, a sample"
+    sigma = np.array([entry.noise.get(joint, rough) for joint, rough in zip(model.actuated, sigma, strict=True)])
+    return Prior(chi, known, sigma)
 
 
-def noise_of(result: Result) -> np.ndarray:
-    """Compute the standard deviation (n,), A, of current samples that explains a model's residuals."""
-    gains = np.array([result.drive_gains[joint].value for joint in result.robot.actuated], dtype=float)
-    row = np.array([error.rms for error in result.residuals]) / np.abs(gains)
-    return np.asarray(row * np.sqrt(result.preparation.decimator.factor))
+def _parameters(
+    entry: DesignPrior,
+    model: InverseDynamics,
+    base: BaseParameters,
+    payloads: tuple[Payload | None, ...],
+    assumed: dict[str, str],
+) -> np.ndarray:
+    """Take the base parameters (n_b,) from those stated, or guess them."""
+    if not entry.parameters:
+        carried = max(payload.mass or 1.0 for payload in payloads if payload is not None)
+        rough, mass = rough_parameters(model, base, carried)
+        assumed["parameters"] = (
+            f"parameters: every link a rod of {mass:.3g} kg, and friction a tenth of the torque; "
+            "give prior.parameters or prior.model for better predictions"
+        )
+        return given_parameters(model, base, rough)
+    if light := massless(model.robot, entry.parameters):
+        assumed["massless"] = f"no mass and inertia of {', '.join(light)}: 'prior.parameters' names none of theirs"
+    return given_parameters(model, base, entry.parameters)

@@ -20,8 +20,7 @@ from gtau.model.base_parameters import BaseParameters
 from gtau.model.interpreter.program import Program, compile_program
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import frames
-from gtau.model.loop_paths import advance
-from gtau.model.loops import Motion, differentiate
+from gtau.model.loops import Motion, advance, differentiate
 from gtau.signals.preparation.filters import Decimator, decimation_factor
 from gtau.signals.preparation.prepared_run import Preparation
 from gtau.signals.reading.statements import Payload
@@ -61,26 +60,10 @@ class MotionLimits:
 class DesignProblem:
     """The data of an excitation design.
 
-    Attributes
-    ----------
-    model, base : InverseDynamics, BaseParameters
-        The robot.
-    series : FourierSeries
-        Of the actuated joints, or of the platform.
-    rate : float
-        Of the controller, Hz.
-    repetitions : int
-        Periods in a run.
-    rest : ndarray or None
-        Pose (n,) in which a run begins and ends; None for a run without approach and return.
-    payloads : tuple
-        One entry a run.
-    one_motion : bool
-        True if all runs follow one motion; otherwise each has its own.
-    limits : MotionLimits
-        Of the motion.
-    prior : Prior
-        Parameters and noise, and the gains with their intervals, by which limits of torque and current are converted.
+    ``series`` is of the actuated joints, or of the platform, with ``repetitions`` periods in a run at the controller's
+    ``rate``, Hz. A run begins and ends in the pose ``rest`` (n,), or has no approach and return where that is None. All
+    runs, one for each of the ``payloads``, follow ``one_motion``, or each its own. By the gains of the ``prior``, with
+    their intervals, limits of torque and current are converted.
     """
 
     model: InverseDynamics
@@ -98,11 +81,16 @@ class DesignProblem:
         return f"DesignProblem({self.model.robot.name!r}, runs: {len(self.payloads)}, rate: {self.rate:g} Hz)"
 
     def __post_init__(self) -> None:
-        if self.series.harmonics * self.series.base_frequency > 0.1 * self.rate:
+        if self.bandwidth > 0.1 * self.rate:
             raise GtauError(
-                f"the highest harmonic is {self.series.harmonics * self.series.base_frequency:g} Hz, which a log of "
-                f"{self.rate:g} Hz cannot follow; take at most a tenth of the rate."
+                f"the highest harmonic is {self.bandwidth:g} Hz, which a log of {self.rate:g} Hz cannot follow; take "
+                "at most a tenth of the rate."
             )
+
+    @property
+    def bandwidth(self) -> float:
+        """Frequency of the highest harmonic, Hz."""
+        return self.series.harmonics * self.series.base_frequency
 
     @property
     def motions(self) -> tuple[tuple[int, ...], ...]:
@@ -128,7 +116,7 @@ class DesignProblem:
     @cached_property
     def decimator(self) -> Decimator:
         """Decimation filter that identification will choose for this bandwidth."""
-        return Decimator(decimation_factor(self.rate, self.series.harmonics * self.series.base_frequency))
+        return Decimator(decimation_factor(self.rate, self.bandwidth))
 
     def window(self, step: float) -> Window:
         """Return the loss of rows near reversals on a time grid of spacing ``step``."""
@@ -156,7 +144,7 @@ class DesignProblem:
     def regressor(self) -> SmoothRegressor:
         """Base columns, with Coulomb friction smoothed where it would jump."""
         joints = self.model.robot.joints
-        length = self.model.loops.length if self.model.loops else 1.0
+        length = self.model.layout.length if self.model.loops else 1.0
         speed = np.where(np.isfinite(self.limits.velocity), self.limits.velocity, 1.0)
         turn = float(np.median(speed)) / (1.0 if joints[self.model.layout.actuated[0]].turns else length)
         width = np.array([SMOOTH * turn * (1.0 if joint.turns else length) for joint in joints])
@@ -190,19 +178,16 @@ class DesignProblem:
 
     def with_payload_mass(self, mass: float) -> DesignProblem:
         """Return the same task with a different ``mass``, kg, of all known payloads."""
-        changed = tuple(
-            None
-            if payload is None
-            else payload.model_copy(update={"mass": mass})
-            if payload.mass is not None
-            else payload
+        payloads = tuple(
+            payload.model_copy(update={"mass": mass}) if payload is not None and payload.mass is not None else payload
             for payload in self.payloads
         )
-        return replace(self, payloads=changed)
+        return replace(self, payloads=payloads)
 
 
-def close(model: InverseDynamics, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, near: np.ndarray | None) -> Motion:
-    """Close the loops sample by sample, from configurations ``near`` (n_c, N) if given: the whole robot's motion."""
+def close(model: InverseDynamics, joints: np.ndarray, near: np.ndarray | None = None) -> Motion:
+    """Close the loops for q, qd and qdd, (3 or more, n, N), from configurations (n_c, N) that may be ``near``."""
+    q, qd, qdd = joints[:3]
     if model.loops is None or near is None or near.shape[1] != q.shape[1]:
         return model.motion(q, qd, qdd)
     c, reached = advance(model.loops, near, q)

@@ -44,10 +44,7 @@ class FourierSeries:
         return len(self.center) * self.free
 
     def basis(self, time: np.ndarray) -> np.ndarray:
-        """Compute position, velocity, acceleration and jerk by the free numbers of a coordinate with half = 1.
-
-        Returns an array (4, N, free).
-        """
+        """Compute position to jerk (4, N, free) by the free numbers of a coordinate with half = 1."""
         k = np.arange(1, self.harmonics + 1)
         omega = 2 * np.pi * self.base_frequency * k
         angle = np.multiply.outer(time, omega)
@@ -68,11 +65,12 @@ class FourierSeries:
         constant[0] = 1.0
         return np.concatenate([constant, np.stack(parts) @ null], axis=2)
 
-    def __call__(self, x: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Evaluate positions, velocities, accelerations and jerks (m, N), rad or m and s."""
-        table = np.einsum("dtf,mf->dmt", self.basis(time), x.reshape(len(self.center), self.free) * self.half[:, None])
+    def along(self, x: np.ndarray, basis: np.ndarray) -> np.ndarray:
+        """Evaluate positions, velocities, accelerations and jerks (4, m, N), rad or m and s, at a :meth:`basis`."""
+        numbers = x.reshape(-1, self.free) * self.half[:, None]
+        table = (basis @ numbers.T).transpose(0, 2, 1)
         table[0] += self.center[:, None]
-        return table[0], table[1], table[2], table[3]
+        return np.asarray(table)
 
     def random(self, rng: np.random.Generator) -> np.ndarray:
         """Draw a random vector x: every harmonic of about the same speed."""

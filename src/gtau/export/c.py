@@ -49,7 +49,7 @@ def _fields(model: Identified) -> dict[str, Any]:
     joints = [robot.joint(joint) for joint in model.joints]
     velocities = np.array([joint.limits.velocity or 10.0 for joint in joints])
     efforts = np.array([joint.limits.effort or 0.0 for joint in joints])
-    length = 1.0 if loops is None else loops.length
+    length = 1.0 if loops is None else loops.layout.length
     return {
         "robot": in_c(robot.name),
         "runs": in_c(textwrap.shorten(", ".join(model.result.runs), 60, placeholder=" ...")),

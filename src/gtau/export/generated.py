@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gtau.documents.files import suffixes
-from gtau.model.loop_paths import CONTRACTION
-from gtau.model.loops import CONDITION
+from gtau.model.loops import CONDITION, CONTRACTION
 from gtau.uses.identified import Identified, functions
 
 if TYPE_CHECKING:

@@ -76,8 +76,7 @@ def symmetric_order(robot: Robot, names: Sequence[Parameter]) -> list[Parameter]
     for alike in sorted(joints, key=lambda alike: alike[0] not in towards_motors):
         order += [Parameter(kind, joint) for kind in kinds for joint in alike]
     order += [Parameter(kind, spring.name) for spring in robot.springs for kind in spring.parameters]
-    wanted = set(names)
-    return [name for name in order if name in wanted]
+    return [name for name in order if name in names]
 
 
 def of_drive(name: Parameter, joint: str) -> bool:
@@ -121,20 +120,18 @@ def base_parameters(
     if unknown := [joint for joint in sensors if joint not in idm.actuated]:
         raise GtauError(f"'sensors' names {unknown[0]!r}, but the actuated joints are {', '.join(idm.actuated)}.")
     order = symmetric_order(idm.robot, idm.parameter_names)
-    position = {name: k for k, name in enumerate(idm.parameter_names)}
-    R = _settled_triangle(idm, [position[name] for name in order], np.random.default_rng(seed), sensors, progress)
+    columns = [idm.parameter_names.index(name) for name in order]
+    R = _settled_triangle(idm, columns, np.random.default_rng(seed), sensors, progress)
     kept, coefficients, idle = independent_columns(R)
+    matrix = np.zeros((len(kept), len(idm.parameter_names)))
+    matrix[:, columns] = coefficients
+    standard, names, regroupings = [order[k] for k in kept], [], {}
+    for parameter, row in zip(standard, matrix, strict=True):
+        factors = zip(row, idm.parameter_names, strict=True)
+        terms = [_term(factor, name) for factor, name in factors if factor and name != parameter]
+        names.append(Parameter(parameter.kind, parameter.body, regrouped=bool(terms)))
+        regroupings[names[-1]] = parameter + "".join(terms)
     inertial = [k for k, name in enumerate(order) if name.kind in INERTIAL]
-    matrix = np.zeros((len(kept), len(position)))
-    for row in range(len(kept)):
-        for column, name in enumerate(order):
-            matrix[row, position[name]] = coefficients[row, column]
-    standard = [order[k] for k in kept]
-    names, regroupings = [], {}
-    for row, kept_name in enumerate(standard):
-        others = [name for name in idm.parameter_names if name != kept_name and matrix[row, position[name]]]
-        names.append(Parameter(kept_name.kind, kept_name.body, regrouped=bool(others)))
-        regroupings[names[-1]] = kept_name + "".join(_term(matrix[row, position[name]], name) for name in others)
     inertial_count = len(independent_columns(R[:, inertial])[0])
     without_effect = tuple(order[k] for k in idle)
     return BaseParameters(tuple(names), tuple(standard), regroupings, matrix, without_effect, inertial_count)
@@ -196,17 +193,13 @@ def independent_columns(A: np.ndarray) -> tuple[list[int], np.ndarray, list[int]
     return kept, coefficients, [int(k) for k in np.flatnonzero(idle)]
 
 
-def _term(coefficient: float, name: str) -> str:
-    sign = "-" if coefficient < 0 else "+"
-    size = abs(coefficient)
-    return f" {sign} {name}" if abs(size - 1.0) < 1e-6 else f" {sign} {size:.5g} {name}"
+def _term(factor: float, name: str) -> str:
+    size = "" if abs(abs(factor) - 1.0) < 1e-6 else f"{abs(factor):.5g} "
+    return f" {'-' if factor < 0 else '+'} {size}{name}"
 
 
 def regrouped(base: BaseParameters, standard: Sequence[Parameter]) -> dict[Parameter, dict[Parameter, float]]:
-    """List the standard parameters in each base parameter with their factors, first the one whose column it keeps.
-
-    ``standard`` are the names of the standard parameters, the columns of ``base.matrix``.
-    """
+    """List the parameters in each base parameter by factor, the kept one first; ``standard`` are the columns' names."""
     return {
         name: {parameter: 1.0}
         | {other: float(row[k]) for k, other in enumerate(standard) if row[k] and other != parameter}
@@ -215,10 +208,7 @@ def regrouped(base: BaseParameters, standard: Sequence[Parameter]) -> dict[Param
 
 
 def whole_mass(base: BaseParameters, standard: Sequence[Parameter]) -> Parameter | None:
-    """Return the base parameter equal to the total mass (kg) of a floating robot, None where there is none.
-
-    ``standard`` are the names of the standard parameters, the columns of ``base.matrix``.
-    """
+    """Return the base parameter equal to a floating robot's mass (kg), if any; ``standard`` are the columns' names."""
     masses = np.array([name.kind == "m" for name in standard], dtype=float)
     totals = (name for name, row in zip(base.names, base.matrix, strict=True) if np.allclose(row, masses, atol=1e-6))
     return next(totals, None)

@@ -8,6 +8,8 @@ those of the actuated ones B_p; differentiated twice, ``G ydd + gamma = 0``.
 
 from __future__ import annotations
 
+from functools import reduce
+
 import casadi as ca
 import numpy as np
 
@@ -24,7 +26,6 @@ from gtau.model.kinematics import (
     placed,
     twists,
 )
-from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import Attachment
 
 
@@ -32,20 +33,21 @@ def _acceleration(
     end: Attachment, frame: dict[str, Frame], twist: dict[str, Twist], acceleration: dict[str, Twist]
 ) -> Twist:
     body, omega, arm = acceleration[end.body], twist[end.body].angular, placed(end.placement)[1]
-    R_0 = frame[end.body].R_0
     linear = body.linear + ca.cross(body.angular, arm) + ca.cross(omega, ca.cross(omega, arm))
+    R_0 = frame[end.body].R_0
     return Twist(R_0 @ body.angular, R_0 @ linear)
 
 
-def assembly_errors(layout: Coordinates, c: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Compute the errors (rows,) of closures, then of couplings, at arbitrary configurations, closed or not; and flips.
+def error_expressions(layout: Coordinates, c: ca.SX, yd: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Express the errors (rows,) of the loops at any ``c``, closed or not, and their scaled Jacobian at closed poses.
 
-    Near one it is the residual of :func:`closure_expressions`. That of a weld whose frames are turned by an angle is
-    its sine, zero again at half a turn; here it is twice the sine of half the angle. Its flip is one less the cosine of
-    the angle, which is not zero at half a turn either.
+    Closures come before couplings, and flips of welds last. Near a closed configuration the errors are the residual of
+    :func:`closure_expressions`. That of a weld whose frames are turned by an angle is its sine, zero again at half a
+    turn; here it is twice the sine of half the angle. Its flip is one less the cosine of the angle, which is not zero
+    at half a turn either.
     """
+    residual, velocity, _ = closure_expressions(layout, c, yd)
     frame, rows, flips, start = frames(layout, c), [], [], 0
-    residual = closure_expressions(layout, c, ca.SX(layout.n_y, 1))[0]
     for closure in layout.robot.closures:
         rows.append(residual[start : start + 3])
         start += 3
@@ -55,14 +57,12 @@ def assembly_errors(layout: Coordinates, c: ca.SX) -> tuple[ca.SX, ca.SX]:
             rows.append(2 * residual[start : start + 3] / ca.sqrt(ca.fmax(1 + trace, 1e-12)))
             flips.append((3 - trace) / 2)
             start += 3
-    return ca.vertcat(*rows, residual[start:]), ca.vertcat(*flips)
+    G = ca.jacobian(velocity, yd) @ constant(np.diag(layout.unit))
+    return ca.vertcat(*rows, residual[start:], *flips), ca.vertcat(G, ca.SX(len(flips), layout.n_y))
 
 
 def _largest(values: ca.SX) -> ca.SX:
-    largest = ca.SX(0)
-    for value in ca.vertsplit(values):
-        largest = ca.fmax(largest, ca.fabs(value))
-    return largest
+    return reduce(ca.fmax, ca.vertsplit(ca.fabs(values)), ca.SX(0))
 
 
 def _on_unit_quaternions(layout: Coordinates, c: ca.SX) -> ca.SX:
@@ -75,46 +75,30 @@ def _on_unit_quaternions(layout: Coordinates, c: ca.SX) -> ca.SX:
     return ca.vertcat(*parts)
 
 
-def scaled_equations(layout: Coordinates, c: ca.SX, yd: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-    """Express residual (rows,), ``G`` of the passive (rows, n_passive) and the actuated coordinates, and gamma.
-
-    The passive columns are scaled: they and the rows are pure numbers, rad or lengths over the characteristic length.
-    """
-    residual, velocity, gamma = closure_expressions(layout, c, yd)
-    actuated, passive = layout.actuated.tolist(), layout.passive.tolist()
-    G = ca.jacobian(velocity, yd)
-    return residual, G[:, passive] @ constant(np.diag(_unit(layout)[passive])), G[:, actuated], gamma
-
-
-def loop_equations(layout: Coordinates) -> tuple[ca.SX, list[ca.SX], ca.SX]:
-    """Express the closures at a configuration ``c``: residual, scaled ``G_p`` and ``G_a``, and the gap.
-
-    The gap is the largest residual less what angles of many turns are rounded by.
-    """
-    given, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
-    c = _on_unit_quaternions(layout, given)
-    residual, G_p, G_a, _ = scaled_equations(layout, c, yd)
-    G_a = G_a @ constant(np.diag(_unit(layout)[layout.actuated]))
-    return given, [residual, G_p, G_a], _largest(residual) - 1e-15 * _largest(c)
+def _scaled(layout: Coordinates, velocity: ca.SX, yd: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Differentiate by the scaled passive coordinates, all pure numbers, and by the actuated ones."""
+    G, passive = ca.jacobian(velocity, yd), layout.passive
+    return G[:, passive.tolist()] @ constant(np.diag(layout.unit[passive])), G[:, layout.actuated.tolist()]
 
 
 def newton_step(layout: Coordinates) -> tuple[ca.SX, list[ca.SX]]:
-    """Express a step of Newton's method from ``c``: configuration, largest correction, condition of passive columns."""
+    """Express a Newton step from ``c``: configuration, largest correction, condition number, and the gap before it."""
     given, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
     c = _on_unit_quaternions(layout, given)
-    residual, G_p, _, _ = scaled_equations(layout, c, yd)
-    correction, condition = solve(G_p, -residual, refine=False)
+    residual, velocity, _ = closure_expressions(layout, c, yd)
+    correction, condition = solve(_scaled(layout, velocity, yd)[0], -residual, refine=False)
     step = ca.SX(layout.n_y, 1)
-    step[layout.passive.tolist()] = correction * _unit(layout)[layout.passive]
+    step[layout.passive.tolist()] = correction * layout.unit[layout.passive]
     moved = _on_unit_quaternions(layout, c + configuration_rates(layout, c, step))
-    return given, [moved, _largest(correction), condition]
+    return given, [moved, _largest(correction), condition, _largest(residual) - 1e-15 * _largest(c)]
 
 
 def closed_motion(layout: Coordinates) -> tuple[list[ca.SX], list[ca.SX]]:
     """Express eqs. (5) to (8): from closed c, and qd and qdd, to condition, yd and ydd (n_y,), and J (n_y, n)."""
     given, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
-    actuated, passive, unit = layout.actuated.tolist(), layout.passive.tolist(), _unit(layout)[layout.passive]
-    _, G_p, G_a, gamma = scaled_equations(layout, _on_unit_quaternions(layout, given), yd)
+    actuated, passive, unit = layout.actuated.tolist(), layout.passive.tolist(), layout.unit[layout.passive]
+    _, velocity, gamma = closure_expressions(layout, _on_unit_quaternions(layout, given), yd)
+    G_p, G_a = _scaled(layout, velocity, yd)
     qd, qdd = ca.SX.sym("qd", len(actuated)), ca.SX.sym("qdd", len(actuated))
     J = ca.SX(layout.n_y, len(actuated))
     J[actuated, :] = ca.SX.eye(len(actuated))
@@ -126,11 +110,6 @@ def closed_motion(layout: Coordinates) -> tuple[list[ca.SX], list[ca.SX]]:
     return [given, qd, qdd], [condition, yd_all, ydd_all, J]
 
 
-def _unit(layout: Coordinates) -> np.ndarray:
-    """Return the size (n_y,) of one unit of each scaled coordinate, rad or m."""
-    return np.where(layout.angular, 1.0, characteristic_length(layout.robot))
-
-
 def closure_expressions(layout: Coordinates, c: ca.SX, yd: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Express the closures and couplings symbolically, eqs. (3) and (4) in one; the rest of the loops is derived.
 
@@ -140,7 +119,7 @@ def closure_expressions(layout: Coordinates, c: ca.SX, yd: ca.SX) -> tuple[ca.SX
     derivatives along the closed loops may be taken of any of the three (``ca.gradient``, with
     :func:`gtau.model.kinematics.configuration_rates` for those by c).
     """
-    robot, length = layout.robot, characteristic_length(layout.robot)
+    robot, length = layout.robot, layout.length
     frame = frames(layout, c)
     twist = twists(layout, frame, yd)
     still = accelerations(layout, frame, twist, yd, ca.SX(layout.n_y, 1), ca.SX(3, 1))
@@ -163,7 +142,7 @@ def closure_expressions(layout: Coordinates, c: ca.SX, yd: ca.SX) -> tuple[ca.SX
         row[index[coupling.joint]] = 1.0
         for name, ratio in coupling.ratios:
             row[index[name]] = -ratio
-        size = np.linalg.norm(row * np.where(layout.angular, 1.0, length))
+        size = np.linalg.norm(row * layout.unit)
         residual.append((ca.dot(constant(row[: len(index)]), c[: len(index)]) - coupling.offset) / size)
         velocity.append(ca.dot(constant(row), yd) / size)
         gamma.append(ca.SX(1, 1))
@@ -173,11 +152,10 @@ def closure_expressions(layout: Coordinates, c: ca.SX, yd: ca.SX) -> tuple[ca.SX
 def solve(a: ca.SX, b: ca.SX, refine: bool) -> tuple[ca.SX, ca.SX]:
     """Solve ``min |a x - b|`` by the sparse ``L D L^T`` of the normal equations, a (m, n) sparse, b (m, k).
 
-    Rows and columns are eliminated in an order that preserves sparsity, so that the cost is proportional to the number
-    of legs. With ``refine`` one step of iterative refinement restores the digits that the normal equations lose.
-
-    Returns x (n, k), and the square root of ``trace(M) trace(M^-1)``, ``M = a^T a``: at least the condition number of
-    ``a``, at most n times it; not a number, infinite or huge where ``a`` is singular.
+    The order of elimination preserves sparsity, so that the cost is proportional to the number of legs; ``refine``
+    restores the digits that the normal equations lose. Beside x (n, k) returns the square root of ``trace(M)
+    trace(M^-1)``, ``M = a^T a``, which is 1 to n times the condition number of ``a``, and huge or not a number where
+    ``a`` is singular.
     """
     normal = a.T @ a
     d, lt, order = ca.ldl(normal, True)

@@ -126,10 +126,9 @@ def torques(
 
 
 def wrench_torques(layout: Coordinates, c: ca.SX, J: ca.SX, frames_of: Sequence[WrenchFrame], wrenches: ca.SX) -> ca.SX:
-    """Express the generalised forces of external wrenches on bodies, ``J^T w`` (n,), at the actuated joints.
+    """Express the forces ``J^T w`` (n,) of external wrenches at the actuated joints, by virtual power (eq. 14).
 
-    By the principle of virtual power (eq. 14), as in :func:`torques`: the motors' torques are less by these.
-    ``wrenches`` (6 k,) are moment (N m) and force (N) of each frame.
+    The motors' torques are less by these. ``wrenches`` (6 k,) are moment (N m) and force (N) of each frame.
     """
     frame = frames(layout, c)
     tau = []

@@ -16,7 +16,7 @@ import numpy as np
 from gtau.documents.validation import MAPPING, NAMES, some_of, takes, validate
 from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError
-from gtau.model.kinematics import Coordinates, coordinates
+from gtau.model.kinematics import Coordinates
 from gtau.model.loop_closure import (
     FAR,
     LIMITS,
@@ -112,9 +112,9 @@ def close_home(robot: Robot) -> Robot:
     """
     if not (robot.closures or robot.couplings):
         return _within_limits(robot, set())
-    errors = loop_errors(coordinates(robot))
+    errors = loop_errors(Coordinates(robot))
     robot = _within_limits(robot, set(errors.looped.tolist()))
-    layout = coordinates(robot)
+    layout = Coordinates(robot)
     errors, given = replace(errors, layout=layout), layout.home
     if not errors.looped.size:
         return robot
@@ -122,30 +122,29 @@ def close_home(robot: Robot) -> Robot:
     if (exact := with_exact_loops(robot, errors, nearest)) is not robot:
         return close_home(exact)
     nearest = nearest if is_closed(errors, nearest) else nearest_closed(errors, given)
-    if robot.file.home_given and errors.apart(given, nearest).max() > FAR:
+    far = errors.apart(given, nearest).max()
+    if robot.file.home_given and far > FAR:
         raise GtauError(
             f"robot '{robot.name}': the loops close only far from the home configuration in the file, with "
             f"{_displacements(errors, given, nearest)}; correct the placements, or write a 'home' closer to the "
             "assembled robot."
         )
-    home, least = nearest, SINGULAR if errors.apart(given, nearest).max() < NEAR else POOR
-    singular = errors.condition(errors(nearest)[1]) > least
-    if singular:
-        home = well_conditioned(errors, nearest)
-    moved = errors.apart(given, home)
-    if moved.max() < KEPT and is_closed(errors, closed(errors, given, errors.passive)):
+    singular = errors.condition(nearest) > (SINGULAR if far < NEAR else POOR)
+    home = well_conditioned(errors, nearest) if singular else nearest
+    moved = errors.apart(given, home).max()
+    if moved < KEPT and is_closed(errors, closed(errors, given, errors.passive)):
         return robot.with_file(home_given=True)
-    if moved.max() > NEAR:
+    if moved > NEAR:
         home = with_round_motors(errors, home)
     solved = _at(robot, layout, home)
-    if moved.max() < NEAR:
+    if moved < NEAR:
         return solved
     note = f"home was solved so that the loops close: {_displacements(errors, given, home)}"
     if singular:
-        worse, better = (errors.condition(errors(c)[1]) for c in (nearest, home))
+        pose = ", ".join(f"{layout.names[k]} = {nearest[k]:.4g}" for k in layout.actuated)
         note += (
-            f" (the nearest pose that closes, with {_motors(layout, nearest)}, is closer to a singularity: condition "
-            f"number {worse:.3g} instead of {better:.3g})"
+            f" (the nearest pose that closes, with {pose}, is closer to a singularity: condition number "
+            f"{errors.condition(nearest):.3g} instead of {errors.condition(home):.3g})"
         )
     note += "; if the robot is assembled in another way, save it as a robot file and write another 'home' there"
     return solved.noted(note)
@@ -181,8 +180,7 @@ def _at(robot: Robot, layout: Coordinates, c: np.ndarray) -> Robot:
     c = np.round(c, DECIMALS) + 0.0
     platforms = []
     for slots in layout.platforms:
-        rotation = slots.rotation(c)
-        pose = pose_of(rotation, c[slots.position])
+        pose = pose_of(slots.rotation(c), c[slots.position])
         roll, pitch, yaw = (round(angle, DECIMALS) + 0.0 for angle in pose.rpy)
         platforms.append(replace(slots.platform, home=Pose(pose.xyz, (roll, pitch, yaw))))
     homes = zip(robot.joints, c[: len(robot.joints)].tolist(), strict=True)
@@ -196,17 +194,11 @@ def _displacements(errors: LoopErrors, given: np.ndarray, home: np.ndarray) -> s
     parts = []
     for k, joint in enumerate(layout.robot.joints):
         text = f"joint '{joint.name}' from {given[k]:.4g} to {home[k]:.4g} {joint.unit}"
-        parts.append((bool(not joint.actuated), -apart[k], text))
+        parts.append((not joint.actuated, -apart[k], text))
     for slots in layout.platforms:
-        change = slots.displacement(given, home)
-        angular = layout.angular[slots.rates]
+        change, angular = slots.displacement(given, home), layout.angular[slots.rates]
         shift, turn = (float(np.linalg.norm(change[which])) for which in (~angular, angular))
-        sizes = [f"{1e3 * shift:.4g} mm"] * (shift > NEAR * errors.length)
+        sizes = [f"{1e3 * shift:.4g} mm"] * (shift > NEAR * layout.length)
         sizes += [f"{np.degrees(turn):.4g} degrees"] * (turn > NEAR)
         parts.append((False, -apart[slots.rates].max(), f"platform '{slots.platform.name}' by {' and '.join(sizes)}"))
-    parts = sorted(part for part in parts if -part[1] > NEAR)
-    return some_of([text for _, _, text in parts], NAMED)
-
-
-def _motors(layout: Coordinates, c: np.ndarray) -> str:
-    return ", ".join(f"{layout.names[k]} = {c[k]:.4g}" for k in layout.actuated)
+    return some_of([text for _, size, text in sorted(parts) if -size > NEAR], NAMED)

@@ -14,9 +14,8 @@ from gtau.documents.validation import TEXT, takes
 from gtau.errors import GtauError
 from gtau.model.dynamics import parameter_names, torques, wrench_torques
 from gtau.model.interpreter.program import NONE, Program, compile_program, share
-from gtau.model.kinematics import Coordinates, coordinates
-from gtau.model.loop_paths import follow
-from gtau.model.loops import Labels, Loops, Motion, close_loops, differentiate, numbers
+from gtau.model.kinematics import Coordinates, placements, shifted
+from gtau.model.loops import Labels, Loops, Motion, close_loops, differentiate, follow, numbers
 from gtau.robots.parameter import Parameter
 from gtau.robots.placement import WRENCH, WrenchFrame
 from gtau.robots.robot import Robot
@@ -27,11 +26,10 @@ BLOCK = 2048  # samples whose motion is computed together: enough to amortise Py
 
 @dataclass(frozen=True, eq=False)
 class Regressor:
-    """Chosen columns of ``IDM_st``: their structurally non-zero entries.
+    """Columns of ``IDM_st``: entry k, structurally non-zero, is in row ``rows[k]`` (joint) and column ``columns[k]``.
 
-    ``matrix`` (n, columns) is an expression in ``inputs``: c, yd, ydd and the passive rows of J. Entry k is in
-    row ``rows[k]`` (an actuated joint) and column ``columns[k]`` (of ``names``). ``compiled`` is its program, where
-    ``matrix`` has symbols beside the inputs.
+    ``matrix`` (n, columns) is an expression in ``inputs``: c, yd, ydd and the passive rows of J; ``compiled`` is its
+    program, where it has other symbols too.
     """
 
     names: tuple[str, ...]
@@ -121,7 +119,7 @@ class InverseDynamics:
         if parameters not in ("all", "inertial"):
             raise GtauError(f"parameters is {parameters!r}; write 'all' or 'inertial'.")
         self.robot = robot
-        self.layout = coordinates(robot)
+        self.layout = Coordinates(robot)
         self.parameter_names = parameter_names(robot, parameters)
         self.actuated = robot.actuated
         self._kind = parameters
@@ -160,11 +158,7 @@ class InverseDynamics:
         labels: Labels | None = None,
         start: np.ndarray | None = None,
     ) -> Motion:
-        """Compute the state of the whole virtual tree along a path of actuated samples (n, N).
-
-        ``labels(k)`` is the name of sample k in messages; the path begins at the closed configuration
-        ``start`` (n_c,), home if left out.
-        """
+        """Compute the whole tree's motion along a path (n, N) that begins at the closed ``start`` (n_c,), or home."""
         return self.rates(self.path(q, labels, start), qd, qdd, labels)
 
     def path(self, q: np.ndarray, labels: Labels | None = None, start: np.ndarray | None = None) -> np.ndarray:
@@ -184,21 +178,12 @@ class InverseDynamics:
         names = tuple(names)
         if names not in self._regressors:
             inputs, regressor = self._symbolic
-            position = {name: k for k, name in enumerate(self.parameter_names)}
-            W = regressor[:, [position[name] for name in names]]
+            W = regressor[:, [self.parameter_names.index(name) for name in names]]
             self._regressors[names] = Regressor(names, inputs, W)
         return self._regressors[names]
 
-    def adopt(self, regressor: Regressor) -> None:
-        """Use a regressor derived for several robots at once for the parameters in its ``names``."""
-        self._regressors[regressor.names] = regressor
-
     def wrenches(self, frames: Sequence[WrenchFrame]) -> Regressor:
-        """Return the columns (n, 6 k) of wrenches on bodies: times the wrenches they give torques ``J^T w``.
-
-        Of each of the k wrenches its moment (x, y, z), N m, and its force (x, y, z), N, eq. (14); see
-        :func:`gtau.model.dynamics.wrench_torques`.
-        """
+        """Return the columns (n, 6 k) by which moments and forces on k bodies give torques ``J^T w``, eq. (14)."""
         frames = tuple(frames)
         if frames not in self._wrenches:
             inputs, J = self.symbols
@@ -229,10 +214,7 @@ class InverseDynamics:
         return inputs, ca.jacobian(tau, ca.vertcat(*chi.values()))
 
     def gravity_torques(self, names: Sequence[Parameter]) -> Regressor:
-        """Return a regressor whose three columns are the torques (n,) per m/s2 of gravity along the axes of the base.
-
-        Its program takes values of the standard parameters ``names``, the others being zero, as parameters.
-        """
+        """Return a regressor of gravity along the base axes, whose program takes values of ``names``, others zero."""
         (c, yd, ydd, passive), J = self.symbols
         gravity, values = ca.SX.sym("g", 3), ca.SX.sym("chi", len(names))
         chi = {name: ca.SX(1, 1) for name in self.parameter_names} | dict(zip(names, ca.vertsplit(values), strict=True))
@@ -290,24 +272,21 @@ class InverseDynamics:
     ) -> None:
         """Work on the blocks of a path and their motion in threads; a block stays in the processor's cache."""
         q, qd, qdd = self.samples(q, qd, qdd)
-        c: np.ndarray | None = None
+        c = np.empty((0, 0))
         for start in range(0, q.shape[1], PATH):
-            chunk = slice(start, min(start + PATH, q.shape[1]))
-            c = self.path(q[:, chunk], numbers(start), None if c is None else c[:, -1])
-            self._share_blocks(start, c, qd[:, chunk], qdd[:, chunk], work)
+            chunk = slice(start, start + PATH)
+            c = self.path(q[:, chunk], numbers(start), c[:, -1] if start else None)
+            states = c, qd[:, chunk], qdd[:, chunk]
 
-    def _share_blocks(
-        self, offset: int, c: np.ndarray, qd: np.ndarray, qdd: np.ndarray, work: Callable[[slice, Motion], None]
-    ) -> None:
-        def stretch(first: int, last: int) -> None:
-            for begin in range(first, last, BLOCK):
-                part = slice(begin, min(begin + BLOCK, last))
-                block = slice(offset + part.start, offset + part.stop)
-                # blocks are copied, as fresh memory for whole paths would cost more than the copies
-                now, speed, push = (np.ascontiguousarray(samples[:, part]) for samples in (c, qd, qdd))
-                work(block, self.rates(now, speed, push, numbers(block.start)))
+            def stretch(first: int, last: int, start: int = start, states: Sequence[np.ndarray] = states) -> None:
+                for begin in range(first, last, BLOCK):
+                    end = min(begin + BLOCK, last)
+                    # blocks are copied, as fresh memory for whole paths would cost more than the copies
+                    now, speed, push = (np.ascontiguousarray(samples[:, begin:end]) for samples in states)
+                    motion = self.rates(now, speed, push, numbers(start + begin))
+                    work(slice(start + begin, start + end), motion)
 
-        share(stretch, c.shape[1])
+            share(stretch, c.shape[1])
 
     def samples(self, *arrays: np.ndarray) -> list[np.ndarray]:
         """Check arrays (N, n), one column per actuated joint, and return them as (n, N); raises GtauError."""
@@ -322,17 +301,38 @@ class InverseDynamics:
         return [array.T for array in samples]
 
     def _vector(self, chi: Mapping[str, float] | np.ndarray) -> np.ndarray:
+        names = self.parameter_names
         if not isinstance(chi, Mapping):
             vector = np.asarray(chi, dtype=float)
-            if vector.shape != (len(self.parameter_names),):
+            if vector.shape != (len(names),):
                 raise GtauError(
-                    f"chi has the shape {vector.shape}; give a vector of {len(self.parameter_names)} entries, one for "
-                    "each of parameter_names, or a mapping by name."
+                    f"chi has the shape {vector.shape}; give a vector of {len(names)} entries, one for each of "
+                    "parameter_names, or a mapping by name."
                 )
             return vector
-        unknown = [name for name in chi if name not in self.parameter_names]
-        if unknown:
-            close = get_close_matches(unknown[0], self.parameter_names, n=1)
+        if unknown := next((name for name in chi if name not in names), None):
+            close = get_close_matches(unknown, names, n=1)
             hint = f"did you mean '{close[0]}'?" if close else "parameter_names lists them."
-            raise GtauError(f"the model of '{self.robot.name}' has no standard parameter '{unknown[0]}'; {hint}")
-        return np.array([chi.get(name, 0.0) for name in self.parameter_names], dtype=float)
+            raise GtauError(f"the model of '{self.robot.name}' has no standard parameter '{unknown}'; {hint}")
+        return np.array([chi.get(name, 0.0) for name in names], dtype=float)
+
+
+def models_alike(robots: Sequence[Robot], standard: Sequence[Parameter]) -> list[InverseDynamics]:
+    """Make models of robots that differ only in lengths, with a shared regressor of the ``standard`` parameters.
+
+    Its program has the shifts of places as parameters: to derive it for each robot would take most of the time.
+    """
+    places = np.array([[placement.position for placement in placements(robot)] for robot in robots])
+    shifts = places - places[0]  # (robots, places, 3)
+    varies = np.abs(shifts).max(axis=0) > 0
+    s = ca.SX(ca.Sparsity.triplet(*varies.shape, *(index.tolist() for index in np.nonzero(varies))))
+    symbols = ca.SX.sym("s", int(varies.sum()))
+    for symbol, (place, axis) in zip(ca.vertsplit(symbols), np.argwhere(varies).tolist(), strict=True):
+        s[place, axis] = symbol
+    varied = shifted(robots[0], [s[k, :].T for k in range(len(varies))])
+    general = InverseDynamics(varied).columns(standard)
+    program = compile_program(general.inputs, [general.matrix.nz[:]], [symbols])
+    models = [InverseDynamics(robot) for robot in robots]
+    for model, shift in zip(models, shifts, strict=True):
+        model._regressors[general.names] = replace(general, compiled=program.at(shift[varies]))
+    return models

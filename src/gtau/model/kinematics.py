@@ -11,12 +11,19 @@ freedom. The two differ only where a platform turns (paper, eq. 9: T).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import chain, repeat
 
 import casadi as ca
 import numpy as np
 
+from gtau.robots.geometry import characteristic_length, moved_ends
+from gtau.robots.placement import pose_of
 from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint, Placement, Platform, Pose, Robot
+
+SAME_LENGTH = 1e-6  # relative difference of lengths intended to be equal
 
 
 @dataclass(frozen=True)
@@ -47,18 +54,66 @@ class PlatformSlots:
         return np.array([components[dof] for dof in self.platform.dof])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Coordinates:
     """Layout of ``c`` (n_c,) and ``yd`` (n_y,) of a robot, and its actuated part ``q`` (n,)."""
 
     robot: Robot
-    platforms: tuple[PlatformSlots, ...]
-    n_c: int
-    n_y: int
-    actuated: np.ndarray  # (n,) indices into yd and c
-    passive: np.ndarray  # (n_y - n,) indices into yd
-    names: tuple[str, ...]  # (n_y,)
-    angular: np.ndarray  # (n_y,) True where a rate is in rad/s
+
+    @cached_property
+    def platforms(self) -> tuple[PlatformSlots, ...]:
+        """Places of the platforms' coordinates, behind those of the joints."""
+        slots = []
+        n_c = n_y = len(self.robot.joints)
+        for platform in self.robot.platforms:
+            turns = not set(ROTATIONS).isdisjoint(platform.dof)
+            quaternion = slice(n_c + 3, n_c + 7) if turns else None
+            rates = slice(n_y, n_y + len(platform.dof))
+            slots.append(PlatformSlots(platform, slice(n_c, n_c + 3), quaternion, rates))
+            n_c, n_y = n_c + (7 if turns else 3), rates.stop
+        return tuple(slots)
+
+    @cached_property
+    def n_c(self) -> int:
+        """Length of c."""
+        return len(self.robot.joints) + sum(7 if slots.quaternion else 3 for slots in self.platforms)
+
+    @property
+    def n_y(self) -> int:
+        """Length of yd."""
+        return len(self.names)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names (n_y,) of the coordinates: a joint's, or a freedom and its platform."""
+        freedoms = [f"{dof}_{platform.name}" for platform in self.robot.platforms for dof in platform.dof]
+        return (*(joint.name for joint in self.robot.joints), *freedoms)
+
+    @cached_property
+    def angular(self) -> np.ndarray:
+        """Mask (n_y,) of the rates in rad/s."""
+        freedoms = [dof in ROTATIONS for platform in self.robot.platforms for dof in platform.dof]
+        return np.array([*(joint.turns for joint in self.robot.joints), *freedoms], dtype=bool)
+
+    @cached_property
+    def actuated(self) -> np.ndarray:
+        """Indices (n,) of the actuated joints in yd and c."""
+        return np.flatnonzero([joint.actuated for joint in self.robot.joints])
+
+    @cached_property
+    def passive(self) -> np.ndarray:
+        """Indices (n_y - n,) of the other coordinates in yd."""
+        return np.setdiff1d(np.arange(self.n_y), self.actuated)
+
+    @cached_property
+    def length(self) -> float:
+        """Characteristic length of the robot, m."""
+        return characteristic_length(self.robot)
+
+    @cached_property
+    def unit(self) -> np.ndarray:
+        """Size (n_y,) of one unit of each scaled coordinate, rad or m."""
+        return np.where(self.angular, 1.0, self.length)
 
     @property
     def home(self) -> np.ndarray:
@@ -75,45 +130,21 @@ class Coordinates:
 
     def retract(self, c: np.ndarray, step: np.ndarray) -> np.ndarray:
         """Move configurations (n_c, N) by small displacements (n_y, N)."""
-        moved = c.copy()
-        n_t = len(self.robot.joints)
+        moved, n_t = c.copy(), len(self.robot.joints)
         moved[:n_t] += step[:n_t]
         for slots in self.platforms:
             displacement = dict(zip(slots.platform.dof, step[slots.rates], strict=True))
-            for k, dof in enumerate(TRANSLATIONS):
-                if dof in displacement:
-                    moved[slots.position.start + k] += displacement[dof]
+            zero = np.zeros(c.shape[1])
+            shift, turn = (
+                np.stack([displacement.get(dof, zero) for dof in dofs]) for dofs in (TRANSLATIONS, ROTATIONS)
+            )
+            moved[slots.position] += shift
             if slots.quaternion is not None:
                 from scipy.spatial.transform import Rotation
 
-                zero = np.zeros(c.shape[1])
-                turn = Rotation.from_rotvec(np.stack([displacement.get(dof, zero) for dof in ROTATIONS], axis=1))
                 before = Rotation.from_quat(c[slots.quaternion].T, scalar_first=True)
-                moved[slots.quaternion] = (turn * before).as_quat(scalar_first=True).T
+                moved[slots.quaternion] = (Rotation.from_rotvec(turn.T) * before).as_quat(scalar_first=True).T
         return moved
-
-
-def coordinates(robot: Robot) -> Coordinates:
-    """Lay out the coordinates of ``robot``."""
-    n_c = n_y = len(robot.joints)
-    names = [joint.name for joint in robot.joints]
-    angular = [joint.turns for joint in robot.joints]
-    platforms = []
-    for platform in robot.platforms:
-        turns = any(dof in ROTATIONS for dof in platform.dof)
-        position = slice(n_c, n_c + 3)
-        quaternion = slice(n_c + 3, n_c + 7) if turns else None
-        rates = slice(n_y, n_y + len(platform.dof))
-        n_c += 7 if turns else 3
-        n_y += len(platform.dof)
-        names += [f"{dof}_{platform.name}" for dof in platform.dof]
-        angular += [dof in ROTATIONS for dof in platform.dof]
-        platforms.append(PlatformSlots(platform, position, quaternion, rates))
-    actuated = np.array([k for k, joint in enumerate(robot.joints) if joint.actuated], dtype=int)
-    passive = np.setdiff1d(np.arange(n_y), actuated)
-    return Coordinates(
-        robot, tuple(platforms), n_c, n_y, actuated, passive, tuple(names), np.array(angular, dtype=bool)
-    )  # fmt: skip
 
 
 Vector = ca.SX  # (3, 1)
@@ -153,6 +184,24 @@ class Varied(Pose):
 
     R: ca.SX = field(default_factory=lambda: ca.SX.eye(3))
     p: Vector = field(default_factory=lambda: ca.SX(3, 1))
+
+
+def placements(robot: Robot) -> list[Placement]:
+    """List the placements of joints, of the ends of closures, and of those of springs."""
+    return [*(joint.placement for joint in robot.joints), *(end.placement for end in robot.ends)]
+
+
+def shifted(robot: Robot, shifts: Sequence[ca.SX]) -> Robot:
+    """Shift the :func:`placements` by symbolic vectors (3,), those beyond the last one not at all."""
+    shift = chain(shifts, repeat(ca.SX(3, 1)))
+
+    def varied(placement: Placement) -> Varied:
+        pose = placement if isinstance(placement, Pose) else pose_of(placement.rotation, placement.position)
+        return Varied(pose.xyz, pose.rpy, constant(pose.rotation), constant(pose.position) + next(shift))
+
+    joints = tuple(replace(joint, placement=varied(joint.placement)) for joint in robot.joints)
+    closures, springs = moved_ends(robot, lambda end: replace(end, placement=varied(end.placement)))
+    return replace(robot, joints=joints, closures=closures, springs=springs)
 
 
 def placed(placement: Placement) -> tuple[ca.SX, Vector]:
@@ -206,15 +255,20 @@ def poses(layout: Coordinates, c: np.ndarray) -> dict[str, tuple[np.ndarray, np.
     return {name: (ca.evalf(at.R_0).full(), ca.evalf(at.p_0).full().ravel()) for name, at in symbolic.items()}
 
 
+def _velocities(slots: PlatformSlots, rates: ca.SX) -> tuple[Vector, Vector]:
+    """Split the ``rates`` (n_y,) of a platform into linear and angular velocity in base axes, ``D v`` of eq. (10)."""
+    v = dict(zip(slots.platform.dof, ca.vertsplit(rates[slots.rates]), strict=True))
+    linear, angular = (ca.vertcat(*(v.get(dof, ca.SX(1, 1)) for dof in dofs)) for dofs in (TRANSLATIONS, ROTATIONS))
+    return linear, angular
+
+
 def configuration_rates(layout: Coordinates, c: ca.SX, yd: ca.SX) -> ca.SX:
     """Express the time derivative of the configuration c (n_c,) for velocities ``yd`` (n_y,), T of eq. (9)."""
-    n_t = len(layout.robot.joints)
-    rates = [yd[:n_t]]
+    rates = [yd[: len(layout.robot.joints)]]
     for slots in layout.platforms:
-        v = dict(zip(slots.platform.dof, ca.vertsplit(yd[slots.rates]), strict=True))
-        rates.append(ca.vertcat(*(v.get(dof, ca.SX(1, 1)) for dof in TRANSLATIONS)))
+        linear, omega = _velocities(slots, yd)
+        rates.append(linear)
         if slots.quaternion is not None:
-            omega = ca.vertcat(*(v.get(dof, ca.SX(1, 1)) for dof in ROTATIONS))
             w, vector = c[slots.quaternion][0], c[slots.quaternion][1:]
             rates.append(ca.vertcat(-ca.dot(omega, vector), w * omega + ca.cross(omega, vector)) / 2)
     return ca.vertcat(*rates)
@@ -224,19 +278,14 @@ def platform_twist(layout: Coordinates, rates: ca.SX, frame: dict[str, Frame]) -
     """Express the twists ``t = D v`` of the platforms, eq. (10), in their own axes."""
     twists = {}
     for slots in layout.platforms:
-        v = dict(zip(slots.platform.dof, ca.vertsplit(rates[slots.rates]), strict=True))
+        linear, angular = _velocities(slots, rates)
         R_t = frame[slots.platform.name].R_0.T
-        linear = ca.vertcat(*(v.get(dof, ca.SX(1, 1)) for dof in TRANSLATIONS))
-        angular = ca.vertcat(*(v.get(dof, ca.SX(1, 1)) for dof in ROTATIONS))
         twists[slots.platform.name] = Twist(R_t @ angular, R_t @ linear)
     return twists
 
 
 def twists(layout: Coordinates, frame: dict[str, Frame], rates: ca.SX) -> dict[str, Twist]:
-    """Express the twist of every body for the velocities ``rates`` (n_y,).
-
-    With a column of ``J`` for ``rates`` these are the partial twists of Jourdain's principle.
-    """
+    """Express the twist of every body for velocities (n_y,), or the partial twists for a column of ``J``."""
     zero = ca.SX(3, 1)
     twists = {GROUND: Twist(zero, zero)}
     for k, joint in enumerate(layout.robot.joints):

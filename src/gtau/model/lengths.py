@@ -6,26 +6,21 @@ derivative of a pose by each length at constant motor positions.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import chain, repeat
 
 import casadi as ca
 import numpy as np
 
 from gtau.model.closures import closure_expressions
 from gtau.model.interpreter.program import Program, compile_program
-from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.kinematics import Coordinates, Varied, constant, coordinates, frames, twists
-from gtau.robots.geometry import characteristic_length, moved_ends
-from gtau.robots.parameter import Parameter
-from gtau.robots.placement import pose_of
-from gtau.robots.robot import Mdh, Placement, Pose, Robot
+from gtau.model.kinematics import SAME_LENGTH, Coordinates, constant, frames, placements, shifted, twists
+from gtau.robots.geometry import characteristic_length
+from gtau.robots.robot import Mdh, Placement, Robot
 
 # Measured on 17 robots, those of the catalog and of third-party robot files: the shortest length is 0.046 of the
 # characteristic length and the closest two differ by 0.0013, while rounding parts equal ones by 1e-13 at most.
 SHORT = 1e-4  # of the characteristic length: anything shorter is not intended as a length
-SAME = 1e-6  # relative difference of lengths intended to be equal
 HOLDING = 1e-6  # of a length's change: largest closure error with which the closures still follow it
 CLOSED = 1e-11  # last correction of the passive coordinates, rad or characteristic lengths
 STEPS = 20
@@ -35,25 +30,19 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Constant:
-    """A geometric constant: a length in m used in one or several placements, or the zero of an encoder.
-
-    ``value`` is 0 for a zero. ``directions`` are its places with the unit vectors along which it is laid off, and
-    ``joint`` the number of the actuated joint whose zero it is.
-    """
+    """A length, m, with the places and unit vectors along which it is laid off, or the zero of an encoder (value 0)."""
 
     name: str
     value: float
     unit: str
     directions: tuple[tuple[int, Vector], ...] = ()
-    joint: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class BodyPose:
     """Position (N, 3) and orientation (N, 3, 3) of a body in the base.
 
-    ``by_constants`` (N, 6, constants) and ``by_joints`` (N, 6, n) are their derivatives, m and rad in base axes; those
-    by a constant that the closures cannot follow are nan.
+    Derivatives (N, 6, constants) and (N, 6, n) are in m and rad; nan by a constant that the closures cannot follow.
     """
 
     position: np.ndarray
@@ -66,38 +55,34 @@ class BodyPose:
 class VariableGeometry:
     """A robot with variable geometric ``constants``, and the pose of one of its bodies.
 
-    ``program`` maps c and, for all samples alike, the shifts of all places to the residual of the closures, their
-    derivatives by the scaled passive coordinates, the actuated ones and the shifts, and to the pose of the body with
-    its derivatives by yd and the shifts.
+    The zeros of the actuated joints are the last constants. ``program`` maps c and, for all samples alike, the shifts
+    of all places to the residual (``rows``,) of the closures, their derivatives by the scaled passive coordinates, the
+    actuated ones and the shifts, and to the pose of the body with its derivatives by yd and the shifts.
     """
 
     layout: Coordinates
     constants: tuple[Constant, ...]
     shifts: np.ndarray  # (3 places, constants) shift of each place for a unit of each constant
-    unit: np.ndarray  # (n_passive,) of the scaled passive coordinates, rad or m
     rows: int
     program: Program
 
     def close(self, c: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray | None:
-        """Close the loops after a change of the constants, with the motors at the same logged positions.
+        """Close the loops after a change of the constants (constants,), with the motors at the same logged positions.
 
-        Configurations ``c`` (n_c, N) are closed with the changes ``before`` (constants,) from the values in the robot's
-        file, and are to be with those of ``after``; None where the closures cannot follow.
+        ``c`` (n_c, N) are closed with the changes ``before``, and are to be with ``after``; None where they cannot
+        follow.
         """
-        layout, change = self.layout, after - before
+        layout, shift = self.layout, self.shifts @ after
         step = np.zeros((layout.n_y, c.shape[1]))
-        for k, varied in enumerate(self.constants):
-            if varied.joint is not None:
-                step[layout.actuated[varied.joint]] += change[k]
+        step[layout.actuated] = (after - before)[-len(layout.actuated) :, None]
         c = layout.retract(c, step)
         if not self.rows:
             return c
-        shift = self.shifts @ after
         for _ in range(STEPS):
             residual, G_p, *_ = self._evaluate(c, shift)
             correction = -(np.linalg.pinv(G_p) @ residual[:, :, None])[:, :, 0]
             step = np.zeros((layout.n_y, c.shape[1]))
-            step[layout.passive] = (correction * self.unit).T
+            step[layout.passive] = (correction * layout.unit[layout.passive]).T
             c = layout.retract(c, step)
             if np.abs(correction).max(initial=0.0) < CLOSED:
                 residual = self._evaluate(c, shift)[0]
@@ -112,122 +97,68 @@ class VariableGeometry:
         follow = -np.linalg.pinv(G_p) @ G if self.rows else np.zeros((len(position), len(layout.passive), G.shape[2]))
         gap = np.abs(G + G_p @ follow).max(axis=(0, 1), initial=0.0)
         direct = np.concatenate([J[:, :, layout.actuated], J_s @ self.shifts], axis=2)
-        moved = direct + J[:, :, layout.passive] @ (follow * self.unit[:, None])
+        moved = direct + J[:, :, layout.passive] @ (follow * layout.unit[layout.passive][:, None])
         moved[:, :, gap > HOLDING * np.maximum(np.abs(G).max(axis=(0, 1), initial=0.0), 1e-300)] = np.nan
         by_joints, by_constants = moved[:, :, :n], moved[:, :, n:]
-        for k, varied in enumerate(self.constants):
-            if varied.joint is not None:
-                by_constants[:, :, k] = by_joints[:, :, varied.joint]
+        by_constants[:, :, -n:] = by_joints
         return BodyPose(position, rotation, by_constants, by_joints)
 
     def _evaluate(self, c: np.ndarray, shift: np.ndarray) -> list[np.ndarray]:
         """Evaluate the program, samples first: (N, rows), (N, rows, n_passive), ..., (N, 6, 3 places)."""
-        layout, samples = self.layout, c.shape[1]
-        shapes = [
-            (self.rows,),
-            (self.rows, len(layout.passive)),
-            (self.rows, len(layout.actuated)),
-            (self.rows, shift.size),
-            (3,),
-            (3, 3),
-            (6, layout.n_y),
-            (6, shift.size),
-        ]
-        values = self.program(c, parameters=shift)
-        parts = np.split(values, np.cumsum([int(np.prod(shape)) for shape in shapes])[:-1])
-        return [part.T.reshape(samples, *shape) for part, shape in zip(parts, shapes, strict=True)]
+        layout, places = self.layout, shift.size
+        by_rows = [(self.rows, size) for size in (len(layout.passive), len(layout.actuated), places)]
+        shapes = [(self.rows,), *by_rows, (3,), (3, 3), (6, layout.n_y), (6, places)]
+        ends = np.cumsum([int(np.prod(shape)) for shape in shapes])
+        parts = np.split(self.program(c, parameters=shift), ends[:-1])
+        return [part.T.reshape(-1, *shape) for part, shape in zip(parts, shapes, strict=True)]
 
 
 def variable_geometry(robot: Robot, body: str) -> VariableGeometry:
     """Derive the pose of a ``body`` as a function of the robot's geometric constants.
 
-    The constants are the lengths of all placements (a distance and, where it is oblique, its components; d, r and b
-    of MDH placements), each by itself and those that are the same together, and the zeros of the actuated joints.
+    These are the lengths of all placements (an oblique distance and its components; d, r and b of MDH placements), each
+    by itself and those that are the same together, and the zeros of the actuated joints.
     """
-    layout = coordinates(robot)
-    places = list(_places(robot))
-    s = ca.SX.sym("s", 3 * len(places))
-    varied = replace(layout, robot=_shifted(robot, [s[3 * k : 3 * k + 3] for k in range(len(places))]))
+    layout = Coordinates(robot)
+    lengths = list(_constants(robot))
+    zeros = [Constant(f"zero of '{name}'", 0.0, robot.joint(name).unit) for name in robot.actuated]
+    s = ca.SX.sym("s", 3 * (len(robot.joints) + 2 * len(robot.closures)))
+    varied = Coordinates(shifted(robot, ca.vertsplit(s, 3)))
     c, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
     residual, velocity, _ = closure_expressions(varied, c, yd)
-    unit = np.where(layout.angular, 1.0, characteristic_length(robot))[layout.passive]
     frame = frames(varied, c)
     twist, at = twists(varied, frame, yd)[body], frame[body]
     G = ca.jacobian(velocity, yd)
-    G_p = G[:, layout.passive.tolist()] @ ca.diag(ca.DM(unit))
+    G_p = G[:, layout.passive.tolist()] @ constant(np.diag(layout.unit[layout.passive]))
     J = ca.jacobian(ca.vertcat(at.R_0 @ twist.linear, at.R_0 @ twist.angular), yd)
     J_s = ca.vertcat(ca.jacobian(at.p_0, s), ca.SX(3, s.numel()))
-    outputs = [residual, G_p.T, G[:, layout.actuated.tolist()].T, ca.jacobian(residual, s).T, at.p_0, at.R_0.T]
-    constants = [*_constants(robot, places), *_zeros(robot)]
-    shifts = np.zeros((s.numel(), len(constants)))
-    for k, length in enumerate(constants):
+    G_a, G_s = G[:, layout.actuated.tolist()], ca.jacobian(residual, s)
+    outputs = [output.T for output in (G_p, G_a, G_s, at.p_0.T, at.R_0, J, J_s)]
+    shifts = np.zeros((s.numel(), len(lengths) + len(zeros)))
+    for k, length in enumerate(lengths):
         for place, direction in length.directions:
             shifts[3 * place : 3 * place + 3, k] += direction
-    program = compile_program([c], [*outputs, J.T, J_s.T], [s])
-    return VariableGeometry(layout, tuple(constants), shifts, unit, residual.numel(), program)
+    program = compile_program([c], [residual, *outputs], [s])
+    return VariableGeometry(layout, (*lengths, *zeros), shifts, residual.numel(), program)
 
 
-def models_alike(robots: Sequence[Robot], standard: Sequence[Parameter]) -> list[InverseDynamics]:
-    """Make models of robots that differ only in lengths, with one shared regressor of the ``standard`` parameters.
-
-    It is derived once, with the shifts of places as parameters of its program: to derive it for each robot takes most
-    of the time in which several lengths are tried.
-    """
-    where = np.array([[placement.position for _, placement in _places(robot, springs=True)] for robot in robots])
-    shifts = where - where[0]  # (robots, places, 3)
-    varies = np.abs(shifts).max(axis=0) > 0
-    s = ca.SX(ca.Sparsity.triplet(*varies.shape, *(index.tolist() for index in np.nonzero(varies))))
-    symbols = ca.SX.sym("s", int(varies.sum()))
-    for symbol, (place, axis) in zip(ca.vertsplit(symbols), np.argwhere(varies).tolist(), strict=True):
-        s[place, axis] = symbol
-    varied = InverseDynamics(_shifted(robots[0], [s[k, :].T for k in range(len(varies))]))
-    general = varied.columns(standard)
-    program = compile_program(general.inputs, [general.matrix.nz[:]], [symbols])
-    models = [InverseDynamics(robot) for robot in robots]
-    for model, shift in zip(models, shifts, strict=True):
-        model.adopt(replace(general, compiled=program.at(shift[varies])))
-    return models
-
-
-def _places(robot: Robot, springs: bool = False) -> Iterator[tuple[str, Placement]]:
-    """Iterate over all placements with their descriptions; those of ``springs`` come last."""
-    for joint in robot.joints:
-        yield f"'{joint.name}'", joint.placement
-    for number, closure in enumerate(robot.closures, start=1):
-        for end in (closure.a, closure.b):
-            yield f"closure {number} on '{end.body}'", end.placement
-    for spring in robot.springs if springs else ():
-        for end in (spring.a, spring.b):
-            yield f"'{spring.name}' on '{end.body}'", end.placement
-
-
-def _shifted(robot: Robot, shifts: Sequence[ca.SX]) -> Robot:
-    """Shift the placements of joints and closures, and of springs where there are shifts of these too."""
-    of_place = chain(shifts, repeat(ca.SX(3, 1)))
-
-    def shifted(placement: Placement) -> Varied:
-        pose = placement if isinstance(placement, Pose) else pose_of(placement.rotation, placement.position)
-        return Varied(pose.xyz, pose.rpy, constant(pose.rotation), constant(pose.position) + next(of_place))
-
-    joints = tuple(replace(joint, placement=shifted(joint.placement)) for joint in robot.joints)
-    closures, springs = moved_ends(robot, lambda end: replace(end, placement=shifted(end.placement)))
-    return replace(robot, joints=joints, closures=closures, springs=springs)
-
-
-def _constants(robot: Robot, places: Sequence[tuple[str, Placement]]) -> Iterator[Constant]:
+def _constants(robot: Robot) -> Iterator[Constant]:
     """Iterate over the lengths, each by itself, then equal ones together."""
+    names = [f"'{joint.name}'" for joint in robot.joints]
+    for number, closure in enumerate(robot.closures, start=1):
+        names += [f"closure {number} on '{end.body}'" for end in (closure.a, closure.b)]
     shortest = SHORT * characteristic_length(robot)
     same: dict[float, list[tuple[str, tuple[int, Vector]]]] = {}
-    for k, (where, placement) in enumerate(places):
+    for k, (place, placement) in enumerate(zip(names, placements(robot), strict=False)):  # springs come last
         for what, value, direction in _lengths(placement):
             if value > shortest:
-                key = next((known for known in same if abs(known - value) < SAME * known), value)
-                same.setdefault(key, []).append((f"{what} of {where}", (k, direction)))
+                key = next((known for known in same if abs(known - value) < SAME_LENGTH * known), value)
+                same.setdefault(key, []).append((f"{what} of {place}", (k, direction)))
     for value, uses in same.items():
-        called = [name for name, constant in robot.file.constants if abs(abs(constant) - value) < SAME * value]
+        called = [name for name, constant in robot.file.constants if abs(abs(constant) - value) < SAME_LENGTH * value]
         prefix = f"{'/'.join(called)}, " if called else ""
-        for where, at in uses:
-            yield Constant(f"{prefix}{where}", value, "m", (at,))
+        for place, at in uses:
+            yield Constant(f"{prefix}{place}", value, "m", (at,))
         if len(uses) > 1:
             name = "/".join(called) or f"{1e3 * value:.4g} mm"
             yield Constant(f"{name} at all {len(uses)} places", value, "m", tuple(at for _, at in uses))
@@ -254,9 +185,3 @@ def _lengths(placement: Placement) -> Iterator[tuple[str, float, Vector]]:
 def _vector(values: np.ndarray) -> Vector:
     x, y, z = values.tolist()
     return x, y, z
-
-
-def _zeros(robot: Robot) -> Iterator[Constant]:
-    for k, name in enumerate(robot.actuated):
-        unit = robot.joint(name).unit
-        yield Constant(f"zero of '{name}'", 0.0, unit, joint=k)

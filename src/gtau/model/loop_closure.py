@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -11,38 +10,39 @@ import casadi as ca
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.model.closures import assembly_errors, closure_expressions
+from gtau.model.closures import error_expressions
 from gtau.model.kinematics import Coordinates
-from gtau.robots.geometry import characteristic_length
-from gtau.robots.robot import Joint
+from gtau.robots.robot import Joint, Robot
 
 # Lengths are in characteristic lengths of the robot, angles in rad.
 CLOSED = 1e-11  # largest error of a loop that is closed
 STALLED = 15  # steps with little improvement, after which a start is abandoned
+NEAR = 1e-3  # a home displaced by less than this by the solution is the intended one: no note
+FAR = 1.0  # largest admissible error of a home given in the file
+LIMITS = 1e-4  # rad or m: files round homes and limits, so one beyond a limit by less than this is within it
+WELL_CONDITIONED = 30.0  # condition number of the scaled passive columns that the home search aims for
+STEP = 0.1
+STARTS = 40
+MOTOR_DECIMALS = 6  # of the motors' positions in a home that was searched for: beyond them processors may differ
+CLOSER = "correct the placements or give the passive joints a 'home' closer to the assembled robot"
 
 
 @dataclass(frozen=True, eq=False)
 class LoopErrors:
-    """The closures and couplings of a robot, to be evaluated one configuration at a time.
-
-    ``looped`` are indices into yd of the coordinates that a closure or coupling depends on. ``function`` maps c (n_c,)
-    to the errors (rows,), see :func:`assembly_errors`, and what their derivatives by the scaled coordinates
-    (rows, n_y) are at a closed pose.
-    """
+    """Loops, one configuration at a time: ``function`` maps c to errors and Jacobian, :func:`error_expressions`."""
 
     layout: Coordinates
-    looped: np.ndarray
-    function: Callable[..., Any]
+    function: Any
 
     @cached_property
-    def length(self) -> float:
-        """Characteristic length of the robot, m."""
-        return characteristic_length(self.layout.robot)
+    def looped(self) -> np.ndarray:
+        """Indices into yd of the coordinates that a closure or coupling depends on."""
+        return np.unique(self.function.sparsity_out(1).get_triplet()[1]).astype(int)
 
-    @cached_property
-    def unit(self) -> np.ndarray:
-        """Size (n_y,) of one unit of a scaled coordinate, in rad or m."""
-        return np.where(self.layout.angular, 1.0, self.length)
+    @property
+    def joints(self) -> list[int]:
+        """Numbers of the joints in loops."""
+        return [int(k) for k in self.looped if k < len(self.layout.robot.joints)]
 
     def __call__(self, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Evaluate errors (rows,) and scaled Jacobian (rows, n_y) at ``c`` (n_c,)."""
@@ -56,68 +56,56 @@ class LoopErrors:
 
     def moved(self, c: np.ndarray, step: np.ndarray) -> np.ndarray:
         """Move the configuration ``c`` (n_c,) by a scaled displacement (n_y,)."""
-        return self.layout.retract(c[:, None], (step * self.unit)[:, None])[:, 0]
+        return self.layout.retract(c[:, None], (step * self.layout.unit)[:, None])[:, 0]
 
-    def condition(self, G: np.ndarray) -> float:
-        """Compute the condition number of the scaled columns of the passive coordinates in loops."""
-        sigma = np.linalg.svd(G[:, self.passive], compute_uv=False)
+    def condition(self, c: np.ndarray) -> float:
+        """Compute the condition number at ``c`` of the scaled columns of the passive coordinates in loops."""
+        sigma = np.linalg.svd(self(c)[1][:, self.passive], compute_uv=False)
         return float(sigma[0] / max(sigma[-1], 1e-12)) if sigma.size else 1.0
 
     def gap(self, c: np.ndarray) -> str:
         """Find the loop with the largest closure error at ``c`` (n_c,), and that error."""
-        robot, start, gaps = self.layout.robot, 0, []
+        robot, start, gaps, error = self.layout.robot, 0, [], self(c)[0]
         welds = sum(closure.kind == "weld" for closure in robot.closures)
-        both = self(c)[0]
-        error, flips = np.split(both, [both.size - welds])
-        turned = iter(np.arccos(np.clip(1.0 - flips, -1.0, 1.0)))
+        turned = iter(np.arccos(np.clip(1.0 - error[len(error) - welds :], -1.0, 1.0)))
         for number, closure in enumerate(robot.closures, start=1):
-            rows = 6 if closure.kind == "weld" else 3
-            distance, half = (float(np.linalg.norm(part)) for part in np.split(error[start : start + rows], [3]))
-            angle = max(half, float(next(turned))) if rows == 6 else 0.0
-            parts = (distance, f"{1e3 * distance * self.length:.3g} mm"), (angle, f"{np.degrees(angle):.3g} degrees")
-            size = " and ".join(text for part, text in parts if part > 1e-3 * max(distance, angle))
-            name = f"closure {number} ('{closure.a.body}' to '{closure.b.body}') stays open by {size}"
-            gaps.append((max(distance, angle), name))
-            start += rows
-        for coupling, value in zip(robot.couplings, error[start:], strict=True):
+            distance, angle = float(np.linalg.norm(error[start : start + 3])), 0.0
+            start += 3
+            if closure.kind == "weld":
+                angle = max(float(np.linalg.norm(error[start : start + 3])), float(next(turned)))
+                start += 3
+            most, shift = max(distance, angle), 1e3 * distance * self.layout.length
+            sizes = [f"{shift:.3g} mm"] * (distance > 1e-3 * most)
+            sizes += [f"{np.degrees(angle):.3g} degrees"] * (angle > 1e-3 * most)
+            name = f"closure {number} ('{closure.a.body}' to '{closure.b.body}') stays open by {' and '.join(sizes)}"
+            gaps.append((most, name))
+        for coupling, value in zip(robot.couplings, error[start:], strict=False):
             gaps.append((abs(float(value)), f"the coupling of '{coupling.joint}' is not met"))
         return max(gaps)[1]
 
     def apart(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         """Compute the distance between the scaled coordinates (n_y,) of two configurations, modulo full turns."""
-        layout, n_t = self.layout, len(self.layout.robot.joints)
+        layout, joints = self.layout, slice(len(self.layout.robot.joints))
         distance = np.zeros(layout.n_y)
-        change = after[:n_t] - before[:n_t]
-        turned = np.remainder(change + np.pi, 2 * np.pi) - np.pi
-        distance[:n_t] = np.where(layout.angular[:n_t], turned, change) / self.unit[:n_t]
+        change = after[joints] - before[joints]
+        distance[joints] = np.where(layout.angular[joints], _within_a_turn(change), change)
         for slots in layout.platforms:
-            distance[slots.rates] = slots.displacement(before, after) / self.unit[slots.rates]
-        return np.abs(distance)
+            distance[slots.rates] = slots.displacement(before, after)
+        return np.abs(distance / layout.unit)
+
+
+def _within_a_turn(angle: np.ndarray) -> np.ndarray:
+    return np.remainder(angle + np.pi, 2 * np.pi) - np.pi
 
 
 def loop_errors(layout: Coordinates) -> LoopErrors:
     """Compile the errors of a robot's loops and their Jacobian from its closure equations."""
     c, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
-    errors, G = error_expressions(layout, c, yd)
-    looped = np.unique(G.sparsity().get_triplet()[1]).astype(int)
-    return LoopErrors(layout, looped, ca.Function("loops", [c], [ca.densify(errors), ca.densify(G)]))
-
-
-def error_expressions(layout: Coordinates, c: ca.SX, yd: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Express the errors (rows,) of the loops at ``c`` and their scaled Jacobian (rows, n_y) at closed poses."""
-    unit = np.where(layout.angular, 1.0, characteristic_length(layout.robot))
-    _, velocity, _ = closure_expressions(layout, c, yd)
-    G = ca.jacobian(velocity, yd) @ ca.diag(ca.DM(unit))
-    errors, flips = assembly_errors(layout, c)
-    return ca.vertcat(errors, flips), ca.vertcat(G, ca.SX(flips.numel(), layout.n_y))
+    return LoopErrors(layout, ca.Function("loops", [c], list(error_expressions(layout, c, yd))))
 
 
 def closed(errors: LoopErrors, c: np.ndarray, moving: np.ndarray) -> np.ndarray:
-    """Minimise the loop errors by Levenberg-Marquardt, from a configuration ``c`` (n_c,).
-
-    Only the coordinates ``moving``, indices into yd, move. The loops close at the configuration (n_c,) that is returned
-    where the largest error is below ``CLOSED``.
-    """
+    """Minimise the loop errors by Levenberg-Marquardt from ``c`` (n_c,); only ``moving`` coordinates of yd move."""
     damping, stalled = 1e-3, 0
     error, G = errors(c)
     for _ in range(200):
@@ -148,16 +136,6 @@ def closed(errors: LoopErrors, c: np.ndarray, moving: np.ndarray) -> np.ndarray:
 def is_closed(errors: LoopErrors, c: np.ndarray, tolerance: float = CLOSED) -> bool:
     """Decide whether the loops close at ``c`` (n_c,)."""
     return bool(np.abs(errors(c)[0]).max(initial=0.0) < tolerance)
-
-
-# Below, lengths are in characteristic lengths of the robot, angles in rad.
-NEAR = 1e-3  # a home displaced by less than this by the solution is the intended one: no note
-FAR = 1.0  # largest admissible error of a home given in the file
-LIMITS = 1e-4  # rad or m: files round homes and limits, so one beyond a limit by less than this is within it
-WELL_CONDITIONED = 30.0  # condition number of the scaled passive columns that the home search aims for
-STEP = 0.1
-STARTS = 40
-MOTOR_DECIMALS = 6  # of the motors' positions in a home that was searched for: beyond them processors may differ
 
 
 def nearest_closed(errors: LoopErrors, given: np.ndarray, tolerance: float = CLOSED) -> np.ndarray:
@@ -191,32 +169,27 @@ def nearest_closed(errors: LoopErrors, given: np.ndarray, tolerance: float = CLO
 
 def _unwound(errors: LoopErrors, given: np.ndarray, solved: np.ndarray) -> np.ndarray:
     """Remove full turns from a configuration, except for coupled joints, whose couplings would no longer hold."""
-    coupled = {name for coupling in errors.layout.robot.couplings for name in (coupling.joint, *dict(coupling.ratios))}
-    unwound = solved.copy()
-    for k, joint in enumerate(errors.layout.robot.joints):
-        if joint.turns and joint.name not in coupled:
-            unwound[k] = given[k] + np.remainder(solved[k] - given[k] + np.pi, 2 * np.pi) - np.pi
+    robot, unwound = errors.layout.robot, solved.copy()
+    coupled = {name for coupling in robot.couplings for name in (coupling.joint, *dict(coupling.ratios))}
+    turning = [k for k, joint in enumerate(robot.joints) if joint.turns and joint.name not in coupled]
+    unwound[turning] = given[turning] + _within_a_turn(solved[turning] - given[turning])
     return unwound
 
 
 def _scattered(errors: LoopErrors, given: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     c = given.copy()
-    for k, joint in enumerate(errors.layout.robot.joints):
-        if k in errors.looped:
-            reach = np.pi if joint.turns else errors.length
-            low, high = joint.limits.position or (-np.inf, np.inf)
-            low, high = max(low, given[k] - reach), min(high, given[k] + reach)
-            c[k] = rng.uniform(low, high) if low < high else given[k]
+    for k in errors.joints:
+        joint = errors.layout.robot.joints[k]
+        reach = np.pi if joint.turns else errors.layout.length
+        low, high = joint.limits.position or (-np.inf, np.inf)
+        low, high = max(low, given[k] - reach), min(high, given[k] + reach)
+        c[k] = rng.uniform(low, high) if low < high else given[k]
     return c
 
 
 def _outside(errors: LoopErrors, c: np.ndarray) -> bool:
     """Decide whether a joint in a loop is beyond its position limits."""
-    return any(limit_excess(errors.layout.robot.joints[k], c[k]) > LIMITS for k in _looped_joints(errors))
-
-
-def _looped_joints(errors: LoopErrors) -> list[int]:
-    return [int(k) for k in errors.looped if k < len(errors.layout.robot.joints)]
+    return any(limit_excess(errors.layout.robot.joints[k], c[k]) > LIMITS for k in errors.joints)
 
 
 def limit_excess(joint: Joint, value: float) -> float:
@@ -228,17 +201,16 @@ def limit_excess(joint: Joint, value: float) -> float:
 def well_conditioned(errors: LoopErrors, c: np.ndarray) -> np.ndarray:
     """Move a closed configuration (n_c,) step by step until it is well conditioned or stops improving.
 
-    Steps are the displacements of single coordinates projected on the motions that keep the loops closed, which, other
-    than a basis of these, do not depend on the processor; conditions are compared with three digits.
+    Steps are projected displacements of single coordinates, which, other than a basis, do not depend on the processor.
     """
-    condition, size, limited = errors.condition(errors(c)[1]), STEP, _outside(errors, c)
+    condition, size, limited = errors.condition(c), STEP, _outside(errors, c)
     while condition > WELL_CONDITIONED and size > STEP / 10:
         best = float(f"{condition:.3g}"), c
         for direction in _directions(errors, c):
             for sign in (1.0, -1.0):
                 tried = closed(errors, errors.moved(c, sign * size * direction), errors.looped)
                 if is_closed(errors, tried) and _outside(errors, tried) <= limited:
-                    there = float(f"{errors.condition(errors(tried)[1]):.3g}")
+                    there = float(f"{errors.condition(tried):.3g}")
                     best = min(best, (there, tried), key=lambda candidate: candidate[0])
         size = size if best[0] < 0.99 * condition else size / 2
         condition, c = best
@@ -255,19 +227,86 @@ def with_round_motors(errors: LoopErrors, c: np.ndarray) -> np.ndarray:
 
 def _directions(errors: LoopErrors, c: np.ndarray) -> list[np.ndarray]:
     """List displacements (n_y,) that keep the loops closed, their largest entries 1; motors' first."""
-    _, G = errors(c)
-    _, sigma, Vt = np.linalg.svd(G[:, errors.looped])
+    looped = errors.looped
+    _, sigma, Vt = np.linalg.svd(errors(c)[1][:, looped])
     null = Vt[int((sigma > 1e-7).sum()) :]
     projector = null.T @ null
-    actuated = np.isin(errors.looped, errors.layout.actuated)
     directions: list[np.ndarray] = []
-    for k in np.argsort(~actuated, kind="stable"):
+    for k in np.argsort(~np.isin(looped, errors.layout.actuated), kind="stable"):
         size = np.linalg.norm(projector[k])
-        if size < 0.1 or any(
-            abs(projector[k] @ direction) > 0.99 * size * np.linalg.norm(direction) for direction in directions
-        ):
-            continue
-        directions.append(projector[k] / np.abs(projector[k]).max())
+        alike = (abs(projector[k] @ other) > 0.99 * size * np.linalg.norm(other) for other in directions)
+        if size >= 0.1 and not any(alike):
+            directions.append(projector[k] / np.abs(projector[k]).max())
     steps = np.zeros((len(directions), errors.layout.n_y))
-    steps[:, errors.looped] = np.reshape(directions, (len(directions), errors.looped.size))
+    steps[:, looped] = np.reshape(directions, (len(directions), looped.size))
     return list(steps)
+
+
+def closed_home(layout: Coordinates) -> np.ndarray:
+    """Close the loops near home, and check that the actuated joints move all of the robot: the home (n_c,) found."""
+    robot, errors = layout.robot, loop_errors(layout)
+    home = closed(errors, layout.home, errors.passive)
+    if not is_closed(errors, home):
+        raise GtauError(
+            f"robot '{robot.name}': the loops do not close near the home configuration, {errors.gap(home)}; {CLOSER}."
+        )
+    moved = errors.apart(layout.home, home)
+    if moved.max() > FAR:
+        k = int(moved.argmax())
+        raise GtauError(
+            f"robot '{robot.name}': the loops close only far from the home configuration, with '{layout.names[k]}' "
+            f"{moved[k] * layout.unit[k]:.4g} {'rad' if layout.angular[k] else 'm'} away from it; {CLOSER}."
+        )
+    G = errors(home)[1]
+    rank, total = (int(np.linalg.matrix_rank(columns, tol=1e-7)) for columns in (G[:, layout.passive], G))
+    if rank < len(layout.passive):
+        _refuse_free(layout, G[:, layout.passive], rank)
+    if total > rank:
+        _refuse_redundant(robot, G[:, [*layout.passive, *layout.actuated]], total, total - rank)
+    return home
+
+
+def _refuse_free(layout: Coordinates, G_p: np.ndarray, rank: int) -> None:
+    """Refuse passive coordinates left free by rank-deficient columns ``G_p`` of the loop equations."""
+    robot = layout.robot
+    free = np.abs(np.linalg.svd(G_p)[2][rank:]).max(axis=0) > 1e-6
+    held = np.abs(G_p).max(axis=0, initial=0.0) > 1e-7  # a turret under a loop turns, and closes none
+    names = [layout.names[k] for k in layout.passive[free]]
+    if alone := [layout.names[k] for k in layout.passive[free & ~held]]:
+        raise GtauError(
+            f"robot '{robot.name}': no motor moves {', '.join(alone)} and no closure holds "
+            f"{'them' if len(alone) > 1 else 'it'}; hold the joints that stand still in the logs, "
+            f"{_by_held(alone[0])}, fix a base that floats by 'base: fixed', or mark the joint actuated."
+        )
+    stiff = ""
+    if sprung := [joint.name for joint in robot.joints if joint.spring is not None and joint.name in names]:
+        stiff = f"hold the springs {', '.join(sprung)} if they hardly deflect, {_by_held(sprung[0])}, "
+    raise GtauError(
+        f"robot '{robot.name}': with the actuated joints ({', '.join(robot.actuated)}) held at the home configuration "
+        f"{', '.join(names)} can still move ({len(layout.passive) - rank} dof); {stiff}actuate more joints, or move "
+        "home away from a singular pose."
+    )
+
+
+def _refuse_redundant(robot: Robot, G: np.ndarray, rank: int, excess: int) -> None:
+    """Refuse actuated joints that the loop equations tie to each other: the last columns of ``G``, of this rank."""
+    n = len(robot.actuated)
+    free = np.linalg.svd(G)[2][rank:, G.shape[1] - n :]  # how the motors can move
+    ties = np.linalg.svd(free)[2][n - excess :]  # and its orthogonal complement, which they cannot move
+    stuck = np.abs(free).max(axis=0, initial=0.0) < 1e-9
+    tied = np.abs(ties).max(axis=0) > 1e-6
+    fixed, apart = (
+        [name for name, it in zip(robot.actuated, which, strict=True) if it] for which in (stuck, tied & ~stuck)
+    )
+    why = [f"the closures hold {', '.join(fixed)} fixed"] * bool(fixed)
+    why += [f"loops or couplings tie {', '.join(apart)} at home"] * bool(apart)
+    raise GtauError(
+        f"robot '{robot.name}': actuation is redundant, which is not supported: {n} actuated joints for {len(free)} "
+        f"dof, where {' and '.join(why)}; mark {excess} of them passive (in MJCF, without an actuator), hold the "
+        f"joints that stand still in the logs, {_by_held((apart or fixed)[0])}, or check the closures and the dof of "
+        f"platforms."
+    )
+
+
+def _by_held(name: str) -> str:
+    return f"by 'held: {{{name}: POSITION}}' or a list of the moving 'joints' beside the robot's 'file'"

@@ -1,24 +1,35 @@
-"""Loops closed at home, and their velocities and accelerations at closed configurations (paper, eqs. 3 to 8)."""
+"""Loops closed for many samples, in one assembly mode, with velocities and accelerations (paper, eqs. 3 to 8).
+
+Every sample is reached along a path from the home configuration: steps are halved until Newton's
+corrections shrink fast, so a solution never jumps to another assembly mode unseen. Many paths are
+followed at once, each in a lane of its own.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from threading import get_ident
 
-import casadi as ca
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.model.closures import closed_motion, loop_equations, newton_step
-from gtau.model.interpreter.program import Program, compile_program
-from gtau.model.kinematics import Coordinates, coordinates
-from gtau.model.loop_closure import FAR, closed, is_closed, loop_errors
-from gtau.robots.geometry import characteristic_length
+from gtau.model.closures import closed_motion, newton_step
+from gtau.model.interpreter.compiled import loops as compiled
+from gtau.model.interpreter.instructions import FOLLOWER, LANES, TILE
+from gtau.model.interpreter.program import Bound, Program, address, addresses, aligned, compile_program, share
+from gtau.model.kinematics import Coordinates
+from gtau.model.loop_closure import closed_home
 from gtau.robots.robot import Robot
 
 CONDITION = 1e3  # of the scaled passive columns: above this a pose counts as singular
-CLOSER = "correct the placements or give the passive joints a 'home' closer to the assembled robot"
+RESIDUAL = 1e-12  # of a closed loop: rad, or lengths over the characteristic length
+CONTRACTION = 0.3  # a step is too long if Newton's second correction is not this much smaller
+REACH = 0.5  # or if it leads this share of the way to a singular pose, where assembly modes meet
+SHORTEST = 2.0**-14  # of the way between two samples: if shorter steps are needed, there is no path
+SEGMENTS = 128  # of a path, followed in parallel, each of at least SEGMENT samples
+SEGMENT = 16
 
 
 Labels = Callable[[int], str]
@@ -32,10 +43,9 @@ def numbers(first: int = 0) -> Labels:
 
 @dataclass(frozen=True)
 class Motion:
-    """State of the whole virtual tree, from the closures, with samples along the last axis.
+    """Motion of the whole tree: ``c`` (n_c, N), ``yd`` and ``ydd`` (n_y, N), ``J = dy/dq`` (n_y, n, N).
 
-    ``c`` (n_c, N), ``yd`` and ``ydd`` (n_y, N), ``J = dy/dq`` (n_y, n, N), ``condition`` (N,) of the
-    passive columns, lengths scaled by the characteristic length.
+    ``condition`` (N,) is that of the passive columns, lengths scaled by the characteristic length.
     """
 
     c: np.ndarray
@@ -46,149 +56,186 @@ class Motion:
 
     def __getitem__(self, samples: slice) -> Motion:
         """Select the motion at some of the samples."""
-        return Motion(*(array[..., samples] for array in (self.c, self.yd, self.ydd, self.J, self.condition)))
+        return Motion(*(array[..., samples] for array in vars(self).values()))
 
 
 def joined(parts: Sequence[Motion]) -> Motion:
     """Join the motions of all ``parts``, one after the other."""
-    names = ("c", "yd", "ydd", "J", "condition")
-    return Motion(*(np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in names))
+    arrays = zip(*(vars(part).values() for part in parts), strict=True)
+    return Motion(*(np.concatenate(array, axis=-1) for array in arrays))
 
 
 @dataclass(frozen=True, eq=False)
 class Loops:
     """Closures of a robot with its solved home configuration ``home`` (n_c,), compiled for many samples.
 
-    ``equations`` maps c to the residual (rows,), ``G`` of the passive coordinates (rows, n_passive) and of the
-    actuated ones (rows, n). ``step`` maps c to the configuration after a step of Newton's method, the largest
-    correction and the condition number of the passive columns, ``fast_step`` to the same without the condition
-    number, and ``gap`` to the largest residual less what angles of many turns are rounded by. ``motion``
-    maps c, qd and qdd to the condition number, yd, ydd and J (n_y, n) (eqs. 5 to 8). Rows and columns are pure
-    numbers: rad, or lengths over the robot's ``length``.
+    ``step`` maps c to the configuration after a step of Newton's method, the largest correction and the condition
+    number of the passive columns, ``fast_step`` to the same without the condition number, and ``gap`` to the largest
+    residual less what angles of many turns are rounded by. ``motion`` maps c, qd and qdd to the condition number, yd,
+    ydd and J (n_y, n) (eqs. 5 to 8). Residuals and columns are pure numbers: rad, or lengths over the robot's.
     """
 
     layout: Coordinates
     home: np.ndarray
-    equations: Program
     step: Program
     fast_step: Program
     gap: Program
     motion: Program
 
     @property
-    def length(self) -> float:
-        """Characteristic length of the robot, m."""
-        return characteristic_length(self.layout.robot)
-
-    @property
     def rows(self) -> int:
         """Number of closure equations."""
-        return self.equations.outputs // (1 + self.layout.n_y)
+        robot = self.layout.robot
+        return sum(6 if closure.kind == "weld" else 3 for closure in robot.closures) + len(robot.couplings)
 
     def condition(self, c: np.ndarray) -> np.ndarray:
         """Compute the condition number (N,) of the scaled passive columns at closed configurations ``c`` (n_c, N)."""
         return self.step(c)[-1]
 
-    def newton(self, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Evaluate residual (rows, N) and scaled passive columns of ``G`` (rows, n_passive, N) at ``c`` (n_c, N)."""
-        residual, G_p, _ = self.columns(c)
-        return residual, G_p
-
-    def columns(self, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Evaluate residual (rows, N) and scaled ``G`` of the passive and the actuated coordinates (rows, ., N)."""
-        rows, passive, actuated = self.rows, len(self.layout.passive), len(self.layout.actuated)
-        residual, G_p, G_a = np.split(self.equations(c), np.cumsum([rows, rows * passive]))
-        return residual, G_p.reshape(rows, passive, c.shape[1]), G_a.reshape(rows, actuated, c.shape[1])
-
 
 @lru_cache(maxsize=8)
 def close_loops(robot: Robot) -> Loops:
     """Close the loops of a robot at home and check that its actuated joints move all of it; made once a robot."""
-    layout = coordinates(robot)
-    errors = loop_errors(layout)
-    home = closed(errors, layout.home, errors.passive)
-    if not is_closed(errors, home):
-        raise GtauError(
-            f"robot '{robot.name}': the loops do not close near the home configuration, {errors.gap(home)}; {CLOSER}."
-        )
-    moved = errors.apart(layout.home, home)
-    if moved.max() > FAR:
-        k = int(moved.argmax())
-        raise GtauError(
-            f"robot '{robot.name}': the loops close only far from the home configuration, with '{layout.names[k]}' "
-            f"{moved[k] * errors.unit[k]:.4g} {'rad' if layout.angular[k] else 'm'} away from it; {CLOSER}."
-        )
-    c, equations, gap = loop_equations(layout)
-    configuration, step = newton_step(layout)
-    inputs, motion = closed_motion(layout)
-    loops = Loops(
+    layout = Coordinates(robot)
+    home = closed_home(layout)
+    (c, step), (inputs, motion) = newton_step(layout), closed_motion(layout)
+    return Loops(
         layout,
         home,
-        equations=_compiled([c], equations),
-        step=_compiled([configuration], step),
-        fast_step=_compiled([configuration], step[:2]),
-        gap=_compiled([c], [gap]),
-        motion=_compiled(inputs, motion),
-    )
-    _, G_p, G_a = loops.columns(home[:, None])
-    rank = int(np.linalg.matrix_rank(G_p[:, :, 0], tol=1e-7))
-    total = int(np.linalg.matrix_rank(np.hstack([G_p[:, :, 0], G_a[:, :, 0]]), tol=1e-7))
-    if rank < len(layout.passive):
-        _refuse_free(robot, layout, G_p[:, :, 0], rank)
-    if total > rank:
-        _refuse_redundant(robot, np.hstack([G_p[:, :, 0], G_a[:, :, 0]]), total, total - rank)
-    return loops
-
-
-def _compiled(inputs: list[ca.SX], outputs: list[ca.SX]) -> Program:
-    """Compile expressions whose entries come row by row."""
-    return compile_program(inputs, [output.T for output in outputs])
-
-
-def _refuse_free(robot: Robot, layout: Coordinates, G_p: np.ndarray, rank: int) -> None:
-    """Refuse passive coordinates left free by rank-deficient columns ``G_p`` of the loop equations."""
-    free = np.abs(np.linalg.svd(G_p)[2][rank:]).max(axis=0) > 1e-6
-    held = np.abs(G_p).max(axis=0, initial=0.0) > 1e-7  # a turret under a loop turns, and closes none
-    names = [layout.names[k] for k in layout.passive[free]]
-    if alone := [layout.names[k] for k in layout.passive[free & ~held]]:
-        raise GtauError(
-            f"robot '{robot.name}': no motor moves {', '.join(alone)} and no closure holds "
-            f"{'them' if len(alone) > 1 else 'it'}; hold the joints that stand still in the logs, "
-            f"{_by_held(alone[0])}, fix a "
-            "base that floats by 'base: fixed', or mark the joint actuated."
-        )
-    stiff = ""
-    if sprung := [joint.name for joint in robot.joints if joint.spring is not None and joint.name in names]:
-        stiff = f"hold the springs {', '.join(sprung)} if they hardly deflect, {_by_held(sprung[0])}, "
-    raise GtauError(
-        f"robot '{robot.name}': with the actuated joints ({', '.join(robot.actuated)}) held at the home configuration "
-        f"{', '.join(names)} can still move ({len(layout.passive) - rank} dof); {stiff}actuate more joints, or move "
-        "home away from a singular pose."
+        step=compile_program([c], step[:3]),
+        fast_step=compile_program([c], step[:2]),
+        gap=compile_program([c], step[3:]),
+        motion=compile_program(inputs, [output.T for output in motion]),  # entries row by row
     )
 
 
-def _refuse_redundant(robot: Robot, G: np.ndarray, rank: int, excess: int) -> None:
-    """Refuse actuated joints that the loop equations tie to each other: the last columns of ``G``, of this rank."""
-    n = len(robot.actuated)
-    free = np.linalg.svd(G)[2][rank:, G.shape[1] - n :]  # how the motors can move
-    ties = np.linalg.svd(free)[2][n - excess :]  # and its orthogonal complement, which they cannot move
-    stuck = np.abs(free).max(axis=0, initial=0.0) < 1e-9
-    tied = np.abs(ties).max(axis=0) > 1e-6
-    fixed, apart = (
-        [name for name, it in zip(robot.actuated, which, strict=True) if it] for which in (stuck, tied & ~stuck)
+@lru_cache(maxsize=16)  # hypotheses evaluate many short paths
+def _follower(loops: Loops, shortest: float, thread: int) -> tuple[np.ndarray, list[object]]:
+    """Make the working memory of the compiled loops, one per thread, and the arrays that it points to."""
+    layout, n_c, n = loops.layout, loops.layout.n_c, len(loops.layout.actuated)
+    trial, made = aligned(n_c), aligned(n_c + 3)  # made: the configuration, then size, condition and gap
+    trial[:], made[:] = 0.0, 0.0
+    at, to = addresses(trial), addresses(made)
+    bound = (
+        Bound(loops.step, at, to[: n_c + 2]),
+        Bound(loops.fast_step, at, to[: n_c + 1]),
+        Bound(loops.gap, at, to[n_c + 2 :]),
     )
-    why = [f"the closures hold {', '.join(fixed)} fixed"] * bool(fixed)
-    why += [f"loops or couplings tie {', '.join(apart)} at home"] * bool(apart)
-    raise GtauError(
-        f"robot '{robot.name}': actuation is redundant, which is not supported: {n} actuated joints for {len(free)} "
-        f"dof, where {' and '.join(why)}; mark {excess} of them passive (in MJCF, without an actuator), hold the "
-        f"joints that stand still in the logs, {_by_held((apart or fixed)[0])}, or check the closures and the dof of "
-        f"platforms."
-    )
+    programs = [part for program in bound for part in program.run()[1:4]]
+    actuated, scale = np.array(layout.actuated, np.int64), _scale(loops)
+    tables = (np.zeros((rows, LANES)) for rows in (n_c, n_c, 2 * n_c, TILE * n_c, n, n))
+    pointed = [trial, made, scale, actuated, *tables]
+    where = [address(array) for array in pointed]
+    parameters = shortest, RESIDUAL, CONTRACTION, REACH
+    follower = np.array((compiled().machine, *programs, *where[:4], n_c, n, *where[4:], *parameters), dtype=FOLLOWER)
+    return follower, [bound, *pointed]
 
 
-def _by_held(name: str) -> str:
-    return f"by 'held: {{{name}: POSITION}}' or a list of the moving 'joints' beside the robot's 'file'"
+def _scale(loops: Loops) -> np.ndarray:
+    """Return by how much entries (n_c,) of c become rad, or lengths over the robot's; zero for the actuated ones."""
+    layout, scale = loops.layout, np.full(loops.layout.n_c, 1.0 / loops.layout.length)
+    scale[np.flatnonzero(layout.angular[: len(layout.robot.joints)])] = 1.0
+    scale[layout.actuated] = 0.0
+    for slots in layout.platforms:
+        if slots.quaternion is not None:
+            scale[slots.quaternion] = 2.0  # of a turn by an angle, at most half of it
+    return scale
+
+
+def advance(loops: Loops, c: np.ndarray, q: np.ndarray, shortest: float = SHORTEST) -> tuple[np.ndarray, np.ndarray]:
+    """Move from closed ``c`` (n_c, N) straight to ``q`` (n, N) as far as the loops close: c, and which arrive (N,).
+
+    A step below the share ``shortest`` of the way is not tried.
+    """
+    c, q = np.array(c, dtype=float, order="C"), np.ascontiguousarray(q, dtype=float)
+    reached = np.zeros(c.shape[1], dtype=bool)
+
+    def run(start: int, stop: int) -> None:
+        follower, _pointed = _follower(loops, shortest, get_ident())
+        where = address(follower), address(c), address(q), c.shape[1]
+        compiled().advance_to(*where, start, stop, address(reached))
+
+    share(run, c.shape[1], LANES)
+    return c, reached
+
+
+def follow(
+    loops: Loops,
+    q: np.ndarray,
+    labels: Labels | None = None,
+    start: np.ndarray | None = None,
+    segments: int = SEGMENTS,
+) -> np.ndarray:
+    """Find the configurations (n_c, N) along the path ``q`` (n, N), rad or m, all in the assembly mode of home.
+
+    The path begins at the closed configuration ``start`` (n_c,), or home, and is followed in ``segments`` in parallel.
+    Raises GtauError, with the name of ``labels``, where a sample cannot be reached within the assembly mode.
+    """
+    q, samples = np.ascontiguousarray(q, dtype=float), q.shape[1]
+    labels = labels or numbers()
+    begin = loops.home if start is None else start
+    c = np.repeat(begin[:, None], samples, axis=1)
+    if not samples:
+        return c
+    length = max(-(-samples // segments), min(SEGMENT, samples))
+    starts = np.arange(0, samples, length)
+    c[:, [0]], first_reached = advance(loops, begin[:, None], q[:, [0]])
+    if not first_reached[0]:
+        raise _unreachable(loops, q[:, 0], labels(0))
+    reached = np.ones(starts.size, dtype=bool)
+    half = 1 << (starts.size - 1).bit_length()
+    while half := half // 2:  # the head in the middle of the way, those of its halves, and so on
+        heads = np.arange(half, starts.size, 2 * half)
+        c[:, starts[heads]], reached[heads] = advance(loops, c[:, starts[heads - half]], q[:, starts[heads]])
+    begun = np.flatnonzero(reached)
+    lost = _follow_segments(loops, q, c, starts[begun], length)
+    # a segment must begin where the previous one ends
+    led, joined = advance(loops, c[:, starts[1:] - 1], q[:, starts[1:]])
+    redone = False
+    for k in range(1, starts.size):
+        if starts[k] - 1 in lost:
+            break
+        if redone:
+            led[:, [k - 1]], joined[[k - 1]] = advance(loops, c[:, [starts[k] - 1]], q[:, [starts[k]]])
+        if not joined[k - 1]:
+            lost.add(starts[k])
+            break
+        redone = not reached[k] or np.abs(led[:, k - 1] - c[:, starts[k]]).max() > 1e-6
+        if redone:
+            c[:, starts[k]] = led[:, k - 1]
+            lost -= set(range(starts[k], min(starts[k] + length, samples)))
+            lost |= _follow_segments(loops, q, c, starts[[k]], length)
+    if lost:
+        first = min(lost)
+        raise _unreachable(loops, q[:, first], labels(first))
+    return c
+
+
+def _follow_segments(loops: Loops, q: np.ndarray, c: np.ndarray, starts: np.ndarray, length: int) -> set[int]:
+    """Fill ``c`` from each of ``starts`` for ``length`` samples; return those that were not reached."""
+    ends = np.minimum(starts + length, q.shape[1])
+    begins, filled = starts.astype(np.int64), np.zeros(starts.size, dtype=np.int64)
+
+    def run(first: int, last: int) -> None:
+        follower, _pointed = _follower(loops, SHORTEST, get_ident())
+        where = address(follower), address(c), address(q), c.shape[1]
+        parts, mine = begins[first:last], filled[first:last]
+        compiled().follow_path(*where, address(parts), parts.size, length, address(mine))
+
+    share(run, starts.size, LANES)
+    lost: set[int] = set()
+    for first_lost, end in zip(starts + filled, ends, strict=True):
+        lost |= set(range(first_lost, end))
+    return lost
+
+
+def _unreachable(loops: Loops, q: np.ndarray, label: str) -> GtauError:
+    robot = loops.layout.robot
+    return GtauError(
+        f"robot '{robot.name}': at {label} ({pose_words(robot, q)}) the loops cannot be closed, or only beyond a "
+        "singular pose (type 2), outside the assembly mode of home; check the units, signs and zeros of the positions "
+        "and the robot's geometry, or leave these samples out."
+    )
 
 
 def pose_words(robot: Robot, q: np.ndarray) -> str:
@@ -203,10 +250,9 @@ def differentiate(
     qdd: np.ndarray,
     labels: Labels | None = None,
 ) -> Motion:
-    """Compute velocities and accelerations of the whole tree from those of the actuated joints (eqs. 5 to 8).
+    """Compute velocities and accelerations at closed ``c`` (n_c, N) from qd and qdd (n, N) (eqs. 5 to 8).
 
-    ``c`` (n_c, N) are closed configurations, qd and qdd (n, N). Raises GtauError, with the names of ``labels``, at a
-    pose too close to a singularity, where the actuated coordinates do not determine the passive ones.
+    Raises GtauError, with the name of ``labels``, at a pose too close to a singularity.
     """
     layout, samples = loops.layout, c.shape[1]
     motion = loops.motion(c, qd, qdd)

@@ -11,16 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import astuple, replace
-from functools import partial
 from itertools import product
 from math import pi
 
 import casadi as ca
 import numpy as np
 
+from gtau.model.closures import error_expressions
 from gtau.model.kinematics import Coordinates, Varied, constant, frames, turned
-from gtau.model.loop_closure import CLOSED, LoopErrors, closed, error_expressions
-from gtau.robots.geometry import characteristic_length
+from gtau.model.loop_closure import CLOSED, LoopErrors, closed
 from gtau.robots.placement import angles_of, digits_of, euler_angles, is_written
 from gtau.robots.robot import GROUND, Attachment, Joint, Mdh, Placement, Pose, Robot
 
@@ -41,16 +40,17 @@ POSE_ANGLES = (False, False, False, True, True, True)
 def with_exact_loops(robot: Robot, errors: LoopErrors, home: np.ndarray) -> Robot:
     """Move the placements in loops that close up to rounding, so that they close in every pose, with a note.
 
-    ``home`` (n_c,) minimises the ``errors`` of the robot's loops. The robot itself where its loops close in every pose
-    already, or the digits of its numbers do not explain why not.
+    Returns the robot itself where its loops close already, or the digits of its numbers do not explain why not.
     """
     moving = _moving(errors, home)
     if moving is None:
         return robot
     poses = list(_around(errors, home, moving))
     gaps = [float(np.abs(errors(c)[0]).max()) for c in poses]
-    joints = [robot.joints[k] for k in errors.looped if k < len(robot.joints)]
-    places = _places(robot, joints)
+    joints = [robot.joints[k] for k in errors.joints]
+    places = {joint.name: Attachment(joint.antecedent, joint.placement) for joint in joints}
+    for number, closure in enumerate(robot.closures):
+        places |= {f"{number} a": closure.a, f"{number} b": closure.b}
     bounds, nonzero = _bounds(robot, [place.placement for place in places.values()], joints)
     names = {name for joint in joints for name in (joint.name, joint.antecedent)}
     carrying = [joint for joint in robot.joints if joint.name in names]
@@ -59,37 +59,31 @@ def with_exact_loops(robot: Robot, errors: LoopErrors, home: np.ndarray) -> Robo
         return robot
     varied = _varied(errors.layout, places, carrying, pairs)
     written, grounded = bounds * nonzero, np.array([[place.body == GROUND] for place in places.values()])
+    open_loops = max(gaps) >= LITERAL
     for aligned, bound in product((True, False), (written * grounded, written, bounds)):
-        if max(gaps) < LITERAL and not (aligned and pairs):
+        if not open_loops and not (aligned and pairs):
             continue
         if (change := _fitted(varied, errors, poses, moving, bound, aligned)) is not None:
-            gap = errors.gap(poses[int(np.argmax(gaps))])
-            if max(gaps) < LITERAL:
-                gap = f"axes in the loops are {np.degrees(tilt):.2g} degrees from parallel or perpendicular"
-            return _moved(robot, places, change, gap)
+            gap = f"axes in the loops are {np.degrees(tilt):.2g} degrees from parallel or perpendicular"
+            return _moved(robot, places, change, errors.gap(poses[int(np.argmax(gaps))]) if open_loops else gap)
     return robot
 
 
 def _moving(errors: LoopErrors, home: np.ndarray) -> np.ndarray | None:
-    """Select the coordinates (indices into yd) that close the loops, redundant motors included.
-
-    None where there are fewer equations than such coordinates.
-    """
-    layout, G, passive = errors.layout, errors(home)[1], errors.passive
-    rows = G.shape[0] - sum(closure.kind == "weld" for closure in layout.robot.closures)
-    motors = np.setdiff1d(errors.looped, passive)
-    if rows < passive.size or not passive.size:
+    """Select the coordinates of yd that close the loops, redundant motors too; None if more than equations."""
+    welds = sum(closure.kind == "weld" for closure in errors.layout.robot.closures)
+    passive, G = errors.passive, errors(home)[1]
+    G = G[: len(G) - welds]
+    if len(G) < passive.size or not passive.size:
         return None
-    U, *_ = np.linalg.svd(G[:rows, passive])
-    tied = U[:, passive.size :].T @ G[:rows, motors]
-    chosen: list[int] = []
+    motors, chosen = np.setdiff1d(errors.looped, passive), list(passive)
+    tied = np.linalg.svd(G[:, passive])[0][:, passive.size :].T @ G[:, motors]
     while motors.size and (sizes := np.linalg.norm(tied, axis=0)).max() > DRAWN:
         k = int(sizes.argmax())
-        chosen.append(int(motors[k]))
+        chosen.append(motors[k])
         direction = tied[:, k] / sizes[k]
         tied = tied - np.outer(direction, direction @ tied)
-    moving = np.sort(np.array([*passive, *chosen], dtype=int))
-    return moving if rows >= moving.size else None
+    return np.sort(np.array(chosen, dtype=int)) if len(G) >= len(chosen) else None
 
 
 def _around(errors: LoopErrors, home: np.ndarray, moving: np.ndarray) -> Iterator[np.ndarray]:
@@ -111,16 +105,8 @@ def _around(errors: LoopErrors, home: np.ndarray, moving: np.ndarray) -> Iterato
             step /= 2
 
 
-def _places(robot: Robot, joints: list[Joint]) -> dict[str, Attachment]:
-    """List the placements in loops by name, on the bodies that carry them."""
-    places = {joint.name: Attachment(joint.antecedent, joint.placement) for joint in joints}
-    for number, closure in enumerate(robot.closures):
-        places |= {f"{number} a": closure.a, f"{number} b": closure.b}
-    return places
-
-
 def _replaced(robot: Robot, placements: Mapping[str, Placement]) -> Robot:
-    """Replace placements in loops by their names, see :func:`_places`."""
+    """Replace placements in loops by their names: those of joints, and ``0 a`` of the first closure."""
 
     def end(name: str, at: Attachment) -> Attachment:
         return replace(at, placement=placements.get(name, at.placement))
@@ -171,7 +157,7 @@ def _bounds(robot: Robot, placements: list[Placement], joints: list[Joint]) -> t
     """Find how far the numbers of placements (places, 6) may move, m and rad, and which are not zero.
 
     A number moves by half a unit of its last digit, one computed by a reader by what the numbers of two placements
-    allow, and one written with all digits not at all. Multiples of pi/12 may have been rounded, and count as zero.
+    allow, one written with all digits not at all. Multiples of pi/12 may have been rounded, and count as zero.
     """
     numbers = np.array([_numbers(placement) for placement in placements])
     angular = np.array([MDH_ANGLES if isinstance(placement, Mdh) else POSE_ANGLES for placement in placements])
@@ -222,10 +208,9 @@ def _aligned(
 def _varied(
     layout: Coordinates, places: Mapping[str, Attachment], joints: list[Joint], pairs: list[tuple[int, int, bool]]
 ) -> ca.Function:
-    """Compile the errors of the loops where the numbers of placements have changed, and those of pairs of axes.
+    """Compile from c and changes (6 places,) the errors and Jacobian of the loops, those of pairs of axes, and slopes.
 
-    From c and the changes (6 places,) to errors and scaled Jacobian as of :class:`LoopErrors`, the errors of the pairs
-    and their scaled Jacobian, and the derivatives of both errors by the changes.
+    The slopes are the derivatives of both errors by the changes.
     """
     c, yd, change = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y), ca.SX.sym("change", 6 * len(places))
     computed, parts = layout.robot.file.rounding is not None, ca.vertsplit(change, 6)
@@ -233,20 +218,14 @@ def _varied(
         name: _varied_placement(place.placement, part, computed)
         for (name, place), part in zip(places.items(), parts, strict=True)
     }
-    varied = replace(layout, robot=_replaced(layout.robot, placements))
-    unit = np.where(layout.angular, 1.0, characteristic_length(layout.robot))
-    axes = _axes(varied, joints, c)
+    varied = Coordinates(_replaced(layout.robot, placements))
+    axes, count = _axes(varied, joints, c), len(layout.robot.joints)
     tilts = [ca.cross(axes[k], axes[j]) if parallel else ca.dot(axes[k], axes[j]) for k, j, parallel in pairs]
     tilt = ca.vertcat(ca.SX(0, 1), *tilts)
-    count = len(layout.robot.joints)
     by_joints = ca.horzcat(ca.jacobian(tilt, c)[:, :count], ca.SX(tilt.numel(), layout.n_y - count))
     errors, G = error_expressions(varied, c, yd)
-    outputs = [errors, G, tilt, by_joints @ ca.diag(ca.DM(unit)), ca.jacobian(ca.vertcat(errors, tilt), change)]
-    return ca.Function("varied", [c, change], [ca.densify(output) for output in outputs])
-
-
-def _first_two(varied: ca.Function, change: np.ndarray, c: np.ndarray) -> Sequence[ca.DM]:
-    return list(varied(c, change))[:2]
+    slopes = ca.jacobian(ca.vertcat(errors, tilt), change)
+    return ca.Function("varied", [c, change], [errors, G, tilt, by_joints @ constant(np.diag(layout.unit)), slopes])
 
 
 def _fitted(
@@ -261,7 +240,7 @@ def _fitted(
     unknown, change, before, poses = bound > 0.0, np.zeros(bound.shape), np.inf, list(poses)
     for _ in range(STEPS):
         A, b, worst, by = [], [], 0.0, change.ravel()
-        changed = replace(errors, function=partial(_first_two, varied, by))
+        changed = replace(errors, function=lambda c, by=by: varied(c, by)[:2])
         for k, c in enumerate(poses):
             poses[k] = c = closed(changed, c, moving)
             error, G, tilt, by_joints, slopes = (part.full() for part in varied(c, by))
@@ -300,8 +279,8 @@ def _moved(robot: Robot, places: Mapping[str, Attachment], change: np.ndarray, g
     computed, placements, shift, angle = robot.file.rounding is not None, {}, 0.0, 0.0
     for (name, place), by in zip(places.items(), change, strict=True):
         if by.any():
-            before, after = place.placement, _changed(place.placement, by, computed)
-            placements[name] = after
+            before = place.placement
+            placements[name] = after = _changed(before, by, computed)
             shift = max(shift, float(np.linalg.norm(after.position - before.position)))
             angle = max(angle, float(np.linalg.norm(euler_angles(before.rotation.T @ after.rotation))))
     return _replaced(robot, placements).noted(

@@ -15,7 +15,7 @@ motors. A single one is compared with the largest among random poses.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
 from functools import lru_cache
 from math import ceil
 from typing import Literal
@@ -24,12 +24,10 @@ import casadi as ca
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.model.interpreter.program import Program, compile_program
+from gtau.model.interpreter.program import compile_program
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.kinematics import Coordinates, constant, frames, twists
-from gtau.model.loop_paths import advance
-from gtau.model.loops import CONDITION, Motion, differentiate, joined
-from gtau.robots.geometry import characteristic_length
+from gtau.model.kinematics import constant, frames, twists
+from gtau.model.loops import CONDITION, Motion, advance, differentiate, joined
 from gtau.robots.robot import Joint
 
 FEASIBLE = 0.02  # share of random poses: where fewer are, they are drawn nearer to home
@@ -56,7 +54,7 @@ def random_motion(idm: InverseDynamics, samples: int, rng: np.random.Generator, 
     it is feasible. A pose is regular where the condition number of the scaled passive columns is below ``condition``.
     """
     joints = [idm.robot.joint(name) for name in idm.actuated]
-    length = idm.loops.length if idm.loops else 1.0
+    length = idm.layout.length if idm.loops else 1.0
     bounds = np.array([_range(joint, length) for joint in joints])
     home = np.clip(idm.home[idm.layout.actuated], *bounds.T)[:, None]
     speed = np.array([joint.limits.velocity or 3.0 for joint in joints]) / 3
@@ -103,67 +101,53 @@ POSES = 64  # random ones, that show the rank of J_t
 NO_MOTION = 1e-7  # share of the largest singular value of J_t: rounding
 
 
-@dataclass(frozen=True, eq=False)
-class Singularities:
-    """Singularities of a robot, prepared for evaluation along motions.
+@lru_cache(maxsize=8)
+def singular_distances(idm: InverseDynamics) -> Callable[[Motion], np.ndarray]:
+    """Prepare the distances (2, N) of motions to singularities of type 1 and 2, NaN for type 2 without closures."""
+    layout, jacobian = idm.layout, tool_jacobian(idm)
+    # the rank of J_t at most poses, and its largest singular value there
+    s = np.linalg.svd(jacobian(random_motion(idm, POSES, np.random.default_rng(0))), compute_uv=False)
+    rank, largest = int((s > NO_MOTION * s.max()).sum(axis=1).max()), float(s.max())
 
-    ``J_t`` maps c and the passive rows of J to the tool's Jacobian, lengths in characteristic lengths; ``rank`` is the
-    one that it has at most poses, ``largest`` its largest singular value there.
-    """
-
-    layout: Coordinates
-    J_t: Program
-    rank: int
-    largest: float
-
-    def jacobian(self, motion: Motion) -> np.ndarray:
-        """Compute the tool's scaled Jacobian J_t (N, rows, n) along ``motion``."""
-        n, samples = len(self.layout.actuated), motion.c.shape[1]
-        passive = motion.J[self.layout.passive].reshape(-1, samples)
-        return self.J_t(motion.c, passive).reshape(-1, n, samples).transpose(2, 0, 1)
-
-    def distances(self, motion: Motion) -> np.ndarray:
-        """Compute the distances (2, N) to singularities of type 1 and 2; NaN for type 2 without closures."""
-        s = np.linalg.svd(self.jacobian(motion), compute_uv=False)[:, : self.rank]
-        if self.rank == 1:  # a single singular value has no reference in the pose itself
-            type_1 = np.minimum(s[:, 0] / self.largest, 1.0)
+    def distances(motion: Motion) -> np.ndarray:
+        s = np.linalg.svd(jacobian(motion), compute_uv=False)[:, :rank]
+        if rank == 1:  # a single singular value has no reference in the pose itself
+            type_1 = np.minimum(s[:, 0] / largest, 1.0)
         else:
             share = s / np.hypot(1.0, s)
             with np.errstate(divide="ignore"):
-                type_1 = self.rank / np.sqrt((share**2).sum(axis=1) * (share**-2).sum(axis=1))
-        if not self.layout.robot.closures:
+                type_1 = rank / np.sqrt((share**2).sum(axis=1) * (share**-2).sum(axis=1))
+        if not layout.robot.closures:
             return np.stack([type_1, np.full_like(type_1, np.nan)])
         # ``condition`` is sqrt(sum(s^2) sum(1 / s^2)) of the passive columns
-        return np.stack([type_1, len(self.layout.passive) / motion.condition])
+        return np.stack([type_1, len(layout.passive) / motion.condition])
+
+    return distances
 
 
 @lru_cache(maxsize=8)
-def singularities(idm: InverseDynamics) -> Singularities:
-    """Prepare the singularities of a robot for evaluation along motions, once for each model.
+def tool_jacobian(idm: InverseDynamics) -> Callable[[Motion], np.ndarray]:
+    """Compile the tool's Jacobian J_t (N, rows, n) along motions, lengths in characteristic lengths.
 
-    The tool is the body that carries payloads, or where a loop is closed by a ``connect`` at that link, as in a
-    five-bar, the point where it is closed.
+    The tool carries payloads; where a loop is closed by a ``connect`` at that link, as in a five-bar, it is that point.
     """
-    program = compile_program(*_tool_jacobian(idm))
-    unranked = Singularities(idm.layout, program, 0, 0.0)
-    motion = random_motion(idm, POSES, np.random.default_rng(0))
-    s = np.linalg.svd(unranked.jacobian(motion), compute_uv=False)
-    rank = int((s > NO_MOTION * s.max()).sum(axis=1).max())
-    return Singularities(idm.layout, program, rank, float(s.max()))
-
-
-def _tool_jacobian(idm: InverseDynamics) -> tuple[list[ca.SX], list[ca.SX]]:
-    """Express the tool's scaled Jacobian, row by row; inputs are c and the passive rows of J."""
-    layout, robot, length = idm.layout, idm.robot, characteristic_length(idm.robot)
-    (c, _, _, passive), J = idm.symbols
-    frame = frames(layout, c)
+    layout, robot, length = idm.layout, idm.robot, idm.layout.length
+    n, passive = len(layout.actuated), layout.passive
+    (c, _, _, symbols), J = idm.symbols
     ends = [end for closure in robot.closures if closure.kind == "connect" for end in (closure.a, closure.b)]
     points = [] if robot.platforms else [end.placement.position for end in ends if end.body == robot.tool]
-    speeds = ca.SX.sym("qd", len(layout.actuated))
-    twist = twists(layout, frame, J @ speeds)[robot.tool]
+    speeds = ca.SX.sym("qd", n)
+    twist = twists(layout, frames(layout, c), J @ speeds)[robot.tool]
     if points:
         rows = (twist.linear + ca.cross(twist.angular, constant(points[0]))) / length
     else:
         rows = ca.vertcat(twist.linear / length, twist.angular)
-    scaled = ca.jacobian(rows, speeds) @ ca.diag(ca.DM(np.where(layout.angular[layout.actuated], 1.0, length)))
-    return [c, passive], [scaled.T]
+    scaled = ca.jacobian(rows, speeds) @ constant(np.diag(layout.unit[layout.actuated]))
+    program = compile_program([c, symbols], [scaled.T])
+
+    def jacobian(motion: Motion) -> np.ndarray:
+        samples = motion.c.shape[1]
+        columns = program(motion.c, motion.J[passive].reshape(-1, samples))
+        return columns.reshape(-1, n, samples).transpose(2, 0, 1)
+
+    return jacobian

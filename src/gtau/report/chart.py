@@ -155,7 +155,8 @@ def intervals(
     ``other`` what the values are compared with, and its values. Zero is marked where asked for.
     """
     rows = np.arange(len(names), dtype=float)
-    x, half, part, compared = (_numbers(column, len(names)) for column in (values, halves, inner, other[1]))
+    columns = [[*column, *[None] * (len(names) - len(column))] for column in (values, halves, inner, other[1])]
+    x, half, part, compared = np.array(columns, dtype=float).reshape(4, -1)
     shown, there = np.isfinite(x), np.isfinite(compared)
     drawn = (x[shown], rows[shown], "predicted")
     series = [Series("value, 95 % interval", *drawn, "disc", half=np.nan_to_num(half[shown]))]
@@ -166,12 +167,6 @@ def intervals(
     places = Axis("", limits=(len(names) - 0.4, -0.6), names=dict(zip(rows.tolist(), names, strict=True)))
     rules, height = (Rule(x=0.0),) if zero else (), 0.62 + 0.27 * len(names)
     return Panel(Axis(axis), places, tuple(series), rules=rules, height=height)
-
-
-def _numbers(values: Sequence[float | None], count: int) -> np.ndarray:
-    """Return values (count,), NaN where there is none."""
-    padded = [*values, *[None] * (count - len(values))]
-    return np.array(padded, dtype=float)
 
 
 def envelope(time: np.ndarray, values: np.ndarray, buckets: int) -> tuple[np.ndarray, np.ndarray]:

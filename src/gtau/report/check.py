@@ -138,13 +138,13 @@ def _preparation(checked: ExperimentCheck) -> Facts | None:
 def _logs_table(checked: ExperimentCheck) -> Table:
     return table_of(
         checked.logs,
-        (Column("log"), lambda log: log.run.name),
+        (Column("log"), "run.name"),
         (Column("used for"), _purpose),
         (Column("payload"), lambda log: logs.payload_words(log.run).removeprefix("payload ")),
         (Column("samples", Kind.NUMBER, 8), lambda log: len(log.run.time)),
-        (Column("rate, Hz", Kind.NUMBER, 5), lambda log: log.run.rate),
+        (Column("rate, Hz", Kind.NUMBER, 5), "run.rate"),
         (Column("duration, s", Kind.NUMBER), lambda log: logs.seconds(log.run)),
-        (Column("rows a joint", Kind.NUMBER), lambda log: log.rows),
+        (Column("rows a joint", Kind.NUMBER), "rows"),
         (Column("repaired, %", Kind.SHARE, 2, wide=True), lambda log: 1 - logs.valid_share(log.run)),
     )
 
@@ -178,7 +178,7 @@ def _joints(log: LogCheck, robot: Robot) -> Section:
         for k, joint in enumerate(log.joints)
     ]
     title = f"{log.run.name} ({_purpose(log)}, {logs.payload_words(log.run)})"
-    return section(title, table(columns, rows), _wrenches(log), folded=False)
+    return section(title, table(columns, rows), _wrenches(log) if log.wrenches else None, folded=False)
 
 
 def _of_unit(what: str, units: Sequence[str], wide: bool = False) -> list[Column]:
@@ -193,15 +193,13 @@ def _several(units: Sequence[str], k: int) -> tuple[str, ...]:
     return (units[k],) if len(set(units)) > 1 else ()
 
 
-def _wrenches(log: LogCheck) -> Table | None:
-    if not log.wrenches:
-        return None
+def _wrenches(log: LogCheck) -> Table:
     return table_of(
         log.wrenches,
-        (Column("wrench on"), lambda wrench: wrench.body),
-        (Column("force rms, N", Kind.NUMBER, 3), lambda wrench: wrench.force_rms),
-        (Column("moment rms, N m", Kind.NUMBER, 3), lambda wrench: wrench.moment_rms),
-        (Column("about the origin of the"), lambda wrench: wrench.axes),
+        (Column("wrench on"), "body"),
+        (Column("force rms, N", Kind.NUMBER, 3), "force_rms"),
+        (Column("moment rms, N m", Kind.NUMBER, 3), "moment_rms"),
+        (Column("about the origin of the"), "axes"),
     )
 
 
@@ -221,9 +219,10 @@ def write_check(checked: ExperimentCheck, folder: Path) -> list[Path]:
     GtauError
         Where a file cannot be written.
     """
-    charts = [motion_chart(log, checked.robot) for log in checked.logs]
+    written = _saved(checked, [motion_chart(log, checked.robot) for log in checked.logs], folder)
+    if not checked.logs:
+        return written
     distances = folder / "singularities.parquet"
-    written = _saved(checked, charts, folder)
     write_distances(((log.run.name, log.distances) for log in checked.logs), distances)
     return [*written, distances]
 

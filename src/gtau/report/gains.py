@@ -67,10 +67,8 @@ def gains_table(result: Result, prior: Mapping[str, float]) -> Table:
         ]
     if prior:
         off = Column("prior off by, %", Kind.NUMBER, 3, wide=True)
-        columns += [
-            (Column("prior", Kind.NUMBER, 5, wide=True), prior.get),
-            (off, lambda j: _off(prior.get(j), gains[j])),
-        ]
+        columns.append((Column("prior", Kind.NUMBER, 5, wide=True), prior.get))
+        columns.append((off, lambda joint: _off(prior.get(joint), gains[joint])))
     return table_of(gains, *columns)
 
 
@@ -140,15 +138,10 @@ def whole_mass_text(result: Result) -> Text | None:
 
 
 def _scale_text(result: Result, short: bool) -> Text | None:
+    """Describe what the scale of all gains rests on, or of each where they differ; None where they were given."""
     if short:
-        sources = all_sources(result)
+        sources = _all_sources(result)
         return Text(f"scale: from {sources}") if sources else None
-    lines = scale_lines(result)
-    return Text(lines[0] if len(lines) == 1 else "", tuple(lines) if len(lines) > 1 else ()) if lines else None
-
-
-def scale_lines(result: Result) -> list[str]:
-    """Describe what the scale of all gains rests on, or of each where they differ; empty where they were given."""
     known = {payload.name: payload.parameters["m"].value for payload in result.payloads if "m" in payload.known}
     names = {sensor.source: f"the {sensor.source}" for sensor in result.sensors}
     names |= {
@@ -156,8 +149,9 @@ def scale_lines(result: Result) -> list[str]:
     }
     words = {joint: _sources(shares, names) for joint, shares in result.scale.items() if shares}
     if len(set(words.values())) == 1:
-        return [f"The scale of all gains comes from {next(iter(words.values()))}."]
-    return [f"The scale of '{joint}' comes from {sources}." for joint, sources in words.items()]
+        return Text(f"The scale of all gains comes from {next(iter(words.values()))}.")
+    lines = [f"The scale of '{joint}' comes from {sources}." for joint, sources in words.items()]
+    return Text("", tuple(lines)) if lines else None
 
 
 def _sources(scale: Mapping[str, float], names: Mapping[str, str]) -> str:
@@ -168,7 +162,7 @@ def _sources(scale: Mapping[str, float], names: Mapping[str, str]) -> str:
     return ", ".join(f"{names.get(source, source)} ({100 * share:.0f} %)" for source, share in listed)
 
 
-def all_sources(result: Result) -> str:
+def _all_sources(result: Result) -> str:
     """List all sources of the scale, those on which most gains rest first; sensors of a kind together, by joint."""
     totals: Counter[str] = Counter()
     for shares in result.scale.values():
@@ -209,11 +203,11 @@ def unknown_payloads(result: Result) -> list[PayloadEstimate]:
 def masses_table(payloads: Sequence[PayloadEstimate]) -> Table | None:
     """Tabulate identified masses of payloads; None without any."""
     rows = [
-        (f"payload '{payload.name}' of {payload.run}", *value_cells(payload.parameters["m"]))
+        (f"payload '{payload.name}' of {payload.run}", (mass.value, mass.half_interval()), mass.unit)
         for payload in payloads
-        if "m" in set(payload.parameters) - payload.known
+        if "m" not in payload.known and (mass := payload.parameters.get("m")) and mass.value is not None
     ]
-    return table((Column("mass"), *VALUE), rows) if rows else None
+    return table((Column("mass"), Column("value", Kind.SPREAD, 5), Column("unit")), rows) if rows else None
 
 
 def masses_section(payloads: Sequence[PayloadEstimate]) -> Section | None:

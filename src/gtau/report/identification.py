@@ -180,13 +180,13 @@ def _sensors_section(result: Result) -> Section | None:
     """Show the fit of the sensors behind the drives, and their scale by all other data."""
     if not result.sensors:
         return None
-    ratios = [(sensor.joint, sensor.ratio) for sensor in result.sensors if sensor.ratio is not None]
+    ratios = [sensor for sensor in result.sensors if sensor.ratio is not None]
     listed = table_of(
         ratios,
-        (Column("joint"), lambda sensor: sensor[0]),
-        (Column("ratio", Kind.NUMBER, 5), lambda sensor: sensor[1].value),
-        (Column("std", Kind.NUMBER, 2), lambda sensor: sensor[1].std),
-        (Column("verdict", Kind.BADGE), lambda sensor: sensor[1].verdict.outcome.value),
+        (Column("joint"), "joint"),
+        (Column("ratio", Kind.NUMBER, 5), "ratio.value"),
+        (Column("std", Kind.NUMBER, 2), "ratio.std"),
+        (Column("verdict", Kind.BADGE), "ratio.verdict.outcome.value"),
     )
     words = "ratio: torque from all other data, over the sensor's reading"
     return section(

@@ -58,17 +58,12 @@ def joint_panels(
     robot: Robot, joints: Sequence[str], time: np.ndarray, values: np.ndarray, what: str, height: float, per: str = ""
 ) -> list[Panel]:
     """Draw a quantity (K, n) of joints over time, a panel for rotations and one for translations."""
-    lines = {
-        unit: tuple(
-            Series(joint_label(joint), time, values[:, j], colour(j))
-            for j, joint in enumerate(joints)
-            if position_unit(robot, joint) == unit
-        )
-        for unit in ("rad", "m")
-    }
-    return [
-        Panel(TIME, Axis(f"{what}, {unit}{per}"), series, height=height) for unit, series in lines.items() if series
-    ]
+    lines: dict[str, list[Series]] = {"rad": [], "m": []}
+    for j, joint in enumerate(joints):
+        line = Series(joint_label(joint), time, values[:, j], colour(j))
+        lines[position_unit(robot, joint)].append(line)
+    axes = {unit: Axis(f"{what}, {unit}{per}") for unit in lines}
+    return [Panel(TIME, axes[unit], tuple(series), height=height) for unit, series in lines.items() if series]
 
 
 def singularities_section(nearest: Sequence[NearestPose]) -> Section | None:
@@ -107,17 +102,12 @@ def distances_panels(runs: Iterable[tuple[str, float, np.ndarray]]) -> list[Pane
 
 def paths_chart(paths: Sequence[tuple[str, np.ndarray]]) -> Chart:
     """Draw paths (P, 3), m, of runs by name, in three projections."""
-    panels = [
-        Panel(
-            Axis(f"{'xyz'[a]}, m"),
-            Axis(f"{'xyz'[b]}, m"),
-            tuple(Series(name, path[:, a], path[:, b], colour(k), width=1.0) for k, (name, path) in enumerate(paths)),
-            f"{'xyz'[a]}-{'xyz'[b]} plane of the base",
-            height=2.4,
-            equal=True,
-        )
-        for a, b in combinations(range(3), 2)
-    ]
+    panels = []
+    for a, b in combinations(range(3), 2):
+        x, y = "xyz"[a], "xyz"[b]
+        lines = [Series(name, path[:, a], path[:, b], colour(k), width=1.0) for k, (name, path) in enumerate(paths)]
+        title = f"{x}-{y} plane of the base"
+        panels.append(Panel(Axis(f"{x}, m"), Axis(f"{y}, m"), tuple(lines), title, height=2.4, equal=True))
     return Chart(tuple(panels), columns=3)
 
 
@@ -147,10 +137,11 @@ def geometry_section(test: GeometryTest | None) -> Section | None:
     delay, std = test.delay
     if std < POSE_DELAY_STD:
         said.append(f"the poses lag {1e3 * delay:.1f} ± {1e3 * std:.1g} ms behind the positions")
+    runs = dict.fromkeys(residual.run for residual in test.residuals if residual.time.size)
     return section(
         "Logged pose and geometry",
         Text(str(test.note), tuple(said), STYLES[test.outcome]),  # type: ignore[arg-type]
-        *(section(run, _traces(test, run), folded=k > 0) for k, run in enumerate(_traced_runs(test))),
+        *(section(run, _traces(test, run), folded=k > 0) for k, run in enumerate(runs)),
         section(f"Residuals of the pose of '{test.body}': logged less computed", _residuals(test), folded=False),
         section(
             "Constants, each by itself, sorted by the share of the residual variance explained",
@@ -165,22 +156,15 @@ def geometry_section(test: GeometryTest | None) -> Section | None:
     )
 
 
-def _traced_runs(test: GeometryTest) -> dict[str, None]:
-    return dict.fromkeys(residual.run for residual in test.residuals if residual.time.size)
-
-
 def _traces(test: GeometryTest, run: str) -> Chart:
     components = [residual for residual in test.residuals if residual.run == run]
     shown = {"logged less computed": "before"} | ({"with the change": "after"} if test.explained_by else {})
-    panels = []
+    lines: dict[str, list[Series]] = {f"{words}, m{unit}": [] for words in shown for unit in ("m", "rad")}
     for words, which in shown.items():
-        for unit in ("m", "rad"):
-            lines = tuple(
-                Series(f"{component.name}, {words}", component.time, 1e3 * getattr(component, which), colour(j))
-                for j, component in enumerate(components)
-                if component.unit == unit
-            )
-            panels += [Panel(TIME, Axis(f"{words}, m{unit}"), lines, height=2)] if lines else []
+        for j, component in enumerate(components):
+            values, name = 1e3 * getattr(component, which), f"{component.name}, {words}"
+            lines[f"{words}, m{component.unit}"].append(Series(name, component.time, values, colour(j)))
+    panels = [Panel(TIME, Axis(label), tuple(series), height=2) for label, series in lines.items() if series]
     return Chart(tuple(panels), run, live=True)
 
 

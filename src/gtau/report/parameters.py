@@ -104,18 +104,17 @@ def curves_table(result: Result) -> Table:
         half = estimate.half_interval()
         return f"{estimate.value:.4g}" + ("" if half is None else f" ± {half:.2g}")
 
+    def evidence(curve: FrictionCurve) -> str:
+        return ", ".join(f"{term} ({t:.1f} standard errors)" for term, t in curve.evidence.items())
+
     return table_of(
         result.curves.values(),
         (Column("joint"), lambda curve: joint_label(curve.joint)),
         *((Column({"width": "presliding", "vs": "v_s"}.get(kind, kind)), partial(value, kind)) for kind in KINDS),
-        (Column("shown by", wide=True), _evidence_words),
+        (Column("shown by", wide=True), evidence),
         (Column("error, %", Kind.NUMBER, decimals=1), "error"),
         (Column("plain law, %", Kind.NUMBER, decimals=1), "plain_error"),
     )
-
-
-def _evidence_words(curve: FrictionCurve) -> str:
-    return ", ".join(f"{term} ({t:.1f} standard errors)" for term, t in curve.evidence.items())
 
 
 def _curves(result: Result, runs: Sequence[RunEvidence]) -> list[Panel]:

@@ -17,7 +17,7 @@ from gtau.report.logs import seconds
 from gtau.report.motion import TIME, distances_panels
 from gtau.report.render.charts import figure_of
 from gtau.report.residuals import residual_panels
-from gtau.report.torques import part_of, stretch_title, torques_chart, units_of
+from gtau.report.torques import stretch_chart
 from gtau.report.uncertainty import correlation_chart, correlation_of, singular_values_chart
 from gtau.robots.parameter import torque_unit
 from gtau.signals.run import Run
@@ -54,13 +54,11 @@ class Plots:
         """Plot measured and predicted torques and residuals of a joint or all of a run, ``start`` to ``stop`` in s."""
         evidence, joints = self._evidence(joint, run)
         assert evidence.prediction is not None
-        name, length = evidence.run.name, seconds(evidence.run)
-        end = length if stop is None else stop
+        end = seconds(evidence.run) if stop is None else stop
         if not start < end:
             raise GtauError(f"the stretch from {start:g} to {end:g} s is empty; give start below stop.")
-        part, time = part_of(evidence.prediction.of(joints), evidence.time, start, end)
-        title = name if start <= 0 and stop is None else stretch_title(name, start, end, length)
-        return figure_of(torques_chart(part, units_of(self.result, part), evidence.run.kind, time, title=title))
+        whole, prediction = start <= 0 and stop is None, evidence.prediction.of(joints)
+        return figure_of(stretch_chart(self.result, evidence.run, prediction, start, end, whole))
 
     def residuals(self, joint: str, run: str | Run | None = None) -> Figure:
         """Draw a joint's residuals along a run, their histogram, spectrum and autocorrelation."""

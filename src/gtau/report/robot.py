@@ -9,7 +9,7 @@ import numpy as np
 
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.singularities import TYPES, singularities
+from gtau.model.singularities import TYPES, singular_distances
 from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text, page, section, table, table_of
 from gtau.robots.geometry import oddities, tool_note
 from gtau.robots.parameter import Parameter, position_unit, unit_of
@@ -87,7 +87,7 @@ def _home(model: InverseDynamics) -> np.ndarray:
 def _distances_at_home(model: InverseDynamics) -> list[float | None]:
     """Compute the distance to singularities of each type at home; None where the robot has none."""
     still = np.zeros((len(model.actuated), 1))
-    near = singularities(model).distances(model.rates(_home(model)[:, None], still, still))[:, 0]
+    near = singular_distances(model)(model.rates(_home(model)[:, None], still, still))[:, 0]
     return [None if np.isnan(distance) else float(distance) for distance in near]
 
 

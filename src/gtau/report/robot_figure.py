@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau.model.home import close_home
-from gtau.model.kinematics import coordinates, poses
+from gtau.model.kinematics import Coordinates, poses
 from gtau.report.chart import Shape, Sketch, Word
 from gtau.report.render.charts import figure_of_sketch
 from gtau.robots.geometry import Frame, attached
@@ -244,7 +244,7 @@ def scene_of(robot: Robot) -> Scene:
     """Lay out a robot at home; raises GtauError where its loops close nowhere."""
     robot = close_home(robot)
     upright = upright_rotation(np.array(robot.gravity))
-    layout = coordinates(robot)
+    layout = Coordinates(robot)
     frames = {name: (upright @ R, upright @ p) for name, (R, p) in poses(layout, layout.home).items()}
     shafts = {joint.name for joint in robot.joints if joint.parameters == "drive" and joint.antecedent == GROUND}
     joints = [joint for joint in robot.joints if joint.name not in shafts.union(robot.base)]

@@ -13,10 +13,11 @@ from gtau.estimation.results.predicted import Prediction
 from gtau.estimation.results.result import Result
 from gtau.report.chart import Axis, Chart, Panel, Series
 from gtau.report.evidence import RunEvidence
-from gtau.report.logs import payload_words
+from gtau.report.logs import payload_words, seconds
 from gtau.report.motion import TIME
 from gtau.report.page import Column, ColumnOf, Kind, Section, Table, Text, joint_label, section, table, table_of
 from gtau.robots.parameter import torque_unit
+from gtau.signals.run import Run
 
 REVERSALS = (
     "Raw: against the torque as it was measured, at all samples. In band: both torques behind the low-pass of the "
@@ -194,15 +195,13 @@ def torques_chart(
     return Chart(tuple(panels), title, live=True)
 
 
-def part_of(prediction: Prediction, time: np.ndarray, start: float, stop: float) -> tuple[Prediction, np.ndarray]:
-    """Take the part of a prediction between two instants of its ``time`` (K,), s."""
+def stretch_chart(result: Result, run: Run, prediction: Prediction, start: float, stop: float, whole: bool) -> Chart:
+    """Draw the torques of a run between two instants, s from its start; the title names those of no ``whole`` run."""
+    time = prediction.time - float(run.time[0])
     window = (time >= start) & (time <= stop)
-    return prediction.part(window), time[window]
-
-
-def stretch_title(name: str, start: float, stop: float, length: float) -> str:
-    """Name a stretch of a run, s."""
-    return f"{name}, {start:.4g} to {stop:.4g} s of {length:.4g} s"
+    part = prediction.part(window)
+    title = run.name if whole else f"{run.name}, {start:.4g} to {stop:.4g} s of {seconds(run):.4g} s"
+    return torques_chart(part, units_of(result, part), run.kind, time[window], title=title)
 
 
 def stretches(time: np.ndarray, masked: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ from gtau.estimation.results.groups import PayloadBody, PayloadEstimate
 from gtau.estimation.results.model_document import torque_error
 from gtau.estimation.results.result import Result
 from gtau.findings import Finding
+from gtau.findings.words import to_width
 from gtau.report.chart import Chart
 from gtau.report.check import unique_names
 from gtau.report.evidence import RunEvidence, worst_stretch
@@ -20,16 +21,7 @@ from gtau.report.gains import gains_section, masses_section, payloads_section
 from gtau.report.logs import logs_section, seconds
 from gtau.report.motion import motion_section
 from gtau.report.page import Column, Kind, Page, Section, Text, page, section, table_of
-from gtau.report.torques import (
-    REVERSALS,
-    bands_section,
-    errors_table,
-    part_of,
-    stretch_title,
-    torques_chart,
-    torques_section,
-    units_of,
-)
+from gtau.report.torques import REVERSALS, bands_section, errors_table, stretch_chart, torques_section
 
 CAUTION = (
     "A small error does not validate the gains: they scale both sides. Weigh a known payload ('gtau payload') for that."
@@ -98,10 +90,8 @@ def validation_chart(result: Result, evidence: RunEvidence) -> Chart:
     """Draw measured and predicted torques of a run around the largest residual."""
     assert evidence.prediction is not None
     start, stop = worst_stretch(evidence, SHOWN)
-    part, time = part_of(evidence.prediction, evidence.time, start, stop)
-    length, title = seconds(evidence.run), evidence.run.name
-    title = title if stop - start >= 0.95 * length else stretch_title(title, start, stop, length)
-    return torques_chart(part, units_of(result, part), evidence.run.kind, time, title=title)
+    whole = stop - start >= 0.95 * seconds(evidence.run)
+    return stretch_chart(result, evidence.run, evidence.prediction, start, stop, whole)
 
 
 def write_torques(result: Result, runs: Sequence[RunEvidence], folder: Path) -> list[Path]:
@@ -203,13 +193,14 @@ def masses_words(payloads: Sequence[PayloadEstimate], given: str) -> str:
         if mass is None or mass.value is None:
             parts.append(f"the mass of '{name}' is not identifiable")
             continue
-        ends = mass.interval()
-        between = "" if ends is None else f" ({given}95 % interval {ends[0]:.4g} to {ends[1]:.4g} kg)"
+        ends, half = mass.interval(), mass.half_interval() or 0.0
+        low, high = (to_width(end, half) for end in ends or (0.0, 0.0))
+        between = "" if ends is None else f" ({given}95 % interval {low} to {high} kg)"
         if payload.verdict.outcome == Outcome.CONTRADICTORY:
             parts.append(f"the mass of '{name}' contradicts the data{between}: {payload.verdict.sentence}")
         elif ends is not None and ends[0] < 0:
             parts.append(f"the mass of '{name}' cannot be distinguished from zero{between}")
         else:
-            parts.append(f"'{name}' weighs {mass.value:.4g} kg{between}")
+            parts.append(f"'{name}' weighs {to_width(mass.value, half)} kg{between}")
     words = "; ".join(parts)
     return f"{words[:1].upper()}{words[1:]}."

@@ -41,11 +41,7 @@ class Reference:
 
 @dataclass(frozen=True, eq=False)
 class Controller:
-    """A control law along a reference, sampled as that is.
-
-    ``inertia`` (N, n, n) and ``feedforward`` (N, n); ``gains`` (n,) are the drive gains by which it turns forces into
-    currents; ``bandwidth`` in rad/s.
-    """
+    """A law along a reference: ``inertia`` (N, n, n), ``feedforward`` (N, n), drive gains (n,), bandwidth in rad/s."""
 
     reference: Reference
     inertia: np.ndarray
@@ -56,7 +52,7 @@ class Controller:
 
     @property
     def pid(self) -> tuple[float, float, float]:
-        """Proportional, integral and derivative gain for an axis of unit inertia."""
+        """Make a PID with an ``inertia`` (n, n) or (N, n, n); with a ``weight`` of 0 it is the paper's simple PID."""
         return 3 * self.bandwidth**2, self.bandwidth**3, 3 * self.bandwidth
 
 
@@ -69,10 +65,7 @@ def sample(trajectory: Trajectory, duration: float, rate: float) -> Reference:
 def pid(
     reference: Reference, inertia: np.ndarray, gains: np.ndarray, bandwidth: float = BANDWIDTH, weight: float = 1.0
 ) -> Controller:
-    """Make a PID with an ``inertia`` (n, n), kg or kg m2, or one for every sample (N, n, n).
-
-    By default the velocity of the reference is fed forward; with a ``weight`` of 0 it is the paper's simple PID.
-    """
+    """Make a PID with an ``inertia`` (n, n) or (N, n, n); with a ``weight`` of 0 it is the paper's simple PID."""
     inertias = np.broadcast_to(inertia, (*reference.q.shape, reference.q.shape[1]))
     return Controller(reference, inertias, np.zeros_like(reference.q), gains, weight, bandwidth)
 
@@ -161,9 +154,8 @@ def simulate(
 ) -> Simulated:
     """Follow the controller's reference: a run as logged, and the true tracking error.
 
-    At every sample the positions are measured, the currents computed, logged and held until the next. ``rng`` draws the
-    noise and the phase of the ripple; ``progress`` is called with the samples done and their number. Raises GtauError
-    where the robot reaches a singular pose or the control loop diverges.
+    At every sample positions are measured, currents computed, logged and held. ``rng`` draws the noise and the phase of
+    the ripple. Raises GtauError where the robot reaches a singular pose or the control loop diverges.
     """
     reference = controller.reference
     samples, n = reference.q.shape
@@ -209,11 +201,8 @@ def write_log(run: Run, path: str | Path) -> None:
 def _measured(history: list[PlantState], hardware: Hardware, period: float) -> np.ndarray:
     """Compute the measured positions (n,) from the latest states, newest first."""
     late = hardware.delay / period
-    periods = late.astype(int)
-    past, older = (
-        np.array([[getattr(history[m + back], what)[j] for what in ("q", "qd")] for j, m in enumerate(periods)]).T
-        for back in (0, 1)
-    )
+    periods, joints = late.astype(int), np.arange(len(late))
+    q, qd = (np.array([getattr(state, name) for state in history]) for name in ("q", "qd"))
+    past, speed, before = q[periods, joints], qd[periods, joints], qd[periods + 1, joints]
     back = (late - periods) * period
-    q = past[0] - back * past[1] + back**2 / (2 * period) * (past[1] - older[1])
-    return rounded(q, hardware.position_quantum)
+    return rounded(past - back * speed + back**2 / (2 * period) * (speed - before), hardware.position_quantum)

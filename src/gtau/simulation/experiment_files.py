@@ -45,12 +45,9 @@ HELD = 10  # samples over which the controller keeps an inertia matrix
 
 def loaded(chi: Mapping[str, float], robot: Robot, payload: Payload | None) -> dict[str, float]:
     """Add a payload to the standard parameters of the body that carries it; missing ones are zero."""
-    chi = dict(chi)
-    if payload is not None:
-        for kind, value in {"m": payload.mass or 0.0, **payload.parameters}.items():
-            name = Parameter(kind, robot.tool)
-            chi[name] = chi.get(name, 0.0) + value
-    return chi
+    added = {} if payload is None else {"m": payload.mass or 0.0, **payload.parameters}
+    names = {Parameter(kind, robot.tool): value for kind, value in added.items()}
+    return {**chi, **{name: chi.get(name, 0.0) + value for name, value in names.items()}}
 
 
 def truth(simulation: Simulation, model: InverseDynamics) -> tuple[dict[str, float], JointFriction]:
@@ -163,27 +160,22 @@ def simulate_experiment(
 
 def experiment_text(simulation: Simulation, robot: Robot, out: Path) -> str:
     """Write the experiment file of a simulation: contents of its logs, and prior knowledge."""
-    file = Path(simulation.robot)
+    file, joints = Path(simulation.robot), robot.actuated
+    position, current = ({joint: f"{letter}{joint}" for joint in joints} for letter in "qv")
     document: dict[str, Any] = {
         "robot": relpath(file, out) if file.is_file() else simulation.robot,
-        "signals": {
-            "time": "t",
-            "position": {joint: f"q{joint}" for joint in robot.actuated},
-            "current": {joint: f"v{joint}" for joint in robot.actuated},
-        },
+        "signals": {"time": "t", "position": position, "current": current},
+        "prior_gains": {joint: simulation.prior_gains[joint] for joint in joints if simulation.prior_gains},
+        "runs": [_listed(run) for run in simulation.runs],
+        "validation": [_listed(run) for run in simulation.validation],
     }
-    if simulation.prior_gains:
-        document["prior_gains"] = {joint: simulation.prior_gains[joint] for joint in robot.actuated}
-    document["runs"] = [_listed(run) for run in simulation.runs]
-    if simulation.validation:
-        document["validation"] = [_listed(run) for run in simulation.validation]
-    return f"# Written by 'gtau simulate'. Paths are relative to this file.\n{yaml_text(document)}"
+    text = yaml_text({key: value for key, value in document.items() if value})
+    return f"# Written by 'gtau simulate'. Paths are relative to this file.\n{text}"
 
 
 def _listed(run: SimulatedRun) -> dict[str, Any]:
-    listed: dict[str, Any] = {"log": f"{run.name}.csv"}
-    if run.weigh and run.payload is not None:
-        listed["payload"] = {"name": run.payload.name}
-    elif run.payload is not None:
-        listed["payload"] = run.payload.model_dump(exclude_defaults=True)
-    return listed
+    log = {"log": f"{run.name}.csv"}
+    if run.payload is None:
+        return log
+    payload = {"name": run.payload.name} if run.weigh else run.payload.model_dump(exclude_defaults=True)
+    return log | {"payload": payload}

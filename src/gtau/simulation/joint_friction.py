@@ -33,8 +33,7 @@ class JointFriction:
     """Friction and offsets of all joints, by the ``law`` of the robot.
 
     ``values`` are ``fv``, ``fs``, ``fb``, ``fl``, ``f3`` and ``off`` by name, SI units, those missing being zero;
-    ``smoothing`` has the width of ``sign(qd)`` by kind of joint, m/s or rad/s. A joint with a shape or load-dependent
-    friction that the law does not include is refused.
+    ``smoothing`` the width of ``sign(qd)`` by kind of joint. What the law does not include is refused.
     """
 
     law: FrictionLaw
@@ -54,7 +53,8 @@ class JointFriction:
                     "presliding cannot be followed; give a width to actuated joints only."
                 )
         for name, value in self.values.items():
-            kind, joint = parameter_of(name).kind, parameter_of(name).body
+            parameter = parameter_of(name)
+            kind, joint = parameter.kind, parameter.body
             if kind in TERMS and joint not in joints:
                 raise GtauError(f"robot '{robot.name}' has no joint '{joint}' for the friction '{name}'; correct it.")
             if kind == "fb" and value and Parameter("vs", joint) not in self.law.shapes:
@@ -82,49 +82,48 @@ class JointFriction:
     @cached_property
     def propels(self) -> bool:
         """True if some term of the law may propel, and is then scaled down."""
-        kinds = ("fv", "fs", "fb", "fl", "f3")
-        for joint in self.law.model.robot.joints:
-            fv, fs, fb, fl, f3 = (self.values.get(Parameter(kind, joint.name), 0.0) for kind in kinds)
-            if min(fv, fs, fs + fb, fl, f3) < 0:
-                return True
-        return False
+        fv, fs, fb, fl, f3 = map(self._by_joint, ("fv", "fs", "fb", "fl", "f3"))
+        return bool(np.min([fv, fs, fs + fb, fl, f3]) < 0)
+
+    @cached_property
+    def offsets(self) -> np.ndarray:
+        """Offsets (joints,), N m or N."""
+        return self._by_joint("off")
+
+    def _by_joint(self, kind: str) -> np.ndarray:
+        """List the values of a kind of parameter, (joints,)."""
+        return np.array([self.values.get(Parameter(kind, joint.name), 0.0) for joint in self.law.model.robot.joints])
 
     def moved(self, z: np.ndarray, dq: np.ndarray) -> np.ndarray:
         """Update states (s,) for monotone displacements (n,) of the actuated joints."""
         return np.clip(z + self.reach @ dq, -1.0, 1.0)
 
     def until_turn(self, z: np.ndarray, before: np.ndarray, after: np.ndarray, step: float) -> float:
-        """Compute the part of a step in which no sliding joint turns: 1, or less where the step is to be shorter.
+        """Compute the part of a step of this length in which no sliding joint turns, by the speeds (n,) at its ends.
 
-        Sliding erases the history of a state, so that steps end where sliding joints reverse; a state that has not slid
-        depends on the position alone. ``before`` and ``after`` (n,) are the speeds at the ends of the step, in s.
+        Sliding erases the history of a state, so that steps end where sliding joints reverse.
         """
         v, w = self.reach @ before, self.reach @ after
         turns = v * w < 0
-        if not turns.any():
-            return 1.0
         part = np.where(turns, v, 1.0) / np.where(turns, v - w, 1.0)
         slid = np.abs(z + v * part * step / 2) > 1
         back = np.abs(w) * (1 - part) * step / 2
-        late = turns & slid & (back > MISSED)
-        return float(part[late].min()) if late.any() else 1.0
+        return float(np.min(part, where=turns & slid & (back > MISSED), initial=1.0))
 
     def effort(self, yd: ca.SX, J: ca.SX, force: ca.SX, z: ca.SX) -> ca.SX:
-        """Express the effort left for the robot (n,), ``force - friction``, which is also the load of the joints.
+        """Express the effort e left for the robot (n,), which is also the load of the joints: ``force - friction``.
 
-        Friction by load is ``s |e|`` of the effort e itself, so that ``e + s |e|`` is the force less other friction.
-        ``yd`` are the velocities of the tree, ``J`` how actuated joints move it, ``force`` (n,) that of the motors, and
-        ``z`` the states (s,).
+        Friction by load is ``s |e|``, so that ``e + s |e|`` is the force of the motors (n,) less other friction.
         """
         (plain, loaded), speeds = self._forces(yd, z)
         n_joints, scales, effort = len(self.offsets), ca.SX.ones(plain.shape[0]), force
-        rest_of_force = force - J[:n_joints, :].T @ ca.DM(self.offsets)
+        driving = force - J[:n_joints, :].T @ ca.DM(self.offsets)
 
         def on_motors(acting: ca.SX) -> ca.SX:
             return J[:n_joints, :].T @ acting[:n_joints] + acting[n_joints:]
 
         for _ in range(1 + BALANCES * self.propels):
-            rest = rest_of_force - on_motors(scales * plain)
+            rest = driving - on_motors(scales * plain)
             effort = rest / (1 + on_motors(scales * loaded) * ca.sign(rest))
             if self.propels:
                 scales = self.law.scales(ca, plain + loaded * self._felt(effort), speeds)
@@ -137,12 +136,6 @@ class JointFriction:
         joints = forces[: len(self.offsets)] + ca.DM(self.offsets)
         joints[self.law.model.layout.actuated.tolist()] += forces[len(self.offsets) :]
         return joints
-
-    @cached_property
-    def offsets(self) -> np.ndarray:
-        """Offsets (joints,), N m or N."""
-        joints = self.law.model.robot.joints
-        return np.array([self.values.get(Parameter("off", joint.name), 0.0) for joint in joints])
 
     def _forces(self, yd: ca.SX, z: ca.SX) -> tuple[tuple[ca.SX, ca.SX], ca.SX]:
         """Express the forces of the law at zero load, their change per unit load, and the speeds they oppose."""

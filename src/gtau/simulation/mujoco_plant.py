@@ -49,14 +49,13 @@ class MujocoPlant:
         try:
             import mujoco  # type: ignore[import-untyped, unused-ignore]
         except ImportError:
-            raise missing_extra(
-                "the engine 'mujoco' (the engine 'gtau' needs nothing more)", "mujoco", "mujoco"
-            ) from None
-        robot, layout = model.robot, model.layout
+            engine = "the engine 'mujoco' (the engine 'gtau' needs nothing more)"
+            raise missing_extra(engine, "mujoco", "mujoco") from None
+        robot = model.robot
         if robot.couplings:
             raise GtauError(
                 f"robot '{robot.name}' has couplings, which the engine 'mujoco' does not support; use the engine "
-                f"'gtau'."
+                "'gtau'."
             )
         chi = {name: float(chi.get(name, 0.0)) for name in model.parameter_names}
         friction = friction or plain_friction(model, chi)
@@ -76,9 +75,8 @@ class MujocoPlant:
         self._mujoco, self.model = mujoco, model
         self._data = mujoco.MjData(self._model)
         joints = [self._model.joint(joint.name) for joint in robot.joints]
-        self._position = np.array([joint.qposadr[0] for joint in joints])
-        self._rate = np.array([joint.dofadr[0] for joint in joints])
-        self._actuated = layout.actuated
+        position, self._rate = (np.array([getattr(joint, at)[0] for joint in joints]) for at in ("qposadr", "dofadr"))
+        self._place, self._motors = position[model.layout.actuated], self._rate[model.layout.actuated]
         self.friction = friction
         yd, z = ca.SX.sym("yd", len(joints)), ca.SX.sym("z", len(friction.law.states))
         rest = friction.on_joints(yd, z) - ca.DM([chi[name] for name in viscous]) * yd
@@ -97,53 +95,49 @@ class MujocoPlant:
         steps = max(1, round(duration / STEP))
         self._model.opt.timestep = duration / steps
         data.qpos, data.qvel = state.c, state.v
-        place = self._position[self._actuated]
         for _ in range(steps):
-            before = data.qpos[place]
+            before = data.qpos[self._place]
             applied[self._rate] = -self._rest(data.qvel[self._rate], z)[0]
-            applied[self._rate[self._actuated]] += force
+            applied[self._motors] += force
             data.qfrc_applied = applied
             self._mujoco.mj_step(self._model, data)
-            z = self.friction.moved(z, data.qpos[place] - before)
+            z = self.friction.moved(z, data.qpos[self._place] - before)
         if not np.isfinite(data.qpos).all() or data.warning[self._mujoco.mjtWarning.mjWARN_BADQACC].number:
             raise GtauError(
                 f"robot '{self.model.robot.name}': MuJoCo's motion has no bounds; check the masses and frictions and "
                 "the controller."
             )
-        q, qd = data.qpos[place], data.qvel[self._rate[self._actuated]]
+        q, qd = data.qpos[self._place], data.qvel[self._motors]
         return PlantState(q, qd, data.qpos.copy(), data.qvel.copy(), z)
 
 
 def mujoco_positions(compiled: Any, layout: Coordinates, c: np.ndarray) -> np.ndarray:
     """Compute MuJoCo's coordinates ``qpos`` of a configuration (n_c,), by a compiled model of the robot."""
     qpos: np.ndarray = compiled.qpos0.copy()
-    for k, joint in enumerate(layout.robot.joints):
-        qpos[compiled.joint(joint.name).qposadr[0]] = c[k]
+    coordinates = {joint.name: c[[k]] for k, joint in enumerate(layout.robot.joints)}
     for slots in layout.platforms:
-        for name, values in platform_coordinates(slots, c).items():
-            first = compiled.joint(name).qposadr[0]
-            qpos[first : first + len(values)] = values
+        coordinates |= platform_coordinates(slots, c)
+    for name, values in coordinates.items():
+        first = compiled.joint(name).qposadr[0]
+        qpos[first : first + len(values)] = values
     return qpos
 
 
 def platform_coordinates(slots: PlatformSlots, c: np.ndarray) -> dict[str, np.ndarray]:
     """Compute the coordinates of a platform's joints in MuJoCo, which count from its home pose."""
-    platform, coordinates = slots.platform, {}
-    shift = c[slots.position] - platform.home.position
-    for axis, dof in enumerate(TRANSLATIONS):
-        if dof in platform.dof:
-            coordinates[f"{dof}_{platform.name}"] = shift[axis : axis + 1]
-    if slots.quaternion is not None:
-        turn = Rotation.from_matrix(platform.home.rotation).inv() * Rotation.from_quat(
-            c[slots.quaternion], scalar_first=True
-        )
-        turns = [dof for dof in ROTATIONS if dof in platform.dof]
-        if len(turns) == 3:
-            coordinates[f"turn_{platform.name}"] = turn.as_quat(scalar_first=True)
-        else:
-            axis = platform.home.rotation[ROTATIONS.index(turns[0])]
-            coordinates[f"turn_{platform.name}"] = np.array([turn.as_rotvec() @ axis])
-    return coordinates
+    platform, home = slots.platform, slots.platform.home
+    shift = c[slots.position] - home.position
+    coordinates = {
+        f"{dof}_{platform.name}": shift[[axis]] for axis, dof in enumerate(TRANSLATIONS) if dof in platform.dof
+    }
+    if slots.quaternion is None:
+        return coordinates
+    turn = Rotation.from_matrix(home.rotation).inv() * Rotation.from_quat(c[slots.quaternion], scalar_first=True)
+    turns = [dof for dof in ROTATIONS if dof in platform.dof]
+    if len(turns) == 3:
+        return coordinates | {f"turn_{platform.name}": turn.as_quat(scalar_first=True)}
+    axis = home.rotation[ROTATIONS.index(turns[0])]
+    return coordinates | {f"turn_{platform.name}": np.array([turn.as_rotvec() @ axis])}
 
 
 def robot_spec(mujoco: ModuleType, robot: Robot, chi: Mapping[str, float]) -> Any:

@@ -22,47 +22,12 @@ import scipy.linalg
 
 from gtau.errors import GtauError
 from gtau.model.closures import closure_expressions
-from gtau.model.dynamics import spring_length, torques
+from gtau.model.dynamics import torques
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import configuration_rates, frames
 from gtau.model.loops import Loops, pose_words
-from gtau.robots.parameter import Parameter
-from gtau.robots.robot import PLAIN_FRICTION, PRELOAD, STIFFNESS
+from gtau.robots.robot import PLAIN_FRICTION
 from gtau.simulation.joint_friction import JointFriction, plain_friction
-
-
-def constraints(loops: Loops) -> tuple[ca.Function, ca.Function]:
-    """Select independent closure equations ``phi(c) = 0``, as many as there are passive coordinates.
-
-    Redundant rows, such as the rotations that the three welds of an Orthoglide share, are left out as found by QR with
-    pivoting at home. The rows are those in the axes of each closure's second body: a linkage whose plane turns with the
-    robot keeps the same redundant rows there, but not in base axes.
-
-    Returns functions from c to phi and to ``G = d(phi')/d(yd)`` of the passive and of the actuated coordinates, and
-    from c and yd to gamma of ``G ydd + gamma = 0``.
-    """
-    layout = loops.layout
-    c, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
-    turned = _axes_of_bodies(loops, c)
-    phi, velocity, gamma = (turned @ expression for expression in closure_expressions(layout, c, yd))
-    G = ca.jacobian(velocity, yd)
-    passive, actuated = layout.passive.tolist(), layout.actuated.tolist()
-    at_home = np.array(ca.Function("G", [c], [G[:, passive]])(loops.home))
-    _, _, order = scipy.linalg.qr(at_home.T, pivoting=True, mode="economic")
-    rows = np.sort(order[: len(passive)]).tolist()
-    return (
-        ca.Function("position", [c], [phi[rows], G[rows, passive], G[rows, actuated]]),
-        ca.Function("drift", [c, yd], [ca.densify(gamma[rows])]),
-    )
-
-
-def _axes_of_bodies(loops: Loops, c: ca.SX) -> ca.SX:
-    """Turn the closures' rows from base axes into those of each closure's second body."""
-    frame, blocks = frames(loops.layout, c), []
-    for closure in loops.layout.robot.closures:
-        blocks += [frame[closure.b.body].R_0.T] * (2 if closure.kind == "weld" else 1)
-    return ca.diagcat(*blocks, ca.SX.eye(loops.rows - 3 * len(blocks)))
-
 
 TOLERANCE = 1e-6  # of a step: error of the velocities, in rad/s or m/s
 SHORTEST = 1e-9  # s
@@ -79,12 +44,34 @@ STAGES = (
 ERROR = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40)
 
 
+def constraints(loops: Loops) -> tuple[ca.Function, ca.Function]:
+    """Select independent closure equations ``phi(c) = 0`` by QR with pivoting at home, one for each passive coordinate.
+
+    They are in the axes of each closure's second body: a linkage whose plane turns with the robot keeps its redundant
+    rows there, but not in base axes. Returns functions from c to phi and the derivatives of phi' by the passive and the
+    actuated yd, and from c and yd to gamma of ``G ydd + gamma = 0``.
+    """
+    layout = loops.layout
+    c, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
+    frame, blocks = frames(layout, c), []
+    for closure in layout.robot.closures:
+        blocks += [frame[closure.b.body].R_0.T] * (2 if closure.kind == "weld" else 1)
+    turned = ca.diagcat(*blocks, ca.SX.eye(len(layout.robot.couplings)))
+    phi, velocity, gamma = (turned @ expression for expression in closure_expressions(layout, c, yd))
+    G = ca.jacobian(velocity, yd)
+    passive, actuated = layout.passive.tolist(), layout.actuated.tolist()
+    at_home = np.array(ca.Function("G", [c], [G[:, passive]])(loops.home))
+    _, _, order = scipy.linalg.qr(at_home.T, pivoting=True, mode="economic")
+    rows = np.sort(order[: len(passive)]).tolist()
+    return (
+        ca.Function("position", [c], [phi[rows], G[rows, passive], G[rows, actuated]]),
+        ca.Function("drift", [c, yd], [ca.densify(gamma[rows])]),
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class PlantState:
-    """Positions ``q`` and velocities ``qd`` of the actuated joints (n,), and an engine's own coordinates c and v.
-
-    ``z`` (s,) are the states of presliding friction.
-    """
+    """Positions and velocities of the actuated joints (n,), an engine's own c and v, states z (s,) of presliding."""
 
     q: np.ndarray
     qd: np.ndarray
@@ -94,22 +81,19 @@ class PlantState:
 
 
 class Plant:
-    """Forward dynamics of a robot under forces on its actuated joints.
+    """Forward dynamics of a robot with the standard parameters ``chi`` by name, SI units, those missing being zero.
 
-    Standard parameters ``chi`` by name, SI units, those missing being zero; ``friction`` in every joint, passive ones
-    too, is ``fv v + fs tanh(v / width) + off`` of chi if left out. Refuses parameters that are none of the robot's, and
-    a mass matrix that is not positive.
+    Friction is ``fv v + fs tanh(v / width) + off`` of chi if left out. Refuses unknown names and a mass matrix that is
+    not positive.
     """
 
     def __init__(self, model: InverseDynamics, chi: Mapping[str, float], friction: JointFriction | None = None):
         self.model, self.layout = model, model.layout
-        unknown = [name for name in chi if name not in model.parameter_names]
-        if unknown:
-            raise GtauError(f"robot '{model.robot.name}' has no standard parameter '{unknown[0]}'; correct its name.")
+        if unknown := next((name for name in chi if name not in model.parameter_names), None):
+            raise GtauError(f"robot '{model.robot.name}' has no standard parameter '{unknown}'; correct its name.")
         self.chi: dict[str, float] = {name: float(chi.get(name, 0.0)) for name in model.parameter_names}
         self.friction = friction or plain_friction(model, self.chi)
-        self._dynamics, self._effort = self._symbolic_dynamics(), self._symbolic_effort()
-        self._step = Compiled(self._symbolic_step())
+        self._step = self._compiled_step()
         self._side = self._mode(model.home)
         mass = self.mass_matrix(model.home)
         if np.linalg.eigvalsh((mass + mass.T) / 2).min() <= 1e-12 * np.abs(mass).max():
@@ -122,9 +106,8 @@ class Plant:
         """Compute the sign of the passive coordinates' determinant, which changes at singular poses."""
         if self._passive is None:
             return 1.0
-        n_passive = len(self.layout.passive)
-        (G,) = self._passive(c)
-        return float(np.linalg.slogdet(G.reshape(n_passive, n_passive))[0])
+        (G,), n = self._passive(c), len(self.layout.passive)
+        return float(np.linalg.slogdet(G.reshape(n, n))[0])
 
     def start(self, q: np.ndarray) -> PlantState:
         """Return the state at rest at actuated positions ``q`` (n,); raises GtauError where they cannot be reached."""
@@ -161,13 +144,7 @@ class Plant:
 
     def mass_matrix(self, c: np.ndarray) -> np.ndarray:
         """Compute the mass matrix seen by the actuated joints (n, n)."""
-        still = np.zeros(len(self.layout.actuated))
-        return np.array(self._inertia(c, still)[0])
-
-    def energy(self, state: PlantState) -> float:
-        """Compute kinetic and potential energy, J."""
-        kinetic = state.qd @ self.mass_matrix(state.c) @ state.qd / 2
-        return float(kinetic + float(self._potential(state.c)))
+        return np.array(self._inertia(c, np.zeros(len(self.layout.actuated)))[0])
 
     @cached_property
     def _constraints(self) -> tuple[ca.Function, ca.Function] | None:
@@ -180,40 +157,6 @@ class Plant:
         c = ca.SX.sym("c", self.layout.n_c)
         return Compiled(ca.Function("passive", [c], [ca.densify(self._constraints[0](c)[1])]))
 
-    @cached_property
-    def _potential(self) -> ca.Function:
-        layout = self.layout
-        c = ca.SX.sym("c", layout.n_c)
-        potential = ca.SX(0)
-        for body, frame in frames(layout, c).items():
-            if Parameter("m", body) in self.chi:
-                m, *ms = (self.chi[Parameter(kind, body)] for kind in ("m", "mx", "my", "mz"))
-                potential -= ca.dot(ca.SX(ca.DM(layout.robot.gravity)), m * frame.p_0 + frame.R_0 @ ca.SX(ca.DM(ms)))
-        for row, joint in enumerate(layout.robot.joints):
-            potential += self.chi.get(Parameter("off", joint.name), 0.0) * c[row]
-            if joint.spring is not None:
-                potential += self.chi.get(Parameter(STIFFNESS, joint.name), 0.0) * (c[row] - joint.spring) ** 2 / 2
-        for spring in layout.robot.springs:
-            length, _ = spring_length(spring, frames(layout, c))
-            f0, k = (self.chi.get(Parameter(kind, spring.name), 0.0) for kind in (PRELOAD, STIFFNESS))
-            potential += k * length**2 / 2 - f0 * length
-        return ca.Function("potential", [c], [potential])
-
-    def _symbolic_dynamics(self) -> ca.Function:
-        """Compile (c, yd, ydd, J) to the mass matrix and the torques of eq. (15), friction and offsets left out."""
-        layout = self.layout
-        (c, yd, ydd, passive), J = self.model.symbols
-        still = {name: ca.SX(self.chi[name]) for name in self.model.parameter_names if name.kind not in PLAIN_FRICTION}
-        tau = torques(layout, c, yd, ydd, J, still)
-        return ca.Function("dynamics", [c, yd, ydd, passive.T], [ca.jacobian(tau, ydd) @ J, tau], {"cse": True})
-
-    def _symbolic_effort(self) -> ca.Function:
-        """Compile (yd, J, force, z) to the forces less friction."""
-        force, z = ca.SX.sym("force", len(self.layout.actuated)), ca.SX.sym("z", len(self.friction.law.states))
-        (_, yd, _, passive), J = self.model.symbols
-        effort = ca.densify(self.friction.effort(yd, J, force, z))
-        return ca.Function("effort", [yd, passive.T, force, z], [effort], {"cse": True})
-
     def _selection(self, rows: np.ndarray) -> ca.DM:
         """Place a vector (len(rows),) in the ``rows`` of one of (n_y,)."""
         columns = list(range(len(rows)))
@@ -221,36 +164,48 @@ class Plant:
 
     @cached_property
     def _inertia(self) -> ca.Function:
-        """Compile (c, qd) to the mass matrix, the torques at zero qdd, yd and J of the passive coordinates."""
-        layout = self.layout
-        c, qd = ca.MX.sym("c", layout.n_c), ca.MX.sym("qd", len(layout.actuated))
-        J, drift = ca.MX(0, len(layout.actuated)), ca.MX(0, 1)
-        yd = self._selection(layout.actuated) @ qd
+        """Compile (c, qd) to the mass matrix, the torques at zero qdd, yd and J of the passive coordinates.
+
+        The torques of eq. (15) are those without friction and offsets.
+        """
+        layout, n, cse = self.layout, len(self.layout.actuated), {"cse": True}
+        (pose, speeds, pushes, passive), columns = self.model.symbols
+        names = [name for name in self.model.parameter_names if name.kind not in PLAIN_FRICTION]
+        chi = {name: ca.SX(self.chi[name]) for name in names}
+        forces = torques(layout, pose, speeds, pushes, columns, chi)
+        mass = ca.jacobian(forces, pushes) @ columns
+        dynamics = ca.Function("dynamics", [pose, speeds, pushes, passive.T], [mass, forces], cse)
+        c, qd = ca.MX.sym("c", layout.n_c), ca.MX.sym("qd", n)
+        J, drift, yd = ca.MX(0, n), ca.MX(0, 1), self._selection(layout.actuated) @ qd
         if self._constraints is not None:
             _, G_passive, G_actuated = self._constraints[0](c)
             J = -ca.solve(G_passive, G_actuated, "qr")
             yd += self._selection(layout.passive) @ (J @ qd)
             drift = -ca.solve(G_passive, self._constraints[1](c, yd), "qr")
-        M, tau = self._dynamics(c, yd, self._selection(layout.passive) @ drift, J)
+        M, tau = dynamics(c, yd, self._selection(layout.passive) @ drift, J)
         return ca.Function("inertia", [c, qd], [M, tau, yd, J])
 
     @cached_property
     def _derivative(self) -> ca.Function:
         """Compile (c, qd, force, z) to c' and qdd."""
-        layout, n = self.layout, len(self.layout.actuated)
-        symbol, rate = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
-        rates = ca.Function("rates", [symbol, rate], [configuration_rates(layout, symbol, rate)])
-        c, qd, force = (ca.MX.sym(s, k) for s, k in (("c", layout.n_c), ("qd", n), ("force", n)))
-        z = ca.MX.sym("z", len(self.friction.law.states))
+        layout, n, s = self.layout, len(self.layout.actuated), len(self.friction.law.states)
+        (pose, speeds, _, passive), columns = self.model.symbols
+        rates = ca.Function("rates", [pose, speeds], [configuration_rates(layout, pose, speeds)])
+        push, states = ca.SX.sym("force", n), ca.SX.sym("z", s)
+        rest = ca.densify(self.friction.effort(speeds, columns, push, states))
+        effort = ca.Function("effort", [speeds, passive.T, push, states], [rest], {"cse": True})
+        sizes = {"c": layout.n_c, "qd": n, "force": n, "z": s}
+        c, qd, force, z = (ca.MX.sym(name, size) for name, size in sizes.items())
         M, tau, yd, J = self._inertia(c, qd)
-        qdd = ca.solve(M, self._effort(yd, J, force, z) - tau, "qr")
+        qdd = ca.solve(M, effort(yd, J, force, z) - tau, "qr")
         return ca.Function("derivative", [c, qd, force, z], [rates(c, yd), qdd])
 
-    def _symbolic_step(self) -> ca.Function:
+    def _compiled_step(self) -> Compiled:
         """Compile (c, qd, force, z, h) to c and qd after h s, on the closures, and the error of qd."""
         layout, n, reach = self.layout, len(self.layout.actuated), self.friction.reach
-        c, qd, force, h = (ca.MX.sym(s, k) for s, k in (("c", layout.n_c), ("qd", n), ("force", n), ("h", 1)))
-        z, actuated = ca.MX.sym("z", len(reach)), layout.actuated.tolist()
+        sizes = {"c": layout.n_c, "qd": n, "force": n, "z": len(reach), "h": 1}
+        c, qd, force, z, h = symbols = [ca.MX.sym(name, size) for name, size in sizes.items()]
+        actuated = layout.actuated.tolist()
 
         def slope(x: ca.MX) -> Any:
             moved = z
@@ -264,7 +219,7 @@ class Plant:
             x = ca.vertcat(c, qd) + h * ca.horzcat(*slopes) @ ca.DM(weights)
             slopes.append(slope(x))
         error = h * ca.horzcat(*(slope[layout.n_c :] for slope in slopes)) @ ca.DM(ERROR)
-        return ca.Function("step", [c, qd, force, z, h], [self._closed(x[: layout.n_c]), x[layout.n_c :], error])
+        return Compiled(ca.Function("step", symbols, [self._closed(x[: layout.n_c]), x[layout.n_c :], error]))
 
     def _closed(self, c: ca.MX) -> ca.MX:
         """Project onto the closures by one step of Newton's method, with unit quaternions."""

@@ -63,9 +63,8 @@ class FrictionCurve(Keys):
 class Simulation(Keys):
     """A simulation file; its paths are relative to it.
 
-    The robot has the ``parameters`` and the friction of ``curves``, or all those of an identified ``model``.
-
-    ``control`` lists the trajectories on which control laws are compared; no logs are written of them.
+    The robot has the ``parameters`` and the friction of ``curves``, or all those of an identified ``model``;
+    ``control`` lists trajectories on which control laws are compared, without logs.
     """
 
     robot: RobotName
@@ -95,10 +94,9 @@ class Simulation(Keys):
     @classmethod
     def _friction_takes_energy(cls, parameters: dict[str, float]) -> dict[str, float]:
         for name, value in parameters.items():
-            kind, joint = parameter_of(name).kind, parameter_of(name).body
+            kind, rest = parameter_of(name).kind, Parameter("fs", parameter_of(name).body)
             if kind in ("fv", "fs", "fl", DAMPING) and value < 0:
                 raise ValueError(f"the friction '{name}' is negative, and would drive the robot; write 0 or more")
-            rest = Parameter("fs", joint)
             if kind == "fb" and parameters.get(rest, 0.0) + value < 0:
                 raise ValueError(
                     f"the friction at rest, '{rest}' + '{name}', is negative, and would drive the robot; "
@@ -119,9 +117,8 @@ class Simulation(Keys):
     @model_validator(mode="after")
     def _names_once(self) -> Simulation:
         names = [run.name for run in (*self.runs, *self.validation, *self.control)]
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"two runs are called '{name}'; give every run its own name")
+        if twice := next((name for name in names if names.count(name) > 1), None):
+            raise ValueError(f"two runs are called '{twice}'; give every run its own name")
         if self.bandwidth > self.rate / 5:
             raise ValueError(
                 f"a bandwidth of {self.bandwidth:g} rad/s is impossible at a rate of {self.rate:g} Hz; write at most "

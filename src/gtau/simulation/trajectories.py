@@ -65,10 +65,7 @@ def _blend(u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class Sines:
-    """A sum of sines about ``center``, faded in and out.
-
-    ``amplitude`` and ``phase`` (n, K) in rad or m and rad, ``frequency`` (K,) or (n, K) in Hz, ``duration`` in s.
-    """
+    """A sum of sines (n, K) about ``center``, rad or m, Hz and rad, faded in and out within ``duration``, s."""
 
     center: np.ndarray
     amplitude: np.ndarray
@@ -92,10 +89,7 @@ class Sines:
 
 
 def sines(within: Envelope, duration: float, rng: np.random.Generator) -> Sines:
-    """Draw a random sum of sines, as large as the envelope allows.
-
-    Where a joint's acceleration would keep it small, its sines are slower instead, until its speed or reach is used.
-    """
+    """Draw a random sum of sines as large as the envelope allows, slower where accelerations would keep it small."""
     shape = (len(within.center), len(FREQUENCIES))
     amplitude, phase = rng.uniform(0.5, 1.0, shape), rng.uniform(0, 2 * np.pi, shape)
     q, qd, qdd = _peaks(Sines(within.center, amplitude, phase, FREQUENCIES, duration))
@@ -124,14 +118,10 @@ class PointToPoint:
     def __call__(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Evaluate positions, velocities and accelerations (N, n)."""
         k = np.clip(np.searchsorted(self.starts, time, side="right") - 1, 0, len(self.starts) - 1)
-        span = self.spans[k]
-        s, sd, sdd = _blend((time - self.starts[k]) / span)
-        step = self.points[k + 1] - self.points[k]
-        return (
-            self.points[k] + s[:, None] * step,
-            (sd / span)[:, None] * step,
-            (sdd / span**2)[:, None] * step,
-        )
+        span, start = self.spans[k][:, None], self.points[k]
+        s, sd, sdd = (part[:, None] for part in _blend((time - self.starts[k]) / self.spans[k]))
+        step = self.points[k + 1] - start
+        return start + s * step, sd / span * step, sdd / span**2 * step
 
 
 def point_to_point(within: Envelope, duration: float, rng: np.random.Generator) -> PointToPoint:
@@ -140,10 +130,9 @@ def point_to_point(within: Envelope, duration: float, rng: np.random.Generator) 
 
 
 def through(within: Envelope, duration: float, targets: Iterator[np.ndarray], rest: float = REST) -> PointToPoint:
-    """Plan moves from the center through ``targets``, each as fast as the envelope allows.
+    """Plan moves from the center through endless ``targets`` (n,), -1 to 1 of the reach, as fast as allowed.
 
-    Targets (n,), without end, are from -1 to 1 of the envelope's reach to either side of its center. Only moves that
-    end before ``duration``, s, are made, but at least one, with ``rest`` s between two.
+    Only moves that end before ``duration``, s, are made, but at least one, with ``rest`` s between two.
     """
     points, now = [within.center], 0.0
     starts: list[float] = []
@@ -159,23 +148,6 @@ def through(within: Envelope, duration: float, targets: Iterator[np.ndarray], re
         starts.append(now)
         spans.append(span)
         now += span + rest
-
-
-@dataclass(frozen=True, eq=False)
-class SampledTrajectory:
-    """A fifth-order spline through samples ``q`` (N, n) at ``time`` (N,), s."""
-
-    time: np.ndarray
-    q: np.ndarray
-
-    def __call__(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Evaluate positions, velocities and accelerations (N, n)."""
-        from scipy.interpolate import make_interp_spline
-
-        spline = make_interp_spline(self.time, self.q, k=5)
-        inside = ((time >= self.time[0]) & (time <= self.time[-1]))[:, None]
-        t = np.clip(time, self.time[0], self.time[-1])
-        return spline(t), inside * spline(t, 1), inside * spline(t, 2)
 
 
 def moves_through(points: np.ndarray, within: Envelope, rest: float) -> PointToPoint:
@@ -223,8 +195,8 @@ class Fourier(Keys):
 
     @model_validator(mode="after")
     def _one_of_each_frequency(self) -> Fourier:
-        for what, values in (("amplitude", self.amplitude), ("phase", self.phase)):
-            for joint, numbers in values.items():
+        for what in ("amplitude", "phase"):
+            for joint, numbers in getattr(self, what).items():
                 if len(numbers) != len(self.frequency):
                     raise ValueError(
                         f"joint '{joint}' has {len(numbers)} values of '{what}' for {len(self.frequency)} frequencies; "
@@ -258,18 +230,16 @@ def make_trajectory(motion: MotionEntry, robot: Robot, where: str) -> tuple[Traj
     """Make the trajectory that a file describes, and return its duration in s; ``where`` names the run in messages."""
     made: Trajectory
     if (random := motion.sines or motion.moves) is not None:
-        kind = sines if motion.sines else point_to_point
-        rng = np.random.default_rng(random.seed)
+        kind, rng = sines if motion.sines else point_to_point, np.random.default_rng(random.seed)
         made, duration = kind(envelope(robot, random.share), random.duration, rng), random.duration
-    elif motion.points is not None:
-        points = np.array([_of_joints(point, robot, where) for point in motion.points.through])
-        moves = moves_through(points, envelope(robot, motion.points.share), motion.points.rest)
-        made, duration = moves, float(moves.starts[-1] + moves.spans[-1] + motion.points.rest)
+    elif (described := motion.points) is not None:
+        points = np.array([_of_joints(point, robot, where) for point in described.through])
+        made = moves = moves_through(points, envelope(robot, described.share), described.rest)
+        duration = float(moves.starts[-1] + moves.spans[-1] + described.rest)
     elif (series := motion.fourier) is not None:
-        center, amplitude, phase = (
-            np.array(_of_joints(by_joint, robot, where)) for by_joint in (series.center, series.amplitude, series.phase)
-        )
-        made, duration = Sines(center, amplitude, phase, np.array(series.frequency), series.duration), series.duration
+        duration, by_joint = series.duration, (series.center, series.amplitude, series.phase)
+        center, amplitude, phase = (np.array(_of_joints(values, robot, where)) for values in by_joint)
+        made = Sines(center, amplitude, phase, np.array(series.frequency), duration)
     else:
         assert motion.csv is not None
         made, duration = _from_csv(motion.csv, robot)
@@ -289,7 +259,10 @@ def _of_joints(values: Mapping[str, Any], robot: Robot, where: str) -> Sequence[
     return [values[joint] for joint in robot.actuated]
 
 
-def _from_csv(path: Path, robot: Robot) -> tuple[SampledTrajectory, float]:
+def _from_csv(path: Path, robot: Robot) -> tuple[Trajectory, float]:
+    """Draw a fifth-order spline through the samples of a file."""
+    from scipy.interpolate import make_interp_spline
+
     names = [f"q_{joint}" for joint in robot.actuated]  # as 'gtau excite' writes them
     columns = read_log(path, ("t", *names)).arrays()
     time, q = columns["t"], np.column_stack([columns[name] for name in names])
@@ -298,22 +271,28 @@ def _from_csv(path: Path, robot: Robot) -> tuple[SampledTrajectory, float]:
             f"{path}: the columns t and {', '.join(names)} must hold at least six rows of numbers with rising times; "
             "correct the file."
         )
-    return SampledTrajectory(time - time[0], q), float(time[-1] - time[0])
+    spline, duration = make_interp_spline(time - time[0], q, k=5), float(time[-1] - time[0])
+
+    def sampled(time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        t = np.clip(time, 0.0, duration)
+        inside = (t == time)[:, None]
+        return spline(t), inside * spline(t, 1), inside * spline(t, 2)
+
+    return sampled, duration
 
 
 def _check_limits(made: tuple[np.ndarray, np.ndarray, np.ndarray], robot: Robot, where: str) -> None:
     """Refuse positions, velocities and accelerations (N, n) beyond the limits that the robot's file has."""
-    q, qd, qdd = made
+    q, *rates = made
     for j, name in enumerate(robot.actuated):
         joint, limits = robot.joint(name), robot.joint(name).limits
         check_positions(q[:, j], joint, where)
-        for most, limit, what in (
-            (np.abs(qd[:, j]).max(), limits.velocity, f"{joint.unit}/s"),
-            (np.abs(qdd[:, j]).max(), limits.acceleration, f"{joint.unit}/s2"),
-        ):
+        allowed = {f"{joint.unit}/s": limits.velocity, f"{joint.unit}/s2": limits.acceleration}
+        for rate, (unit, limit) in zip(rates, allowed.items(), strict=True):
+            most = np.abs(rate[:, j]).max()
             if limit is not None and most > ROUNDED * limit:
                 raise GtauError(
-                    f"{where}: joint '{name}' is to reach {most:.4g} {what}, beyond its limit of {limit:.4g} {what}; "
+                    f"{where}: joint '{name}' is to reach {most:.4g} {unit}, beyond its limit of {limit:.4g} {unit}; "
                     "make the motion slower, smaller or smoother."
                 )
 

@@ -14,7 +14,7 @@ are those half-way between two of these instants: no term lags another. The expo
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import wrap
@@ -201,44 +201,30 @@ def write_table(torques: TorquesAlongLog, path: Path) -> None:
     files.write_table(torques.table, path)
 
 
+EXPLAINED = """\
+Behind the low-pass of identification. rms: away from reversals, as largest and
+beyond 4; all: over all samples.
+residual: rms torque residual of the identification; beyond 4: share of samples
+whose external torque exceeds four of them, by chance 0.006 %. A contact, a
+collision or an unknown payload shows there."""
+
+
 def summary_text(torques: TorquesAlongLog) -> str:
     """Print the summary as a table."""
-    lines = [
-        f"{'External torque':<20}{'rms':>10}{'rms, all':>10}{'residual':>11}{'largest':>11}{'at, s':>10}"
-        f"{'beyond 4':>11}   unit",
-    ]
+    lines = [_line("External torque", ["rms", "rms, all", "residual", "largest", "at, s", "beyond 4"], "unit")]
     for joint in torques.joints:
-        residual = "-" if joint.residual is None else f"{joint.residual:.4g}"
-        share = "-" if joint.share is None else f"{100 * joint.share:.2f} %"
-        lines.append(
-            f"  {joint.joint:<18}{joint.rms:>10.4g}{joint.rms_all:>10.4g}{residual:>11}{joint.largest:>11.4g}"
-            f"{joint.time:>10.4g}{share:>11}"
-            f"   {joint.unit}"
-        )
-    return "\n".join(
-        [
-            *lines,
-            "Behind the low-pass of identification. rms: away from reversals, as largest and",
-            "beyond 4; all: over all samples.",
-            "residual: rms torque residual of the identification; beyond 4: share of samples",
-            "whose external torque exceeds four of them, by chance 0.006 %. A contact, a",
-            "collision or an unknown payload shows there.",
-            *(() if torques.wrench is None else _wrench_lines(torques.wrench)),
-        ]
-    )
+        numbers = (joint.rms, joint.rms_all, joint.residual, joint.largest, joint.time)
+        lines.append(_line(f"  {joint.joint}", [*map(_number, numbers), _percent(joint.share)], joint.unit))
+    return "\n".join([*lines, EXPLAINED, *(_wrench_lines(torques.wrench) if torques.wrench else ())])
 
 
 def _wrench_lines(wrench: WrenchAlongLog) -> Iterator[str]:
     yield ""
-    yield f"{'External wrench':<20}{'rms':>10}{'+-':>10}{'largest':>11}{'at, s':>10}{'beyond 4':>11}{'seen':>9}   unit"
+    yield _line("External wrench", ["rms", "+-", "largest", "at, s", "beyond 4", "seen"], "unit")
     for component in wrench.components:
         numbers = (component.rms, component.interval, component.largest, component.time)
-        rms, interval, largest, time = ("-" if number is None else f"{number:.4g}" for number in numbers)
-        share = "-" if component.share is None else f"{100 * component.share:.2f} %"
-        yield (
-            f"  {component.name:<18}{rms:>10}{interval:>10}{largest:>11}{time:>10}{share:>11}"
-            f"{100 * component.seen:>7.0f} %   {component.unit}"
-        )
+        cells = [*map(_number, numbers), _percent(component.share), f"{100 * component.seen:.0f} %"]
+        yield _line(f"  {component.name}", cells, component.unit)
     yield from wrap(f"At {wrench.frame}, in its axes. +-: half the 95 % interval, the median.", 80)
     if not wrench.seen.all():
         few = int(np.median(wrench.directions))
@@ -247,3 +233,15 @@ def _wrench_lines(wrench: WrenchAlongLog) -> Iterator[str]:
             "median. Elsewhere it has no value: it is empty in the table.",
             80,
         )
+
+
+def _line(name: str, cells: Sequence[str], unit: str) -> str:
+    return f"{name:<20}" + "".join(f"{cell:>11}" for cell in cells) + f"   {unit}"
+
+
+def _number(number: float | None) -> str:
+    return "-" if number is None else f"{number:.4g}"
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:.2f} %"

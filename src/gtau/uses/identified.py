@@ -160,7 +160,7 @@ def functions(model: Identified) -> Functions:
         (c, qd, qdd), (_, yd, ydd, J) = closed_motion(layout)
         home, cd = loops.home, configuration_rates(layout, c, yd)
         start, stepped = newton_step(layout)
-        step, last_step = _function("step", [start], stepped[:2]), _function("last_step", [start], stepped)
+        step, last_step = _function("step", [start], stepped[:2]), _function("last_step", [start], stepped[:3])
     p = ca.SX.sym("p", len(model.parameters))
     base, chi = model.result.base, ca.vertsplit(p[: model.result.base.count])
     # standard parameters with the same torques: base parameters at their representatives, else zero

@@ -11,7 +11,6 @@ deviations of the logs with the correlations that independent residuals would gi
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -30,24 +29,6 @@ CERTAIN = 3.0  # standard deviations from zero of the parameter stated first: ma
 EXPLAINED = 0.5  # minimum explained share of the squared change
 
 
-@dataclass(frozen=True, eq=False)
-class Explanation:
-    """A hypothesis fitted to a change: ``size`` and ``std`` in ``unit``, and its misfit.
-
-    ``kind`` is gain, load, friction, zero, delay, clock or contact, ``quantity`` what is stated of it, as ``fs`` of
-    friction; ``misfit`` the squared standard deviations that are left, with what its parameters cost.
-    """
-
-    kind: str
-    joint: str
-    quantity: str
-    size: float
-    std: float
-    unit: str
-    misfit: float
-    freedom: float
-
-
 def alarm_of(
     model: Result,
     entries: Sequence[Entry],
@@ -56,108 +37,124 @@ def alarm_of(
     log: LogStatistics,
     uneven: Mapping[str, float],
 ) -> Alarm:
-    """Explain the change indicated by the charts.
-
-    ``entries`` are the last logs, ``log`` the statistics of the newest, the last one; ``uneven`` the largest
-    unevenness of each joint's residual in healthy logs.
-    """
+    """Explain the change of the last logs, the newest ``log`` included; ``uneven`` is by joint that of healthy ones."""
     leading = max(evidences, key=lambda name: evidences[name].log_e)
+    change = evidences[leading]
     shown = [k for k, entry in enumerate(entries) if leading in entry.values]
     first = charts[leading].total - len(shown)  # number of the first of these in its chart
-    of = evidences[leading]
 
     def at(number: int | None) -> int:
         """Find the index among the entries of the log with this number in the leading chart."""
         return max(shown[min(max((number or 0) - first, 0), len(shown) - 1)], 1)
 
-    start, names = at(of.start), [chart.name for chart in log.charts]
+    start, names = at(change.start), [chart.name for chart in log.charts]
     table = np.array([[entry.values.get(name, np.nan) for name in names] for entry in entries], dtype=float)
-    found, logs = explain(table[:start], table[start:], log, uneven)
-    from scipy.stats import t
-
-    factor = float(t.ppf(0.975, max(logs - 1, 1)))
-    loud = sorted((name for name, each in evidences.items() if each.log_e > 0), key=lambda name: -evidences[name].log_e)
+    loud = [name for name, evidence in evidences.items() if evidence.log_e > 0]
     return Alarm(
-        explanations=tuple(_stated(each, model, factor) for each in found),
+        explanations=_explained(model, table[:start], table[start:], log, uneven),
         since=entries[start].log,
-        earliest=entries[at(of.earliest)].log,
-        latest=entries[at(of.latest)].log,
-        charts=tuple(loud[:LISTED]),
+        earliest=entries[at(change.earliest)].log,
+        latest=entries[at(change.latest)].log,
+        charts=tuple(sorted(loud, key=lambda name: -evidences[name].log_e)[:LISTED]),
     )
 
 
-def explain(
-    before: np.ndarray, after: np.ndarray, log: LogStatistics, uneven: Mapping[str, float]
-) -> tuple[tuple[Explanation, ...], int]:
-    """Find the explanations that fit a change, the best one first, and the number of logs behind the scatter.
+def _explained(
+    model: Result, before: np.ndarray, after: np.ndarray, log: LogStatistics, uneven: Mapping[str, float]
+) -> tuple[Explained, ...]:
+    """Find the explanations that fit a change and cannot be distinguished, the best one first.
 
-    ``before`` and ``after`` (logs, k) are charts of the logs before and after the change, NaN where a log does not
-    show one; the motion of the newest, ``log``, determines the signature of each change. Returned are those that
-    cannot be distinguished, none if nothing fits.
+    The logs ``before`` and ``after`` it (logs, k) are NaN where they do not show a chart; the motion of the newest,
+    ``log``, determines the signature of each change.
     """
     enough = (np.isfinite(before).sum(axis=0) >= FEWEST) & np.isfinite(after).any(axis=0) & log.shown
     kept = np.flatnonzero(enough)
-    whole = before[:, kept][np.isfinite(before[:, kept]).all(axis=1)]
-    if not len(kept) or len(whole) < 2:
-        return (), len(whole)
-    rows = np.array([k for k in kept if log.charts[k].kind != RESIDUAL], dtype=int)
+    complete = before[:, kept][np.isfinite(before[:, kept]).all(axis=1)]
+    if not len(kept) or len(complete) < 2:
+        return ()
+    linear = np.array([log.charts[k].kind != RESIDUAL for k in kept])
+    rows = kept[linear]
     if not len(rows):
-        return _contacts(log, uneven), len(whole)
-    linear = np.isin(kept, rows)
-    covariance = covariance_between(whole, log.formula[np.ix_(kept, kept)], np.sqrt(np.diag(log.formula))[kept])
+        return _contacts(log, uneven)
     independent = (1 + MEMORY) / (1 - MEMORY)  # logs that count as one: neighbouring ones are correlated
-    sigma = covariance * sum(1 / max(len(logs) / independent, 1.0) for logs in (whole, after))
-    sigma = sigma[np.ix_(linear, linear)]
+    share = sum(1 / max(len(logs) / independent, 1.0) for logs in (complete, after))
+    sigma = share * _covariance(complete, log.formula[np.ix_(kept, kept)])[np.ix_(linear, linear)]
     L = np.linalg.cholesky(sigma + 1e-12 * np.diag(np.diag(sigma)))
     healthy = np.nanmean(before[:, rows], axis=0)
-    y = np.linalg.solve(L, np.nanmean(after[:, rows], axis=0) - healthy)
-    latest = np.linalg.solve(L, log.values[rows] - healthy)
-    rms = {
-        chart.joint: float(np.nanmean(before[:, k])) if np.isfinite(before[:, k]).any() else 0.0
-        for k, chart in enumerate(log.charts)
-        if chart.kind == RESIDUAL
-    }
-    power = float(log.rows @ np.exp(2 * np.array([rms[joint] for joint in log.joints])))
-    found = sorted(_fitted(log, rows, L, y, latest, power), key=lambda each: each.misfit)
-    if not found or found[0].misfit - PER_PARAMETER > (1 - EXPLAINED) * float(y @ y):
-        return _contacts(log, uneven), len(whole)
-    best = found[0]
-    scale = max(1.0, (best.misfit - PER_PARAMETER) / best.freedom)  # large changes are not exactly linear
-    return tuple(each for each in found if each.misfit - best.misfit < CLOSE * scale), len(whole)
+    changes = np.linalg.solve(
+        L, np.stack([np.nanmean(after[:, rows], axis=0), log.values[rows]], axis=1) - healthy[:, None]
+    )
+    fits = sorted(
+        _fitted(model, log, rows, L, changes, _grown(log, before), len(complete)), key=lambda fit: fit[0].misfit
+    )
+    squares = float(changes[:, 0] @ changes[:, 0])
+    if not fits or fits[0][0].misfit - PER_PARAMETER > (1 - EXPLAINED) * squares:
+        return _contacts(log, uneven)
+    best, freedom = fits[0]
+    scale = max(1.0, (best.misfit - PER_PARAMETER) / freedom)  # large changes are not exactly linear
+    return tuple(fit for fit, _ in fits if fit.misfit - best.misfit < CLOSE * scale)
+
+
+def _grown(log: LogStatistics, before: np.ndarray) -> tuple[float, float]:
+    """Compute the squared residual of healthy logs, and by how much that of the newest log exceeds it."""
+    charts = {chart.joint: k for k, chart in enumerate(log.charts) if chart.kind == RESIDUAL}
+    columns = [charts[joint] for joint in log.joints]
+    values = before[:, columns]
+    counts = np.isfinite(values).sum(axis=0)
+    rms = np.nansum(values, axis=0) / np.maximum(counts, 1)
+    latest = log.values[columns]
+    power = float(log.rows @ np.exp(2 * rms))
+    return power, float(log.rows @ np.where(np.isfinite(latest), np.exp(2 * np.nan_to_num(latest)), 0.0)) - power
 
 
 def _fitted(
-    log: LogStatistics, rows: np.ndarray, L: np.ndarray, y: np.ndarray, latest: np.ndarray, power: float
-) -> Iterator[Explanation]:
-    """Fit each hypothesis to the charts ``rows``.
+    model: Result,
+    log: LogStatistics,
+    rows: np.ndarray,
+    L: np.ndarray,
+    changes: np.ndarray,
+    grown: tuple[float, float],
+    logs: int,
+) -> Iterator[tuple[Explained, int]]:
+    """Fit each hypothesis to the charts ``rows``, which ``L`` whitens, and return its degrees of freedom too.
 
-    ``L`` whitens them; ``y`` and ``latest`` are the whitened changes of all later logs and of the newest one, and
-    ``power`` the squared residual of the healthy ones.
+    ``changes`` (rows, 2) are whitened, of all later logs and of the newest one; intervals are those of so many
+    ``logs``.
     """
-    excess = float(log.rows @ _power(log)) - power
+    from scipy.stats import t as student
+
+    factor, (power, excess) = float(student.ppf(0.975, max(logs - 1, 1))), grown
     for kind, joint, columns, stated in _hypotheses(log.quantities):
         S = np.linalg.solve(L, log.response[rows] @ columns)
-        there = np.linalg.norm(S, axis=0) > 0
+        norms = np.linalg.norm(S, axis=0)
+        there = norms > 0
         if not there[stated].any():
             continue
-        S, columns = S[:, there], columns[:, there]
-        norms = np.linalg.norm(S, axis=0)
-        S = S / norms
-        x, _, rank, _ = np.linalg.lstsq(S, y, rcond=1e-6)
-        left = float(np.sum((y - S @ x) ** 2))
-        cause = columns @ (np.linalg.lstsq(S, latest, rcond=1e-6)[0] / norms)
+        S, columns, norms = S[:, there] / norms[there], columns[:, there], norms[there]
+        x, _, rank, _ = np.linalg.lstsq(S, changes, rcond=1e-6)
+        cause = columns @ (x[:, 1] / norms)
         if excess > EXPLAINED * power and cause @ log.information @ cause < (1 - EXPLAINED) * excess:
             continue  # the residual has grown far more than this hypothesis predicts
-        freedom = max(len(y) - int(rank), 1)
-        spread = np.sqrt(np.diag(np.linalg.pinv(S.T @ S, rcond=1e-8)) * max(1.0, left / freedom))
+        misfit = float(np.sum((changes[:, 0] - S @ x[:, 0]) ** 2))
+        freedom = max(len(changes) - int(rank), 1)
+        std = np.sqrt(np.diag(np.linalg.pinv(S.T @ S, rcond=1e-8)) * max(1.0, misfit / freedom))
         places = np.cumsum(there) - 1
-        at = _reported([int(places[k]) for k in stated if there[k]], np.abs(x) / np.maximum(spread, 1e-300))
-        of = log.quantities[int(np.argmax(np.abs(columns[:, at])))]
-        size, std = float(x[at] / norms[at]), float(spread[at] / norms[at])
+        at = _reported([int(places[k]) for k in stated if there[k]], np.abs(x[:, 0]) / np.maximum(std, 1e-300))
+        quantity = log.quantities[int(np.argmax(np.abs(columns[:, at])))]
+        size, half = float(x[at, 0] / norms[at]), factor * float(std[at] / norms[at])
         if kind == "gain":  # the apparent torque of the current is that of the model over 1 + delta
-            size, std = size / (1 - size), std / (1 - size) ** 2
-        misfit = left + PER_PARAMETER * int(rank)
-        yield Explanation(kind, joint, of.kind, size, std, of.unit, misfit, freedom)
+            size, half = size / (1 - size), half / (1 - size) ** 2
+        explained = Explained(
+            kind=kind,
+            joint=joint,
+            quantity=quantity.kind,
+            size=size,
+            half=half,
+            unit=quantity.unit,
+            relative=_share_of_friction(model, quantity, size) if kind == "friction" else None,
+            misfit=misfit + PER_PARAMETER * int(rank),
+        )
+        yield explained, freedom
 
 
 def _reported(candidates: list[int], t: np.ndarray) -> int:
@@ -165,79 +162,55 @@ def _reported(candidates: list[int], t: np.ndarray) -> int:
     return candidates[0] if t[candidates[0]] > CERTAIN else max(candidates, key=lambda k: t[k])
 
 
+def _share_of_friction(model: Result, quantity: Quantity, size: float) -> float | None:
+    """Compare a change of friction with the model's."""
+    known = {**model.parameters, **model.friction_parameters}
+    friction = known.get(Parameter(quantity.kind, quantity.joint))
+    return size / friction.value if friction is not None and friction.value else None
+
+
 def _hypotheses(quantities: tuple[Quantity, ...]) -> Iterator[tuple[str, str, np.ndarray, list[int]]]:
     """List kind, joint, combinations (p, k) of the quantities, and which of the k may be stated."""
-    p, eye = len(quantities), np.eye(len(quantities))
-    load = [k for k, each in enumerate(quantities) if each.group == "load"]
+    eye = np.eye(len(quantities))
+    load = [k for k, quantity in enumerate(quantities) if quantity.group == "load"]
     if load:
         kinds = [quantities[k].kind for k in load]
         yield "load", "", eye[:, load], [kinds.index(kind) for kind in ("m", "mx", "my", "mz") if kind in kinds]
-    for k, each in enumerate(quantities):
-        if each.kind in ("gain", "zero", "delay"):
-            yield each.kind, each.joint, eye[:, [k]], [0]
-    joints = dict.fromkeys(each.joint for each in quantities if each.joint)
-    for joint in joints:
-        own = [k for kind in ("fs", "fv") for k, q in enumerate(quantities) if q.joint == joint and q.kind == kind]
-        if own:
-            yield "friction", joint, eye[:, own], list(range(len(own)))
-    delays = [k for k, each in enumerate(quantities) if each.kind == "delay"]
+    for k, quantity in enumerate(quantities):
+        if quantity.kind in ("gain", "zero", "delay"):
+            yield quantity.kind, quantity.joint, eye[:, [k]], [0]
+    places = {(quantity.joint, quantity.kind): k for k, quantity in enumerate(quantities)}
+    for joint in dict.fromkeys(quantity.joint for quantity in quantities if quantity.joint):
+        friction = [places[joint, kind] for kind in ("fs", "fv") if (joint, kind) in places]
+        if friction:
+            yield "friction", joint, eye[:, friction], list(range(len(friction)))
+    delays = [k for k, quantity in enumerate(quantities) if quantity.kind == "delay"]
     if len(delays) > 1:
-        together = np.zeros((p, 1))
-        together[delays] = 1.0
-        yield "clock", "", together, [0]
+        yield "clock", "", eye[:, delays].sum(axis=1, keepdims=True), [0]
 
 
-def _power(log: LogStatistics) -> np.ndarray:
-    """Return the mean squared residual of each joint (n,), relative to that of the identification."""
-    named = {chart.joint: value for chart, value in zip(log.charts, log.values, strict=True) if chart.kind == RESIDUAL}
-    logarithms = np.array([named.get(joint, np.nan) for joint in log.joints])
-    return np.where(np.isfinite(logarithms), np.exp(2 * np.nan_to_num(logarithms)), 0.0)
-
-
-def _contacts(log: LogStatistics, uneven: Mapping[str, float]) -> tuple[Explanation, ...]:
+def _contacts(log: LogStatistics, uneven: Mapping[str, float]) -> tuple[Explained, ...]:
     """Suspect a contact where the residual of a joint is far more uneven along the log than it ever was."""
     ratio = log.uneven / np.maximum([uneven.get(joint, 1.0) for joint in log.joints], 1.0)
     j = int(np.argmax(ratio))
     if ratio[j] < UNEVEN:
         return ()
-    return (Explanation("contact", log.joints[j], RESIDUAL, float(ratio[j]), 0.0, "1", 0.0, 1.0),)
+    size = float(ratio[j])
+    return (Explained(kind="contact", joint=log.joints[j], quantity=RESIDUAL, size=size, half=0, unit="1", misfit=0),)
 
 
-def _stated(each: Explanation, model: Result, factor: float) -> Explained:
-    """State an explanation with its interval, and its share of the model's friction."""
-    relative = None
-    if each.kind == "friction":
-        friction = model.friction_parameters
-        known = {**model.parameters, **friction}.get(Parameter(each.quantity, each.joint))
-        if known is not None and known.value:
-            relative = each.size / known.value
-    return Explained(
-        kind=each.kind,
-        joint=each.joint,
-        quantity=each.quantity,
-        size=each.size,
-        half=factor * each.std,
-        unit=each.unit,
-        relative=relative,
-        misfit=each.misfit,
-    )
+def _covariance(values: np.ndarray, formula: np.ndarray) -> np.ndarray:
+    """Estimate the covariance (k, k) between healthy logs (logs, k), positive definite however few they are.
 
-
-def covariance_between(values: np.ndarray, formula: np.ndarray, least: np.ndarray) -> np.ndarray:
-    """Estimate the covariance (k, k) between healthy logs, positive definite however few they are.
-
-    ``values`` (logs, k) are those of charts that every log shows; correlations are shrunk to those of ``formula`` (k,
-    k), the covariance of one log for independent residuals, below whose standard deviations ``least`` (k,) logs do not
-    scatter.
+    Correlations are shrunk to those of one log (``formula``), below half of whose standard deviations none scatter.
     """
     logs, k = values.shape
     deviations = values - values.mean(axis=0)
     S = deviations.T @ deviations / max(logs - 1, 1)
-    sizes = np.sqrt(np.maximum(np.diag(S), least**2 / 4))
+    sizes = np.sqrt(np.maximum(np.diag(S), np.diag(formula) / 4))
     of_formula = np.sqrt(np.maximum(np.diag(formula), 1e-300))
     target = formula / of_formula / of_formula[:, None]
-    empirical = S / sizes / sizes[:, None]
     share = k / (k + max(logs - 1, 0))
-    R = share * (0.9 * target + 0.1 * np.eye(k)) + (1 - share) * empirical
+    R = share * (0.9 * target + 0.1 * np.eye(k)) + (1 - share) * (S / sizes / sizes[:, None])
     np.fill_diagonal(R, 1.0)
     return np.asarray(R * sizes * sizes[:, None])

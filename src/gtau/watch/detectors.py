@@ -51,10 +51,8 @@ class Baseline:
         """Compute the prediction interval of one more healthy log at this probability, (k,) each, by Student's t."""
         from scipy.stats import t
 
-        factor = t.ppf((1 + probability) / 2, np.maximum(self.count - 1, 1)) * np.sqrt(
-            1 + 1 / np.maximum(self.count, 1)
-        )
-        half = factor * self.std
+        factor = t.ppf((1 + probability) / 2, np.maximum(self.count - 1, 1))
+        half = factor * np.sqrt(1 + 1 / np.maximum(self.count, 1)) * self.std
         return self.mean - half, self.mean + half
 
 
@@ -103,10 +101,7 @@ class Chart:
 
 @dataclass(frozen=True)
 class Evidence:
-    """Evidence of a chart: logarithm of its e-detector, the likeliest first log of the change and the interval of it.
-
-    Logs are counted from the first one of the chart; None without any evidence.
-    """
+    """Logarithm of a chart's e-detector, and the likeliest first log of the change with its interval."""
 
     log_e: float = -np.inf
     start: int | None = None
@@ -152,8 +147,8 @@ def evidence(chart: Chart) -> Evidence:
     r = np.maximum(cc - ch**2 / hh, 0.0)[first:]
     b2 = np.divide((cy - ch * hy / hh)[first:] ** 2, r, out=np.zeros_like(r), where=r > 0)
     shrink = r * KAPPA**2 / (1 + r * KAPPA**2)
-    left = np.maximum(S0 - b2 * shrink, 1e-12 * S0)
-    ratios = -0.5 * np.log1p(r * KAPPA**2) + (n - 1) / 2 * np.log(S0 / left)
+    unexplained = np.maximum(S0 - b2 * shrink, 1e-12 * S0)
+    ratios = -0.5 * np.log1p(r * KAPPA**2) + (n - 1) / 2 * np.log(S0 / unexplained)
     if chart.rising:  # omitting decreases makes the sum smaller, so the bound still holds
         ratios = np.where((cy - ch * hy / hh)[first:] > 0, ratios, -np.inf)
     top = float(ratios.max())
@@ -178,17 +173,9 @@ def combined(log_e: np.ndarray) -> float:
     return top + float(np.log(np.mean(np.exp(log_e - top))))
 
 
-def run_length(limit: float, reference: float = REFERENCE, shift: float = 0.0) -> float:
-    """Compute the average run length of a one-sided CUSUM of standard normal scores, by Siegmund's formula.
-
-    Parameters
-    ----------
-    limit, reference : float
-        Alarm limit, and reference value subtracted from each score.
-    shift : float
-        Mean of the scores.
-    """
-    drift, height = shift - reference, limit + OVERSHOOT
+def run_length(limit: float, shift: float = 0.0) -> float:
+    """Compute the average run length of a one-sided CUSUM of normal scores of mean ``shift``, by Siegmund's formula."""
+    drift, height = shift - REFERENCE, limit + OVERSHOOT
     if abs(drift) < 1e-9:
         return height**2
     return float((np.exp(-2 * drift * height) + 2 * drift * height - 1) / (2 * drift**2))
@@ -203,14 +190,12 @@ def cusum_limit(logs: float) -> float:
 
 def _whitened(chart: Chart) -> tuple[np.ndarray, np.ndarray]:
     """Compute constants h and values y (m,) of the last logs with independent errors of equal variance."""
-    before, one = chart.before, 1 / np.sqrt(chart.w)
-    u = chart.x * one
-    lag_u = np.append(0.0 if before is None else before[0] / np.sqrt(before[1]), u[:-1])
-    lag_one = np.append(0.0 if before is None else 1 / np.sqrt(before[1]), one[:-1])
-    scale, memory = np.sqrt(1 - chart.memory**2), chart.memory
-    h, y = (one - memory * lag_one) / scale, (u - memory * lag_u) / scale
+    before, weights, memory = chart.before, 1 / np.sqrt(chart.w), chart.memory
+    rows = np.stack([weights, chart.x * weights])
+    last = np.array([[1.0], [before[0]]]) / np.sqrt(before[1]) if before else np.zeros((2, 1))
+    h, y = (rows - memory * np.hstack([last, rows[:, :-1]])) / np.sqrt(1 - memory**2)
     if before is None:
-        h[0], y[0] = one[0], u[0]
+        h[0], y[0] = rows[:, 0]
     return h, y
 
 

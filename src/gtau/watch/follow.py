@@ -81,26 +81,32 @@ def _growing(
     with TemporaryDirectory() as temporary, log.open("rb") as file:
         head = b"".join(islice(file, (find_columns(log).first_line or 1) - 1))
         part = Path(temporary) / f"{log.stem}{log.suffix or '.csv'}"
-        lines = _Lines()
-        wanted, number = 0, 0
+        lines: list[bytes] = []
+        torn, wanted, number = b"", 0, 0
         while True:
             if log.stat().st_size < file.tell():
                 raise GtauError(f"{log} has become shorter while it was followed; start following the new log.")
-            read_now = file.read(CHUNK)
-            lines.add(read_now)
-            if not wanted and lines.count >= FIRST_LINES:
-                part.write_bytes(head + lines.peek(FIRST_LINES))
+            chunk = file.read(CHUNK)
+            *whole_lines, torn = (torn + chunk).split(b"\n")
+            lines += whole_lines
+            if not wanted and len(lines) >= FIRST_LINES:
+                part.write_bytes(head + _text(lines[:FIRST_LINES]))
                 wanted = max(round(read(part).rate * seconds), FIRST_LINES)
-            while wanted and lines.count >= wanted:
-                block, number = lines.take(wanted), number + 1
+            while wanted and len(lines) >= wanted:
+                block, number = _text(lines[:wanted]), number + 1
+                del lines[:wanted]
                 digest = hashlib.sha256(block).hexdigest()
                 if digest not in watch.seen:
                     part.write_bytes(head + block)
                     yield _update(watch, part, read, digest, f"{log.stem} block {number}", now())
-            if not read_now:
+            if not chunk:
                 if ended():
                     return
                 time.sleep(POLL)
+
+
+def _text(lines: list[bytes]) -> bytes:
+    return b"\n".join(lines) + b"\n"
 
 
 def _update(watch: Watch, log: Path, read: Read, digest: str, name: str, date: str) -> Status | Skipped:
@@ -114,27 +120,3 @@ def _update(watch: Watch, log: Path, read: Read, digest: str, name: str, date: s
 def _lines_of(log: Path) -> int:
     with log.open("rb") as file:
         return file.read(CHUNK).count(b"\n")
-
-
-class _Lines:
-    """Whole lines of a text received in pieces."""
-
-    def __init__(self) -> None:
-        self._whole: list[bytes] = []
-        self._torn = b""
-
-    @property
-    def count(self) -> int:
-        return len(self._whole)
-
-    def add(self, text: bytes) -> None:
-        *whole, self._torn = (self._torn + text).split(b"\n")
-        self._whole += whole
-
-    def peek(self, count: int) -> bytes:
-        return b"\n".join(self._whole[:count]) + b"\n"
-
-    def take(self, count: int) -> bytes:
-        block = self.peek(count)
-        del self._whole[:count]
-        return block

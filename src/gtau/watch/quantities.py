@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -77,25 +78,39 @@ class NormalEquations:
     tau: np.ndarray
     sigma: np.ndarray
 
+    @property
+    def friction(self) -> list[int]:
+        """Columns of friction and offsets."""
+        return [k for k, quantity in enumerate(self.quantities) if quantity.group in PLAIN_FRICTION]
+
+    @property
+    def load(self) -> list[int]:
+        """Columns of the load."""
+        return [k for k, quantity in enumerate(self.quantities) if quantity.group == "load"]
+
+    @property
+    def charts(self) -> list[int]:
+        """Columns of the charts: inertia of the load and offsets are estimated with the others."""
+        of_load = ("m", "mx", "my", "mz")
+        charted = [quantity.joint or quantity.kind in of_load for quantity in self.quantities]
+        return [k for k, chart in enumerate(charted) if chart and self.quantities[k].kind != "off"]
+
 
 def quantities_of(model: Result, of_load: Iterable[str]) -> tuple[Quantity, ...]:
     """List the watched quantities of a model and the parameters ``of_load``, in the order of the columns."""
     robot, motors = model.robot, model.robot.motors
-    load = (Quantity(kind, "", unit_of(kind, robot, robot.tool)) for kind in of_load)
-    kinds = {joint: robot.joint(joint).kind for joint in motors}
-    drives = [
+    units = {joint: ZERO_UNITS[robot.joint(joint).kind][0] for joint in motors}
+    return (
+        *(Quantity(kind, "", unit_of(kind, robot, robot.tool)) for kind in of_load),
         *(Quantity("gain", joint, "1") for joint in motors),
-        *(Quantity("zero", joint, ZERO_UNITS[kinds[joint]][0]) for joint in motors),
+        *(Quantity("zero", joint, units[joint]) for joint in motors),
         *(Quantity("delay", joint, "s") for joint in motors),
-    ]
-    names = model.base.standard
-    of_friction = [
-        Quantity(kind, joint, unit_of(kind, robot, joint))
-        for kind in PLAIN_FRICTION
-        for joint in motors
-        if Parameter(kind, joint) in names
-    ]
-    return (*load, *drives, *of_friction)
+        *(
+            Quantity(kind, joint, unit_of(kind, robot, joint))
+            for kind, joint in product(PLAIN_FRICTION, motors)
+            if Parameter(kind, joint) in model.base.standard
+        ),
+    )
 
 
 def normal_equations(model: Result, run: Run) -> NormalEquations:
@@ -141,7 +156,7 @@ def normal_equations(model: Result, run: Run) -> NormalEquations:
 
 def _sigma(model: Result) -> np.ndarray:
     """Take the torque residual (n,) of the identification; of a joint without one the median of the others."""
-    known = {each.joint: each.rms for each in model.residuals}
+    known = {error.joint: error.rms for error in model.residuals}
     middle = float(np.median([*known.values()])) if known else 1.0
     return np.array([known.get(joint) or middle or 1.0 for joint in model.robot.actuated])
 
@@ -149,10 +164,7 @@ def _sigma(model: Result) -> np.ndarray:
 def _columns(
     model: Result, part: Rows, load: np.ndarray, payload: np.ndarray, quantities: Sequence[Quantity], run: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Build the rows ``[columns | y]`` (n, K, p + 1) of all joints, and the torques of the model (n, K).
-
-    ``load`` are the identified base parameters, and ``payload`` (n_b, k) the columns of a payload among them.
-    """
+    """Build rows ``[columns | y]`` (n, K, p + 1) and torques (n, K) of base parameters and payload (n_b, k)."""
     idm = model.idm
     n, regressor = len(idm.actuated), idm.columns(model.base.standard)
     W = part.matrix(regressor, n)
@@ -166,11 +178,11 @@ def _columns(
     A = np.zeros((n, len(part.time), len(quantities) + 1))
     A[..., : payload.shape[1]] = W @ payload
     zeros = _of_zeros(model, part, load, run)
-    for k, each in enumerate(quantities):
-        if not each.joint:
+    for k, quantity in enumerate(quantities):
+        if not quantity.joint:
             continue
-        j = idm.actuated.index(each.joint)
-        match each.kind:
+        j = idm.actuated.index(quantity.joint)
+        match quantity.kind:
             case "gain":
                 A[j, :, k] = -tau[j]
             case "delay":
@@ -178,7 +190,7 @@ def _columns(
             case "zero":
                 A[:, :, k] = zeros[j]
             case _:
-                A[:, :, k] = W[:, :, model.base.standard.index(each.name)]
+                A[:, :, k] = W[:, :, model.base.standard.index(quantity.name)]
     A[..., -1] = measured - tau
     return A, tau
 
@@ -188,7 +200,7 @@ def _of_zeros(model: Result, part: Rows, load: np.ndarray, run: str) -> np.ndarr
     idm = model.idm
     n, actuated = len(idm.actuated), idm.layout.actuated
     regressor, motion, labels = idm.columns(model.base.standard), part.motion, instants(run, part.time)
-    q, qd, qdd = (np.ascontiguousarray(each[actuated]) for each in (motion.c, motion.yd, motion.ydd))
+    q, qd, qdd = (np.ascontiguousarray(states[actuated]) for states in (motion.c, motion.yd, motion.ydd))
     before = regressor.torques_along(idm.layout, motion, load)
     columns = np.zeros((n, n, len(part.time)))
     for j, joint in enumerate(idm.actuated):

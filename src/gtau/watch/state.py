@@ -100,25 +100,25 @@ class Entry(_Line):
 
 def logs_of(paths: Iterable[Path]) -> list[Path]:
     """List logs in the order given, those of a folder in the order of their names; raises GtauError."""
-    found: list[Path] = []
+    logs: list[Path] = []
     for path in paths:
         if not path.exists():
             raise GtauError(f"there is no log '{path}'; check the path.")
         if not path.is_dir() or is_log_folder(path):
-            found.append(path)
+            logs.append(path)
             continue
-        inside = in_order(each for each in path.iterdir() if not each.name.startswith("."))
-        inside = [each for each in inside if each.is_file() or is_log_folder(each)]
+        entries = in_order(entry for entry in path.iterdir() if not entry.name.startswith("."))
+        inside = [entry for entry in entries if entry.is_file() or is_log_folder(entry)]
         if not inside:
             raise GtauError(f"the folder {path} holds no log; check the path.")
-        found += inside
-    return found
+        logs += inside
+    return logs
 
 
 def date_of(log: Path) -> str:
     """Find the recording date of a log, ISO 8601: the date in its name, else the last change of its file."""
     for match in reversed(list(_DATE.finditer(log.name))):
-        year, month, day = (int(each) for each in match.groups() if each is not None)
+        year, month, day = map(int, filter(None, match.groups()))
         try:
             return date(year if year > 99 else 2000 + year, month, day).isoformat()
         except ValueError:
@@ -136,17 +136,16 @@ def reset_date(text: str) -> str:
 
 def digest_of(path: str | Path) -> str:
     """Compute the SHA-256 of a log, or of all files in a folder; raises GtauError."""
-    path = Path(path)
-    found = hashlib.sha256()
+    path, digest = Path(path), hashlib.sha256()
     try:
-        for each in sorted(path.rglob("*")) if path.is_dir() else [path]:
-            if each.is_file():
-                with each.open("rb") as file:
+        for part in sorted(path.rglob("*")) if path.is_dir() else [path]:
+            if part.is_file():
+                with part.open("rb") as file:
                     while block := file.read(1 << 20):
-                        found.update(block)
+                        digest.update(block)
     except OSError as error:
         raise GtauError(f"{path} cannot be read ({(error.strerror or str(error)).lower()}); check the path.") from None
-    return found.hexdigest()
+    return digest.hexdigest()
 
 
 def open_history(folder: Path, settings: Settings) -> Iterator[Entry]:
@@ -155,9 +154,13 @@ def open_history(folder: Path, settings: Settings) -> Iterator[Entry]:
     if not path.exists():
         write_atomically(path, settings.model_dump_json() + "\n")
         return
-    _drop_unfinished(path)
-    with path.open(encoding="utf-8") as file:
+    size = 0
+    with path.open("rb+") as file:
         for number, line in enumerate(file, start=1):
+            if not line.endswith(b"\n"):  # left by a program killed while writing
+                file.truncate(size)
+                return
+            size += len(line)
             try:
                 if number == 1:
                     _require_same(Settings.model_validate_json(line), settings, path)
@@ -182,33 +185,14 @@ def append(folder: Path, entry: Entry) -> None:
         raise GtauError(f"{path} cannot be written ({error.strerror}); free some space.") from None
 
 
-def _drop_unfinished(path: Path) -> None:
-    """Remove an incomplete last line, left by a program killed while writing."""
-    with path.open("rb+") as file:
-        size = file.seek(0, os.SEEK_END)
-        at, tail = size, b""
-        while at > 0 and b"\n" not in tail:
-            at = max(at - (1 << 16), 0)
-            file.seek(at)
-            tail = file.read(size - at)
-        whole = at + tail.rfind(b"\n") + 1
-        if whole < size:
-            file.truncate(whole)
-
-
-def _require_same(found: Settings, wanted: Settings, path: Path) -> None:
-    if found.model != wanted.model:
+def _require_same(begun: Settings, wanted: Settings, path: Path) -> None:
+    if begun.model != wanted.model:
         raise GtauError(
-            f"{path} is the history of another model (of robot '{found.robot}'); give that model, or another --out."
+            f"{path} is the history of another model (of robot '{begun.robot}'); give that model, or another --out."
         )
-    words = {
-        "baseline": "--baseline",
-        "false_alarms": "--false-alarms-per-year",
-        "robots": "--robots",
-        "logs_per_year": "--logs-per-year",
-    }
-    for name, option in words.items():
-        before, now = getattr(found, name), getattr(wanted, name)
+    for name in ("baseline", "false_alarms", "robots", "logs_per_year"):
+        before, now = getattr(begun, name), getattr(wanted, name)
+        option = "--false-alarms-per-year" if name == "false_alarms" else f"--{name.replace('_', '-')}"
         if before != now:
             raise GtauError(
                 f"{path} was begun with {option} {before:g}, not {now:g}: another value would change what its alarms "

@@ -17,7 +17,6 @@ import numpy as np
 from gtau.estimation.estimators.estimator import jackknife
 from gtau.estimation.results.result import Result
 from gtau.robots.parameter import torque_unit
-from gtau.robots.robot import PLAIN_FRICTION
 from gtau.signals.run import Run
 from gtau.watch.quantities import NormalEquations, Quantity, normal_equations
 
@@ -31,28 +30,13 @@ RESIDUAL = "rms"  # kind of the residual's charts
 class LogStatistics:
     """Statistics of one log.
 
-    Attributes
-    ----------
-    name : str
-        Name of the run.
-    charts : tuple of Quantity
-        The charts: quantities, then the residual of each joint (logarithm of its rms over that of the model).
-    values : ndarray
-        (k,) in the units of ``charts``; NaN where this motion does not show a change.
-    covariance : ndarray
-        (k, k) by the jackknife, 0 for charts that are not observable.
-    quantities : tuple of Quantity
-        All columns.
-    response : ndarray
-        (k, p): change of each chart per unit of each quantity.
-    formula : ndarray
-        (k, k) covariance for independent residuals of unit variance, which has the full rank that the jackknife lacks.
-    uneven : ndarray
-        (n,) largest rms residual of a block over the median one, of each joint: contacts are brief.
-    information : ndarray
-        (p, p): the squared residual, friction free, that changes x of the quantities add is ``x^T information x``.
-    rows : ndarray
-        (n,) number of rows of each joint.
+    The k ``charts`` are quantities, then the residual of each joint (logarithm of its rms over that of the model):
+    ``values`` (k,) in their units, NaN where this motion does not show a change, ``covariance`` (k, k) by the
+    jackknife, 0 for these. ``response`` (k, p) is the change of each chart per unit of each of the ``quantities``, all
+    columns; ``formula`` (k, k) the covariance for independent residuals of unit variance, which has the full rank that
+    the jackknife lacks. ``uneven`` (n,) is the largest rms residual of a block over the median one, of each joint:
+    contacts are brief. ``information`` (p, p): the squared residual, friction free, that changes x of the quantities
+    add is ``x^T information x``. ``rows`` (n,) counts those of each joint.
     """
 
     name: str
@@ -90,92 +74,61 @@ class LogStatistics:
 def statistics_of(model: Result, run: Run) -> LogStatistics:
     """Compute the statistics of a finished log, whose payload is part of what is expected; raises GtauError."""
     normal = normal_equations(model, run)
-    columns = _Columns.of(normal.quantities)
-    total = normal.G.sum(axis=(0, 1))
-    C, usable = _combinations(total, columns)
-    p = len(normal.quantities)
-    k = len(columns.charts)
+    total, quantities, joints = normal.G.sum(axis=(0, 1)), normal.quantities, model.robot.actuated
+    C, usable = _combinations(total, normal)
+    p, k = len(quantities), len(normal.charts)
     values = C @ total[:p, p]
-    residual, uneven = _residuals(normal, columns)
+    residual, uneven = _residuals(normal, np.ones(len(normal.G), dtype=bool))
     replicates = []
-    for s in np.flatnonzero(normal.rows.sum(axis=1)):
-        left = total - normal.G[s].sum(axis=0)
-        without, fine = _combinations(left, columns)
-        own, _ = _residuals(normal, columns, without=int(s))
-        replicates.append(np.concatenate([np.where(fine, without @ left[:p, p], values), own]))
+    for block in np.flatnonzero(normal.rows.sum(axis=1)):
+        rest = total - normal.G[block].sum(axis=0)
+        without, fine = _combinations(rest, normal)
+        rms, _ = _residuals(normal, np.arange(len(normal.G)) != block)
+        replicates.append(np.concatenate([np.where(fine, without @ rest[:p, p], values), rms]))
     every = np.concatenate([values, residual])
     covariance = jackknife(np.array(replicates)) if len(replicates) > 1 else np.full((len(every),) * 2, np.inf)
     std = np.sqrt(np.diag(covariance))
-    joints = model.robot.actuated
-    charts = (
-        *(normal.quantities[c] for c in columns.charts),
-        *(Quantity(RESIDUAL, joint, torque_unit(model.robot, joint)) for joint in joints),
-    )
     response = np.vstack([C @ total[:p, :p], np.zeros((len(joints), p))])
     formula = np.zeros((len(every),) * 2)
-    formula[:k, :k] = C @ total[:p, :p] @ C.T
+    formula[:k, :k] = response[:k] @ C.T
     formula[k:, k:] = np.diag(0.5 / np.maximum(normal.rows.sum(axis=0), 1))  # of the logarithm of an rms
-    visible = np.sqrt(np.diag(formula)[:k]) < _limits(normal, columns)
+    visible = np.sqrt(np.diag(formula)[:k]) < _limits(normal)
     shown = np.concatenate([usable & visible, np.isfinite(residual)]) & (std > 0) & np.isfinite(std)
-    seen = np.where(shown[:, None] & shown, covariance, 0.0)
+    residuals = (Quantity(RESIDUAL, joint, torque_unit(model.robot, joint)) for joint in joints)
     return LogStatistics(
         run.name,
-        charts,
+        (*(quantities[c] for c in normal.charts), *residuals),
         np.where(shown, every, np.nan),
-        seen,
-        normal.quantities,
+        np.where(shown[:, None] & shown, covariance, 0.0),
+        quantities,
         response,
         formula,
         uneven,
-        _beside_friction(total, columns),
+        _beside_friction(total, normal),
         normal.rows.sum(axis=0),
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Columns:
-    """Numbers of the columns: of friction, of the load, of the others that are tried one by one, and of the charts."""
-
-    friction: tuple[int, ...]
-    load: tuple[int, ...]
-    single: tuple[int, ...]
-    charts: tuple[int, ...]
-
-    @staticmethod
-    def of(quantities: tuple[Quantity, ...]) -> _Columns:
-        friction = tuple(k for k, each in enumerate(quantities) if each.group in PLAIN_FRICTION)
-        load = tuple(k for k, each in enumerate(quantities) if each.group == "load")
-        single = tuple(k for k in range(len(quantities)) if k not in friction and k not in load)
-        charts = tuple(  # inertia of the load and offsets are estimated with the others
-            k
-            for k, each in enumerate(quantities)
-            if each.kind != "off" and (each.joint or each.kind in ("m", "mx", "my", "mz"))
-        )
-        return _Columns(friction, load, single, charts)
-
-
-def _combinations(G: np.ndarray, columns: _Columns) -> tuple[np.ndarray, np.ndarray]:
+def _combinations(G: np.ndarray, normal: NormalEquations) -> tuple[np.ndarray, np.ndarray]:
     """Find the combinations C (k, p) with ``x = C A^T y`` of the charted quantities, and whether each is usable."""
-    p = len(G) - 1
-    every = np.zeros((p, p))
+    p, friction, load = len(G) - 1, normal.friction, normal.load
+    combinations = np.zeros((p, p))
     norms = np.sqrt(np.diag(G)[:p])
     scale = np.where(norms > 0, norms, 1.0)
     N = G[:p, :p] / scale / scale[:, None]
-    friction = list(columns.friction)
     inverse = _inverse(N[np.ix_(friction, friction)])
-    every[np.ix_(friction, friction)] = inverse
+    combinations[np.ix_(friction, friction)] = inverse
     usable = norms > 0
     usable[friction] &= np.diag(inverse) < 1 / SPANNED
     of_friction = inverse @ N[friction]  # (f, p)
-    left = N - N[:, friction] @ of_friction
-    for group in (*([each] for each in columns.single), list(columns.load)):
-        M = left[np.ix_(group, group)]
+    rest = N - N[:, friction] @ of_friction
+    for group in (*([k] for k in range(p) if k not in (*friction, *load)), load):
+        M = rest[np.ix_(group, group)]
         inverse = _inverse(M)
         usable[group] &= (np.diag(M) > SPANNED) & (np.diag(inverse) < 1 / SPANNED)
-        every[np.ix_(group, group)] = inverse
-        every[np.ix_(group, friction)] = -inverse @ of_friction[:, group].T
-    chosen = list(columns.charts)
-    return (every / scale / scale[:, None])[chosen], usable[chosen]
+        combinations[np.ix_(group, group)] = inverse
+        combinations[np.ix_(group, friction)] = -inverse @ of_friction[:, group].T
+    return (combinations / scale / scale[:, None])[normal.charts], usable[normal.charts]
 
 
 def _inverse(M: np.ndarray) -> np.ndarray:
@@ -185,43 +138,38 @@ def _inverse(M: np.ndarray) -> np.ndarray:
     return np.asarray((vectors[:, kept] / values[kept]) @ vectors[:, kept].T)
 
 
-def _beside_friction(G: np.ndarray, columns: _Columns) -> np.ndarray:
+def _beside_friction(G: np.ndarray, normal: NormalEquations) -> np.ndarray:
     """Compute the information (p, p) on all quantities with friction free."""
-    N, friction = G[:-1, :-1], list(columns.friction)
+    N, friction = G[:-1, :-1], normal.friction
     scale = np.sqrt(np.diag(N))
     scale[scale == 0] = 1.0
     M = N / scale / scale[:, None]
-    left = M - M[:, friction] @ _inverse(M[np.ix_(friction, friction)]) @ M[friction]
-    return np.asarray(left * scale * scale[:, None])
+    rest = M - M[:, friction] @ _inverse(M[np.ix_(friction, friction)]) @ M[friction]
+    return np.asarray(rest * scale * scale[:, None])
 
 
-def _residuals(normal: NormalEquations, columns: _Columns, without: int | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Compute for each joint the log ratio of the rms residual to the model's, friction free, and its unevenness."""
-    p, friction = len(normal.quantities), list(columns.friction)
-    left_in = [s for s in range(len(normal.G)) if s != without]
-    rms, uneven = [], []
-    for j in range(normal.G.shape[1]):
-        total, count = normal.G[left_in, j].sum(axis=0), int(normal.rows[left_in, j].sum())
-        if not count:
-            rms.append(np.nan)
-            uneven.append(1.0)
-            continue
-        x = np.zeros(p + 1)
-        x[friction], x[p] = -_inverse(total[np.ix_(friction, friction)]) @ total[friction, p], 1.0
-        rms.append(0.5 * np.log(max(float(x @ total @ x), 1e-300) / count))
+def _residuals(normal: NormalEquations, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Compute each joint's log ratio of rms residuals, friction free, in the blocks ``used``, and its unevenness."""
+    friction, n = normal.friction, normal.G.shape[1]
+    rms, uneven = np.full(n, np.nan), np.ones(n)
+    for j in np.flatnonzero(normal.rows[used].sum(axis=0)):
+        total, rows = normal.G[used, j].sum(axis=0), normal.rows[:, j]
+        x = np.zeros(len(total))
+        x[friction], x[-1] = -_inverse(total[np.ix_(friction, friction)]) @ total[friction, -1], 1.0
+        rms[j] = 0.5 * np.log(max(float(x @ total @ x), 1e-300) / rows[used].sum())
         squares = np.einsum("p,spq,q->s", x, normal.G[:, j], x)
-        own = np.sqrt(np.maximum(squares, 0.0) / np.maximum(normal.rows[:, j], 1))[normal.rows[:, j] > 0]
-        uneven.append(float(own.max() / max(np.median(own), 1e-300)))
-    return np.array(rms), np.array(uneven)
+        of_blocks = np.sqrt(np.maximum(squares, 0.0) / np.maximum(rows, 1))[rows > 0]
+        uneven[j] = of_blocks.max() / max(np.median(of_blocks), 1e-300)
+    return rms, uneven
 
 
-def _limits(normal: NormalEquations, columns: _Columns) -> np.ndarray:
+def _limits(normal: NormalEquations) -> np.ndarray:
     """Find the largest standard deviation of an observable chart: it moves no joint's torque by more than SHOWN.
 
     It depends on the motion and the model's residual alone, so that a fault does not hide what the motion shows.
     """
     count = np.maximum(normal.rows.sum(axis=0), 1)
-    squares = np.einsum("sjpp->jp", normal.G)[:, list(columns.charts)] / count[:, None]  # in units of sigma
+    squares = np.einsum("sjpp->jp", normal.G)[:, normal.charts] / count[:, None]  # in units of sigma
     share = np.sqrt(squares) * (normal.sigma / np.maximum(normal.tau, 1e-300))[:, None]
-    of_zeros = [LARGEST_ZERO if normal.quantities[k].kind == "zero" else np.inf for k in columns.charts]
+    of_zeros = [LARGEST_ZERO if normal.quantities[k].kind == "zero" else np.inf for k in normal.charts]
     return np.minimum(SHOWN / np.maximum(share.max(axis=0), 1e-300), of_zeros)

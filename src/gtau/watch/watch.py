@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import hashlib
 from collections import deque
-from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from gtau.documents.files import folder_of
 from gtau.documents.validation import NUMBER, TEXT, WHOLE, takes
 from gtau.errors import GtauError
-from gtau.estimation.results.model_document import to_document
+from gtau.estimation.results.model_file import to_document
 from gtau.estimation.results.result import Result
 from gtau.model.interpreter.program import single_threaded_blas
 from gtau.robots.robot import PLAIN_FRICTION
@@ -41,10 +41,7 @@ from gtau.watch.statistics import RESIDUAL, LogStatistics, statistics_of
 
 @dataclass(frozen=True, eq=False)
 class Status:
-    """State after a log: its entry in the history, and the evidence of each chart.
-
-    ``charts`` (k,) with the ``baseline`` of each, ``evidences`` and ``cusums`` (k,), the larger sum over its limit.
-    """
+    """Entry in the history, charts (k,) with baseline and evidence, and the larger CUSUM of each over its limit."""
 
     entry: Entry
     charts: tuple[Quantity, ...]
@@ -138,7 +135,7 @@ class Watch:
         return self.settings.limit
 
     @property
-    def phase(self) -> str:
+    def phase(self) -> Literal["baseline", "watching"]:
         """``baseline`` until the baseline is complete, then ``watching``."""
         return "baseline" if self.count < self.settings.baseline else "watching"
 
@@ -193,56 +190,55 @@ class Watch:
     def update_statistics(self, log: LogStatistics, digest: str, date: str) -> Status:
         """Add the statistics of a log, as :meth:`update` does."""
         begins = bool(self.maintained) and date >= self.maintained
-        draft = Entry(
+        names, shown = [chart.name for chart in log.charts], np.flatnonzero(log.shown)
+        values, std, formula = (
+            {names[k]: float(column[k]) for k in shown}
+            for column in (log.values, log.std, np.sqrt(np.diag(log.formula)))
+        )
+        entry = Entry(
             log=log.name,
             digest=digest,
             date=date,
             begins=self.maintained if begins else "",
-            values=_shown(log, log.values),
-            std=_shown(log, log.std),
-            formula=_shown(log, np.sqrt(np.diag(log.formula))),
+            values=values,
+            std=std,
+            formula=formula,
             uneven=dict(zip(log.joints, map(float, log.uneven), strict=True)),
             not_shown=log.not_shown,
-            phase="baseline" if begins or self.count < self.settings.baseline else "watching",
+            phase="baseline" if begins else self.phase,
         )
-        self._take(draft)
+        self._take(entry)
         evidences = {name: evidence(chart) for name, chart in self.charts.items()}
-        names, cusums = list(evidences), self._cusums()
-        log_e = combined(np.array([each.log_e for each in evidences.values()]))
-        entry = draft
-        if draft.phase == "watching":
-            leading = max(names, key=lambda name: evidences[name].log_e, default="")
-            alarm = self.alarm
+        limit = cusum_limit(self.limit * max(len(self.charts), 1))
+        cusums = np.array([max(chart.cusum) / limit for chart in self.charts.values()])
+        if entry.phase == "watching":
+            log_e = combined(np.array([chart.log_e for chart in evidences.values()]))
             if log_e >= np.log(self.limit):
-                alarm = alarm_of(self.model, list(self.recent), self.charts, evidences, log, self.uneven)
-            known = {"log_e": log_e if np.isfinite(log_e) else None, "cusum": float(max(cusums.values(), default=0.0))}
-            entry = draft.model_copy(update={**known, "leading": leading, "alarm": alarm})
-            self.recent[-1] = entry
-            self.alarm = alarm
+                self.alarm = alarm_of(self.model, list(self.recent), self.charts, evidences, log, self.uneven)
+            state = {
+                "log_e": log_e if np.isfinite(log_e) else None,
+                "cusum": float(cusums.max(initial=0.0)),
+                "leading": max(evidences, key=lambda name: evidences[name].log_e, default=""),
+                "alarm": self.alarm,
+            }
+            self.recent[-1] = entry = entry.model_copy(update=state)
         if self.folder is not None:
             append(self.folder, entry)
-        self.names = tuple(names)
-        charts = {each.name: each for each in log.charts}
-        return Status(
-            entry,
-            tuple(charts[name] for name in names if name in charts),
-            self.baseline,
-            tuple(evidences[name] for name in names),
-            np.array([cusums[name] for name in names]),
-        )
+        charts = {chart.name: chart for chart in log.charts}
+        listed = tuple(charts[name] for name in self.names if name in charts)
+        return Status(entry, listed, self.baseline, tuple(evidences.values()), cusums)
 
     def _take(self, entry: Entry) -> None:
         """Add an entry to the charts."""
         if entry.begins:
             self._clear()
             self.began, self.maintained = entry.begins, ""
-        learning = self.count < self.settings.baseline
         for name, value in entry.values.items():
-            chart = self.charts.get(name) or _begun(name, self.settings.baseline)
             variance = entry.formula[name] ** 2
             known = self.reference.setdefault(name, variance)
+            chart = self.charts.get(name) or _begun(name, self.settings.baseline)
             self.charts[name] = add(chart, value, max(1.0, variance / known if known > 0 else 1.0))
-        if learning:
+        if self.phase == "baseline":
             self.first.append(dict(entry.values))
             for joint, uneven in entry.uneven.items():
                 self.uneven[joint] = max(self.uneven.get(joint, 1.0), uneven)
@@ -252,19 +248,11 @@ class Watch:
         self.count += 1
         self.alarm = entry.alarm or self.alarm
 
-    def _cusums(self) -> dict[str, float]:
-        limit = cusum_limit(self.limit * max(len(self.charts), 1))
-        return {name: max(chart.cusum) / limit for name, chart in self.charts.items()}
-
 
 def _begun(name: str, baseline: int) -> Chart:
     """Begin the chart of this name."""
     kind = name.partition("_")[0]
     return Chart(baseline, kind == RESIDUAL, OF_FRICTION if kind in (*PLAIN_FRICTION, RESIDUAL) else MEMORY)
-
-
-def _shown(log: LogStatistics, values: np.ndarray) -> dict[str, float]:
-    return {chart.name: float(values[k]) for k, chart in enumerate(log.charts) if log.shown[k]}
 
 
 def model_digest(model: Result) -> str:
@@ -276,11 +264,10 @@ def model_digest(model: Result) -> str:
 
 def run_digest(run: Run) -> str:
     """Compute the SHA-256 of the samples of a run."""
-    found = hashlib.sha256()
-    parts: Iterable[np.ndarray] = (run.time, run.position, run.command)
-    for each in parts:
-        found.update(np.ascontiguousarray(each).tobytes())
-    return found.hexdigest()
+    digest = hashlib.sha256()
+    for samples in (run.time, run.position, run.command):
+        digest.update(np.ascontiguousarray(samples).tobytes())
+    return digest.hexdigest()
 
 
 def now() -> str:

@@ -17,16 +17,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import friction_levels, rms_speeds, rms_torques
 from gtau.estimation.diagnostics.effort import stated_meaning
 from gtau.estimation.diagnostics.examine import Examination
-from gtau.estimation.diagnostics.inertia_audit import InertiaAudit, prior_findings
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
 from gtau.estimation.diagnostics.other_estimators import position_noise
-from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings
 from gtau.estimation.diagnostics.stated_constants import prior_contradictions, sensor_contradictions, sensor_scales
 from gtau.estimation.diagnostics.unit_checks import units_and_signs, unlike_legs
 from gtau.estimation.diagnostics.verdict import (
@@ -60,6 +59,9 @@ from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import regrouped, whole_mass
 from gtau.robots.parameter import Parameter, unit_of
 
+if TYPE_CHECKING:
+    from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
+
 WIDTH = 1.96  # standard deviations in half a 95 % interval
 
 
@@ -84,12 +86,19 @@ def diagnose(
         *_impossible_parameters(fit, estimates),
         *unlike_legs(fit, estimates),
         *_wrong_priors(fit, estimates, accuracy),
-        *prior_findings(audit),
         *units_and_signs(fit, estimates, prior_gains, audit),
         *position_noise(fit, examined.alternatives),
         *(examined.ripple.causes if examined.ripple else ()),
-        *repeated_motion_findings(fit, examined.alternatives),
     ]
+    if audit is not None:
+        from gtau.estimation.diagnostics.inertia_audit import prior_findings
+
+        findings += prior_findings(audit)
+    groups, _ = fit.dataset.prepared.places
+    if len(np.unique(groups)) < len(groups):  # some runs repeat a motion
+        from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings
+
+        findings += repeated_motion_findings(fit, examined.alternatives)
     if fit.free_gains:
         findings += _estimated_gains(fit, examined, estimates, accuracy, prior_gains)
         if problem.sensor_channels:
@@ -113,13 +122,9 @@ def diagnose(
     # their advice depends on whether there is a payload, or a wrench on a body or a floating base
     context = {"payload": bool(fit.system.payloads), "wrenches": bool(problem.wrenches or problem.base)}
     halves = half_widths(fit, estimates) if fit.free_gains else np.zeros(0)
+    advised = (replace(finding, values={**context, **finding.values}) for finding in findings)
     return tuple(
-        replace(
-            finding,
-            values={**context, **finding.values},
-            size=finding.size if finding.kind in OUTCOMES else _moves(finding, halves),
-        )
-        for finding in findings
+        finding if finding.kind in OUTCOMES else replace(finding, size=_moves(finding, halves)) for finding in advised
     )
 
 
@@ -130,7 +135,7 @@ def channel_verdicts(fit: Fit, estimates: Estimates, findings: Sequence[Finding]
     std = np.sqrt(np.diag(estimates.random))[unknowns.delays]
     period = 1 / min(run.rate for run in fit.dataset.runs)
     delays = delay_verdicts(fit.system.problem, fit.solution, std, period) if std.any() else [GOOD] * len(std)
-    of_delays = dict(zip(unknowns.select("delay"), delays, strict=True))
+    of_delays = dict(zip(unknowns[unknowns.delays], delays, strict=True))
     return {Parameter("gain", joint): verdict for joint, verdict in gains.items()} | of_delays
 
 

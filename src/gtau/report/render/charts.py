@@ -1,4 +1,4 @@
-"""Charts by Matplotlib: figures for files and notebooks, and drawings in the colours of a page."""
+"""Charts and sketches by Matplotlib: figures for files and notebooks."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
-from importlib.resources import files
+from importlib.resources import as_file, files
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -22,37 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-STYLE: dict[Any, Any] = {
-    "font.family": "sans-serif",
-    "font.size": 9.0,
-    "text.parse_math": False,  # names of users may hold a $
-    "font.sans-serif": ["DejaVu Sans"],  # comes with matplotlib, so that figures look the same everywhere
-    "axes.titlesize": 9.5,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.titlepad": 7,
-    "axes.linewidth": 0.8,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.axisbelow": True,
-    "axes.grid": True,
-    "axes.xmargin": 0.0,
-    "grid.linewidth": 0.7,
-    "xtick.major.size": 0,
-    "ytick.major.size": 0,
-    "lines.markersize": 5,
-    "errorbar.capsize": 4,
-    "legend.frameon": False,
-    "legend.handlelength": 2.6,
-    "figure.dpi": 150,
-    "svg.fonttype": "none",  # words stay words
-    "svg.hashsalt": "gtau",
-}
-PARTS: dict[str, tuple[Any, ...]] = {
-    "soft": ("axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"),
-    "grid": ("grid.color",),
-}
-"""Colours of the parts of a chart that its description does not name."""
+ASSETS = files("gtau.report.render") / "assets"
 WIDTH = 7.2  # inches, of a figure
 NAMES = 220.0  # points, that the names at an axis share
 HALO = 2.4  # points, of the page's colour around words
@@ -61,19 +31,18 @@ HALO = 2.4  # points, of the page's colour around words
 @contextmanager
 def styled() -> Iterator[None]:
     """Draw in the style of the package; afterwards the user's settings are as before."""
-    import matplotlib
+    from matplotlib import rc_context, rcdefaults, style
 
-    with matplotlib.rc_context():
-        matplotlib.rcdefaults()
-        matplotlib.rcParams.update(STYLE)
-        matplotlib.rcParams.update({part: palette()[name] for name, parts in PARTS.items() for part in parts})
+    with rc_context(), as_file(ASSETS / "figure.mplstyle") as path:
+        rcdefaults()
+        style.use(path)
         yield
 
 
 @cache
 def palette() -> dict[str, Any]:
     """Read the colours of the style sheet by name, as Matplotlib takes them."""
-    text = files("gtau.report.render").joinpath("assets", "light.css").read_text(encoding="utf-8")
+    text = (ASSETS / "light.css").read_text(encoding="utf-8")
     colours: dict[str, Any] = dict(re.findall(r"--([\w-]+): (#\w+);", text))
     for name, *parts in re.findall(r"--([\w-]+): rgba\((\d+), (\d+), (\d+), ([\d.]+)\)", text):
         *rgb, alpha = map(float, parts)
@@ -81,13 +50,8 @@ def palette() -> dict[str, Any]:
     return colours
 
 
-def new_figure(width: float, height: float) -> Figure:
-    """Make an empty figure, inches, without a window and known to no pyplot; it shows itself in notebooks."""
-    return _shown_figure()(figsize=(width, height))
-
-
 @cache
-def _shown_figure() -> type[Figure]:
+def shown_figure() -> type[Figure]:
     """Make the class of figures that show themselves in a notebook without pyplot; imports Matplotlib."""
     from matplotlib.figure import Figure
 
@@ -108,8 +72,7 @@ def figure_of(chart: Chart) -> Figure:
     rows = -(-len(chart.panels) // chart.columns)
     heights = [max(panel.height for panel in chart.panels[k * chart.columns :][: chart.columns]) for k in range(rows)]
     with styled():
-        figure = new_figure(WIDTH, 0.5 + 1.15 * sum(heights))
-        figure.set_layout_engine("constrained")
+        figure = shown_figure()(figsize=(WIDTH, 0.5 + 1.15 * sum(heights)), layout="constrained")
         grid = figure.subplots(
             rows, chart.columns, squeeze=False, height_ratios=heights, sharex="col" if chart.live else "none"
         )
@@ -131,9 +94,13 @@ def figure_of(chart: Chart) -> Figure:
 
 def draw(axes: Axes, panel: Panel, last: bool = True) -> None:
     """Draw a panel; the horizontal axis is labelled on the ``last`` one."""
+    from matplotlib.colors import to_rgba_array
+
     colours = palette()
-    if panel.matrix is not None:
-        _draw_matrix(axes, panel.matrix)
+    if panel.matrix is not None:  # correlations by the strength of two colours on the page's own
+        hues = to_rgba_array([colours["positive"], colours["negative"]])[(panel.matrix < 0).astype(int)]
+        hues[..., 3] = np.abs(panel.matrix)
+        axes.imshow(hues, interpolation="none", aspect="equal")
     if panel.band is not None:
         axes.axhspan(*panel.band, color=colours["shade"], linewidth=0)
     for start, stop in () if panel.shaded is None else panel.shaded.reshape(-1, 2):
@@ -211,16 +178,6 @@ def _draw_series(axes: Axes, series: Series) -> None:
         axes.margins(x=0.06, y=0.1)
 
 
-def _draw_matrix(axes: Axes, values: np.ndarray) -> None:
-    """Draw correlations by the strength of two colours on the page's own."""
-    from matplotlib.colors import to_rgb
-
-    image = np.empty((*values.shape, 4))
-    image[..., :3] = np.where(values[..., None] < 0, *(to_rgb(palette()[name]) for name in ("negative", "positive")))
-    image[..., 3] = np.abs(values)
-    axes.imshow(image, interpolation="none", aspect="equal")
-
-
 def figure_of_sketch(sketch: Sketch) -> Figure:
     """Draw a sketch on axes that fill a figure of its size."""
     from matplotlib.patheffects import withStroke
@@ -230,7 +187,7 @@ def figure_of_sketch(sketch: Sketch) -> Figure:
     look: dict[str, Any]
     halo = withStroke(linewidth=HALO, foreground=colours["page"])
     with styled():
-        figure = new_figure(*sketch.size / 72)
+        figure = shown_figure()(figsize=tuple(sketch.size / 72))
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         for order, item in enumerate(sketch.items):
             if isinstance(item, Word):

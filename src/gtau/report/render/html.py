@@ -143,7 +143,6 @@ class Arrays:
 
     buckets: int = BUCKETS
     keys: dict[str, str] = field(default_factory=dict)
-    charts: int = 0
 
     def put(self, values: np.ndarray) -> str:
         """Pack an array (K,) as float32; return the key it can be found by."""

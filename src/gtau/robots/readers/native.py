@@ -290,12 +290,11 @@ def _constants(document: Document) -> dict[str, float]:
 
 
 def _joint(name: str, entry: _JointEntry, actuated_by_default: bool) -> Joint:
-    placement: Placement
-    if entry.type is None:
-        kind: JointKind = "revolute" if entry.theta[0] else "prismatic"
+    kind: JointKind | None = entry.type
+    placement: Placement = Pose(entry.xyz, entry.rpy)
+    if kind is None:
+        kind = "revolute" if entry.theta[0] else "prismatic"
         placement = Mdh(entry.gamma, entry.b, entry.alpha, entry.d, entry.theta[1], entry.r[1])
-    else:
-        kind, placement = entry.type, Pose(entry.xyz, entry.rpy)
     return Joint(
         name=name,
         antecedent=entry.antecedent,
@@ -311,10 +310,9 @@ def _joint(name: str, entry: _JointEntry, actuated_by_default: bool) -> Joint:
 
 
 def _closure(entry: _ClosureEntry) -> Closure:
-    kind: Literal["connect", "weld"] = "connect" if entry.connect is not None else "weld"
     ends = entry.connect or entry.weld
     assert ends is not None  # by _one_kind
-    return Closure(kind, *map(_attachment, ends))
+    return Closure("connect" if entry.connect else "weld", *map(_attachment, ends))
 
 
 def _spring(name: str, entry: _SpringEntry) -> Spring:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from math import isfinite
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, FiniteFloat, Tag, field_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, FiniteFloat, Tag, field_validator
 
+from gtau.documents.validation import Keys, Positive
 from gtau.robots.placement import DEGREES_ADVICE, in_degrees
 from gtau.robots.readers.expressions import evaluate
 
@@ -38,10 +39,8 @@ def angle(value: Any) -> Any:
 Angle = Annotated[FiniteFloat, BeforeValidator(angle)]
 
 
-class Base(BaseModel):
+class Base(Keys):
     """A fixed base: ``rpy`` turns it in a world whose z axis points up, else its pose is that of the file."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     rpy: tuple[Angle, Angle, Angle] | None = None
 
@@ -49,15 +48,13 @@ class Base(BaseModel):
 BaseChoice = Base | Literal["floating"] | None
 
 
-class GivenLimits(BaseModel):
+class GivenLimits(Keys):
     """Limits of a joint in place of those of the robot's file, SI units."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     position: tuple[Angle, Angle] | None = None
-    velocity: Annotated[FiniteFloat, Field(gt=0)] | None = None
-    acceleration: Annotated[FiniteFloat, Field(gt=0)] | None = None
-    effort: Annotated[FiniteFloat, Field(gt=0)] | None = None
+    velocity: Positive | None = None
+    acceleration: Positive | None = None
+    effort: Positive | None = None
 
     @field_validator("position")
     @classmethod

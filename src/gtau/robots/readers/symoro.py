@@ -57,15 +57,15 @@ def _robot(text: str, path: Path) -> Robot:
     constants = _constants(entries)
     lists = {key: _list(entries, key, count) for key in LISTS}
     _check_symbols(lists, constants)
-    rows = []
-    for k in range(count):
-        rows.append(_row(k + 1, {key: lists[key][k] for key in LISTS}, constants, links, joints))
+    rows = [
+        _row(k, dict(zip(LISTS, texts, strict=True)), constants, links, joints)
+        for k, texts in enumerate(zip(*lists.values(), strict=True), start=1)
+    ]
     tree, frames = table_joints(rows)
     # a joint that cuts a loop has friction, but its link is part of the link on the other side
     tree = tuple(replace(joint, parameters="drive") if int(joint.name) > links else joint for joint in tree)
-    closures = tuple(
-        Closure("weld", Attachment(str(cut)), frames[str(cut + joints - links)]) for cut in range(links + 1, joints + 1)
-    )
+    cuts = range(links + 1, joints + 1)
+    closures = tuple(Closure("weld", Attachment(str(cut)), frames[str(cut + joints - links)]) for cut in cuts)
     gravity, notes = _gravity(entries, constants)
     notes += short_angles_note({row.name: row.short for row in rows})
     if not any(joint.actuated for joint in tree) and links == joints:
@@ -108,13 +108,8 @@ def _integer(entries: Mapping[str, str], key: str) -> int:
 
 def _constants(entries: Mapping[str, str]) -> dict[str, float]:
     """Read values of symbols defined on separate lines."""
-    constants = {}
-    for key, text in entries.items():
-        if key not in (*LISTS, "nl", "nj", "nf", "type", "is_mobile", "is_floating") and re.fullmatch(
-            r"[-+.\deE]+", text
-        ):
-            constants[key] = evaluate(text)
-    return constants
+    others = entries.keys() - {*LISTS, "nl", "nj", "nf", "type", "is_mobile", "is_floating"}
+    return {key: evaluate(entries[key]) for key in others if re.fullmatch(r"[-+.\deE]+", entries[key])}
 
 
 def _list(entries: Mapping[str, str], key: str, count: int) -> list[str]:

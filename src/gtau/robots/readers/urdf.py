@@ -95,7 +95,9 @@ class _Loops(BaseModel):
     @field_validator("type", mode="before")
     @classmethod
     def _lower(cls, types: object) -> object:
-        return [kind.lower() if isinstance(kind, str) else kind for kind in types] if isinstance(types, list) else types
+        if not isinstance(types, list):
+            return types
+        return [kind.lower() if isinstance(kind, str) else kind for kind in types]
 
 
 def read_urdf_with_loops(urdf: str | Path, loops: str | Path) -> Robot:
@@ -114,12 +116,10 @@ def read_urdf_with_loops(urdf: str | Path, loops: str | Path) -> Robot:
             )
     tree = read_urdf_tree(Path(urdf), dict(zip(entry.joint_name, entry.joint_type, strict=True)))
     names = [joint.name for joint in tree.joints]
-    for position, name in enumerate(entry.name_mot):
-        if name not in names:
-            raise document.error(("name_mot", position), unknown(f"joint '{name}'", name, names))
-    for position, name in enumerate(entry.joint_name):
-        if name not in tree.frames:
-            raise document.error(("joint_name", position), unknown(f"joint '{name}'", name, names))
+    for key, known in (("name_mot", names), ("joint_name", tree.frames)):
+        for position, name in enumerate(getattr(entry, key)):
+            if name not in known:
+                raise document.error((key, position), unknown(f"joint '{name}'", name, names))
     types = entry.type or ["6d"] * len(entry.closed_loop)
     try:
         robot = Robot(
