@@ -303,6 +303,10 @@ SENTENCES = [  # finding, reason, advice
     (Finding(F.SCALE_UNTESTED, values={"why": "no joint shows it"}),
      "the torques are assumed to be correct, because their scale could not be tested: no joint shows it",
      "add runs with a heavier payload of known mass, or longer ones"),
+    (Finding(F.SCALE_UNTESTED, (), "yaw", {"payloads": ["105 g", "205 g"]}),
+     "the torques are assumed to be correct, because their scale could not be tested: no joint torque shows the mass "
+     "of '105 g' or '205 g' by itself on 'yaw'",
+     "check 'tool' of the robot, which carries the payload, or state the payload's 'center'"),
     (Finding(F.NO_BODIES, values={"why": "the search did not converge"}),
      "physically consistent parameters were not found: the search did not converge",
      ""),
