@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import tempfile
@@ -87,10 +88,18 @@ def folder_of(path: str | Path) -> Path:
     return path
 
 
+def regular(path: Path) -> Path:
+    """Return a path that is no device and no pipe, of which reading might never end; raises OSError otherwise."""
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise OSError(errno.EINVAL, "it is a device or a pipe")
+    return path
+
+
 @contextmanager
 def system_refusals(path: Path, advice: str = "check the path") -> Iterator[None]:
     """Turn an error of the system while a file is read into a GtauError."""
     try:
+        regular(path)
         yield
     except OSError as error:
         raise GtauError(f"{path} cannot be read: {(error.strerror or str(error)).lower()}; {advice}.") from None
@@ -102,7 +111,7 @@ def read_at_most(size: int, path: Path, larger: str) -> bytes:
     Raises GtauError where it cannot be read, or is longer (message ``larger``). The caller names the file.
     """
     try:
-        with path.open("rb") as file:
+        with regular(path).open("rb") as file:
             content = file.read(size + 1)
     except OSError as error:
         raise GtauError(
@@ -183,10 +192,10 @@ _KEYS = (
 def kind_of(path: str | Path) -> str | None:
     """Recognise a file by its content; None if it is of no known kind or cannot be read."""
     path = Path(path)
-    if path.is_dir():
-        return FOLDER
     try:
-        with path.open("rb") as file:
+        if path.is_dir():
+            return FOLDER
+        with regular(path).open("rb") as file:
             head = file.read(HEAD)
     except OSError:
         return None
