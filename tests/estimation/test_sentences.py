@@ -282,6 +282,10 @@ SENTENCES = [  # finding, reason, advice
      "the true torques are 83.2 to 138 times those logged: by their size they are motor-side torques (before the "
      "gear) or currents",
      GEARS),
+    (Finding(F.MOTOR_SIDE, values={"least": 100.1, "most": 100.2}),
+     "the true torques are 100 times those logged: by their size they are motor-side torques (before the gear) or "
+     "currents",
+     GEARS),
     (Finding(F.MOTOR_SIDE, ("left",), values={"share": 0.0031, "limit": 150.0}),
      "the torques reach 0.31 % of the limit of 'left' (150), and less for all others: by their size they are "
      "motor-side torques (before the gear) or currents",
