@@ -11,7 +11,7 @@ from typing import Any
 from gtau.documents.files import MODEL, refuse_other_kind, write_atomically
 from gtau.documents.validation import validate
 from gtau.documents.yaml_document import Document
-from gtau.errors import GtauError
+from gtau.errors import GtauError, unreadable
 from gtau.estimation.friction.law import SHAPES
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.model_document import OLDER, SCHEMA, ModelDocument, to_document
@@ -42,8 +42,8 @@ def load(path: str | Path) -> Result:
     try:
         document = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse, parse_float=_finite)
     except OSError as error:
-        raise GtauError(
-            f"{path} cannot be read ({error.strerror}); give the model.json that 'gtau identify' wrote."
+        raise unreadable(
+            f"{path} cannot be read ({error.strerror}); give the model.json that 'gtau identify' wrote.", error
         ) from None
     except (ValueError, RecursionError):
         raise GtauError(f"{path} is not a JSON file; give the model.json that 'gtau identify' wrote.") from None
