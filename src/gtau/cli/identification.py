@@ -21,7 +21,7 @@ from gtau.cli.console import (
     refusing,
     seconds,
 )
-from gtau.cli.logs import KindOfLogs, Payloads, PresetOfLogs, RobotOfLogs, Sources, experiment_of
+from gtau.cli.logs import KindOfLogs, Payloads, PresetOfLogs, RobotOfLogs, Sources, experiment_of, said_if_refused
 from gtau.documents.files import folder_of, refuse_as_folder, write_atomically
 from gtau.errors import GtauError
 
@@ -104,7 +104,7 @@ def identify(
     """
     refuse_as_folder(out)
     experiment, guessed = experiment_of(sources, robot, payload, kind, preset, out)
-    with progress_bar() as progress:
+    with said_if_refused(guessed), progress_bar() as progress:
         from gtau.estimation.identify import identify as run
         from gtau.estimation.results.model_document import to_document
         from gtau.report.identification import full_page, summary_page

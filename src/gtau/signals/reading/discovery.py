@@ -106,8 +106,9 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
         names = position_log.table.columns
         listed = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
         what = "positions" if positions is None else "currents or torques"
+        named = "" if robot else "give the robot whose joints they name (--robot ROBOT), "
         raise GtauError(
-            f"no columns of {what} are recognised among {listed}; write the experiment file by hand "
+            f"no columns of {what} are recognised among {listed}; {named}write the experiment file by hand "
             "(docs/lookup/experiment-file.md), or rename the columns, such as q1 and current1.",
             source=paths[0],
         )
@@ -271,8 +272,9 @@ def _joints(positions: Group, commands: Group, robot: Robot | None) -> tuple[dic
         how = "positions matched by joint name, commands by column order" if by_order else "matched by joint name"
         return {joint: pairs[joint] for joint in joints}, how, by_order
     if len(pairs) < len(joints):
+        listed = f" ({', '.join(pairs)})" if pairs else ""
         raise GtauError(
-            f"the log has positions and commands of {len(pairs)} joints ({', '.join(pairs)}), but robot "
+            f"the log has positions and commands of {len(pairs)} joints{listed}, but robot "
             f"'{robot.name}' has {len(joints)} actuated ones; give matching logs and robot."
         )
     numbers = {joint: int(digits[-1]) for joint in joints if (digits := re.findall(r"\d+", joint))}
