@@ -19,7 +19,7 @@ from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 from threadpoolctl import threadpool_limits
 
-from gtau.estimation.diagnostics.linearisation import errors_and_jacobian, window_rows
+from gtau.estimation.diagnostics.linearisation import FitWindow, weights_of
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.estimators.newton import to_gains
@@ -42,11 +42,10 @@ def jacobians(fit: Fit) -> list[tuple[np.ndarray, np.ndarray]]:
     """Of each run the residuals' Jacobian (c, K, k) in A, and which rows are kept (c, K)."""
     found = []
     for run, prepared in enumerate(fit.dataset.prepared):
-        window = prepared.samples()
-        A, keep = window_rows(fit, run, window, None, fit.dataset.model)
-        _, J = errors_and_jacobian(fit, run, window, A)
-        weights = 1 / np.maximum(fit.solution.sigma, fit.system.problem.smallest_sigma)
-        found.append((J / weights[:, None, None], keep))
+        window = FitWindow(fit, run, prepared.samples())
+        A, keep = window.rows()
+        _, J = window.errors_and_jacobian(A)
+        found.append((J / weights_of(fit)[:, None, None], keep))
     return found
 
 

@@ -21,7 +21,7 @@ from gtau.estimation.diagnostics.hypotheses import (
     ranked,
     same_effects,
 )
-from gtau.estimation.diagnostics.linearisation import CandidateColumns, Offer
+from gtau.estimation.diagnostics.linearisation import CandidateColumns, FitWindow
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.maximum_likelihood import ML
@@ -30,8 +30,6 @@ from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.thresholds.estimates import ALTERNATIVE_PRIOR
 from gtau.findings import Finding
 from gtau.model.home import load_robot
-from gtau.model.loops import Motion
-from gtau.signals.preparation.prepared_run import SampleWindow
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
@@ -112,14 +110,9 @@ def test_clean_logs_support_no_alternative(runs: list[Run]) -> None:
 def under_another_name(hypothesis: Hypothesis) -> Hypothesis:
     """The same effects in other words, and sizes in another unit."""
 
-    def torques(fit: Fit) -> Offer:
-        offer = hypothesis.torques(fit)
-
-        def larger(window: SampleWindow, motion: Callable[[], Motion], values: np.ndarray) -> CandidateColumns:
-            columns = offer(window, motion, values)
-            return lambda rows: 3.0 * columns(rows)
-
-        return larger
+    def torques(at: FitWindow) -> CandidateColumns:
+        columns = hypothesis.torques(at)
+        return lambda rows: 3.0 * columns(rows)
 
     def columns(fit: Fit) -> list[Alternative]:
         return [
@@ -237,7 +230,7 @@ def test_a_description_is_refuted_only_where_it_explains_more_than_missing_physi
         return Alternative(hypothesis, (), 10.0, 1.0, "", 1.0, share)
 
     def refuted(*alternatives: Alternative, repeating: float = 0.0) -> list[str]:
-        examined = Examination(1.0, alternatives, ripple=alternative("position ripple", repeating))
+        examined = Examination(alternatives, ripple=alternative("position ripple", repeating))
         return [each.hypothesis for each in examined.refuted]
 
     gravity, lag = alternative("gravity", 0.3), [alternative("current lag", 0.2)] * 2

@@ -11,10 +11,11 @@ import pytest
 from five_bar_logs import five_bar
 from gravity_logs import logged
 
-from gtau.estimation.diagnostics.effort import AS_STATED, NONE, Meaning, effort_findings, rank_meanings, stated_meaning
+from gtau.estimation.diagnostics.effort import AS_STATED, NONE, effort_findings, rank_meanings, stated_meaning
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
+from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
@@ -30,7 +31,7 @@ def torques() -> Run:
     return run
 
 
-def ranked(robot: Robot, run: Run) -> tuple[tuple[Meaning, ...], Dataset]:
+def ranked(robot: Robot, run: Run) -> tuple[tuple[Finding, ...], Dataset]:
     dataset = reduce_runs(robot, [run])
     return rank_meanings(dataset, dataset.system().problem.slowest), dataset
 
@@ -55,7 +56,7 @@ def test_the_most_likely_meaning_is_the_true_one(spoil: str, torques: Run) -> No
     alter, kind, joints = SPOILT[spoil]
     ranking, dataset = ranked(ROBOT, replace(torques, command=np.ascontiguousarray(alter(torques.command))))
     assert ranking[0].kind == kind
-    assert set(joints) <= set(ranking[0].altered)
+    assert {ROBOT.actuated[j] for j in joints} <= set(ranking[0].joints)
     assert {finding.kind for finding in effort_findings(ranking, dataset)} == ({kind} if joints else set())
 
 

@@ -12,7 +12,7 @@ from gravity_logs import Gravity, logged, scara
 
 from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.hypotheses import description
-from gtau.estimation.diagnostics.other_robots import other_gravity
+from gtau.estimation.diagnostics.other_robots import likeliest_gravity
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
@@ -34,7 +34,7 @@ def found(robot: Robot, runs: list[Run]) -> Alternative | None:
     dataset = reduce_runs(robot, runs)
     gains = np.ones(len(robot.actuated)) if runs[0].kind == "torque" else None
     system = dataset.system(per_run=len(runs) > 1)
-    return other_gravity(fit_by(ml_or_wls(gains), system, gains is None))
+    return likeliest_gravity(fit_by(ml_or_wls(gains), system, gains is None), missing=False, turned=True)
 
 
 def axis(gravity: Gravity) -> np.ndarray:

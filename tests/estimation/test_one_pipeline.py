@@ -18,7 +18,7 @@ from gtau.errors import GtauError
 from gtau.estimation import thresholds
 from gtau.estimation.compare import compare
 from gtau.estimation.diagnostics import hypotheses
-from gtau.estimation.diagnostics.hypotheses import HYPOTHESES
+from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.verdict import worst
 from gtau.estimation.estimators.registry import NAMES, estimators
 from gtau.estimation.identify import identify
@@ -76,9 +76,10 @@ def test_every_threshold_says_what_it_rests_on() -> None:
         for name, value in vars(import_module(f"{thresholds.__name__}.{module.name}")).items()
         if name.isupper() and name != "NONE"
     }
-    found |= {each.kind: each.plausible for of in HYPOTHESES for each in of.causes if each.plausible}
     for module in iter_modules(hypotheses.__path__):
         named = vars(import_module(f"{hypotheses.__name__}.{module.name}"))
+        causes = {name: value.plausible for name, value in named.items() if isinstance(value, Alternative)}
+        found |= {f"{module.name}.{name}": plausible for name, plausible in causes.items() if plausible}
         found |= {f"{module.name}.{name}": value for name, value in named.items() if isinstance(value, Threshold)}
     assert len(found) > 70
     for name, value in found.items():

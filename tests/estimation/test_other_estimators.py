@@ -100,7 +100,7 @@ def test_nothing_is_said_of_clean_logs() -> None:
     fit = fit_of(logs())
     alternatives = by_estimate(fit)
     assert F.TWO_STAGE in {each.hypothesis for each in alternatives}
-    assert position_noise(fit, alternatives) == []
+    assert not list(position_noise(fit, alternatives))
     n_theta = fit.system.problem.n_theta
     std = np.sqrt(np.diag(fit.solution.jackknife))[n_theta : n_theta + 2]
     added = np.sqrt([sum(each.probability * each.shifts[n_theta + j] ** 2 for each in alternatives) for j in range(2)])
@@ -124,6 +124,15 @@ def test_one_step_is_what_another_preparation_gives() -> None:
     assert names == again.system.problem.parameters
     seen = std > 0
     assert np.corrcoef(exact[seen] / std[seen], moves[seen] / std[seen])[0, 1] > 0.9
+
+
+def test_an_estimator_whose_filter_leaves_no_rows_is_not_tried_and_the_others_are() -> None:
+    runs = logs()
+    fit = fit_of(runs, replace(choose_preparation(runs), bandwidth=0.02))
+    untested, *others = differences(fit)
+    assert isinstance(untested, Finding)
+    assert (untested.kind, [cause.kind for cause in untested.causes]) == (F.UNTESTED, [F.INSTRUMENTS])
+    assert [by.kind for by, _, _ in others] == [F.BANDWIDTH] * 2 + [F.SLOW_ROWS] * 2
 
 
 def test_alternatives_are_listed_with_the_result() -> None:

@@ -27,6 +27,7 @@ from gtau.estimation.estimators.standard_parameters import (
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import LAST_OVERHANG, OVERHANG
+from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
 from gtau.robots.geometry import extent, longest_placement
 from gtau.robots.robot import INERTIAL
@@ -192,6 +193,15 @@ def test_priors_and_bounds_decide_what_the_data_leave_open(runs: list[Run]) -> N
     assert 0.5 <= consistency.standard["yy_right"] <= 0.6 + 1e-6
     with pytest.raises(GtauError, match="'m_wrist', which is no parameter of the robot"):
         identify(FIVE_BAR, runs, consistent=True, priors={"m_wrist": Prior(max=1.0)})
+
+
+def test_a_search_that_finds_no_bodies_is_a_finding_beside_the_result(runs: list[Run], result: Result) -> None:
+    one_axis = {"xx_left": Prior(min=1.0), "yy_left": Prior(max=0.1), "zz_left": Prior(max=0.1)}
+    other = identify(FIVE_BAR, runs, consistent=True, priors=one_axis)
+    assert other.consistency is None
+    assert F.NO_BODIES in [note.kind for note in other.notes]
+    assert other.drive_gains == result.drive_gains
+    assert (other.believable, other.accepted) == (True, False)
 
 
 def test_without_the_solver_one_sentence_says_what_to_install(runs: list[Run], monkeypatch: pytest.MonkeyPatch) -> None:

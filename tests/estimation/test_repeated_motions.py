@@ -127,7 +127,7 @@ def test_residuals_of_a_ripple_are_common(rippled: Fit) -> None:
 
 def test_noise_is_not_correlated(noisy: list[Fit]) -> None:
     for fit in noisy:
-        assert repeated_motion_findings(fit, ()) == []
+        assert not list(repeated_motion_findings(fit, ()))
 
 
 def test_what_changes_sign_with_the_load_is_said_with_its_cause() -> None:

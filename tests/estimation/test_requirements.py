@@ -11,7 +11,7 @@ from five_bar_logs import Plant, write_experiment
 
 import gtau
 from gtau.estimation.results.estimate import Requirement
-from gtau.estimation.results.model_document import to_document
+from gtau.estimation.results.model_file import to_document
 from gtau.estimation.results.predicted import Prediction
 from gtau.report.evidence import RunEvidence, gather
 from gtau.report.identification import report_page, summary_page, verdict_section

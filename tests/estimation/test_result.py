@@ -14,7 +14,7 @@ from five_bar_logs import CHI, GAINS, JOINTS, STEEL, TOOL, Plant, five_bar, path
 
 from gtau.errors import GtauError
 from gtau.estimation.identify import identify
-from gtau.estimation.results.model_document import to_document
+from gtau.estimation.results.model_file import to_document
 from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
 from gtau.signals.reading.statements import Payload

@@ -293,6 +293,9 @@ SENTENCES = [  # finding, reason, advice
     (Finding(F.SCALE_UNTESTED, values={"why": "no joint shows it"}),
      "the torques are assumed to be correct, because their scale could not be tested: no joint shows it",
      "add runs with a heavier payload of known mass, or longer ones"),
+    (Finding(F.NO_BODIES, values={"why": "the search did not converge"}),
+     "physically consistent parameters were not found: the search did not converge",
+     ""),
     (Finding(F.COMMON_SCALE, (), "steel", {"scale": 1.25, "std": 0.012, "mass": 0.96, "declared": 1.2}),
      "one factor, 1.25 (standard deviation 0.012), explains the torque scale of all joints; a mass of 0.96 kg for "
      "payload 'steel' (stated: 1.2 kg) would explain it equally",
@@ -329,6 +332,9 @@ SENTENCES = [  # finding, reason, advice
      causes=(Finding(F.INSTRUMENTS), Finding(F.BANDWIDTH, values={"factor": 0.7}),)),
      "estimates by instrumental variables or estimates with a bandwidth 0.7 times as large could not be computed for "
      "comparison: the loops do not close at 1.2 s",
+     ""),
+    (Finding(F.UNTESTED, values={"check": "lengths", "refusal": "the loops do not close at 1.2 s"}),
+     "lengths could not be tested: the loops do not close at 1.2 s",
      ""),
     (Finding(F.AUTOCORRELATED, values={"factor": 2.34}),
      "residuals are autocorrelated: standard errors are 2.3 times those of white noise, so the model lacks an effect, "

@@ -99,14 +99,14 @@ def identify(
     Given logs instead of EXPERIMENT.yaml, it drafts that file as 'gtau init' does, without questions; the summary
     lists the guesses, which you correct by --payload, --kind and --robot or in the draft, DIR/experiment.yaml.
 
-    The exit code is 3 if any verdict is contradictory, every drive gain is not identifiable, or the result misses a
-    requirement of EXPERIMENT.yaml.
+    The exit code is 3 if any verdict is contradictory, every drive gain is not identifiable, --consistent finds no
+    parameters, or the result misses a requirement of EXPERIMENT.yaml.
     """
     refuse_as_folder(out)
     experiment, guessed = experiment_of(sources, robot, payload, kind, preset, out)
     with said_if_refused(guessed), progress_bar() as progress:
         from gtau.estimation.identify import identify as run
-        from gtau.estimation.results.model_document import to_document
+        from gtau.estimation.results.model_file import to_document
         from gtau.report.identification import full_page, summary_page
         from gtau.report.write import write_identification
 

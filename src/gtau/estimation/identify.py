@@ -12,10 +12,10 @@ import numpy as np
 from gtau.display import late
 from gtau.documents.validation import FUNCTION, NUMBER, TEXT, TRUTH, takes
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.alternatives import TOOL_BODIES
 from gtau.estimation.diagnostics.diagnose import channel_verdicts, diagnose
 from gtau.estimation.diagnostics.examine import estimates_of, examine
-from gtau.estimation.diagnostics.log_checks import command_lag, require_payload_excitation
-from gtau.estimation.diagnostics.other_robots import TOOL_BODIES
+from gtau.estimation.diagnostics.log_checks import command_lag, lack_of_fit, require_payload_excitation
 from gtau.estimation.diagnostics.stated_constants import weigh_known
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.essential import essential_fit, select_friction
@@ -37,7 +37,7 @@ from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
 from gtau.signals.reading.experiment import Experiment
-from gtau.signals.reading.statements import Drive, Prior, Requirements, data_sheet_notes
+from gtau.signals.reading.statements import Drive, Prior, data_sheet_notes
 from gtau.signals.run import Run
 
 PAPER_RATIO = 10.0  # the paper's r_sigma for the essential parameters
@@ -132,7 +132,10 @@ def identify(
         beside = [*([geometry.note] if geometry else []), *command_lag(dataset, system)]
         notes = (*beside, *_data_sheet_notes(experiment.drives if experiment else {}, result), *result.notes)
         result = result.replaced(geometry=geometry, notes=notes)
-        return _judged(late("uses.prediction").with_prediction_cutoffs(result, dataset.runs), experiment, progress)
+        result = late("uses.prediction").with_prediction_cutoffs(result, dataset.runs)
+        if experiment is None:
+            return result
+        return result.replaced(requirements=tuple(_requirements(result, experiment, progress)))
 
 
 def _identified(subject: Subject, dataset: Dataset, system: System, progress: Progress) -> Result:
@@ -205,32 +208,34 @@ def estimate(
     examined = examine(fit, progress)
     estimates = estimates_of(fit, examined, correlated=not as_paper)
     essential, reduced, loss = essential_fit(fit, ratio, correlated=not as_paper, joint=as_paper)
+    lack = lack_of_fit(fit.system.problem, fit.solution)
     bare: Fit | None = fit
-    audit = bodies = None
+    audit = bodies = lost = None
     if dataset.robot.inertias:
-        from gtau.estimation.diagnostics.inertia_audit import audit_inertias, without_file_inertias
+        from gtau.estimation.diagnostics.inertia_audit import audit_inertias
 
-        alone = without_file_inertias(fit, estimates.covariance, estimates.effective_freedom)
-        bare = None if alone is None else alone[0]
-        # the file is not blamed for a body that it lacks
-        if alone and TOOL_BODIES not in {alternative.hypothesis for alternative in examined.alternatives}:
-            audit = audit_inertias(*alone, dataset.prior_inertias)
+        loaded = TOOL_BODIES in {alternative.hypothesis for alternative in examined.alternatives}
+        bare, audit = audit_inertias(fit, estimates, loaded)
     payloads = {} if bare is None else weigh_known(bare, estimator.name, accuracy)
     if options.consistent:
         from gtau.estimation.estimators.physical_consistency import consistent
 
-        bodies = consistent(fit.system, fit.solution, options.priors or {}, fit.free_gains)
+        try:
+            bodies = consistent(fit.system, fit.solution, options.priors or {}, fit.free_gains)
+        except GtauError as refusal:  # what the data contradict, no bodies may have
+            lost = Finding(F.NO_BODIES, values={"why": str(refusal).rstrip(".")})
     progress("estimation", 1, 1)
     if as_paper:  # the gains that go with the essential parameters
         fit = replace(fit, system=replace(fit.system, problem=essential), solution=reduced)
         nothing = np.zeros_like(reduced.covariance)
         estimates = Estimates(essential.unknowns, reduced.values, reduced.covariance, nothing, nothing, None)
     findings = diagnose(fit, examined, estimates, payloads, options.gains, accuracy, audit)
+    findings += () if lost is None else (lost,)
     verdicts = channel_verdicts(fit, estimates, findings)
     predicting, curves, errors = (estimates, {}, {}) if as_paper else friction_step(fit, estimates)
-    figures = {"reduction_loss": loss, "lack_of_fit": examined.lack_of_fit, "accuracy": float(accuracy)}
-    sensors = sensor_estimates(fit, predicting, verdicts, accuracy) if fit.system.problem.sensor_channels else ()
-    described = model_estimates(fit, estimates, predicting, curves, verdicts, payloads, essential)
+    figures = {"reduction_loss": loss, "lack_of_fit": lack, "accuracy": float(accuracy)}
+    sensors = sensor_estimates(fit, estimates, verdicts, accuracy) if fit.system.problem.sensor_channels else ()
+    described = model_estimates(fit, estimates, predicting, verdicts, payloads, essential)
     return Result(
         dataset.robot,
         replace(described, consistency=bodies, sensors=sensors),
@@ -239,20 +244,12 @@ def estimate(
     )
 
 
-def _judged(result: Result, experiment: Experiment | None, progress: Progress) -> Result:
-    """Compare a result with what its experiment requires."""
-    if experiment is None:
-        return result
-    tested = experiment.validation if experiment.require.torque_error is not None else ()
-    validation = read_runs(experiment, tested, progress)
-    return result.replaced(requirements=tuple(_requirements(result, experiment.require, validation)))
-
-
-def _requirements(result: Result, require: Requirements, validation: Sequence[Run]) -> Iterator[Requirement]:
-    """Compare with the limits, those of torque errors also on the runs kept for ``validation``."""
+def _requirements(result: Result, experiment: Experiment, progress: Progress) -> Iterator[Requirement]:
+    """Compare with the limits of an experiment, those of torque errors also on the runs kept for validation."""
+    require = experiment.require
     if require.torque_error is not None:
         yield _of_torques(require.torque_error, result.residuals)
-        for run in validation:
+        for run in read_runs(experiment, experiment.validation, progress):
             try:
                 errors = result.validate(run)
             except GtauError:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
 
 import numpy as np
 
-from gtau.errors import GtauError
+from gtau.errors import GtauError, missing_extra
 from gtau.estimation.estimators.estimator import Estimator, Gains
 from gtau.estimation.estimators.registry import estimator_of, estimators
 from gtau.estimation.experiment_runs import Options, Subject
@@ -32,7 +33,8 @@ def require_inputs(subject: Subject) -> Estimator:
     GtauError
         Where it takes neither torque sensors nor known parameters, and there are some (``consistent`` parameters are
         sought with the latter whatever the estimator); where it does not support a floating base; where it takes gains
-        and some joint has none; where the paper has no such method, or it cannot be constrained.
+        and some joint has none; where the paper has no such method, or it cannot be constrained, for want of a solver
+        too.
     """
     options, estimator = subject.options, estimator_for(subject.options, subject.runs)
     if options.as_paper and not estimator.in_paper:
@@ -45,6 +47,8 @@ def require_inputs(subject: Subject) -> Estimator:
             f"consistent parameters are found by least squares, which method '{estimator.name}' is not; use --method "
             "didim or ml with --consistent."
         )
+    if options.consistent and not find_spec("clarabel"):
+        raise missing_extra("a search for physically consistent parameters", "clarabel", "consistency")
     if not estimator.takes_priors:
         _refuse_priors(estimator, subject)
     if estimator.gains == Gains.GIVEN:

@@ -163,6 +163,7 @@ class FindingKind(StrEnum):
     AUTOCORRELATED = "autocorrelated residuals"
     NOT_SEPARATED = "parameters not separated", SEPARATION
     MASS_UNSEEN = "payload mass not identifiable"
+    NO_BODIES = "no physically consistent parameters"
     FEW_ROWS = "too few rows for tests"
     SCALE_UNTESTED = "torque scale not tested", READING
     COMMON_SCALE = "common torque scale"

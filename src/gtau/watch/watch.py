@@ -14,7 +14,7 @@ import numpy as np
 from gtau.documents.files import folder_of
 from gtau.documents.validation import NUMBER, TEXT, WHOLE, takes
 from gtau.errors import GtauError
-from gtau.estimation.results.model_document import to_document
+from gtau.estimation.results.model_file import to_document
 from gtau.estimation.results.result import Result
 from gtau.model.interpreter.program import single_threaded_blas
 from gtau.robots.robot import PLAIN_FRICTION

@@ -12,7 +12,7 @@ they support it, its full shift counts. Alternatives that would explain the resi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -30,6 +30,8 @@ from gtau.signals.reading.statements import Payload
 CERTAIN = 1e9  # log factor that stands for certainty
 SHOWN = float("inf")
 """Plausible size of what a test of its own shows to be significant."""
+GAIN_CHANGE, LENGTHS, TOOL_BODIES, RIPPLE = "gain change", "lengths", "tool bodies", "position ripple"
+"""Names of what tests of their own look for."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -54,7 +56,8 @@ class Alternative:
     shifts : ndarray
         By how much (theta, gains, delays) move if it holds, rms, (k,); ``model.json`` does not hold them.
     plausible : float
-        Standard deviation of the sizes that experience allows, or ``SHOWN``; not in ``model.json``.
+        Standard deviation of the sizes that experience allows, a ``Threshold`` before the data, or ``SHOWN``; 0 where
+        it is named, not tried. Not in ``model.json``.
     """
 
     hypothesis: str
@@ -70,6 +73,11 @@ class Alternative:
 
     def __repr__(self) -> str:
         return f"Alternative({self.subject}: probability {self.probability:.2g})"
+
+    @property
+    def kind(self) -> str:
+        """Kind of its first cause, which ``words.yaml`` puts into words."""
+        return self.causes[0].kind
 
     @property
     def subject(self) -> str:
@@ -91,6 +99,10 @@ class Alternative:
         """Largest move of a gain, per cent of itself."""
         return max(map(abs, self.moves.values()), default=0.0)
 
+    def on(self, joint: str = "", subject: str = "", **values: object) -> Alternative:
+        """Make it that of a joint, or of a subject, with the values of its words."""
+        return replace(self, causes=(Finding(self.kind, (joint,) if joint else (), subject, values),))
+
     def moving(self, fit: Fit, slopes: np.ndarray) -> Alternative:
         """Add what it does to the estimates: they move by ``slopes`` (k,) for a unit of it."""
         gains, moment = slopes[fit.system.problem.gain_rows], support(self.size, self.std, self.plausible)[1]
@@ -100,6 +112,11 @@ class Alternative:
             if joint in fit.dataset.robot.motors
         }
         return replace(self, moves=moves, shifts=np.sqrt(moment) * slopes)
+
+
+def candidate(kind: str, plausible: float = 0.0, unit: str = "") -> Alternative:
+    """Make an alternative before its size is known; experience allows ``plausible`` sizes, in its ``unit``."""
+    return Alternative("", (Finding(kind),), 0.0, None, unit, plausible=plausible)
 
 
 def support(size: float, std: float | None, plausible: float) -> tuple[float, float]:
@@ -174,34 +191,8 @@ def of_refit(fit: Fit, hypothesis: str, cause: Finding, other: Fit, own: Fit) ->
 
 def model_covariance(alternatives: Sequence[Alternative], size: int) -> np.ndarray:
     """Compute the covariance of (theta, gains, delays) that all alternatives together add, (k, k)."""
-    total = np.zeros((size, size))
-    for effect in alternatives:
-        total += effect.probability * np.outer(effect.shifts, effect.shifts)
-    return total
-
-
-@dataclass(frozen=True)
-class Cause:
-    """An effect that a hypothesis names as the cause of a finding.
-
-    Attributes
-    ----------
-    kind : str
-        Of the findings on it, which ``words.yaml`` puts into words.
-    plausible : Threshold or float
-        Standard deviation of the sizes that experience allows before the data; 0 where it is named, not tried.
-    unit : str
-        Of its size, where all its columns have the same.
-    """
-
-    kind: str
-    plausible: float = 0.0
-    unit: str = ""
-
-    def column(self, joint: str = "", subject: str = "", **values: object) -> Alternative:
-        """Make the alternative that a column of it stands for, before its size is known."""
-        finding = Finding(self.kind, (joint,) if joint else (), subject, values)
-        return Alternative("", (finding,), 0.0, None, self.unit, plausible=float(self.plausible))
+    shifts = np.reshape([np.sqrt(effect.probability) * effect.shifts for effect in alternatives], (-1, size))
+    return shifts.T @ shifts
 
 
 @dataclass(frozen=True)
@@ -216,11 +207,10 @@ class Hypothesis:
         Whether a column acts on all joints with one size, or on each joint with a size of its own. Common effects
         are of the links, and reach torque sensors too; those of a single joint are of its drive.
     torques : callable
-        From a fit to the candidate torques, a column for each cause. What they add is its docstring.
-    causes : tuple of Cause
-        What its columns are, and what they may mean together.
-    columns : callable, optional
-        From a fit to what the columns are, where they are not the causes; none where it does not apply to the robot.
+        From a window of a fit to the candidate torques, a column for each alternative. What they add is its docstring.
+    columns : tuple of Alternative, or callable
+        What the columns are, before their sizes are known; of a fit where that depends on the robot, none where the
+        hypothesis does not apply to it.
     describe : callable, optional
         Finds what sizes (m,) of all columns together mean, where they are to be tried together too; its last argument
         are the shares (m,) of what they explain together that each column explains alone.
@@ -231,15 +221,14 @@ class Hypothesis:
 
     name: str
     shared: bool
-    torques: Callable[[Fit], Offer]
-    causes: tuple[Cause, ...]
-    columns: Callable[[Fit], Sequence[Alternative]] | None = None
+    torques: Offer
+    columns: tuple[Alternative, ...] | Callable[[Fit], Iterable[Alternative]]
     describe: Callable[[Fit, np.ndarray, np.ndarray], Finding] | None = None
     description: bool = False
 
     def offered(self, fit: Fit) -> list[Alternative]:
         """List what its columns are, none where it does not apply to the robot."""
-        columns = [cause.column() for cause in self.causes] if self.columns is None else self.columns(fit)
+        columns = self.columns(fit) if callable(self.columns) else self.columns
         return [replace(column, hypothesis=self.name) for column in columns]
 
 
@@ -247,10 +236,9 @@ def friction_levels(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
     """Return viscous coefficients and Coulomb torques of the actuated joints, (n,) each; 0 where not estimated."""
     estimates = zip(fit.system.problem.parameters, fit.solution.theta, strict=True)
     values = {(name.kind, name.body): abs(value) for name, value in estimates if name.run is None}
-    fv, fs = (
-        np.array([values.get((kind, joint), 0.0) for joint in fit.dataset.model.actuated]) for kind in ("fv", "fs")
-    )
-    return fv, fs
+    joints = fit.dataset.model.actuated
+    fv, fs = ([values.get((kind, joint), 0.0) for joint in joints] for kind in ("fv", "fs"))
+    return np.array(fv), np.array(fs)
 
 
 def rms_torques(fit: Fit) -> np.ndarray:

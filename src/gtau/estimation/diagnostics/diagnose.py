@@ -26,7 +26,6 @@ from gtau.estimation.diagnostics.effort import stated_meaning
 from gtau.estimation.diagnostics.examine import Examination
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
 from gtau.estimation.diagnostics.other_estimators import position_noise
-from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings
 from gtau.estimation.diagnostics.stated_constants import prior_contradictions, sensor_contradictions, sensor_scales
 from gtau.estimation.diagnostics.unit_checks import units_and_signs, unlike_legs
 from gtau.estimation.diagnostics.verdict import (
@@ -90,12 +89,16 @@ def diagnose(
         *units_and_signs(fit, estimates, prior_gains, audit),
         *position_noise(fit, examined.alternatives),
         *(examined.ripple.causes if examined.ripple else ()),
-        *repeated_motion_findings(fit, examined.alternatives),
     ]
     if audit is not None:
         from gtau.estimation.diagnostics.inertia_audit import prior_findings
 
         findings += prior_findings(audit)
+    groups, _ = fit.dataset.prepared.places
+    if len(np.unique(groups)) < len(groups):  # some runs repeat a motion
+        from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings
+
+        findings += repeated_motion_findings(fit, examined.alternatives)
     if fit.free_gains:
         findings += _estimated_gains(fit, examined, estimates, accuracy, prior_gains)
         if problem.sensor_channels:
@@ -132,7 +135,7 @@ def channel_verdicts(fit: Fit, estimates: Estimates, findings: Sequence[Finding]
     std = np.sqrt(np.diag(estimates.random))[unknowns.delays]
     period = 1 / min(run.rate for run in fit.dataset.runs)
     delays = delay_verdicts(fit.system.problem, fit.solution, std, period) if std.any() else [GOOD] * len(std)
-    of_delays = dict(zip(unknowns.select("delay"), delays, strict=True))
+    of_delays = dict(zip(unknowns[unknowns.delays], delays, strict=True))
     return {Parameter("gain", joint): verdict for joint, verdict in gains.items()} | of_delays
 
 

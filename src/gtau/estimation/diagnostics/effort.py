@@ -8,18 +8,23 @@ parameters, which torques do and currents of unknown gains do not. "None of thes
 
 Gravity is missing only where its coefficient, with that of inertia as one, is 0 and not 1; where the robot's file
 states inertias, so is that of the file's gravity. Otherwise another scale, or another direction, explains the log.
+
+A meaning is a finding on the joints whose columns it alters, with its ``likelihood``, a logarithm over
+that of the stated one, and the shares that are left as it says and as logged. The stated one has the interval of the
+coefficient of ``gravity``; the ``scale``, the torque over that of the file's inertias with its standard deviation, None
+without them; and ``open``, whether the rows fit without gravity as well as with it, and the file states no inertias.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 
-from gtau.estimation.diagnostics.effort_rows import JointRows, basis_of, joint_rows, triangles, unexplained
+from gtau.estimation.diagnostics.effort_rows import JointRows, basis_of, beside, joint_rows, unexplained
 from gtau.estimation.diagnostics.linearisation import least_squares_step
 from gtau.estimation.regression.assembly import stated_inertias
 from gtau.estimation.regression.dataset import Dataset
@@ -41,50 +46,34 @@ from gtau.model.base_parameters import of_drive
 AS_STATED, NONE = "as stated", "none of these"
 SHARES = (0.0, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0)  # of gravity that are tried
 REWEIGHTED = 3  # steps that find the variances of joints with common parameters
+INDEPENDENT = 0.99  # largest autocorrelation that is believed
+
+Maker = Callable[..., Finding]
+UNRANKED = (Finding(AS_STATED, values={"likelihood": 0.0}),)
 
 
-@dataclass(frozen=True, eq=False)
-class Meaning:
-    """A meaning of effort, by ``kind``: ``left`` (n,) are the shares of the columns that it leaves, rms.
-
-    ``altered`` are the joints whose columns it changes, and ``likelihood`` the logarithm. The ``values`` of the stated
-    meaning are the interval of the coefficient of ``gravity``, the ``scale``, the torque over that of the file's
-    inertias with its standard deviation, None without them, and ``open``, whether the rows fit without gravity as well
-    as with it, and the file states no inertias.
-    """
-
-    kind: str
-    left: np.ndarray
-    likelihood: float
-    altered: tuple[int, ...] = ()
-    values: dict[str, Any] = field(default_factory=dict)
-
-
-Maker = Callable[..., Meaning]
-UNRANKED = (Meaning(AS_STATED, np.zeros(0), 0.0),)
-
-
-def stated_meaning(meanings: Sequence[Meaning]) -> Meaning:
+def stated_meaning(meanings: Sequence[Finding]) -> Finding:
     """Return the stated one of ranked meanings."""
     return next(meaning for meaning in meanings if meaning.kind == AS_STATED)
 
 
-def effort_findings(meanings: Sequence[Meaning], dataset: Dataset) -> Iterator[Finding]:
+def effort_findings(meanings: Sequence[Finding], dataset: Dataset) -> Iterator[Finding]:
     """Say what the altered columns hold, if that is the most likely meaning, and which one is nearly as likely."""
-    best, names, stated = meanings[0], dataset.model.actuated, stated_meaning(meanings).left
-    close = [other.kind for other in meanings[1:2] if best.likelihood - other.likelihood < MEANING_CLOSE]
-    values = {"kind": dataset.runs[0].kind, "also": f" (nearly as likely: {close[0]})" if close else ""}
+    best, *others = meanings
+    given = best.values
+    close = [other.kind for other in others[:1] if given["likelihood"] - other.values["likelihood"] < MEANING_CLOSE]
+    said = {"kind": dataset.runs[0].kind, "also": f" (nearly as likely: {close[0]})" if close else ""}
     if best.kind == F.LATE:
-        for j, lag in zip(best.altered, best.values["lags"], strict=True):
-            shares = {"lag": lag, "shifted": float(best.left[j]), "as_logged": float(stated[j])}
-            yield Finding(F.LATE, (names[j],), values=values | shares, size=float(stated[j]))
+        for joint, lag, shifted, logged in zip(best.joints, *given["late"], strict=True):
+            values = said | {"lag": lag, "shifted": shifted, "as_logged": logged}
+            yield Finding(F.LATE, (joint,), values=values, size=logged)
     elif best.kind in (F.SWAPPED, F.MAGNITUDES, F.REVERSED):
-        shares = {"exchanged": best.values["after"], "as_logged": best.values["before"]}
-        joints = tuple(names[j] for j in best.altered)
-        yield Finding(F(best.kind), joints, values=values | shares, size=1 - shares["exchanged"] / shares["as_logged"])
+        exchanged, logged = given["exchanged"], given["as_logged"]
+        values = said | {"exchanged": exchanged, "as_logged": logged}
+        yield replace(best, values=values, size=1 - exchanged / logged)
 
 
-def rank_meanings(dataset: Dataset, slowest: float) -> tuple[Meaning, ...]:
+def rank_meanings(dataset: Dataset, slowest: float) -> tuple[Finding, ...]:
     """Rank the meanings of effort, the most likely first; only the stated one where there are too few rows.
 
     ``slowest`` is the longest delay that the model describes, s; where it is 0 no other is tried.
@@ -92,168 +81,164 @@ def rank_meanings(dataset: Dataset, slowest: float) -> tuple[Meaning, ...]:
     joints = joint_rows(dataset, slowest)
     if not joints:
         return UNRANKED
-    left = np.array([float(joint.left(joint.mine)) for joint in joints])
-    counts = np.array([joint.independent for joint in joints])
+    shares = np.array([joint.left(joint.effort) for joint in joints])  # (n, n + 1)
+    left, names = np.diag(shares), dataset.model.actuated
+    counts = np.array([_independent(joint, j) for j, joint in enumerate(joints)])
+    total = float(counts.sum())
 
-    def made(kind: str, shares: np.ndarray, altered: Sequence[int] = (), chosen: int = 0, **values: Any) -> Meaning:
-        likelihood = -float(counts @ np.log(np.maximum(shares, TINY))) - chosen / 2 * float(np.log(counts.sum()))
-        return Meaning(kind, shares, likelihood, tuple(altered), values)
+    def gain(after: np.ndarray, before: np.ndarray = left) -> float:
+        return float(counts @ np.log(np.maximum(before, TINY) / np.maximum(after, TINY)))
 
-    stated, none = made(AS_STATED, left), made(NONE, np.full(len(left), float(MISFIT)))
-    factors, meanings = triangles(joints), [none]
-    meanings += _late(joints, left, made)
-    meanings += _permuted(joints, left, counts, made)
+    def made(
+        kind: str, after: np.ndarray, altered: Sequence[int], chosen: int = 0, before: np.ndarray = left, **values: Any
+    ) -> Finding:
+        values["likelihood"] = gain(after, before) - chosen / 2 * float(np.log(total))
+        values |= {"exchanged": float(after[altered].max()), "as_logged": float(before[altered].min())}
+        return Finding(kind, tuple(names[j] for j in altered), values=values)
+
+    none = gain(np.full(len(left), float(MISFIT)))
+    meanings = [Finding(NONE, values={"likelihood": none})]
+    meanings += _late(joints, shares, made)
+    meanings += _permuted(shares, counts, made)
     meanings += _magnitudes(joints, left, made)
     alone = not dataset.robot.floating and not any(run.wrenches for run in dataset.runs)
     torques = alone and dataset.runs[0].kind == "torque"
-    if torques and stated.likelihood > none.likelihood:
-        meanings += _among_joints(joints, factors, stated, counts)
-    profile = _gravity_profile(joints, factors, made)
-    likely = np.array([meaning.likelihood for meaning in profile])
-    held = np.array(SHARES)[likely > likely.max() - LIKELY_SHARES]
+    if torques and none < 0:
+        meanings += _among_joints(joints, left, made)
+    gains = np.array([gain(_with_gravity(joints, share)) for share in SHARES])
+    held = np.array(SHARES)[gains > gains.max() - LIKELY_SHARES]
     low, high = float(held.min()), float(held.max())
-    as_well = profile[0].likelihood > stated.likelihood - counts.sum() / 2 * np.log(AS_WELL)
-    coefficients, gain = _by_file(joints, counts, dataset) if torques else (None, 0.0)
-    scale = None
-    if coefficients is None:
-        without, gain = low <= NO_GRAVITY and high < WITH_GRAVITY, profile[0].likelihood - stated.likelihood
+    as_well = gains[0] > -total / 2 * np.log(AS_WELL)
+    of_file, without = _by_file(joints, counts, dataset) if torques else (None, 0.0)
+    if of_file is None:
+        scale, without = None, float(gains[0])
+        missing = low <= NO_GRAVITY and high < WITH_GRAVITY
     else:
-        (coefficient, std), scale = coefficients
+        (coefficient, std), scale = of_file
         near = max(abs(coefficient) - SIGN_STD * std, 0.0)  # a reversed column has gravity too
-        without = as_well and near < NO_GRAVITY and abs(coefficient) + SIGN_STD * std < WITH_GRAVITY
-    if scale is not None and (turned := scale[0] / scale[1]) < -SIGN_STD:
-        likelihood = stated.likelihood + 2 * turned**2  # of the coefficient, at its size with either sign
-        values = {"after": float(left.max()), "before": 1.0}
-        meanings.append(Meaning(F.REVERSED, left, likelihood, tuple(range(len(left))), values))
-    if alone and without and gain > MEANING_CLOSE:
-        meanings.append(replace(profile[0], likelihood=stated.likelihood + gain))
-    is_open = as_well and low <= NO_GRAVITY and coefficients is None
-    stated = replace(stated, values={"gravity": (low, high), "scale": scale, "open": is_open})
-    return tuple(sorted([stated, *meanings], key=lambda meaning: -meaning.likelihood))
+        missing = as_well and near < NO_GRAVITY and abs(coefficient) + SIGN_STD * std < WITH_GRAVITY
+        if (turned := scale[0] / scale[1]) < -SIGN_STD:  # of the coefficient, at its size with either sign
+            values = {"likelihood": 2 * turned**2, "exchanged": float(left.max()), "as_logged": 1.0}
+            meanings.append(Finding(F.REVERSED, names, values=values))
+    if alone and missing and without > MEANING_CLOSE:
+        meanings.append(Finding(F.WITHOUT_GRAVITY, values={"likelihood": without}))
+    is_open = bool(as_well) and low <= NO_GRAVITY and of_file is None
+    stated = Finding(AS_STATED, values={"likelihood": 0.0, "gravity": (low, high), "scale": scale, "open": is_open})
+    return tuple(sorted([stated, *meanings], key=lambda meaning: -meaning.values["likelihood"]))
 
 
-def _late(joints: Sequence[JointRows], left: np.ndarray, made: Maker) -> Iterator[Meaning]:
+def _independent(joint: JointRows, j: int) -> float:
+    """Count the independent rows of joint ``j`` by the autocorrelation of their residuals."""
+    rest = beside(joint.basis, joint.effort[:, j])
+    rho = float(np.clip(rest[1:] @ rest[:-1] / max(rest @ rest, 1e-300), 0.0, INDEPENDENT))
+    return max(len(rest) * (1 - rho) / (1 + rho), 1.0)
+
+
+def _late(joints: Sequence[JointRows], shares: np.ndarray, made: Maker) -> Iterator[Finding]:
     """Shift the columns that fit much better at a lag, of either sign, than at any delay that the model describes."""
-    shifted = np.array([float(joint.left(joint.shifted)) for joint in joints])
-    late = [
-        joint.index
-        for joint in joints
-        if joint.lags[0] != joint.lags[1] and shifted[joint.index] < LATE * left[joint.index]
-    ]
+    left, shifted = np.diag(shares), shares[:, -1]
+    lags = [joint.lag for joint in joints]
+    late = [j for j, lag in enumerate(lags) if lag is not None and shifted[j] < LATE * left[j]]
     if late:
-        shares = np.where(np.isin(range(len(left)), late), shifted, left)
-        yield made(F.LATE, shares, late, len(late), lags=[joints[j].lags[1] for j in late])
+        after = np.where(np.isin(range(len(left)), late), shifted, left)
+        of_joints = [lags[j] for j in late], shifted[late].tolist(), left[late].tolist()
+        yield made(F.LATE, after, late, len(late), late=of_joints)
 
 
-def _permuted(joints: Sequence[JointRows], left: np.ndarray, counts: np.ndarray, made: Maker) -> Iterator[Meaning]:
+def _permuted(shares: np.ndarray, counts: np.ndarray, made: Maker) -> Iterator[Finding]:
     """Assign each joint the column that fits its equations best, every column once."""
     from scipy.optimize import linear_sum_assignment
 
-    shares = np.array([joint.left(joint.effort) for joint in joints])
-    _, order = linear_sum_assignment(counts[:, None] * np.log(np.maximum(shares, TINY)))
-    altered = np.flatnonzero(order != np.arange(len(joints)))
-    assigned = shares[range(len(joints)), order]
-    if len(altered) and np.all(assigned[altered] < SWAPPED * left[altered]):
-        after, before = float(assigned[altered].max()), float(left[altered].min())
-        yield made(F.SWAPPED, assigned, altered.tolist(), after=after, before=before)
+    _, order = linear_sum_assignment(counts[:, None] * np.log(np.maximum(shares[:, :-1], TINY)))
+    joints = np.arange(len(order))
+    altered, assigned = np.flatnonzero(order != joints), shares[joints, order]
+    if len(altered) and np.all((assigned < SWAPPED * np.diag(shares))[altered]):
+        yield made(F.SWAPPED, assigned, altered.tolist())
 
 
-def _magnitudes(joints: Sequence[JointRows], left: np.ndarray, made: Maker) -> Iterator[Meaning]:
+def _magnitudes(joints: Sequence[JointRows], left: np.ndarray, made: Maker) -> Iterator[Finding]:
     """Give columns without negative values the signs with which the equations explain most of them."""
     shares = left.copy()
-    for joint in joints:
-        effort = joint.mine
+    for j, joint in enumerate(joints):
+        effort = joint.effort[:, j]
         if effort.size and effort.min() > -HARDLY_NEGATIVE * effort.max():
-            shares[joint.index] = float(joint.left(_signed(joint, effort)))
+            shares[j] = joint.left(_signed(joint.basis, effort))
     altered = np.flatnonzero(shares < SWAPPED * left).tolist()
     if altered:
-        after, before = float(shares[altered].max()), float(left[altered].min())
-        yield made(F.MAGNITUDES, shares, altered, len(altered), after=after, before=before)
+        yield made(F.MAGNITUDES, shares, altered, len(altered))
 
 
-def _signed(joint: JointRows, effort: np.ndarray) -> np.ndarray:
-    """Choose the signs of the stretches between minima, first by an eigenvector, then one by one."""
+def _signed(basis: np.ndarray, effort: np.ndarray) -> np.ndarray:
+    """Choose the signs of the parts between minima, first by an eigenvector, then one by one."""
     lowest = np.flatnonzero((effort[1:-1] <= effort[:-2]) & (effort[1:-1] < effort[2:])) + 1
-    stretch = np.searchsorted(lowest, np.arange(len(effort)), side="right")
-    parts = np.zeros((len(lowest) + 1, joint.basis.shape[1]))
-    np.add.at(parts, stretch, effort[:, None] * joint.basis)
-    signs = np.where(np.linalg.svd(parts, full_matrices=False)[0][:, 0] < 0, -1.0, 1.0)
-    for _ in range(len(signs)):
-        gains = np.sum(parts**2, axis=1) - signs * (parts @ (signs @ parts))
-        if (k := int(np.argmax(gains))) >= 0 and gains[k] <= TINY * np.sum(parts**2):
+    part = np.searchsorted(lowest, np.arange(len(effort)), side="right")
+    sums = np.zeros((len(lowest) + 1, basis.shape[1]))
+    np.add.at(sums, part, effort[:, None] * basis)
+    signs = np.where(np.linalg.svd(sums, full_matrices=False)[0][:, 0] < 0, -1.0, 1.0)
+    for _ in signs:
+        gains = np.sum(sums**2, axis=1) - signs * (sums @ (signs @ sums))
+        k = int(np.argmax(gains))
+        if gains[k] <= TINY * np.sum(sums**2):
             break
         signs[k] *= -1
-    return np.asarray(signs[stretch] * effort)
+    return np.asarray(signs[part] * effort)
 
 
-def _among_joints(
-    joints: Sequence[JointRows], factors: Sequence[np.ndarray], stated: Meaning, counts: np.ndarray
-) -> Iterator[Meaning]:
+def _among_joints(joints: Sequence[JointRows], left: np.ndarray, made: Maker) -> Iterator[Finding]:
     """Exchange two columns, or reverse some, so that the parameters which the joints share explain them together."""
     n = len(joints)
     order, signs = np.arange(n), np.ones(n)
-    before = _together(joints, factors, order, signs)
+    before = _together(joints, order, signs)
 
-    def likelihood(shares: np.ndarray) -> float:
-        return -float(counts @ np.log(np.maximum(shares, TINY)))
+    def helping(kind: str, after: np.ndarray, altered: list[int], chosen: int) -> Iterator[Finding]:
+        if altered and np.all((after < SWAPPED * before)[altered]):
+            yield made(kind, after, altered, chosen, before)
 
-    def meaning(kind: str, shares: np.ndarray, altered: list[int], chosen: int) -> Iterator[Meaning]:
-        if altered and np.all(shares[altered] < SWAPPED * before[altered]):
-            gain = likelihood(shares) - likelihood(before) - chosen / 2 * float(np.log(counts.sum()))
-            values = {"after": float(shares[altered].max()), "before": float(before[altered].min())}
-            yield Meaning(kind, stated.left, stated.likelihood + gain, tuple(altered), values)
-
-    wrong = np.flatnonzero((before > RETRIED * stated.left) & (before > GRAVITY_MISFIT)).tolist()
+    wrong = np.flatnonzero(before > np.maximum(RETRIED * left, GRAVITY_MISFIT)).tolist()
     for pair in combinations(range(n), 2):
         if set(pair) & set(wrong):
             other = order.copy()
-            other[list(pair)] = order[list(pair[::-1])]
-            yield from meaning(F.SWAPPED, _together(joints, factors, other, signs), list(pair), 0)
+            other[list(pair)] = pair[::-1]
+            yield from helping(F.SWAPPED, _together(joints, other, signs), list(pair), 0)
     shares = before
     for j in wrong:
-        turned = signs.copy()
-        turned[j] *= -1
-        after = _together(joints, factors, order, turned)
+        turned = np.where(order == j, -signs, signs)
+        after = _together(joints, order, turned)
         if after[j] < SWAPPED * shares[j]:
             signs, shares = turned, after
-    if np.sum(signs < 0) > n / 2:
-        signs = -signs
-    yield from meaning(F.REVERSED, shares, np.flatnonzero(signs < 0).tolist(), n)
+    reversed_ = signs < 0
+    if np.sum(reversed_) > n / 2:
+        reversed_ = ~reversed_
+    yield from helping(F.REVERSED, shares, np.flatnonzero(reversed_).tolist(), n)
 
 
-def _together(
-    joints: Sequence[JointRows], factors: Sequence[np.ndarray], order: np.ndarray, signs: np.ndarray
-) -> np.ndarray:
+def _together(joints: Sequence[JointRows], order: np.ndarray, signs: np.ndarray) -> np.ndarray:
     """Fit the columns, in some ``order`` and with ``signs``, by common parameters: the shares that they leave (n,)."""
-    size = 1 + max(int(part.names.max()) for part in joints)
+    size = 1 + max(int(joint.names.max()) for joint in joints)
     rows, efforts = [], []
-    for joint, R, column, sign in zip(joints, factors, order, signs, strict=True):
-        p = len(joint.names)
+    for joint, column, sign in zip(joints, order, signs, strict=True):
+        R, p = joint.factor, len(joint.names)
         rows.append(np.zeros((len(R), size)))
         rows[-1][:, joint.names] = R[:, :p]
         efforts.append(sign * R[:, 2 * p + column])
-    norms = np.array([max(float(np.linalg.norm(part)), 1e-300) for part in efforts])
+    norms = np.array([max(float(np.linalg.norm(effort)), 1e-300) for effort in efforts])
     left = np.ones(len(joints))
     for _ in range(REWEIGHTED):
         weights = 1 / (norms * np.maximum(left, TINY))
-        J = np.concatenate([weight * part for weight, part in zip(weights, rows, strict=True)])
-        e = np.concatenate([weight * part for weight, part in zip(weights, efforts, strict=True)])
+        J, e = (np.concatenate([w * part for w, part in zip(weights, parts, strict=True)]) for parts in (rows, efforts))
         theta = least_squares_step(J, -e)
         left = np.array([np.linalg.norm(v - A @ theta) for v, A in zip(efforts, rows, strict=True)]) / norms
     return left
 
 
-def _gravity_profile(joints: Sequence[JointRows], factors: Sequence[np.ndarray], made: Maker) -> list[Meaning]:
-    """Fit the columns with each of the ``SHARES`` of gravity, that of inertia being one."""
-    profile = []
-    for share in SHARES:
-        left = []
-        for joint, R in zip(joints, factors, strict=True):
-            p = len(joint.names)
-            basis = basis_of(R[:, :p] - (1 - share) * R[:, p : 2 * p])
-            left.append(float(unexplained(basis, R[:, 2 * p + joint.index])))
-        profile.append(made(F.WITHOUT_GRAVITY, np.array(left)))
-    return profile
+def _with_gravity(joints: Sequence[JointRows], share: float) -> np.ndarray:
+    """Fit the columns with a ``share`` of gravity, that of inertia being one: the shares that they leave (n,)."""
+    left = []
+    for j, joint in enumerate(joints):
+        R, p = joint.factor, len(joint.names)
+        basis = basis_of(R[:, :p] - (1 - share) * R[:, p : 2 * p])
+        left.append(unexplained(basis, R[:, 2 * p + j]))
+    return np.array(left)
 
 
 def _by_file(
@@ -265,34 +250,31 @@ def _by_file(
     the number is how much more likely the rows are without the file's gravity than with it, a logarithm.
     """
     stated, base = stated_inertias(dataset.robot), dataset.base
-    if not any(stated.values()) or not all(joint.free.any() for joint in joints):
+    if not any(stated.values()) or all(run.payload for run in dataset.runs):
         return None, 0.0
-    values = base.matrix @ np.array([stated.get(name, 0.0) for name in dataset.model.parameter_names])
+    values = base.matrix @ [stated.get(name, 0.0) for name in dataset.model.parameter_names]
     estimates, gain = np.zeros((2, len(joints), 3)), 0.0  # coefficient, variance and weight, (N m)^2
-    for joint, count in zip(joints, counts, strict=True):
-        name = dataset.model.actuated[joint.index]
-        drive = [k for k, parameter in enumerate(base.standard) if of_drive(parameter, name)]
+    for j, (joint, count) in enumerate(zip(joints, counts, strict=True)):
         first = joint.names < base.count
-        first &= np.any(joint.own[joint.free], axis=0)
-        W, G = joint.own[joint.free][:, first], joint.weight[joint.free][:, first]
-        driven = [k for k, number in enumerate(joint.names[first] % base.count) if number in drive]
-        chi = values[joint.names[first] % base.count]
-        gravity, total, effort = G @ chi, W @ chi, joint.mine[joint.free]
-        for row, columns in enumerate(([gravity, total - gravity], [total])):
-            others = (
-                basis_of(np.column_stack([*columns[1:], W[:, driven]])) if len(driven) or len(columns) > 1 else W[:, :0]
-            )
-            x, y = (part - others @ (others.T @ part) for part in (columns[0], effort))
-            size, rounding = float(x @ x), TINY * max(float(columns[0] @ columns[0]), 1e-300)
+        free = joint.own[:, first].any(axis=1)
+        names, W = joint.names[first], joint.own[free][:, first]
+        gravity, torque = joint.weight[free][:, first] @ values[names], W @ values[names]
+        driven = W[:, [of_drive(base.standard[k], dataset.model.actuated[j]) for k in names]]
+        regressed = (gravity, np.column_stack([torque - gravity, driven])), (torque, driven)
+        for row, (column, others) in enumerate(regressed):
+            basis = basis_of(others)
+            x, y = beside(basis, column), beside(basis, joint.effort[free, j])
+            size, rounding = float(x @ x), TINY * max(float(column @ column), 1e-300)
             if size > rounding:
                 coefficient = float(x @ y) / size
                 rest = y - coefficient * x
-                estimates[row, joint.index] = coefficient, float(rest @ rest) / count / size, size
+                estimates[row, j] = coefficient, float(rest @ rest) / count / size, size
             if row == 0 and size:
                 gain += count / 2 * float(np.log(max((y - x) @ (y - x), 1e-300) / max(y @ y, 1e-300)))
-    pooled = []
-    for coefficient, variance, weight in (part.T for part in estimates):
-        mean = float(weight @ coefficient) / max(float(weight.sum()), 1e-300)
-        spread = np.sqrt(weight**2 @ ((coefficient - mean) ** 2 + variance)) / max(float(weight.sum()), 1e-300)
-        pooled.append((mean, float(spread)))
-    return (pooled, gain) if np.any(estimates[0, :, 2]) else (None, 0.0)
+    if not np.any(estimates[0, :, 2]):
+        return None, 0.0
+    coefficients, variances, weights = np.moveaxis(estimates, -1, 0)  # (2, n) each
+    weights = weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-300)
+    means = np.sum(weights * coefficients, axis=1, keepdims=True)
+    stds = np.sqrt(np.sum(weights**2 * ((coefficients - means) ** 2 + variances), axis=1))
+    return list(zip(means[:, 0].tolist(), stds.tolist(), strict=True)), gain

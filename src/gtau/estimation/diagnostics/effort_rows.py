@@ -6,7 +6,7 @@ nor the other joints matter. Gravity's part of a column is what the regressor ha
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,61 +15,55 @@ import numpy as np
 from gtau.estimation.diagnostics.linearisation import window_motion
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import triangle
-from gtau.estimation.regression.rows import Rows, stream_rows
+from gtau.estimation.regression.rows import stream_rows
 from gtau.robots.robot import INERTIAL
 from gtau.signals.preparation.prepared_run import SampleWindow
 
 REACH = 0.3  # s: lags beyond are other runs, or clocks that were never set
 COARSE, FINE = 2, 16  # lags tried in the longest delay that the model describes, everywhere and about the best
 RANK = 1e-8  # of the largest singular value: directions below it are left out
-INDEPENDENT = 0.99  # largest autocorrelation that is believed
 
 
 @dataclass(frozen=True, eq=False)
 class JointRows:
-    """The K rows of the joint ``index``.
+    """The K rows of a joint.
 
     ``own`` (K, p) are its columns, ``weight`` (K, p) gravity's part of them, and ``names`` (p,) their numbers among
-    ``base.standard``, from ``base.count`` on for a second payload, and so on. ``effort`` (K, n) are the columns of all
-    joints, its own at the first of the ``lags`` (s): that which fits best of those which a delay of the model
-    describes. ``shifted`` (K,) is its own at the second, which fits best of all. ``free`` are the rows without payload.
+    ``base.standard``, from ``base.count`` on for a second payload, and so on; those without payload are first.
+    ``effort`` (K, n + 1) are the columns of all joints, its own as the delay of the model shifts it that fits best, and
+    its own again, shifted by the ``lag`` (s) that fits best of all: None where it is such a delay.
     """
 
-    index: int
     own: np.ndarray
     weight: np.ndarray
     names: np.ndarray
     effort: np.ndarray
-    lags: tuple[float, float]
-    shifted: np.ndarray
-    free: np.ndarray
+    lag: float | None
 
     @cached_property
     def basis(self) -> np.ndarray:
         """Orthonormal basis of its columns (K, r)."""
         return basis_of(self.own)
 
-    @property
-    def mine(self) -> np.ndarray:
-        """Its own column of effort, (K,)."""
-        return np.asarray(self.effort[:, self.index])
-
-    @property
-    def independent(self) -> float:
-        """Number of independent rows, by the autocorrelation of the residuals."""
-        rest = self.mine - self.basis @ (self.basis.T @ self.mine)
-        rho = float(np.clip(rest[1:] @ rest[:-1] / max(rest @ rest, 1e-300), 0.0, INDEPENDENT))
-        return max(len(rest) * (1 - rho) / (1 + rho), 1.0)
+    @cached_property
+    def factor(self) -> np.ndarray:
+        """Triangle of its columns, gravity's part of them, and all efforts."""
+        return triangle(np.hstack([self.own, self.weight, self.effort]))
 
     def left(self, effort: np.ndarray) -> np.ndarray:
         """Compute the shares of columns (K, m), or of one, that the equations leave, rms."""
         return unexplained(self.basis, effort)
 
 
+def beside(basis: np.ndarray, effort: np.ndarray) -> np.ndarray:
+    """Compute the part of columns (K, m), or of one (K,), beside an orthonormal ``basis``."""
+    return np.asarray(effort - basis @ (basis.T @ effort))
+
+
 def unexplained(basis: np.ndarray, effort: np.ndarray) -> np.ndarray:
-    """Compute the shares of columns (K, m), or of one (K,), beside an orthonormal ``basis``, rms."""
-    rest = effort - basis @ (basis.T @ effort)
-    return np.asarray(np.linalg.norm(rest, axis=0) / np.maximum(np.linalg.norm(effort, axis=0), 1e-300))
+    """Compute the rms share of columns (K, m), or of one (K,), beside an orthonormal ``basis``."""
+    rest = np.linalg.norm(beside(basis, effort), axis=0)
+    return np.asarray(rest / np.maximum(np.linalg.norm(effort, axis=0), 1e-300))
 
 
 def basis_of(columns: np.ndarray) -> np.ndarray:
@@ -85,99 +79,101 @@ def joint_rows(dataset: Dataset, slowest: float) -> list[JointRows]:
 
     ``slowest`` is the longest delay that the model describes, s; where it is 0 no lag is tried.
     """
-    reach = max(REACH, 2 * slowest) if slowest else 0.0
-    windows = [_streamed(dataset, window) for _, window in dataset.windows()]
-    loads = [load.name if (load := dataset.runs[run].payload) else None for run, _ in dataset.windows()]
-    count = len(dataset.model.actuated) if windows else 0
-    joints = [_rows(j, windows, loads, dataset, reach, slowest) for j in range(count)]
+    windows = dataset.windows()
+    if not windows:
+        return []
+    payloads = [dataset.runs[run].payload for run, _ in windows]
+    loads = [payload and payload.name for payload in payloads]
+    names = sorted(dict.fromkeys(loads), key=lambda name: name is not None)
+    places = [names.index(load) for load in loads]
+    streamed = [_streamed(dataset, window) for _, window in windows]
+    steps = [dataset.preparation.at(window.run.rate).decimator.factor / window.run.rate for _, window in windows]
+    joints = [
+        _rows(j, dataset, streamed, np.eye(len(names))[places], steps, slowest)
+        for j in range(len(dataset.model.actuated))
+    ]
     return [] if any(len(joint.own) < 2 * joint.basis.shape[1] for joint in joints) else joints
 
 
-def _streamed(dataset: Dataset, window: SampleWindow) -> tuple[Rows, np.ndarray]:
-    """Stream the rows along a window, and gravity's part of their entries (entries, K)."""
+Streamed = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Entries of the regressor and gravity's part of them (2, entries, K), currents (3, c, K), and the rows kept (c, K)."""
+
+
+def _streamed(dataset: Dataset, window: SampleWindow) -> Streamed:
+    """Stream the rows along a window."""
     model, names = dataset.model, dataset.base.standard
     regressor, decimator = model.columns(names), dataset.preparation.at(window.run.rate).decimator
     parts = list(stream_rows(model, regressor, window, decimator))
-    entries, currents, keep = (
-        np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in ("entries", "currents", "keep")
-    )
+    entries = np.concatenate([part.entries for part in parts], axis=-1)
     motion = window_motion(model, window)
     rest = replace(motion, yd=np.zeros_like(motion.yd), ydd=np.zeros_like(motion.ydd))
     falling = np.array([name.kind in INERTIAL for name in names])[regressor.columns]
-    weight = decimator.apply(regressor(model.layout, rest))[:, : entries.shape[1]] * falling[:, None]
-    return replace(parts[0], entries=entries, currents=currents, keep=keep), weight
+    weight = decimator.apply(regressor(model.layout, rest))[:, : entries.shape[1]]
+    return (
+        np.stack([entries, weight * falling[:, None]]),
+        np.concatenate([part.currents for part in parts], axis=-1),
+        np.concatenate([part.keep for part in parts], axis=-1),
+    )
 
 
 def _rows(
-    j: int,
-    windows: Sequence[tuple[Rows, np.ndarray]],
-    loads: Sequence[str | None],
-    dataset: Dataset,
-    reach: float,
-    slowest: float,
+    j: int, dataset: Dataset, windows: list[Streamed], loaded: np.ndarray, steps: list[float], slowest: float
 ) -> JointRows:
-    """Stack the rows of a joint in all windows, with margins of ``reach`` and ``slowest`` (s) for shifts."""
-    regressor, n = dataset.model.columns(dataset.base.standard), len(dataset.model.actuated)
-    mine, carried = regressor.rows == j, list(dict.fromkeys(loads))
-    apart = [np.eye(len(carried))[[carried.index(load)]] for load in loads]  # each payload has columns of its own
-    steps = [
-        dataset.preparation.at(window.run.rate).decimator.factor / window.run.rate for _, window in dataset.windows()
-    ]
-    kept = []
-    for (rows, _), step in zip(windows, steps, strict=True):
-        margin, length = int(np.ceil((reach + slowest) / step)), rows.currents.shape[2]
-        inner = np.arange(length)[margin : max(length - margin, 0)]
-        kept.append(inner[rows.keep[j, inner]])
+    """Stack the rows of joint ``j`` in all windows, of ``steps`` (s), with margins for shifts.
 
-    def stacked(parts: Iterable[np.ndarray]) -> np.ndarray:
-        windows_of = zip(apart, parts, kept, strict=True)
-        return np.concatenate([np.kron(one, part[mine][:, at].T) for one, part, at in windows_of])
+    ``loaded`` (windows, loads) marks the payload of each, which has columns of its own.
+    """
+    regressor = dataset.model.columns(dataset.base.standard)
+    mine = regressor.rows == j
+    reach = max(REACH, 2 * slowest) if slowest else 0.0
+    rows = []
+    for (_, currents, keep), step in zip(windows, steps, strict=True):
+        margin, length = int(np.ceil((reach + slowest) / step)), currents.shape[2]
+        inner = np.arange(length)[margin : max(length - margin, 0)]
+        rows.append(inner[keep[j, inner]])
 
     def shifted(lags: np.ndarray, column: int = j) -> np.ndarray:
         """Compute a column of effort at the joint's rows ``lags`` later (K, lags)."""
         parts = []
-        for (rows, _), at, step in zip(windows, kept, steps, strict=True):
-            steps_late = np.round(lags / step).astype(int)
-            rest = (lags - steps_late * step)[:, None]
-            v, v_d, v_dd = rows.currents[:, column][:, at + steps_late[:, None]]
+        for (_, currents, _), kept, step in zip(windows, rows, steps, strict=True):
+            late = np.round(lags / step).astype(int)
+            rest = (lags - late * step)[:, None]
+            v, v_d, v_dd = currents[:, column][:, kept + late[:, None]]
             parts.append((v + rest * v_d + rest**2 / 2 * v_dd).T)
         return np.concatenate(parts)
 
-    own = stacked(rows.entries for rows, _ in windows)
-    basis = basis_of(own)
-    lags = _lags(lambda lags: unexplained(basis, shifted(lags)), reach, slowest)
-    both = shifted(np.array(lags))
+    parts = zip(windows, rows, loaded, strict=True)
+    stacked = [np.kron(load, entries[:, mine][..., kept].swapaxes(1, 2)) for (entries, *_), kept, load in parts]
+    own, weight = np.concatenate(stacked, axis=1)
+    stated, lag = _lags(own, shifted, reach, slowest)
+    n = len(dataset.model.actuated)
+    efforts = [shifted(np.array([stated if k == j else 0.0]), k) for k in range(n)]
     return JointRows(
-        j,
         own,
-        stacked(weight for _, weight in windows),
-        np.concatenate([regressor.columns[mine] + k * dataset.base.count for k in range(len(carried))]),
-        np.column_stack([both[:, 0] if k == j else shifted(np.zeros(1), k)[:, 0] for k in range(n)]),
-        lags,
-        both[:, 1],
-        np.concatenate([np.full(len(at), load is None) for at, load in zip(kept, loads, strict=True)]),
+        weight,
+        np.concatenate([regressor.columns[mine] + k * dataset.base.count for k in range(loaded.shape[1])]),
+        np.hstack([*efforts, shifted(np.array([lag]))]),
+        None if lag == stated else lag,
     )
 
 
-def _lags(left: Callable[[np.ndarray], np.ndarray], reach: float, slowest: float) -> tuple[float, float]:
+def _lags(
+    own: np.ndarray, shifted: Callable[[np.ndarray], np.ndarray], reach: float, slowest: float
+) -> tuple[float, float]:
     """Find the lags that leave least: of those that a delay of the model describes, and of all."""
     if not slowest:
         return 0.0, 0.0
-    coarse = slowest / COARSE * np.arange(-round(COARSE * reach / slowest), round(COARSE * reach / slowest) + 1)
-    shares = left(coarse)
+    basis, most = basis_of(own), round(COARSE * reach / slowest)
+    coarse = slowest / COARSE * np.arange(-most, most + 1)
+    shares = unexplained(basis, shifted(coarse))
     longest = slowest * (1 + 1e-9)  # and rounding
-    within = np.flatnonzero(np.abs(coarse) <= longest)
-    stated, k = float(coarse[within[np.argmin(shares[within])]]), int(np.argmin(shares))
-    if k in within or not 0 < k < len(coarse) - 1:
+    within = np.abs(coarse) <= longest
+    stated, k = float(coarse[np.argmin(np.where(within, shares, np.inf))]), int(np.argmin(shares))
+    if within[k] or not 0 < k < len(coarse) - 1:
         return stated, stated
     fine = coarse[k] + slowest / FINE * np.arange(-FINE // COARSE, FINE // COARSE + 1)
-    shares = left(fine)
+    shares = unexplained(basis, shifted(fine))
     k = int(np.argmin(shares))
     a, b, c = np.take(shares, [k - 1, k, k + 1], mode="clip") ** 2
     between = (a - c) / (2 * (a - 2 * b + c)) if min(a, c) > b else 0.0
     return stated, float(fine[k] + slowest / FINE * between)
-
-
-def triangles(joints: list[JointRows]) -> list[np.ndarray]:
-    """Reduce the rows of each joint to a triangle: its own columns, gravity's part of them, and all efforts."""
-    return [triangle(np.hstack([joint.own, joint.weight, joint.effort])) for joint in joints]

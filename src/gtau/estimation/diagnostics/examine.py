@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gtau.estimation.diagnostics.alternatives import Alternative, compete, model_covariance
-from gtau.estimation.diagnostics.effort import UNRANKED, Meaning, effort_findings, rank_meanings, stated_meaning
+from gtau.errors import GtauError
+from gtau.estimation.diagnostics.alternatives import (
+    GAIN_CHANGE,
+    LENGTHS,
+    RIPPLE,
+    TOOL_BODIES,
+    Alternative,
+    compete,
+    model_covariance,
+)
+from gtau.estimation.diagnostics.effort import UNRANKED, effort_findings, rank_meanings, stated_meaning
 from gtau.estimation.diagnostics.hypotheses import HYPOTHESES, find_alternatives, ranked
 from gtau.estimation.diagnostics.hypotheses.description import GRAVITY, WRENCH_OFFSETS, WRENCH_POINTS
-from gtau.estimation.diagnostics.hypotheses.drives import GAIN_CHANGE, gain_changes
+from gtau.estimation.diagnostics.hypotheses.drives import gain_changes
 from gtau.estimation.diagnostics.log_checks import frozen_encoders, gravity_not_shown, lack_of_fit
 from gtau.estimation.diagnostics.other_estimators import ESTIMATORS, other_estimators, two_stage_difference
-from gtau.estimation.diagnostics.other_robots import (
-    LENGTHS,
-    TOOL_BODIES,
-    gravity_asked_for,
-    likelier_gravity,
-    missing_gravity,
-    other_gravity,
-    other_length,
-    other_loads,
-)
-from gtau.estimation.diagnostics.repeating_residuals import RIPPLE, position_ripple
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
 from gtau.estimation.diagnostics.verdict import unexplained_shares
 from gtau.estimation.estimators.estimator import Fit
@@ -46,10 +45,9 @@ from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.progress import Progress, silent
 
-DESCRIPTION = {hypothesis.name for hypothesis in HYPOTHESES if hypothesis.description} | {
-    GAIN_CHANGE, LENGTHS, TOOL_BODIES
-}  # fmt: skip
-"""Hypotheses that contradict the user's description of robot and logs."""
+OF_HYPOTHESES = {hypothesis.name for hypothesis in HYPOTHESES if hypothesis.description}
+DESCRIPTION = OF_HYPOTHESES | {GAIN_CHANGE, LENGTHS, TOOL_BODIES}
+"""Alternatives that contradict the user's description of robot and logs."""
 WRENCHES = {WRENCH_OFFSETS.name, WRENCH_POINTS.name}
 
 
@@ -59,23 +57,20 @@ class Examination:
 
     Attributes
     ----------
-    lack_of_fit : float
-        Standard deviations by the jackknife over those for independent residuals.
     alternatives : tuple of Alternative
         All that were tried.
     findings : tuple of Finding
-        What the columns of some joints hold instead of their currents or torques, frozen encoders, a torque that
-        repeats at the same positions, and tests that refused these data or have no power on them.
-    effort : tuple of Meaning
+        What the columns of some joints hold instead of their currents or torques, frozen encoders, and tests that
+        refused these data or have no power on them.
+    effort : tuple of Finding
         What the columns of all joints may hold, the most likely first.
     ripple : Alternative, optional
         What of the residuals repeats at the same positions.
     """
 
-    lack_of_fit: float
     alternatives: tuple[Alternative, ...] = ()
     findings: tuple[Finding, ...] = ()
-    effort: tuple[Meaning, ...] = UNRANKED
+    effort: tuple[Finding, ...] = UNRANKED
     ripple: Alternative | None = None
 
     def covariance(self, fit: Fit) -> np.ndarray:
@@ -91,56 +86,47 @@ class Examination:
         currents that change: none of these refutes the description unless it explains more than the lag of all joints.
         So does what repeats at the same positions, cables or ripple: a wrong description would explain most of that.
         """
-        held = [effect for effect in self.alternatives if effect.probability > PROBABLE and effect.significant]
-        of_physics: dict[str, float] = {}
-        for effect in held:
-            if effect.hypothesis not in DESCRIPTION:
-                of_physics[effect.hypothesis] = of_physics.get(effect.hypothesis, 0.0) + effect.share
-        stated = [effect for effect in held if effect.hypothesis in DESCRIPTION]
-        of_stated = OF_BEST * max((effect.share for effect in stated), default=0.0)
-        of_ripple = OF_REPEATING * (0.0 if self.ripple is None else self.ripple.share)
-        least = max([REFUTED_SHARE, of_ripple, of_stated, *of_physics.values()])
-        return tuple(sorted((effect for effect in stated if effect.share > least), key=lambda effect: -effect.share))
-
-
-@dataclass(frozen=True, eq=False)
-class Check:
-    """A test of a fit, with what it silences.
-
-    Attributes
-    ----------
-    name : str
-        By which other checks silence it.
-    test : callable
-        Yields findings and alternatives, from a fit, what was found before, and the progress.
-    silences : frozenset of str
-        Checks that are not made, and hypotheses and kinds of findings that do not count, where it finds something: it
-        explains what they would find.
-    least : float
-        Share of the residual variance from which on an alternative of it silences them.
-    """
-
-    name: str
-    test: Callable[[Fit, Examination, Progress], Iterable[Finding | Alternative]]
-    silences: frozenset[str] = frozenset()
-    least: float = -np.inf
+        stated, of_physics = [], Counter[str]()
+        for effect in self.alternatives:
+            if effect.probability <= PROBABLE or not effect.significant:
+                continue
+            if effect.hypothesis in DESCRIPTION:
+                stated.append(effect)
+            else:
+                of_physics[effect.hypothesis] += effect.share  # type: ignore[assignment]
+        stated.sort(key=lambda effect: -effect.share)
+        of_stated = OF_BEST * stated[0].share if stated else 0.0
+        of_ripple = OF_REPEATING * self.ripple.share if self.ripple else 0.0
+        least = max(REFUTED_SHARE, of_ripple, of_stated, *of_physics.values())
+        return tuple(effect for effect in stated if effect.share > least)
 
 
 def _lacking(fit: Fit) -> bool:
     return lack_of_fit(fit.system.problem, fit.solution) > LACKING
 
 
+def _misfit(fit: Fit) -> bool:
+    return float(unexplained_shares(fit.system.problem, fit.solution).max()) > GRAVITY_MISFIT
+
+
 def _loads(fit: Fit, seen: Examination, progress: Progress) -> Iterator[Alternative]:
-    misfit = float(unexplained_shares(fit.system.problem, fit.solution).max())
-    if (_lacking(fit) or misfit > GRAVITY_MISFIT) and (loads := other_loads(fit)):
-        yield loads
+    if _lacking(fit) or _misfit(fit):
+        from gtau.estimation.diagnostics.other_robots import other_loads
+
+        if loads := other_loads(fit):
+            yield loads
 
 
 def _gravity(fit: Fit, seen: Examination, progress: Progress) -> Iterator[Alternative]:
-    missing = missing_gravity(fit) if seen.effort[0].kind == F.WITHOUT_GRAVITY else None
-    asked = _lacking(fit) and gravity_asked_for(fit, seen.alternatives)
-    if gravity := likelier_gravity(fit, missing, other_gravity(fit, progress) if asked else None):
-        yield gravity
+    """Fit with another gravity (seconds per fit) where a tilt helps, or the residual is large."""
+    missing = seen.effort[0].kind == F.WITHOUT_GRAVITY
+    tilted = any(effect.hypothesis == GRAVITY.name and effect.share > REFUTED_SHARE for effect in seen.alternatives)
+    turned = _lacking(fit) and (tilted or _misfit(fit))
+    if missing or turned:
+        from gtau.estimation.diagnostics.other_robots import likeliest_gravity
+
+        if gravity := likeliest_gravity(fit, missing, turned, progress):
+            yield gravity
 
 
 def _gravity_not_shown(fit: Fit, seen: Examination, progress: Progress) -> Iterator[Finding]:
@@ -149,42 +135,50 @@ def _gravity_not_shown(fit: Fit, seen: Examination, progress: Progress) -> Itera
 
 
 def _lengths(fit: Fit, seen: Examination, progress: Progress) -> Iterator[Alternative]:
-    if _lacking(fit) and (length := other_length(fit, progress)):
-        yield length
+    if _lacking(fit):
+        from gtau.estimation.diagnostics.other_robots import other_length
+
+        if length := other_length(fit, progress):
+            yield length
 
 
 def _ripple(fit: Fit, seen: Examination, progress: Progress) -> Iterator[Alternative]:
-    if _lacking(fit):
+    # see the evidence of DOMINANT
+    changes = any(effect.hypothesis == GAIN_CHANGE and effect.share > DOMINANT for effect in seen.alternatives)
+    if _lacking(fit) and not changes:
+        from gtau.estimation.diagnostics.repeating_residuals import position_ripple
+
         yield position_ripple(fit)
 
 
 OTHER_GRAVITY, GRAVITY_NOT_SHOWN, EFFORT, FROZEN = "other gravity", "gravity not shown", "effort", "frozen encoders"
 OF_EFFORT = {F.LATE, F.SWAPPED, F.MAGNITUDES, F.REVERSED}
-CHECKS: tuple[Check, ...] = (
-    Check("hypotheses", lambda fit, seen, progress: find_alternatives(fit)),
-    Check("other estimators", lambda fit, seen, progress: other_estimators(fit)),
-    Check("two-stage least squares", lambda fit, seen, progress: two_stage_difference(fit)),
-    # see the evidence of DOMINANT
-    Check(GAIN_CHANGE, lambda fit, seen, progress: gain_changes(fit), frozenset({RIPPLE}), DOMINANT),
+CHECKS: Mapping[str, Callable[[Fit, Examination, Progress], Iterable[Finding | Alternative]]] = {
+    "hypotheses": lambda fit, seen, progress: find_alternatives(fit),
+    "other estimators": lambda fit, seen, progress: other_estimators(fit),
+    "two-stage least squares": lambda fit, seen, progress: two_stage_difference(fit),
+    GAIN_CHANGE: lambda fit, seen, progress: gain_changes(fit),
+    EFFORT: lambda fit, seen, progress: effort_findings(seen.effort, fit.dataset),
+    FROZEN: lambda fit, seen, progress: frozen_encoders(fit),
+    TOOL_BODIES: _loads,
+    OTHER_GRAVITY: _gravity,
+    GRAVITY_NOT_SHOWN: _gravity_not_shown,
+    LENGTHS: _lengths,
+    RIPPLE: _ripple,
+}
+"""All checks, in the order in which they are made: of a fit, what was found before, and the progress."""
+SILENCES: Mapping[str, Set[str]] = {
     # what the columns hold instead explains the residuals
-    Check(
-        EFFORT,
-        lambda fit, seen, progress: effort_findings(seen.effort, fit.dataset),
-        frozenset({OTHER_GRAVITY, LENGTHS}),
-    ),
+    EFFORT: {OTHER_GRAVITY, LENGTHS},
     # links that turned unseen look like another body in that run
-    Check(FROZEN, lambda fit, seen, progress: frozen_encoders(fit), frozenset({TOOL_BODIES})),
+    FROZEN: {TOOL_BODIES},
     # what another current in these runs, say, would explain is its effect
-    Check(
-        TOOL_BODIES, _loads, frozenset({*DESCRIPTION, *OF_EFFORT, OTHER_GRAVITY, GRAVITY_NOT_SHOWN, LENGTHS, RIPPLE})
-    ),
+    TOOL_BODIES: {*DESCRIPTION, *OF_EFFORT, OTHER_GRAVITY, GRAVITY_NOT_SHOWN, LENGTHS, RIPPLE},
     # what a few degrees, other lengths or ripple would explain is its effect
-    Check(OTHER_GRAVITY, _gravity, frozenset({GRAVITY.name, GRAVITY_NOT_SHOWN, LENGTHS, RIPPLE})),
-    Check(GRAVITY_NOT_SHOWN, _gravity_not_shown),
-    Check(LENGTHS, _lengths),
-    Check(RIPPLE, _ripple),
-)
-"""All checks, in the order in which they are made; the comment of each is why what it finds silences others."""
+    OTHER_GRAVITY: {GRAVITY.name, GRAVITY_NOT_SHOWN, LENGTHS, RIPPLE},
+}
+"""What a check silences where it finds something, as that explains what they would find: checks that are then not made,
+and hypotheses and kinds of findings that do not count."""
 LIKE_WRENCHES = {GAIN_CHANGE, LENGTHS}
 """Effects that seem to be there where a wrench is wrong, and count if they explain ``OF_BEST`` of what that does."""
 
@@ -192,45 +186,43 @@ LIKE_WRENCHES = {GAIN_CHANGE, LENGTHS}
 def examine(fit: Fit, progress: Progress = silent) -> Examination:
     """Make all checks of a fit; ``progress`` is called as the work goes on."""
     rows, unknowns = usable_rows(fit.dataset.windows(WINDOWS), fit.dataset.prepared), len(fit.solution.values)
-    seen = Examination(lack_of_fit(fit.system.problem, fit.solution))
     if rows < FEWEST_FOR_TESTS * unknowns:
-        return replace(seen, findings=(Finding(F.FEW_ROWS, values={"rows": rows, "unknowns": unknowns}),))
-    seen = replace(seen, effort=rank_meanings(fit.dataset, fit.system.problem.slowest))
-    silenced: set[str] = set()
-    for check in CHECKS:
-        if check.name not in silenced:
-            evidence = list(check.test(fit, seen, progress))
-            findings = [item for item in evidence if isinstance(item, Finding)]
-            alternatives = [item for item in evidence if isinstance(item, Alternative)]
-            if findings or any(item.share > check.least for item in alternatives):
-                silenced |= check.silences
-                seen = replace(
-                    seen,
-                    findings=tuple(item for item in seen.findings if item.kind not in check.silences),
-                    alternatives=tuple(item for item in seen.alternatives if item.hypothesis not in check.silences),
-                )
-            seen = replace(seen, findings=(*seen.findings, *findings), alternatives=(*seen.alternatives, *alternatives))
-    return _weighed(seen)
+        return Examination(findings=(Finding(F.FEW_ROWS, values={"rows": rows, "unknowns": unknowns}),))
+    findings: list[Finding] = []
+    alternatives: list[Alternative] = []
+    effort = rank_meanings(fit.dataset, fit.system.problem.slowest)
+    silenced: Set[str] = set()
+    for name, check in CHECKS.items():
+        if name in silenced:
+            continue
+        try:
+            evidence = list(check(fit, Examination(tuple(alternatives), tuple(findings), effort), progress))
+        except GtauError as refusal:
+            findings.append(Finding(F.UNTESTED, values={"check": name, "refusal": str(refusal).removesuffix(".")}))
+            continue
+        if evidence and (silent_now := SILENCES.get(name)):
+            silenced |= silent_now
+            findings = [item for item in findings if item.kind not in silent_now]
+            alternatives = [item for item in alternatives if item.hypothesis not in silent_now]
+        findings += [item for item in evidence if isinstance(item, Finding)]
+        alternatives += [item for item in evidence if isinstance(item, Alternative)]
+    return _weighed(Examination(tuple(alternatives), tuple(findings), effort))
 
 
 def _weighed(seen: Examination) -> Examination:
     """Assign probabilities to all alternatives together; other estimators compete for each estimate, and come last."""
     of_wrenches = [effect.share for effect in seen.alternatives if effect.hypothesis in WRENCHES and effect.significant]
     least = OF_BEST * max(of_wrenches, default=0.0)  # lengths and single currents look wrong too
-    models = [
-        effect
-        for effect in seen.alternatives
-        if effect.hypothesis not in {*ESTIMATORS, RIPPLE}
-        and (effect.hypothesis not in LIKE_WRENCHES or effect.share > least)
-    ]
-    estimators = compete(
-        [effect for effect in seen.alternatives if effect.hypothesis in ESTIMATORS],
-        lambda effect: (effect.causes[0].joints, effect.causes[0].subject),
-    )
-    listed = [
-        effect for effect in estimators if any(effect.moves.values()) or effect.probability > DIFFERENT_PROBABILITY
-    ]
-    ripple = next((effect for effect in seen.alternatives if effect.hypothesis == RIPPLE), None)
+    models, estimators, ripple = [], [], None
+    for effect in seen.alternatives:
+        if effect.hypothesis == RIPPLE:
+            ripple = effect
+        elif effect.hypothesis in ESTIMATORS:
+            estimators.append(effect)
+        elif effect.hypothesis not in LIKE_WRENCHES or effect.share > least:
+            models.append(effect)
+    weighed = compete(estimators, lambda effect: (effect.causes[0].joints, effect.causes[0].subject))
+    listed = [effect for effect in weighed if any(effect.moves.values()) or effect.probability > DIFFERENT_PROBABILITY]
     return replace(seen, alternatives=(*ranked(models), *listed), ripple=ripple)
 
 

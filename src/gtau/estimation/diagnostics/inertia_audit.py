@@ -18,6 +18,7 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import degrees_of_freedom, squared, stacked
 from gtau.estimation.regression.assembly import inertia_priors, sizes_of, stated_inertias
 from gtau.estimation.regression.factors import MODEL
+from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.thresholds.estimates import INERTIA_CHANCE, INERTIA_EXPLAINED
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
@@ -113,136 +114,116 @@ def _rms(errors: Mapping[str, float]) -> float:
     return float(np.sqrt(np.mean(np.square(list(errors.values())))))
 
 
-def without_file_inertias(
-    fit: Fit, covariance: np.ndarray, freedom: np.ndarray | None
-) -> tuple[Fit, np.ndarray, np.ndarray | None] | None:
-    """Refit without the robot file's inertias where they were priors, with covariance and freedom of that fit.
+def audit_inertias(fit: Fit, estimates: Estimates, loaded: bool) -> tuple[Fit | None, InertiaAudit | None]:
+    """Compare the robot file's inertias with a fit without them, which is returned too.
 
-    Those given are returned where the file's inertias were no priors, None where nothing else gives the scale.
+    That is refitted where the file's inertias were priors, None where then nothing gives the scale. A robot that is
+    ``loaded`` with a body that is not declared is not audited: the file is not blamed for what it lacks.
     """
-    if not fit.dataset.prior_inertias:
-        return fit, covariance, freedom
-    dataset = replace(fit.dataset, priors=fit.dataset.stated_priors, prior_inertias=0.0)
-    bare = refitted(fit, dataset=dataset)
-    if bare is None:
-        return None
-    return bare, bare.solution.jackknife, degrees_of_freedom(bare.system.problem, bare.solution, fit.free_gains)
-
-
-def audit_inertias(
-    fit: Fit, covariance: np.ndarray, freedom: np.ndarray | None, prior: float = 0.0
-) -> InertiaAudit | None:
-    """Compare the robot file's inertias with a fit without them; None where the file states none.
-
-    ``covariance`` (k, k) and ``freedom`` (k,) are those of the fit, ``prior`` is the relative standard deviation with
-    which the file's inertias are taken, 0 where they are taken as written.
-    """
-    stated = stated_inertias(fit.dataset.robot)
-    if not stated:
-        return None
-    comparison = _Comparison.of(fit, stated)
-    parameters = _parameters(comparison, covariance, freedom, prior)
+    covariance, freedom, prior = estimates.covariance, estimates.effective_freedom, fit.dataset.prior_inertias
+    if prior:
+        dataset = replace(fit.dataset, priors=fit.dataset.stated_priors, prior_inertias=0.0)
+        bare = refitted(fit, dataset=dataset)
+        if bare is None:
+            return None, None
+        freedom = degrees_of_freedom(bare.system.problem, bare.solution, fit.free_gains)
+        fit, covariance = bare, bare.solution.jackknife
+    if loaded:
+        return fit, None
+    identified = fit.system.full(fit.solution.theta)[:-1]
+    file, tested, unstated = _file_values(fit, identified)
+    prior_values = _kept(fit, file, prior)
+    std = np.sqrt(np.diag(covariance))
+    parameters = _parameters(fit, file, tested, unstated, prior_values, std, freedom)
     wrong = any(parameter.standing == "contradicted" for parameter in parameters)
-    links = tuple(_links(comparison)) if wrong else ()
-    errors = comparison.errors(comparison.file), comparison.errors(comparison.identified)
-    return InertiaAudit(*errors, parameters, links, prior)
+    links = tuple(_links(fit, identified, file)) if wrong else ()
+    return fit, InertiaAudit(_errors(fit, file), _errors(fit, identified), parameters, links, prior)
 
 
-@dataclass(frozen=True, eq=False)
-class _Comparison:
-    """Parameters of the whole problem, (n_whole,), as ``identified`` and by the ``file``; which are ``inertial``.
+def _file_values(fit: Fit, identified: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Replace parameters of the whole problem (n_whole,) by the file's, with masks (n_b,) of base parameters.
 
-    ``open`` are those that regroup a rotor inertia which the file does not state among the ``stated`` ones.
+    The first of those that regroup inertias alone, the second of those of them that regroup a rotor inertia which the
+    file does not state.
     """
+    base, names, stated = fit.dataset.base, fit.dataset.model.parameter_names, stated_inertias(fit.dataset.robot)
+    values = base.matrix @ [stated.get(name, 0.0) for name in names]
+    unstated = base.matrix[:, [name.kind == "ia" and name not in stated for name in names]]
+    of_bodies = base.matrix[:, [name.kind in (*INERTIAL, "ia") for name in names]]
+    of_drives = base.matrix[:, [name.kind in DRIVE[1:] for name in names]]
+    inertial = np.any(of_bodies, axis=1) & ~np.any(of_drives, axis=1)
+    unknown, raised = np.any(unstated, axis=1), np.all(unstated >= 0, axis=1)
+    own = identified[: base.count]
+    values = np.where(inertial, values, own)
+    values = np.where(unknown, np.where(raised, np.maximum(values, own), own), values)
+    return np.append(values, identified[base.count :]), inertial, np.asarray(unknown & inertial)
 
-    fit: Fit
-    stated: Mapping[str, float]
-    identified: np.ndarray
-    file: np.ndarray
-    inertial: np.ndarray
-    open: np.ndarray
 
-    @classmethod
-    def of(cls, fit: Fit, stated: Mapping[str, float]) -> _Comparison:
-        base, names = fit.dataset.base, fit.dataset.model.parameter_names
-        identified = fit.system.full(fit.solution.theta)[:-1]
-        values = np.array([stated.get(name, 0.0) for name in names])
-        unstated = np.array([name.kind == "ia" and name not in stated for name in names])
-        of_bodies = np.array([name.kind in (*INERTIAL, "ia") for name in names])
-        of_drives = np.array([name.kind in DRIVE[1:] for name in names])
-        inertial, unknown, raised = (np.zeros(len(identified), dtype=bool) for _ in range(3))
-        inertial[: base.count] = np.any(base.matrix[:, of_bodies], axis=1) & ~np.any(base.matrix[:, of_drives], axis=1)
-        unknown[: base.count] = np.any(base.matrix[:, unstated], axis=1)
-        raised[: base.count] = np.all(base.matrix[:, unstated] >= 0, axis=1)
-        file = identified.copy()
-        file[: base.count][inertial[: base.count]] = (base.matrix @ values)[inertial[: base.count]]
-        file = np.where(unknown & raised, np.maximum(file, identified), np.where(unknown, identified, file))
-        return cls(fit, stated, identified, file, inertial, unknown & inertial)
+def _errors(fit: Fit, theta: np.ndarray) -> dict[str, float]:
+    """Compute the torque errors of the joints, per cent of their rms torque."""
+    whole, solution = fit.system.whole, fit.solution
+    squares = squared(stacked(whole), np.concatenate([theta, solution.gains, solution.delays]))
+    rms = np.sqrt(squares / whole.total_rows)
+    return dict(zip(whole.joints, (100 * rms / whole.balance(theta)).tolist(), strict=False))
 
-    def errors(self, theta: np.ndarray) -> dict[str, float]:
-        """Compute the torque errors of the joints, per cent of their rms torque."""
-        whole, solution = self.fit.system.whole, self.fit.solution
-        squares = squared(stacked(whole), np.concatenate([theta, solution.gains, solution.delays]))
-        rms = np.sqrt(squares / whole.total_rows)
-        share = 100 * rms / whole.balance(theta)
-        return {joint: float(share[k]) for k, joint in enumerate(whole.joints)}
 
-    @property
-    def rows(self) -> np.ndarray:
-        """Weighted Jacobian of the residuals with respect to the whole problem's parameters, (., n_whole)."""
-        problem, solution = self.fit.system.whole, self.fit.solution
-        weights = 1 / (solution.gains * np.maximum(solution.sigma, problem.smallest_sigma))
-        return np.concatenate([w * R[:, MODEL] for w, R in zip(weights, problem.triangles, strict=True)])
+def _rows(fit: Fit) -> np.ndarray:
+    """Compute the weighted Jacobian of the residuals by the whole problem's parameters, (., n_whole)."""
+    problem, solution = fit.system.whole, fit.solution
+    weights = 1 / (solution.gains * np.maximum(solution.sigma, problem.smallest_sigma))
+    return np.concatenate([w * R[:, MODEL] for w, R in zip(weights, problem.triangles, strict=True)])
 
-    def kept(self, prior: float) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the file's values of the parameters that stay (n_theta,), and their standard deviations as priors.
 
-        What the motions do not separate adds to the parameters that stay: the same sums of the file's.
-        """
-        base, robot, names = self.fit.dataset.base, self.fit.dataset.robot, self.fit.dataset.model.parameter_names
-        places = [self.fit.system.whole.parameters.index(name) for name in self.fit.system.problem.parameters]
-        rows = self.rows
-        scale = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
-        T = np.linalg.lstsq(rows[:, places] / scale[places], rows / scale, rcond=None)[0]
-        T = T * scale / scale[places][:, None]
-        stds = inertia_priors(robot, prior) if prior else {}
-        sigma = np.array([(stds[name].std or 0.0) if name in stds else 0.0 for name in names])
-        return T @ self.file, np.sqrt(np.sum((T[:, : base.count] @ base.matrix * sigma) ** 2, axis=1))
+def _kept(fit: Fit, file: np.ndarray, prior: float) -> dict[Parameter, tuple[float, float]]:
+    """Compute the file's values of the parameters that stay, and their standard deviations as priors.
+
+    What the motions do not separate adds to the parameters that stay: the same sums of the file's.
+    """
+    base, kept, rows = fit.dataset.base, fit.system.problem.parameters, _rows(fit)
+    places = fit.system.whole.unknowns.at(kept)
+    scale = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
+    T = np.linalg.lstsq(rows[:, places] / scale[places], rows / scale, rcond=None)[0]
+    T = T * scale / scale[places][:, None]
+    stds = inertia_priors(fit.dataset.robot, prior) if prior else {}
+    sigma = np.array([stds[name].std if name in stds else 0.0 for name in fit.dataset.model.parameter_names])
+    of_prior = np.linalg.norm(T[:, : base.count] @ base.matrix * sigma, axis=1)
+    return dict(zip(kept, zip((T @ file).tolist(), of_prior.tolist(), strict=True), strict=True))
 
 
 def _parameters(
-    comparison: _Comparison, covariance: np.ndarray, freedom: np.ndarray | None, prior: float
+    fit: Fit,
+    file: np.ndarray,
+    inertial: np.ndarray,
+    unstated: np.ndarray,
+    kept: Mapping[Parameter, tuple[float, float]],
+    stds: np.ndarray,
+    freedom: np.ndarray | None,
 ) -> tuple[AuditedParameter, ...]:
     """Compare each base parameter that regroups inertias."""
     from scipy.special import stdtrit
 
-    fit, stated, base = comparison.fit, comparison.stated, comparison.fit.dataset.base
-    kept, (file, prior_std) = fit.system.problem.parameters, comparison.kept(prior)
+    base, robot, places = fit.dataset.base, fit.dataset.robot, fit.system.problem.unknowns.places
+    stated = stated_inertias(robot)
     own = (base.matrix @ [stated.get(name, 0.0) for name in fit.dataset.model.parameter_names]).tolist()
     tested: dict[Parameter, float] = {}
     audited: dict[Parameter, AuditedParameter] = {}
-    for k, name in enumerate(base.names):
-        if not comparison.inertial[k]:
-            continue
-        kind, body = base.standard[k].kind, base.standard[k].body
-        unit = unit_of(kind, fit.dataset.robot, body)
-        audited[name] = AuditedParameter(name, body, unit, "not identifiable", float(comparison.file[k]))
-        if name not in kept:
-            continue
-        place = kept.index(name)
-        value, std, of_file = float(fit.solution.theta[place]), float(np.sqrt(covariance[place, place])), file[place]
-        nu = np.inf if freedom is None else float(freedom[place])
-        half = std * float(stdtrit(nu, 0.975))
-        interval = value - half, value + half
-        audited[name] = replace(audited[name], stated=float(of_file), value=value, std=std, interval=interval)
-        sizes = sizes_of(dict(stated), body) if Parameter("m", body) in stated else None
-        size = abs(of_file) if kind == "ia" else (sizes or {}).get(kind, 0.0)
-        if comparison.open[k]:
-            of_file = own[k] if kind in INERTIAL else None
-            audited[name] = replace(audited[name], standing="not stated", stated=of_file)
-        elif half <= max(size, abs(of_file)):
-            z = (value - float(of_file)) / float(np.hypot(std, prior_std[place]))
-            audited[name], tested[name] = replace(audited[name], z=z), nu
+    for k in np.flatnonzero(inertial).tolist():
+        name, kind, body = base.names[k], base.standard[k].kind, base.standard[k].body
+        entry = AuditedParameter(name, body, unit_of(kind, robot, body), "not identifiable", float(file[k]))
+        if name in kept:
+            place, (of_file, prior_std) = places[name], kept[name]
+            value, std = float(fit.solution.theta[place]), float(stds[place])
+            nu = np.inf if freedom is None else float(freedom[place])
+            half = std * float(stdtrit(nu, 0.975))
+            entry = replace(entry, stated=of_file, value=value, std=std, interval=(value - half, value + half))
+            sizes = sizes_of(stated, body) if Parameter("m", body) in stated else None
+            size = abs(of_file) if kind == "ia" else (sizes or {}).get(kind, 0.0)
+            if unstated[k]:
+                entry = replace(entry, standing="not stated", stated=own[k] if kind in INERTIAL else None)
+            elif half <= max(size, abs(of_file)):
+                entry = replace(entry, z=(value - of_file) / float(np.hypot(std, prior_std)))
+                tested[name] = nu
+        audited[name] = entry
     for name, nu in tested.items():
         limit = float(stdtrit(nu, 1 - INERTIA_CHANCE / (2 * len(tested))))
         standing: Standing = "contradicted" if abs(audited[name].z or 0.0) > limit else "agrees"
@@ -250,27 +231,27 @@ def _parameters(
     return tuple(audited.values())
 
 
-def _links(comparison: _Comparison) -> Iterator[AuditedLink]:
+def _links(fit: Fit, identified: np.ndarray, file: np.ndarray) -> Iterator[AuditedLink]:
     """Name the links that explain the larger torque error of the file, one after the other."""
-    base, names = comparison.fit.dataset.base, comparison.fit.dataset.model.parameter_names
-    rows, stated = comparison.rows, comparison.stated
-    torque = rows @ (comparison.identified - comparison.file)
+    base, names, stated = fit.dataset.base, fit.dataset.model.parameter_names, stated_inertias(fit.dataset.robot)
+    rows = _rows(fit)
+    torque = rows @ (identified - file)
     members: dict[str, list[int]] = {}
     for k, name in enumerate(names):
         if name.kind in INERTIAL or name in stated:
             members.setdefault(ROTORS if name.kind == "ia" else name.body, []).append(k)
     bodies = {body: base.matrix[:, columns] for body, columns in members.items()}
     # rotor inertias that the file leaves open adapt to any change of links
-    freed = base.matrix[:, [k for k, name in enumerate(names) if name.kind == "ia" and name not in stated]]
-    least, total = float(torque @ torque), float(torque @ torque)
+    freed = base.matrix[:, [name.kind == "ia" and name not in stated for name in names]]
+    total = least = float(torque @ torque)
     while bodies and least > (1 - INERTIA_EXPLAINED) * total:
         tried = {body: _freed(rows, torque, np.hstack([freed, columns])) for body, columns in bodies.items()}
         body = min(tried, key=lambda name: tried[name][0])
         least, change = tried[body]
         freed = np.hstack([freed, bodies.pop(body)])
-        theta = comparison.file.copy()
+        theta = file.copy()
         theta[: base.count] += change
-        yield AuditedLink(body, _rms(comparison.errors(theta)))
+        yield AuditedLink(body, _rms(_errors(fit, theta)))
 
 
 def _freed(rows: np.ndarray, torque: np.ndarray, G: np.ndarray) -> tuple[float, np.ndarray]:
@@ -283,16 +264,11 @@ def _freed(rows: np.ndarray, torque: np.ndarray, G: np.ndarray) -> tuple[float, 
     return float(rest @ rest), G @ x
 
 
-def prior_findings(audit: InertiaAudit | None) -> list[Finding]:
+def prior_findings(audit: InertiaAudit) -> Iterator[Finding]:
     """Find the links whose inertias in the file, taken as priors, the data contradict."""
-    if audit is None or not audit.prior:
-        return []
-    wrong = audit.of("contradicted")
-    listed = {
-        link: [[entry.name, entry.value, entry.std, entry.stated, entry.unit] for entry in wrong if entry.link == link]
-        for link in dict.fromkeys(entry.link for entry in wrong)
-    }
-    return [
-        Finding(F.PRIOR_INERTIA, (), link, {"std": audit.prior, "parameters": parameters})
-        for link, parameters in listed.items()
-    ]
+    listed: dict[str, list[list[str | float | None]]] = {}
+    for entry in audit.of("contradicted") if audit.prior else ():
+        row: list[str | float | None] = [entry.name, entry.value, entry.std, entry.stated, entry.unit]
+        listed.setdefault(entry.link, []).append(row)
+    for link, parameters in listed.items():
+        yield Finding(F.PRIOR_INERTIA, (), link, {"std": audit.prior, "parameters": parameters})

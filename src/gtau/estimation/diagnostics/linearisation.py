@@ -9,17 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property, partial
+from functools import cached_property
 
 import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.estimators.newton import jacobian, jacobian_of_known, residuals, whitening
+from gtau.estimation.estimators.newton import jacobian, jacobian_of_known, residuals, to_gains, whitening
 from gtau.estimation.regression.factors import EXTRA, equations, triangle
 from gtau.estimation.regression.rows import Rows, configurations, instants, stream_rows
 from gtau.estimation.regression.run_blocks import Windows, window_clusters
-from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.loops import Motion
+from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import SampleWindow
 
 RANK = 1e-6  # of the largest singular value: directions below it are left out
@@ -28,11 +29,77 @@ SPANNED = 1e-6  # of the square of a column: less is left by the other unknowns,
 CandidateColumns = Callable[[Rows], np.ndarray]
 """Gives torques (n, K, m), or (c, K, m) of all channels, in N m or N at each block of a window's rows, in order."""
 
-Moving = Callable[[], Motion]
-"""Makes the motion along a window, once."""
 
-Offer = Callable[[SampleWindow, Moving, np.ndarray], CandidateColumns]
-"""Makes the candidate columns along a window: from its motion, and the values (n_b,) of the base columns in its run."""
+@dataclass(frozen=True, eq=False)
+class FitWindow:
+    """A ``window`` of a ``run`` (its number), along which hypotheses offer what the model of a ``fit`` lacks."""
+
+    fit: Fit
+    run: int
+    window: SampleWindow
+
+    @cached_property
+    def motion(self) -> Motion:
+        """The motion along the window; raises GtauError at a singularity."""
+        return window_motion(self.fit.dataset.model, self.window)
+
+    @cached_property
+    def values(self) -> np.ndarray:
+        """Values of the base columns in the run, (n_b,)."""
+        return self.fit.system.motion(self.run, self.fit.solution.theta)
+
+    @property
+    def regressor(self) -> Regressor:
+        """Regressor of the base columns."""
+        return self.fit.dataset.model.columns(self.fit.dataset.base.standard)
+
+    @property
+    def decimator(self) -> Decimator:
+        """Decimator of the run."""
+        return self.fit.dataset.preparation.at(self.window.run.rate).decimator
+
+    def torques_along(self, motion: Motion, values: np.ndarray) -> np.ndarray:
+        """Compute the torques (n, N) of the base columns with some values along a motion."""
+        return self.regressor.torques_along(self.fit.dataset.model.layout, motion, values)
+
+    def torques(self, rows: Rows) -> np.ndarray:
+        """Compute the model's torques (n, K) at rows of the window."""
+        return self.regressor.torques(rows.entries, self.values, len(self.fit.gains))
+
+    def decimated(self, torques: np.ndarray) -> CandidateColumns:
+        """Decimate torques (m, n, N), made at every sample of the window, into candidate columns."""
+        decimated = self.decimator.apply(torques)  # (m, n, outputs)
+        return lambda rows: decimated[:, :, rows.outputs].transpose(1, 2, 0)
+
+    def rows(self, offer: Offer | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Compute the decimated rows of the window (c, K, columns + m), and which of them are kept (c, K).
+
+        Their columns are those of :class:`gtau.estimation.regression.factors.Factors`, and m candidates.
+        """
+        system, candidates = self.fit.system, offer and offer(self)
+        loaded = any(term.kind == "fl" for term in system.terms)
+        load = system.load(self.run, self.fit.solution.theta) if loaded else None
+        rows, keep = [], []
+        for part in stream_rows(self.fit.dataset.model, self.regressor, self.window, self.decimator, load):
+            A = equations(self.regressor, system.problem.channels, part)
+            rows.append(np.concatenate([A, candidates(part)], axis=-1) if candidates else A)
+            keep.append(part.keep)
+        return np.concatenate(rows, axis=1), np.concatenate(keep, axis=1)
+
+    def errors_and_jacobian(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Compute errors (c, p) and their Jacobian (c, p, k), both in standard deviations.
+
+        ``rows`` (c, p, .) begin with the columns of the factors.
+        """
+        system, warm, time = self.fit.system, self.fit.dataset.temperatures, self.window.time
+        above = None if warm is None else warm.between(self.run, time[0], time[-1])
+        columns = system.whole.columns_of(system.problem.parameters)
+        maps = system.map(self.run, above)[..., columns]
+        return weighted(self.fit, rows[..., : maps.shape[1]] @ maps)
+
+
+Offer = Callable[[FitWindow], CandidateColumns]
+"""Makes the candidate columns along a window."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,17 +118,19 @@ class Linearised:
     known: tuple[np.ndarray, np.ndarray]
     clusters: np.ndarray
 
-    @property
+    @cached_property
     def rows(self) -> tuple[np.ndarray, np.ndarray]:
         """Errors (.,) and Jacobian (., k) of all windows, and then of the known parameters."""
-        J = self.jacobian.reshape(-1, self.jacobian.shape[-1])
-        return np.concatenate([self.errors.ravel(), self.known[0]]), np.concatenate([J, self.known[1]])
+        e, J = self.known
+        rows = self.jacobian.reshape(-1, J.shape[1])
+        return np.append(self.errors, e), np.concatenate([rows, J])
 
     def fitted(self, columns: slice | Sequence[int] = ()) -> tuple[np.ndarray, np.ndarray]:
         """Fit all unknowns together with some candidate columns: their step (k + m,), and the errors (.,) left."""
         e, J = self.rows
         offered = self.offered[..., columns].reshape(self.errors.size, -1)
-        wide = np.hstack([J, np.pad(offered, ((0, len(self.known[0])), (0, 0)))])
+        beside = np.zeros((len(self.known[0]), offered.shape[1]))
+        wide = np.hstack([J, np.concatenate([offered, beside])])
         step = least_squares_step(wide, e)
         return step, e + wide @ step
 
@@ -76,7 +145,8 @@ class Linearised:
         W = self.jacobian @ self.back
         W_e = np.einsum("wjpk,wjp->k", W, self.errors)
         left = self.errors - W @ W_e
-        return W, W_e, left, np.einsum("wipk,wip->wk", W, left), np.einsum("wipk,wipl->wkl", W, W, optimize=True)
+        W_left = np.einsum("wipk,wip->wk", W, left)
+        return W, W_e, left, W_left, np.einsum("wipk,wipl->wkl", W, W, optimize=True)
 
     def score_tests(self, columns: slice, shared: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Test each candidate column alone, in each channel's equations alone or ``shared`` by all channels.
@@ -119,25 +189,23 @@ class Linearised:
         return size, np.where(spanned, np.inf, std), share, -along @ self.back.T
 
 
-def linearise(
-    fit: Fit, windows: Windows, offer: Offer | None = None, model: InverseDynamics | None = None
-) -> Linearised:
+def linearise(fit: Fit, windows: Windows, offer: Offer | None = None) -> Linearised:
     """Linearise the residuals of a fit along windows of its runs, with candidate columns of all channels.
 
-    Another ``model`` of the robot has the same base columns. Raises GtauError where the model refuses a sample.
+    Raises GtauError where the model refuses a sample.
     """
-    model = fit.dataset.model if model is None else model
+    fit_windows = [FitWindow(fit, run, window) for run, window in windows]
     reduced = []
-    for run, window in windows:
-        motion, values = cache(partial(window_motion, model, window)), fit.system.motion(run, fit.solution.theta)
-        A, keep = window_rows(fit, run, window, None if offer is None else offer(window, motion, values), model)
+    for window in fit_windows:
+        A, keep = window.rows(offer)
         reduced.append([triangle(of_channel[kept]) for of_channel, kept in zip(A, keep, strict=True)])
     T = stacked_triangles(reduced)
-    parts = [errors_and_jacobian(fit, run, window, rows) for (run, window), rows in zip(windows, T, strict=True)]
+    parts = [window.errors_and_jacobian(rows) for window, rows in zip(fit_windows, T, strict=True)]
     e, J = (np.stack(part) for part in zip(*parts, strict=True))
-    weights = 1 / (fit.solution.gains * np.maximum(fit.solution.sigma, fit.system.problem.smallest_sigma))
+    weights = weights_of(fit) / fit.solution.gains
     offered = -weights[:, None, None] * T[..., fit.dataset.base.count + EXTRA :]
-    return Linearised(e, J, offered, known_rows(fit, windows), window_clusters(windows, *fit.dataset.prepared.places))
+    clusters = window_clusters(windows, *fit.dataset.prepared.places)
+    return Linearised(e, J, offered, known_rows(fit, windows), clusters)
 
 
 def stacked_triangles(reduced: Sequence[Sequence[np.ndarray]]) -> np.ndarray:
@@ -146,43 +214,21 @@ def stacked_triangles(reduced: Sequence[Sequence[np.ndarray]]) -> np.ndarray:
     return np.stack([[np.pad(R, ((0, height - len(R)), (0, 0))) for R in of_window] for of_window in reduced])
 
 
-def window_rows(
-    fit: Fit, run: int, window: SampleWindow, candidates: CandidateColumns | None, model: InverseDynamics
-) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the decimated rows of a window (c, K, columns + m), and which of them are kept (c, K).
-
-    Their columns are those of :class:`gtau.estimation.regression.factors.Factors`, and m candidates.
-    """
-    regressor, c = model.columns(fit.dataset.base.standard), len(fit.system.problem.channels)
-    loaded = any(term.kind == "fl" for term in fit.system.terms)
-    load = fit.system.load(run, fit.solution.theta) if loaded else None
-    decimator = fit.dataset.preparation.at(window.run.rate).decimator
-    parts, keep = [], []
-    for part in stream_rows(model, regressor, window, decimator, load):
-        torques = np.zeros((c, len(part.time), 0)) if candidates is None else candidates(part)
-        parts.append(np.concatenate([equations(regressor, fit.system.problem.channels, part), torques], axis=-1))
-        keep.append(part.keep)
-    return np.concatenate(parts, axis=1), np.concatenate(keep, axis=1)
-
-
-def errors_and_jacobian(fit: Fit, run: int, window: SampleWindow, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Compute errors (c, p) and their Jacobian (c, p, k), both in standard deviations, along a ``window`` of a run.
-
-    ``rows`` (c, p, .) begin with the columns of the factors.
-    """
-    system, problem = fit.system, fit.system.problem
-    columns = system.whole.columns_of(problem.parameters)
-    warm, time = fit.dataset.temperatures, window.time
-    maps = system.map(run, None if warm is None else warm.between(run, time[0], time[-1]))[..., columns]
-    return weighted(fit, rows[..., : maps.shape[1]] @ maps)
-
-
 def weighted(fit: Fit, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Compute errors (..., c, p) of a problem's blocks and their Jacobian (..., c, p, k), in standard deviations."""
-    problem, values = fit.system.problem, fit.solution.values
-    weights = 1 / np.maximum(fit.solution.sigma, problem.smallest_sigma)
-    e, J = residuals(blocks, values), jacobian(blocks, values, problem, fit.free_gains)
-    return e * weights[:, None], J * weights[:, None, None]
+    values, weights = fit.solution.values, weights_of(fit)[:, None]
+    J = jacobian(blocks, values, fit.system.problem, fit.free_gains)
+    return residuals(blocks, values) * weights, J * weights[..., None]
+
+
+def weights_of(fit: Fit) -> np.ndarray:
+    """Compute the weights of the channels' errors, (c,)."""
+    return np.asarray(1 / np.maximum(fit.solution.sigma, fit.system.problem.smallest_sigma))
+
+
+def slopes_of(fit: Fit) -> np.ndarray:
+    """Differentiate (theta, gains, delays) by the unknowns of the Jacobian, (k, .)."""
+    return to_gains(fit.solution.values, len(fit.solution.gains), fit.free_gains)
 
 
 def window_motion(model: InverseDynamics, window: SampleWindow) -> Motion:
@@ -193,8 +239,8 @@ def window_motion(model: InverseDynamics, window: SampleWindow) -> Motion:
 def motion_along(model: InverseDynamics, window: SampleWindow, c: np.ndarray) -> Motion:
     """Compute the motion with configurations ``c`` (n_c, N) along a window."""
     samples = window.samples()
-    qd, qdd = (np.ascontiguousarray(rates.T) for rates in (samples.qd, samples.qdd))
-    return model.rates(np.ascontiguousarray(c), qd, qdd, instants(window.run.name, samples.time))
+    c, qd, qdd = map(np.ascontiguousarray, (c, samples.qd.T, samples.qdd.T))
+    return model.rates(c, qd, qdd, instants(window.run.name, samples.time))
 
 
 def least_squares_step(J: np.ndarray, e: np.ndarray) -> np.ndarray:
@@ -209,26 +255,18 @@ def known_rows(fit: Fit, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
 
     They count against as many rows as the windows have.
     """
-    problem, dataset = fit.system.problem, fit.dataset
-    share = sum(len(window) for _, window in windows) / sum(map(len, dataset.prepared))
-    weight = np.sqrt(min(share, 1.0))
+    problem, samples = fit.system.problem, sum(map(len, fit.dataset.prepared))
+    weight = np.sqrt(min(sum(len(window) for _, window in windows) / samples, 1.0))
     errors = problem.known[:, :-1] @ fit.solution.theta - problem.known[:, -1]
     return weight * errors, weight * jacobian_of_known(problem, fit.free_gains)
-
-
-def at_full_rate(window: SampleWindow, fit: Fit, torques: np.ndarray) -> CandidateColumns:
-    """Decimate torques (m, n, M), made at every sample of a window, into candidate columns."""
-    decimator = fit.dataset.preparation.at(window.run.rate).decimator
-    decimated = decimator.apply(torques)  # (m, n, outputs)
-    return lambda rows: decimated[:, :, rows.outputs].transpose(1, 2, 0)
 
 
 def on_channels(offer: Offer, felt: bool) -> Offer:
     """Add a joint's torque to its torque sensor's rows where the sensor has ``felt`` it, otherwise zeros."""
 
-    def with_sensors(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
-        columns = offer(window, motion, values)
-        behind = [channel.row for channel in window.run.channels if channel.kind.link_side]
+    def with_sensors(at: FitWindow) -> CandidateColumns:
+        columns = offer(at)
+        behind = [channel.row for channel in at.window.run.channels if channel.kind.link_side]
 
         def of_channels(rows: Rows) -> np.ndarray:
             torques = columns(rows)
@@ -242,8 +280,8 @@ def on_channels(offer: Offer, felt: bool) -> Offer:
 def side_by_side(offers: Sequence[Offer]) -> Offer:
     """Build the columns of several hypotheses in one pass over the windows."""
 
-    def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
-        made = [make(window, motion, values) for make in offers]
-        return lambda rows: np.concatenate([columns(rows) for columns in made], axis=-1)
+    def offer(at: FitWindow) -> CandidateColumns:
+        parts = [make(at) for make in offers]
+        return lambda rows: np.concatenate([columns(rows) for columns in parts], axis=-1)
 
     return offer

@@ -22,15 +22,15 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.linearisation import (
-    errors_and_jacobian,
+    FitWindow,
     known_rows,
     linearise,
+    slopes_of,
     stacked_triangles,
-    window_rows,
 )
 from gtau.estimation.diagnostics.log_checks import lack_of_fit
 from gtau.estimation.estimators.estimator import Fit, jackknife
-from gtau.estimation.estimators.newton import to_gains, whitening
+from gtau.estimation.estimators.newton import whitening
 from gtau.estimation.estimators.two_stage import first_stage, two_stage
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import SIGNALS, triangle
@@ -41,9 +41,10 @@ from gtau.estimation.regression.run_blocks import (
     Windows,
     central_windows,
     moving_stretches,
+    usable_rows,
     window_clusters,
 )
-from gtau.estimation.thresholds.estimates import DIFFERENT_STD, NOISE_STD, WEAK_INSTRUMENTS
+from gtau.estimation.thresholds.estimates import DIFFERENT_STD, FEWEST_FOR_TESTS, NOISE_STD, WEAK_INSTRUMENTS
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.findings.words import RELATIVE
@@ -70,40 +71,29 @@ def _alternatives(fit: Fit, estimator: Finding, moves: np.ndarray, stds: np.ndar
     """
     problem, values = fit.system.problem, fit.solution.values
     plausible = np.sqrt(np.diag(fit.solution.jackknife))
-    for k, name in enumerate(problem.unknowns[: problem.gain_rows.stop]):
-        j, gain = k - problem.gain_rows.start, name.kind == "gain"
-        estimated = problem.unknown_gains[j] if gain else abs(moves[k]) >= DIFFERENT_STD * stds[k]
-        if not (estimated and stds[k] > 0 and plausible[k] > 0 and values[k]):
-            continue
-        scale, joints = abs(values[k]), (problem.joints[j],) if gain else ()
-        yield Alternative(
-            estimator.kind,
-            (replace(estimator, joints=joints, subject="" if gain else name),),
-            float(moves[k] / values[k]),
-            float(stds[k] / scale),
-            RELATIVE,
-            plausible=float(plausible[k] / scale),
-        ).moving(fit, np.where(np.arange(len(values)) == k, values, 0.0))
+    counted = (stds > 0) & (plausible > 0) & (values != 0)
+    counted[problem.gain_rows] &= problem.unknown_gains[: len(problem.joints)]
+    counted[problem.unknowns.theta] &= (np.abs(moves) >= DIFFERENT_STD * stds)[problem.unknowns.theta]
+    counted[problem.gain_rows.stop :] = False
+    for k in np.flatnonzero(counted):
+        name, scale = problem.unknowns[k], abs(values[k])
+        joints, subject = ((name.body,), "") if name.kind == "gain" else ((), name)
+        cause = replace(estimator, joints=joints, subject=subject)
+        size, std = float(moves[k] / values[k]), float(stds[k] / scale)
+        effect = Alternative(estimator.kind, (cause,), size, std, RELATIVE, plausible=float(plausible[k] / scale))
+        yield effect.moving(fit, np.where(np.arange(len(values)) == k, values, 0.0))
 
 
-def position_noise(fit: Fit, alternatives: Sequence[Alternative]) -> list[Finding]:
+def position_noise(fit: Fit, alternatives: Sequence[Alternative]) -> Iterator[Finding]:
     """Find the bias from position noise, where Hausman's test against instrumental variables shows it."""
-    biased = [
-        effect
-        for effect in alternatives
-        if effect.causes[0].kind == F.INSTRUMENTS and abs(effect.t) > NOISE_STD and abs(effect.size) > effect.plausible
-    ]
-    if not biased:
-        return []
-    worst = max(biased, key=lambda effect: abs(effect.size) / effect.plausible)
-    estimate = worst.causes[0]
-    values = {
-        "count": len(biased),
-        "all": len(fit.solution.theta) + len(fit.gains),
-        "deviations": abs(worst.size) / worst.plausible,
-        "t": abs(worst.t),
-    }
-    return [Finding(F.POSITION_NOISE, estimate.joints, estimate.subject, values)]
+    tested = [effect for effect in alternatives if effect.hypothesis == F.INSTRUMENTS]
+    biased = [effect for effect in tested if abs(effect.t) > NOISE_STD and abs(effect.size) > effect.plausible]
+    if biased:
+        worst = max(biased, key=lambda effect: abs(effect.size) / effect.plausible)
+        count = {"count": len(biased), "all": len(fit.solution.theta) + len(fit.gains)}
+        sizes = {"deviations": abs(worst.size) / worst.plausible, "t": abs(worst.t)}
+        cause = worst.causes[0]
+        yield Finding(F.POSITION_NOISE, cause.joints, cause.subject, count | sizes)
 
 
 def two_stage_difference(fit: Fit) -> Iterator[Alternative | Finding]:
@@ -133,7 +123,10 @@ def two_stage_difference(fit: Fit) -> Iterator[Alternative | Finding]:
 def other_estimators(fit: Fit) -> Iterator[Alternative | Finding]:
     """Compare estimates with other preparations and instrumental variables, and find the estimators that refuse."""
     for difference in differences(fit):
-        yield from (difference,) if isinstance(difference, Finding) else _alternatives(fit, *difference)
+        if isinstance(difference, Finding):
+            yield difference
+        else:
+            yield from _alternatives(fit, *difference)
 
 
 def differences(fit: Fit) -> Iterator[tuple[Finding, np.ndarray, np.ndarray] | Finding]:
@@ -142,35 +135,34 @@ def differences(fit: Fit) -> Iterator[tuple[Finding, np.ndarray, np.ndarray] | F
     cut = moving_stretches(dataset.prepared, WINDOWS)
     further, preparations = _filtered_further(dataset.preparation), _preparations(dataset.preparation)
     try:
-        filtered = dataset if further is None else _prepared_as(dataset, further)
-        pairs = _pairs(fit, windows, central_windows(filtered.prepared, WINDOWS, cut))
-    except GtauError as refusal:  # the loops do not close along motion that is filtered otherwise
-        yield _untested(refusal, Finding(F.INSTRUMENTS), *(changed for changed, _ in preparations))
-        return
-    if not pairs:
-        return
-    rows = [J for _, J, _ in pairs]
+        others = windows if further is None else _windows(fit, _prepared_as(dataset, further), cut)
+        pairs = _pairs(fit, windows, others)
+    except GtauError as refusal:  # its filter leaves no rows, or the loops do not close along that motion
+        yield _untested(refusal, Finding(F.INSTRUMENTS))
+        further, pairs = None, _pairs(fit, windows, windows)
     known, clusters = known_rows(fit, windows)[1], window_clusters(windows, *dataset.prepared.places)
-    back = whitening(np.concatenate([*rows, known]), np.zeros(len(fit.solution.gains)))
-    T = to_gains(fit.solution.values, len(fit.solution.gains), fit.free_gains) @ back
-    usual = [(J.T @ J, J.T @ e) for _, J, e in pairs]
+    jacobians = [J for _, J, _ in pairs]
+    back = whitening(np.concatenate([*jacobians, known]), np.zeros(len(fit.solution.gains)))
+    usual, white = [(J.T @ J, J.T @ e) for _, J, e in pairs], known @ back
+    T = slopes_of(fit) @ back
+
+    def compared(weighed: Sequence[Moments]) -> tuple[np.ndarray, np.ndarray]:
+        first, second = ([(back.T @ A @ back, back.T @ g) for A, g in moments] for moments in (usual, weighed))
+        step, scatter = _difference(first, second, clusters, white.T @ white)
+        return T @ step, np.sqrt(np.sum((scatter @ T.T) ** 2, axis=0))
+
     if further is not None and not fit.noise_free:
-        weighed = [(Z.T @ J, Z.T @ e) for Z, J, e in pairs]
-        difference = _difference(usual, weighed, clusters, known, back, T)
-        yield Finding(F.INSTRUMENTS), *difference
+        yield Finding(F.INSTRUMENTS), *compared([(Z.T @ J, Z.T @ e) for Z, J, e in pairs])
     for changed, preparation in preparations:
         other = replace(fit, system=replace(fit.system, dataset=_prepared_as(dataset, preparation)))
-        others = central_windows(other.dataset.prepared, WINDOWS, cut)
-        if len(others) != len(pairs):
-            continue  # its filters are longer than a window
         try:
+            others = _windows(fit, other.dataset, cut)
             linear = linearise(other, others)
         except GtauError as refusal:
             yield _untested(refusal, changed)
             continue
-        moments = zip(linear.jacobian.reshape(len(others), -1, len(back)), linear.errors, strict=True)
-        weighed = [(J.T @ J, J.T @ e.ravel()) for J, e in moments]
-        yield changed, *_difference(usual, weighed, clusters, known, back, T)
+        rows = zip(linear.jacobian.reshape(len(others), -1, len(back)), linear.errors, strict=True)
+        yield changed, *compared([(J.T @ J, J.T @ e.ravel()) for J, e in rows])
 
 
 def _untested(refusal: GtauError, *estimators: Finding) -> Finding:
@@ -205,55 +197,55 @@ def _prepared_as(dataset: Dataset, preparation: Preparation) -> Dataset:
     return replace(dataset, preparation=preparation, prepared=prepared)
 
 
+def _windows(fit: Fit, dataset: Dataset, cut: Sequence[list[range]]) -> Windows:
+    """Cut the windows of the fit from runs that are prepared otherwise; raises GtauError where few rows are left."""
+    windows = central_windows(dataset.prepared, WINDOWS, cut)
+    rows = usable_rows(windows, dataset.prepared)
+    if len(windows) < len(fit.dataset.windows(WINDOWS)) or rows < FEWEST_FOR_TESTS * len(fit.solution.values):
+        raise GtauError(f"its filters leave {rows} rows in the middle of these runs.")
+    return windows
+
+
 def _pairs(fit: Fit, usual: Windows, further: Windows) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Compute Jacobians along the further filtered and the usual motion, (., k) each, and residuals (.,), by window.
 
     Rows of a joint are reduced together, so that products of their columns remain. The sign of a speed that is filtered
     further changes at other samples, which is no noise: columns of Coulomb friction are the usual ones in both.
     """
-    model, pairs = fit.dataset.model, []
+    pairs = []
     dry = [k for k, name in enumerate(fit.dataset.base.standard) if name.kind == "fs"]
     dry.append(fit.dataset.base.count + TERMS.index("fl"))
     for (run, window), (_, filtered) in zip(usual, further, strict=True):
-        A, keep = window_rows(fit, run, window, None, model)
-        Z, keep_filtered = window_rows(fit, run, filtered, None, model)
+        usual_window = FitWindow(fit, run, window)
+        (A, keep), (Z, kept) = usual_window.rows(), FitWindow(fit, run, filtered).rows()
         b = A.shape[-1] - 3
         Z[..., dry] = A[..., dry]
         both = np.concatenate([Z[..., :b], A], axis=-1)
-        factors = [triangle(of_joint[kept]) for of_joint, kept in zip(both, keep & keep_filtered, strict=True)]
+        factors = [triangle(rows[used]) for rows, used in zip(both, keep & kept, strict=True)]
         R = stacked_triangles([factors])[0]
-        e, J = errors_and_jacobian(fit, run, window, R[..., b:])
-        _, J_filtered = errors_and_jacobian(fit, run, window, np.concatenate([R[..., :b], R[..., SIGNALS]], axis=-1))
-        pairs.append((J_filtered.reshape(-1, J.shape[-1]), J.reshape(-1, J.shape[-1]), e.ravel()))
+        e, J = usual_window.errors_and_jacobian(R[..., b:])
+        R_filtered = np.concatenate([R[..., :b], R[..., SIGNALS]], axis=-1)
+        _, J_filtered = usual_window.errors_and_jacobian(R_filtered)
+        k = J.shape[-1]
+        pairs.append((J_filtered.reshape(-1, k), J.reshape(-1, k), e.ravel()))
     return pairs
 
 
 def _difference(
-    usual: Sequence[Moments],
-    weighed: Sequence[Moments],
-    clusters: np.ndarray,
-    known: np.ndarray,
-    back: np.ndarray,
-    T: np.ndarray,
+    usual: Sequence[Moments], weighed: Sequence[Moments], clusters: np.ndarray, known: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the differences of (theta, gains, delays) between two estimators, (k,), and their standard deviations.
+    """Compute the difference between two estimators (r,), and its scatter over clusters of windows, (clusters, r).
 
-    The solution counts as where the first estimator ends; the share of a cluster of windows in the difference is its
-    influence on one estimator less that on the other.
+    Moments, and the part (r, r) of ``known`` parameters, are by unknowns that make the usual curvature one. The
+    solution counts as where the first estimator ends; the share of a cluster in the difference is its influence on one
+    estimator less that on the other.
     """
-    identity, white = np.eye(back.shape[1]), known @ back
-    curvatures = [back.T @ A @ back for A, _ in weighed]
-    rest = white.T @ white
-    inverse = np.linalg.pinv(np.sum(curvatures, axis=0) + rest, rcond=SPANNED)
-    scale = np.trace(np.sum(curvatures, axis=0)) / max(np.trace(identity - rest), 1.0)  # as there are other rows
-    gradients = [back.T @ g - scale * (back.T @ g_usual) for (_, g), (_, g_usual) in zip(weighed, usual, strict=True)]
-    step = -inverse @ np.sum(gradients, axis=0)
+    curvature = np.sum([A for A, _ in weighed], axis=0)
+    inverse = np.linalg.pinv(curvature + known, rcond=SPANNED)
+    scale = np.trace(curvature) / max(len(known) - np.trace(known), 1.0)  # as there are other rows
+    pairs = list(zip(weighed, usual, strict=True))
+    step = -inverse @ np.sum([g - scale * first for (_, g), (_, first) in pairs], axis=0)
     count = int(clusters.max()) + 1
-    of_windows = [
-        -inverse @ (back.T @ g + A @ step) + back.T @ g_usual
-        for A, (_, g), (_, g_usual) in zip(curvatures, weighed, usual, strict=True)
-    ]
     shares = np.zeros((count, len(step)))
-    np.add.at(shares, clusters, of_windows)
-    scatter = (shares - shares.mean(axis=0)) @ T.T
-    return T @ step, np.sqrt(count / max(count - 1, 1) * np.sum(scatter**2, axis=0))
+    np.add.at(shares, clusters, [first - inverse @ (g + A @ step) for (A, g), (_, first) in pairs])
+    return step, np.sqrt(count / max(count - 1, 1)) * (shares - shares.mean(axis=0))

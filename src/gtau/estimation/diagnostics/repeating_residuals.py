@@ -12,37 +12,33 @@ opposite sign depend on the load, and bias the gains as a wrong payload does.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
-from gtau.estimation.diagnostics.alternatives import Alternative
+from gtau.estimation.diagnostics.alternatives import RIPPLE, Alternative
 from gtau.estimation.diagnostics.hypotheses.drives import FALLING_CONSTANT, LOAD_FRICTION
 from gtau.estimation.diagnostics.linearisation import (
     CandidateColumns,
+    FitWindow,
     Linearised,
-    Moving,
-    at_full_rate,
-    errors_and_jacobian,
     least_squares_step,
     linearise,
     on_channels,
-    window_rows,
+    slopes_of,
+    weights_of,
 )
 from gtau.estimation.estimators.estimator import Fit, jackknife
-from gtau.estimation.estimators.newton import to_gains
 from gtau.estimation.regression.factors import triangle
 from gtau.estimation.regression.run_blocks import BLOCKS, SAMPLES
 from gtau.estimation.thresholds.estimates import CORRELATED, CORRELATED_STD, PROBABLE, RIPPLE_SHARE
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
-from gtau.signals.preparation.prepared_run import SampleWindow
 
 KNOTS = 24  # of the piecewise linear function, over a joint's range in all runs
 LARGEST = 10.0  # times the joint's error: how large such a torque may be, more or less
-RIPPLE = "position ripple"
 OF_LOAD = (LOAD_FRICTION.kind, FALLING_CONSTANT.kind, F.GAIN_CHANGE)  # effects that depend on the load
 
 
@@ -52,34 +48,33 @@ def position_ripple(fit: Fit) -> Alternative:
     Its share is the mean over the channels, of the variance of whose errors one half of the runs predicts in the other.
     A torque sensor does not feel the ripple of its motor.
     """
-    problem, solution = fit.system.problem, fit.solution
-    pieces = fit.dataset.windows(2)
+    solution, pieces = fit.solution, fit.dataset.windows(2)
     low = np.min([piece.q.min(axis=0) for _, piece in pieces], axis=0)
     high = np.max([piece.q.max(axis=0) for _, piece in pieces], axis=0)
     knots = np.linspace(low, high, KNOTS)  # (KNOTS, n)
     width = np.maximum(knots[1] - knots[0], 1e-300)
 
-    def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
-        q = window.samples().q.T
+    def offer(at: FitWindow) -> CandidateColumns:
+        q = at.window.samples().q.T
         hats = np.maximum(0.0, 1 - np.abs(q[:, None, :] - knots.T[:, :, None]) / width[:, None, None])
-        return at_full_rate(window, fit, hats.swapaxes(0, 1))
+        return at.decimated(hats.swapaxes(0, 1))
 
     linear = linearise(fit, pieces, on_channels(offer, felt=False))
-    halves = [np.arange(0, len(pieces), 2), np.arange(1, len(pieces), 2)]
-    heights = 1 / (LARGEST * np.abs(solution.gains) * np.maximum(solution.sigma, problem.smallest_sigma))
+    even, odd = np.arange(0, len(pieces), 2), np.arange(1, len(pieces), 2)
+    heights = weights_of(fit) / (LARGEST * np.abs(solution.gains))
     errors = linear.errors.copy()
-    for half, other in (halves, halves[::-1]):
+    for half, other in ((even, odd), (odd, even)):
         torques = _fit(linear, [other], heights)[1]
         errors[half] += np.einsum("wjpk,wjk->wjp", linear.offered[half], torques)
     (_, rest), (step, before) = _left(replace(linear, errors=errors)), _left(linear)
     shares = 1 - rest / np.maximum(before, 1e-300)
-    nothing = Alternative(RIPPLE, (), 0.0, None, "", 1.0, float(np.maximum(shares, 0.0).mean()))
-    nothing = replace(nothing, shifts=np.zeros(len(solution.values)))
+    share, shifts = float(np.maximum(shares, 0.0).mean()), np.zeros(len(solution.values))
+    nothing = Alternative(RIPPLE, (), 0.0, None, "", 1.0, share, shifts=shifts)
     if np.max(shares) < RIPPLE_SHARE:
         return nothing
-    repeats = shares > 0  # what of a joint does not repeat would only take up what its parameters explain
-    moved, _ = _fit(linear, halves, np.where(repeats, heights, np.inf))
-    shifts = to_gains(solution.values, len(solution.gains), fit.free_gains) @ (moved - step)
+    # what of a joint does not repeat would only take up what its parameters explain
+    moved, _ = _fit(linear, [even, odd], np.where(shares > 0, heights, np.inf))
+    shifts = slopes_of(fit) @ (moved - step)
     return replace(nothing, causes=(_ripple(fit, shares, shifts),), shifts=shifts)
 
 
@@ -92,15 +87,15 @@ def _fit(linear: Linearised, pieces: Sequence[np.ndarray], heights: np.ndarray) 
     """
     tops, rests = [], []
     all_rows = np.concatenate([linear.offered, linear.jacobian, linear.errors[..., None]], axis=-1)
+    all_rows[:, np.isinf(heights), :, :KNOTS] = 0.0
+    heights = np.where(np.isinf(heights), 1.0, heights)
     for of_run in zip(*pieces, strict=True):
         for j, height in enumerate(heights):
-            rows = [all_rows[piece, j] for piece in of_run]
-            if np.isinf(height):
-                height, rows = 1.0, [np.pad(part[:, KNOTS:], ((0, 0), (KNOTS, 0))) for part in rows]
-            R = triangle(np.eye(KNOTS, all_rows.shape[-1]) * height, *rows)
+            R = triangle(np.eye(KNOTS, all_rows.shape[-1]) * height, *all_rows[list(of_run), j])
             tops.append(R[:KNOTS])
             rests.append(R[KNOTS:, KNOTS:])
-    rest = np.concatenate([*rests, np.column_stack([linear.known[1], linear.known[0]])])
+    e, J = linear.known
+    rest = np.concatenate([*rests, np.column_stack([J, e])])
     step = least_squares_step(rest[:, :-1], rest[:, -1])
     torques = [-np.linalg.solve(top[:, :KNOTS], top[:, KNOTS:-1] @ step + top[:, -1]) for top in tops]
     return step, np.reshape(torques, (-1, len(heights), KNOTS))
@@ -115,13 +110,11 @@ def _left(linear: Linearised) -> tuple[np.ndarray, np.ndarray]:
 def _ripple(fit: Fit, shares: np.ndarray, shifts: np.ndarray) -> Finding:
     """Find the torque that repeats at the same positions, and its effect on the gains."""
     problem = fit.system.problem
-    j = int(np.argmax(shares[: len(problem.joints)]))
-    moves = np.abs(shifts[problem.gain_rows] / fit.gains)
-    k = int(np.argmax(moves))
+    j, moves = int(np.argmax(shares[: len(problem.joints)])), np.abs(shifts[problem.gain_rows] / fit.gains)
     base = not problem.channels[j].kind.of_joint  # its rows are no joints of the user
-    values = {"share": float(shares[j]), "base": base, "move": float(moves[k]), "moved": problem.joints[k]}
+    moved = {"move": float(moves.max()), "moved": problem.joints[int(np.argmax(moves))]}
     joints, subject = ((), fit.dataset.robot.floating) if base else ((problem.joints[j],), "")
-    return Finding(F.RIPPLE, joints, subject, values)
+    return Finding(F.RIPPLE, joints, subject, {"share": float(shares[j]), "base": base, **moved})
 
 
 def residual_correlations(fit: Fit) -> tuple[np.ndarray, np.ndarray] | None:
@@ -130,24 +123,25 @@ def residual_correlations(fit: Fit) -> tuple[np.ndarray, np.ndarray] | None:
     The correlations (n,) have standard deviations (n,) from the scatter over blocks.
     """
     (groups, spans), runs, n = fit.dataset.prepared.places, fit.dataset.runs, len(fit.system.problem.joints)
-    loads = [None if run.payload is None else run.payload.name for run in runs]
-    pairs = [(k, m) for k, m in combinations(range(len(runs)), 2) if groups[k] == groups[m] and loads[k] != loads[m]]
+    kinds = [(group, run.payload and run.payload.name) for group, run in zip(groups, runs, strict=True)]
+    pairs = [(k, m) for k, m in combinations(range(len(runs)), 2) if kinds[k][0] == kinds[m][0]]
+    pairs = [(k, m) for k, m in pairs if kinds[k] != kinds[m]]
     if not pairs:
         return None
     series = {k: _residuals(fit, k) for k in sorted({k for pair in pairs for k in pair})}
-    sums = np.zeros((3, BLOCKS, n))
+    sums = np.zeros((BLOCKS, 3, n))
     for k, m in pairs:
         (t, e), (t_m, e_m) = series[k], series[m]
         again = t + spans[m, 0] - spans[k, 0]
-        stretch = np.clip((BLOCKS * (t - t[0]) / (t[-1] - t[0])).astype(int), 0, BLOCKS - 1)
+        block = np.clip((BLOCKS * (t - t[0]) / (t[-1] - t[0])).astype(int), 0, BLOCKS - 1)
         for j in range(n):
             one, other = e[j], np.interp(again, t_m, e_m[j], left=np.nan, right=np.nan)
-            both = np.isfinite(one) & np.isfinite(other)
-            for sum_of, products in zip(sums, (one * other, one**2, other**2), strict=True):
-                np.add.at(sum_of[:, j], stretch[both], products[both])
-    total = sums.sum(axis=1)
+            products = np.stack([one * other, one**2, other**2])
+            products[:, ~np.isfinite(products[0])] = 0.0
+            np.add.at(sums[..., j], block, products.T)
+    total = sums.sum(axis=0)
     value = _correlation(total)
-    without = _correlation(total[:, None] - sums) - value
+    without = _correlation(np.moveaxis(total - sums, 1, 0)) - value
     return value, np.sqrt(np.diag(jackknife(without)))
 
 
@@ -162,37 +156,31 @@ def _residuals(fit: Fit, run: int) -> tuple[np.ndarray, np.ndarray]:
     middle = int((span.mean() - float(prepared.time[0])) * prepared.run.rate)
     start = min(max(middle - size // 2, 0), len(prepared) - size)
     window = prepared.samples(start, start + size)
-    A, keep = window_rows(fit, run, window, None, fit.dataset.model)
-    e, _ = errors_and_jacobian(fit, run, window, A)
+    fit_window = FitWindow(fit, run, window)
+    A, keep = fit_window.rows()
+    e, _ = fit_window.errors_and_jacobian(A)
     decimator = prepared.preparation.decimator
     return window.time[decimator.instants(size)], np.where(keep, e, np.nan)
 
 
-def repeated_motion_findings(fit: Fit, alternatives: Sequence[Alternative]) -> list[Finding]:
+def repeated_motion_findings(fit: Fit, alternatives: Sequence[Alternative]) -> Iterator[Finding]:
     """Find joints whose residuals are correlated, or anticorrelated, between runs with different loads.
 
     Of the ``alternatives`` that act otherwise with another load the likeliest are the causes.
     """
     correlated, joints = residual_correlations(fit), fit.system.problem.joints
     if correlated is None:
-        return []
-    correlations, std = correlated
-    significant = (np.abs(correlations) > CORRELATED) & (np.abs(correlations) > CORRELATED_STD * std)
-    findings = []
+        return
+    values, std = correlated
+    significant = np.abs(values) > np.maximum(CORRELATED, CORRELATED_STD * std)
     for kind, sign in ((F.COMMON_RESIDUALS, 1), (F.OPPOSED_RESIDUALS, -1)):
-        mine = np.flatnonzero(significant & (sign * correlations > 0))
-        if not mine.size:
+        places = np.flatnonzero(significant & (sign * values > 0))
+        names = tuple(joints[j] for j in places)
+        if not names:
             continue
-        names = tuple(joints[j] for j in mine)
-        likely = [
-            effect
-            for effect in alternatives
-            if effect.causes[0].kind in OF_LOAD
-            and effect.probability > PROBABLE
-            and set(effect.causes[0].joints) <= set(names)
-        ]
-        causes = tuple(effect.causes[0] for effect in sorted(likely, key=lambda effect: -effect.share))
-        causes = causes or (Finding(LOAD_FRICTION.kind, names[:1]),)
-        values = {"correlations": [[joints[j], float(correlations[j])] for j in mine]}
-        findings.append(Finding(kind, names, "", values, causes if sign < 0 else ()))
-    return findings
+        of_load = [effect for effect in alternatives if effect.kind in OF_LOAD and effect.probability > PROBABLE]
+        likely = [effect for effect in of_load if set(effect.causes[0].joints) <= set(names)]
+        causes = [effect.causes[0] for effect in sorted(likely, key=lambda effect: -effect.share)]
+        causes = causes or [Finding(LOAD_FRICTION.kind, names[:1])]
+        listed = {"correlations": [[joints[j], float(values[j])] for j in places]}
+        yield Finding(kind, names, "", listed, tuple(causes) if sign < 0 else ())

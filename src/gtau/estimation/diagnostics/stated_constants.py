@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from gtau.estimation.diagnostics.alternatives import refitted, residual_ratio
-from gtau.estimation.diagnostics.linearisation import weighted
+from gtau.estimation.diagnostics.linearisation import slopes_of, weighted, weights_of
 from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, known_verdict, unexplained_shares, verdict_of
 from gtau.estimation.estimators.estimator import Fit, Solve, jackknife
 from gtau.estimation.estimators.newton import (
@@ -25,12 +25,11 @@ from gtau.estimation.estimators.newton import (
     jacobian_of_known,
     one_step,
     stacked,
-    to_gains,
     whitening,
 )
 from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.regression.dataset import System
-from gtau.estimation.regression.factors import KNOWN, SIGNALS, delayed_signal, modelled, triangle
+from gtau.estimation.regression.factors import FIXED, KNOWN, SIGNALS, delayed_signal, modelled, triangle
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.thresholds.estimates import APART, MISFIT_GIVEN, PAYLOAD_MOVES
 from gtau.findings import Finding
@@ -45,22 +44,20 @@ from gtau.signals.reading.statements import Payload
 class StatedConstant:
     """A constant that sets the scale: its ``source``, ``value`` and standard deviation, 0 if taken as exact.
 
-    The derivatives of the equations by it: of the torques that are known, ``torques`` (U, c, p), of the ``readings``
-    (c,) of the channels, as shares of themselves, and of the residuals of the known parameters, ``known`` (k,).
+    The derivatives by it: of the ``columns`` (U, c, p, 4) behind the model, known torques and signals, and of the
+    residuals of the ``known`` parameters (k,).
     """
 
     source: str
     value: float
     std: float
-    torques: np.ndarray
-    readings: np.ndarray
+    columns: np.ndarray
     known: np.ndarray
 
     def changed(self, problem: Problem, by: float) -> Problem:
         """Return a problem with the constant, no known parameter, increased ``by`` an amount."""
         blocks = problem.blocks.copy()
-        blocks[..., KNOWN] += by * self.torques
-        blocks[..., SIGNALS] *= (1 + by * self.readings)[:, None, None]
+        blocks[..., KNOWN:] += by * self.columns
         return replace(problem, blocks=blocks)
 
 
@@ -69,26 +66,36 @@ def stated_constants(system: System) -> list[StatedConstant]:
 
     The last three are scales, of value 1, of each sensor, of all wrenches, and of all known parameters together.
     """
-    problem = system.problem
-    torques, readings, known = np.zeros(problem.blocks.shape[:3]), np.zeros(len(problem.channels)), problem.known[:, -1]
-    constants = []
-    for name in dict.fromkeys(load.payload.name for load in system.payloads if load.acts):
-        payload = next(load.payload for load in system.payloads if load.payload.name == name)
+    problem, constants = system.problem, list[StatedConstant]()
+    known = problem.known[:, -1]
+    of_channels = np.eye(len(problem.channels))[:, :, None, None]
+
+    def add(
+        source: str, value: float, std: float, torques: np.ndarray | float, readings: np.ndarray | float, share: float
+    ) -> None:
+        columns = np.zeros((*problem.blocks.shape[:3], FIXED))
+        columns[..., KNOWN] = torques
+        columns[..., SIGNALS] = readings * problem.blocks[..., SIGNALS]
+        constants.append(StatedConstant(source, value, std, columns, -share * known))
+
+    payloads: dict[str, Payload] = {}
+    for load in system.payloads:
+        if load.acts:
+            payloads.setdefault(load.payload.name, load.payload)
+    for name, payload in payloads.items():
         for kind, value in known_values(payload).items():
-            std, of_unit = payload.mass_std if kind == "m" else 0.0, _torques_of_unit(system, name, kind)
-            constants.append(StatedConstant(f"payload '{name}'", value, std, of_unit, readings, 0.0 * known))
+            std = payload.mass_std if kind == "m" else 0.0
+            add(f"payload '{name}'", value, std, _torques_of_unit(system, name, kind), 0.0, 0.0)
     for k in problem.sensor_channels:
-        channel, of_sensor = problem.channels[k], np.eye(len(readings))[k]
-        source, std = f"{channel.kind.name} of '{channel.joint}'", channel.std
-        constants.append(StatedConstant(source, 1.0, std, torques, of_sensor, 0.0 * known))
+        channel = problem.channels[k]
+        add(f"{channel.kind.name} of '{channel.joint}'", 1.0, channel.std, 0.0, of_channels[k], 0.0)
     if problem.base or system.of_wrenches is not None:
-        of_bodies = torques if system.of_wrenches is None else system.of_wrenches
+        torques = 0.0 if system.of_wrenches is None else system.of_wrenches
         channels = system.dataset.runs[0].channels
         std = max((channel.std for channel in channels if not channel.kind.of_joint), default=0.0)
-        of_base = np.eye(len(readings))[problem.base].sum(axis=0)
-        constants.append(StatedConstant(_wrenches(problem), 1.0, std, of_bodies, of_base, 0.0 * known))
+        add(_wrenches(problem), 1.0, std, torques, of_channels[problem.base].sum(axis=0), 0.0)
     if len(known):
-        constants.append(StatedConstant("known parameters", 1.0, 0.0, torques, readings, -known))
+        add("known parameters", 1.0, 0.0, 0.0, 0.0, 1.0)
     return constants
 
 
@@ -116,29 +123,27 @@ def _wrenches(problem: Problem) -> str:
 
 def estimate_slopes(fit: Fit, constants: Sequence[StatedConstant]) -> np.ndarray:
     """Differentiate (theta, gains, delays) with respect to stated constants, (k, m), at the solution."""
-    problem, solution, values = fit.system.problem, fit.solution, fit.solution.values
-    triangles, weights = stacked(problem), 1 / np.maximum(solution.sigma, problem.smallest_sigma)
-    J = jacobian(triangles, values, problem, fit.free_gains) * weights[:, None, None]
-    known = jacobian_of_known(problem, fit.free_gains)
-    rows = np.concatenate([J.reshape(-1, J.shape[-1]), known])
-    back = whitening(rows, curvature_of_delays(triangles, values, problem, weights))
-    of_blocks = jacobian(problem.blocks, values, problem, fit.free_gains)
-    read = delayed_signal(problem.blocks, solution.delays)
-    sides = np.zeros((len(constants), J.shape[-1]))
-    for side, constant in zip(sides, constants, strict=True):
-        change = constant.readings[:, None] * read - constant.torques / solution.gains[:, None]
-        side[:] = np.einsum("ujpk,ujp,j->k", of_blocks, change, weights**2) + known.T @ constant.known
-    T = to_gains(values, len(solution.gains), fit.free_gains)
-    return np.asarray(-(T @ back) @ (back.T @ sides.T))
+    problem, solution, weights = fit.system.problem, fit.solution, weights_of(fit)
+    triangles, known = stacked(problem), jacobian_of_known(problem, fit.free_gains)
+    J = weighted(fit, triangles)[1].reshape(-1, known.shape[1])
+    back = whitening(np.concatenate([J, known]), curvature_of_delays(triangles, solution.values, problem, weights))
+    of_blocks = jacobian(problem.blocks, solution.values, problem, fit.free_gains)
+    sides = []
+    for constant in constants:
+        read, torques = delayed_signal(constant.columns, solution.delays), constant.columns[..., KNOWN]
+        change = read - torques / solution.gains[:, None]
+        side = np.einsum("ujpk,ujp,j->k", of_blocks, change, weights**2)
+        sides.append(side + known.T @ constant.known)
+    T = slopes_of(fit)
+    return np.asarray(-(T @ back) @ (back.T @ np.reshape(sides, (-1, len(back))).T))
 
 
 def scale_shares(fit: Fit) -> dict[str, np.ndarray]:
     """Find the share of each source in the scale of the joints' estimated gains, source to (n,); they add up to one."""
-    constants = stated_constants(fit.system)
+    constants, shares = stated_constants(fit.system), dict[str, np.ndarray]()
     slopes = estimate_slopes(fit, constants)[fit.system.problem.gain_rows]
-    shares: dict[str, np.ndarray] = {}
     for constant, slope in zip(constants, slopes.T, strict=True):
-        shares[constant.source] = shares.get(constant.source, np.zeros(len(slope))) + constant.value * slope / fit.gains
+        shares[constant.source] = shares.get(constant.source, 0.0) + constant.value * slope / fit.gains
     total = np.sum(list(shares.values()), axis=0)  # one, up to the curvature that the linear equations lack
     total = np.where(total == 0.0, 1.0, total)  # of a base, whose gain is known
     return {source: share / total for source, share in shares.items()}
@@ -154,8 +159,8 @@ def scale_uncertainty(system: System, solve: Solve) -> np.ndarray:
     problem = system.problem
     extra = np.zeros((len(problem.unknowns),) * 2)
     for constant in stated_constants(system):
-        if constant.std:
-            above, below = (solve(constant.changed(problem, by)).values for by in (constant.std, -constant.std))
+        if std := constant.std:
+            above, below = (solve(constant.changed(problem, by)).values for by in (std, -std))
             extra += np.outer(above - below, above - below) / 4
     return extra
 
@@ -194,31 +199,30 @@ def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
     of_known[:, :size] = jacobian_of_known(problem, True)
     of_known[:, -1] = problem.known[:, :-1] @ solution.theta - problem.known[:, -1]
     R = triangle(rows, of_known)
-    T = to_gains(solution.values, len(solution.gains), True)[problem.gain_rows] / fit.gains[:, None]
+    T = slopes_of(fit)[problem.gain_rows] / fit.gains[:, None]
     scales = []
     for k, sensor in enumerate(sensors):
-        columns = [*range(size), size + k]
-        J, e = R[:, columns], R[:, -1]
+        columns, channel = [*range(size), size + k], problem.channels[sensor]
+        J = R[:, columns]
         if size not in independent_columns(J)[0]:
             continue  # without this sensor nothing gives the scale
         back = whitening(J, np.zeros(len(problem.channels)))
-        step = -back @ (back.T @ (J.T @ e))
+        step = -back @ (back.T @ (J.T @ R[:, -1]))
         sides = []
         for unit in units:
-            A = unit[:, columns] @ back
-            sides.append((A.T @ A, A.T @ (unit[:, -1] + unit[:, columns] @ step)))
+            A, e = unit[:, columns] @ back, unit[:, -1] + unit[:, columns] @ step
+            sides.append((A.T @ A, A.T @ e))
         of_known_part = back[-1] @ (of_known[:, columns] @ back).T  # what no unit of the data shows
         variance = jackknife(one_step(sides) @ back[-1:].T)[0, 0] + of_known_part @ of_known_part
-        std = float(np.hypot(np.sqrt(variance), problem.channels[sensor].std))
-        scales.append(SensorScale(problem.channels[sensor], 1 - float(step[-1]), std, T @ step[:-1]))
+        std = float(np.hypot(np.sqrt(variance), channel.std))
+        scales.append(SensorScale(channel, 1 - float(step[-1]), std, T @ step[:-1]))
     return tuple(scales)
 
 
 def _with_sensors(fit: Fit, blocks: np.ndarray) -> np.ndarray:
     """Build weighted rows ``[J | sensor torques | residuals]`` (., size + m + 1) of all channels in blocks."""
-    problem, solution, sensors = fit.system.problem, fit.solution, fit.system.problem.sensor_channels
-    weights = 1 / (solution.gains * np.maximum(solution.sigma, problem.smallest_sigma))
-    torques = modelled(blocks, solution.theta) * weights[:, None]
+    solution, sensors = fit.solution, fit.system.problem.sensor_channels
+    torques = modelled(blocks, solution.theta) * (weights_of(fit) / solution.gains)[:, None]
     offered = np.zeros((*torques.shape, len(sensors)))
     offered[sensors, :, range(len(sensors))] = -torques[sensors]
     e, J = weighted(fit, blocks)
@@ -263,16 +267,15 @@ def weigh_known(fit: Fit, method: str, accuracy: float) -> dict[str, Verdict]:
     A single payload's mass is not among them where it sets the scale alone. Gains that are given are taken for exact
     to the ``accuracy`` (relative). Verdicts are those of payloads, by name, with a value that can be tested.
     """
-    runs = fit.dataset.runs
-    known = {run.payload.name: run.payload for run in runs if run.payload and run.payload.mass is not None}
+    payloads = [run.payload for run in fit.dataset.runs if run.payload]
+    known = {payload.name: payload for payload in payloads if payload.mass is not None}
+    of_mass = ("m",) if not fit.free_gains or len(known) > 1 or fit.system.problem.scaled else ()
     verdicts = {}
     for name, payload in known.items():
-        of_mass = not fit.free_gains or len(known) > 1 or fit.system.problem.scaled
-        tested = (*(("m",) if of_mass else ()), *payload.parameters)
-        freed = [_freed(fit, method, payload, kind, accuracy) for kind in tested]
-        weighed = [result for result in freed if result is not None]
-        if weighed:
-            verdicts[name] = min(weighed, key=lambda result: result[0])[1]
+        kinds = (*of_mass, *payload.parameters)
+        freed = [result for kind in kinds if (result := _freed(fit, method, payload, kind, accuracy))]
+        if freed:
+            verdicts[name] = min(freed, key=lambda result: result[0])[1]
     return verdicts
 
 
@@ -281,24 +284,22 @@ def _freed(fit: Fit, method: str, payload: Payload, kind: str, accuracy: float) 
     values = {other: value for other, value in payload.parameters.items() if other != kind}
     mass = None if kind == "m" else payload.mass
     changed = payload.model_copy(update={"mass": mass, "parameters": values})
-    runs = fit.dataset.runs
-    loads = [changed if run.payload and run.payload.name == payload.name else run.payload for run in runs]
-    other = refitted(fit, loads, method=method)
-    if other is None:
-        return None  # without this value nothing gives the scale
-    parameters, std = other.system.problem.parameters, np.sqrt(np.diag(other.solution.jackknife))
+    stated = [run.payload for run in fit.dataset.runs]
+    other = refitted(fit, [changed if load and load.name == payload.name else load for load in stated], method=method)
+    if other is None or not set(other.system.unexcited) <= set(fit.system.unexcited):
+        return None  # without this value nothing gives the scale, or it cannot be separated from what is not declared
+    problem, theta, stds = other.system.problem, other.solution.theta, np.sqrt(np.diag(other.solution.jackknife))
     columns = [
-        parameters.index(label)
+        problem.unknowns.places[label]
         for load in other.system.payloads
         if load.payload.name == payload.name
         for label, sums in zip(load.unknown, load.sums, strict=True)
-        if label.kind == kind and np.count_nonzero(sums) == 1 and label in parameters
+        if label.kind == kind and np.count_nonzero(sums) == 1 and label in problem.unknowns.places
     ]
-    if not columns or not set(other.system.unexcited) <= set(fit.system.unexcited):
-        return None  # or it cannot be separated from what is not declared
-    best = min(columns, key=lambda k: float(std[k]))
-    value, declared = float(other.solution.theta[best]), known_values(payload)[kind]
-    left = float(other.system.problem.total_rows @ np.log(other.solution.sigma))
+    if not columns:
+        return None
+    best = min(columns, key=lambda k: float(stds[k]))
+    value, declared = float(theta[best]), known_values(payload)[kind]
     if fit.free_gains:
         small = kind != "m" and float(np.abs(other.solution.gains / fit.solution.gains - 1).max()) < PAYLOAD_MOVES
     else:
@@ -308,11 +309,12 @@ def _freed(fit: Fit, method: str, payload: Payload, kind: str, accuracy: float) 
         "parameter": kind,
         "declared": declared,
         "found": value,
-        "std": float(np.hypot(std[best], of_mass)),
+        "std": float(np.hypot(stds[best], of_mass)),
         "unit": unit_of(kind, fit.dataset.robot, fit.dataset.robot.tool),
         "remains": residual_ratio(other, fit),
-        "given": "" if fit.free_gains else runs[0].kind,
+        "given": "" if fit.free_gains else fit.dataset.runs[0].kind,
     }
+    left = float(problem.total_rows @ np.log(other.solution.sigma))
     return left, GOOD if small else known_verdict(tested, _explained(fit, other))
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit, Solution, Solve
@@ -24,7 +26,8 @@ def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> Syste
     Terms supported by the joints' own equations, but not identifiable from all equations, are left out. The data of the
     system are streamed again where a joint has load-dependent friction.
     """
-    per_run, sensors = len(dataset.runs) > 1, [each.name for each in dataset.runs[0].channels if each.kind.link_side]
+    per_run = len(dataset.runs) > 1
+    sensors = [channel.name for channel in dataset.runs[0].channels if channel.kind.link_side]
     warm = () if dataset.temperatures is None else tuple(dataset.temperatures.reference)
     of_temperature = all_terms(warm, TEMPERATURE_TERMS)
     offered = (*all_terms(dataset.robot.motors), *of_temperature, *all_terms(sensors, BEARING))
@@ -37,10 +40,8 @@ def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> Syste
         # Until the torques are known the current stands for them, which explains itself where friction is most of it:
         # the terms are chosen again once a fit without load-dependent ones has given the torques.
         without = tuple(term for term in offered if term.kind != "fl")
-        system, gains = (
-            dataset.system(select_friction_terms(dataset.system(without, per_run).problem)[0], per_run),
-            None,
-        )
+        plain, _ = select_friction_terms(dataset.system(without, per_run).problem)
+        system, gains = dataset.system(plain, per_run), None
         for _ in range(LOAD_PASSES):
             solution = solve(system.problem)
             if gains is not None and np.allclose(solution.gains, gains, rtol=LOAD_CONVERGED, atol=0):
@@ -78,16 +79,14 @@ def select_friction_terms(problem: Problem) -> tuple[tuple[Parameter, ...], floa
         columns = problem.triangles[j][:, [*rest, *(position[name] for name in offered)]]
         few = triangle(np.column_stack([columns, current]))[len(rest) :, len(rest) :]
 
-        def criterion(terms: tuple[Parameter, ...]) -> float:
-            left = triangle(few[:, [*(offered.index(name) for name in terms), -1]])[-1, -1]  # noqa: B023
-            return float(rows * np.log(max(left**2, 1e-300)) + len(terms) * price)  # noqa: B023
-
-        subsets: list[tuple[Parameter, ...]] = [()]
-        for name in offered:
-            subsets += [(*subset, name) for subset in subsets]
-        criteria = [criterion(subset) for subset in subsets]
+        subsets = [subset for count in range(len(offered) + 1) for subset in combinations(range(len(offered)), count)]
+        residuals = [triangle(few[:, [*subset, -1]])[-1, -1] for subset in subsets]
+        criteria = [
+            float(rows * np.log(max(residual**2, 1e-300)) + len(subset) * price)
+            for subset, residual in zip(subsets, residuals, strict=True)
+        ]
         best = subsets[int(np.argmin(criteria))]
-        chosen += best
+        chosen += [offered[k] for k in best]
         # the criterion itself, with the same price for all columns
         total += min(criteria) - len(best) * price + (len(rest) + len(best)) * np.log(rows)
     return tuple(chosen), float(total)

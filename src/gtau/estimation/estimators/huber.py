@@ -44,9 +44,9 @@ def reweighted(system: System, solve: Solve, progress: Progress) -> System:
 
 def _medians(factors: Sequence[Factors]) -> np.ndarray:
     """Compute the median size (c,) of each channel's residuals, NaN without any."""
-    residuals = [each.residuals for each in factors if each.residuals is not None]
+    residuals = [run.residuals for run in factors if run.residuals is not None]
     stride = stride_of(sum(map(len, residuals)))
-    sizes = np.abs(np.concatenate([rows_at(each, np.arange(0, len(each), stride)) for each in residuals]))
+    sizes = np.abs(np.concatenate([rows_at(rows, np.arange(0, len(rows), stride)) for rows in residuals]))
     known = [column[np.isfinite(column)] for column in sizes.T]
     return np.array([np.median(column) if column.size else np.nan for column in known])
 
@@ -59,8 +59,8 @@ def sandwich_factor(factors: Sequence[Factors]) -> float:
     """
     limit = TUNING * MAD * _medians(factors)
     weights, curvature = 0.0, 0
-    residuals = [each.residuals for each in factors if each.residuals is not None]
-    for sizes in (np.abs(block(each, *span)) for each in residuals for span in spans(len(each))):
+    residuals = [run.residuals for run in factors if run.residuals is not None]
+    for sizes in (np.abs(block(rows, *span)) for rows in residuals for span in spans(len(rows))):
         below = sizes <= limit
         weights += float(np.nansum(np.where(below, 1.0, limit / np.maximum(sizes, limit)) * np.isfinite(sizes)))
         curvature += int(np.count_nonzero(below))

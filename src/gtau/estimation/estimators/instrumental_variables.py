@@ -55,7 +55,7 @@ class Pair:
         """Keep some parameters only, the others set to zero."""
         gone = [name for name in self.measured.parameters if name not in set(parameters)]
         columns = self.measured.columns_of(name for name in self.measured.parameters if name in set(parameters))
-        measured, simulated = (each[..., columns] for each in self.whole)
+        measured, simulated = (rows[..., columns] for rows in self.whole)
         return Pair(self.measured.without(gone), self.simulated.without(gone), (measured, simulated))
 
 
@@ -163,12 +163,13 @@ def _reduced(
     n, b = len(idm.actuated), len(columns) + EXTRA - 3
     dry = np.array([k for k, name in enumerate(columns) if name.startswith("fs_")] + [len(columns) + TERMS.index("fl")])
     collected = Triangles([np.arange(2 * b + 3)] * n)
-    streams = (stream_rows(idm, regressor, each, decimator, load) for each in (simulated, measured))
+    streams = (stream_rows(idm, regressor, run, decimator, load) for run in (simulated, measured))
     for part, other in zip(*streams, strict=True):
         A = np.zeros((n, len(part.time), 2 * b + 3))
-        for k, each in enumerate((part, other)):
-            A[regressor.rows, :, regressor.columns + k * b] = each.entries
-            A[:, :, k * b + len(columns) : k * b + len(columns) + len(TERMS)] = each.terms.transpose(1, 2, 0)
+        for begin, rows in ((0, part), (b, other)):
+            end = begin + len(columns)
+            A[regressor.rows, :, regressor.columns + begin] = rows.entries
+            A[:, :, end : end + len(TERMS)] = rows.terms.transpose(1, 2, 0)
         A[:, :, b + dry] = A[:, :, dry]
         A[:, :, SIGNALS] = other.currents.transpose(1, 2, 0)
         collected.add(A, part.keep & other.keep, blocks[part.outputs])

@@ -67,8 +67,8 @@ def own_share(problem: Problem) -> float:
     norms = np.linalg.norm(unknown, axis=0)
     unknown = unknown[:, norms > 0] / norms[norms > 0]
     torque = W @ alone
-    left = torque - unknown @ np.linalg.lstsq(unknown, torque, rcond=None)[0]
-    return float(np.linalg.norm(left) / (np.linalg.norm(torque) or 1.0))
+    rest = torque - unknown @ np.linalg.lstsq(unknown, torque, rcond=None)[0]
+    return float(np.linalg.norm(rest) / (np.linalg.norm(torque) or 1.0))
 
 
 def ml_or_wls(gains: np.ndarray | None) -> Solve:

@@ -225,14 +225,14 @@ def one_step(blocks: Iterable[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
     """
     steps = []
     for share, side in blocks:
-        left = np.eye(len(share)) - share
+        others = np.eye(len(share)) - share
         try:
-            inverse = np.linalg.inv(left)
+            inverse = np.linalg.inv(others)
             if np.abs(inverse).max() > LARGEST_STEP:
                 raise np.linalg.LinAlgError
             steps.append(inverse @ side)
         except np.linalg.LinAlgError:  # directions identified by this block alone stay unchanged
-            steps.append(np.linalg.lstsq(left, side, rcond=1e-10)[0])
+            steps.append(np.linalg.lstsq(others, side, rcond=1e-10)[0])
     return np.array(steps)
 
 

@@ -82,7 +82,7 @@ def consistent(system: System, solution: Solution, priors: Mapping[str, Prior], 
     """Find physically consistent standard parameters, alone (gains given) or together with the gains.
 
     ``solution`` is without constraints; ``priors`` are those of standard parameters. Raises GtauError where no rigid
-    bodies agree with the priors and payloads, the programme does not converge, or its solver is not installed.
+    bodies agree with the priors and payloads, or the programme does not converge.
     """
     problem, n, base = system.whole, len(system.whole.joints), system.dataset.base
     of_base = of_theta(base, system.dataset.model.parameter_names, problem.parameters, priors)
@@ -101,8 +101,8 @@ def consistent(system: System, solution: Solution, priors: Mapping[str, Prior], 
             break
     else:
         raise GtauError(
-            "the search for physically consistent parameters did not converge; give 'priors' for the parameters that "
-            "the data leave open, or identify without --consistent."
+            "the search did not converge; resolve contradictions first, or give 'priors' for the parameters that the "
+            "data leave open."
         )
     gain_std = _gain_std(problem, values, weights, unknowns, stated) if free_gains else np.zeros(n)
     if free_gains and np.ndim(solution.of_prior):  # leaving out data does not show the uncertainty of priors

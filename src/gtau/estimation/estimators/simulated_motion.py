@@ -60,8 +60,8 @@ def resimulated_runs(system: System, solution: Solution) -> tuple[SampleWindow, 
         )
     regressor = dataset.model.columns(dataset.base.standard)
     return tuple(
-        resimulated(dataset.model, regressor, system.motion(k, solution.theta), each, dataset.preparation)
-        for k, each in enumerate(dataset.prepared)
+        resimulated(dataset.model, regressor, system.motion(k, solution.theta), run, dataset.preparation)
+        for k, run in enumerate(dataset.prepared)
     )
 
 
@@ -83,15 +83,15 @@ def resimulated(
         change = size = 0.0
         for start, stop in spans(samples, PATH):
             reference = position_filter(run.position, rate, cutoff, kept.start + start, kept.start + stop)
-            before = [block(each, start, stop) for each in motion] or reference
+            before = [block(rows, start, stop) for rows in motion] or reference
             labels = instants(run.name, block(prepared.time, start, stop))
             disturbance, c = _disturbance(idm, regressor, values, before, reference[1], labels, c)
             following = [r - e for r, e in zip(reference, loop.errors(disturbance), strict=True)]
-            for each, part in zip(stores, following, strict=True):
-                each.append(part)
+            for store, part in zip(stores, following, strict=True):
+                store.append(part)
             change += float(np.sum((following[2] - before[2]) ** 2))
             size += float(np.sum(reference[2] ** 2))
-        motion = [each.array() for each in stores]
+        motion = [store.array() for store in stores]
         if change < CONVERGED**2 * size:
             break
     else:
@@ -104,14 +104,14 @@ def resimulated(
         measured = prepared.samples(start, stop)
         number = np.arange(kept.start + start, kept.start + stop)
         measured.usable[(number < edge) | (number >= len(run.time) - edge)] = False
-        for name, each in rest.items():
-            each.append(getattr(measured, name))
+        for name, store in rest.items():
+            store.append(getattr(measured, name))
     return SampleWindow(run, prepared.time, *motion, *(rows.array() for rows in rest.values()))
 
 
 def reference_cutoff(preparation: Preparation, run: Run) -> float | None:
     """Choose the cut-off of a run's reference, Hz, at most the frequency above which noise exceeds the signal."""
-    end = max((each.end for each in spectra(run) if each.moves), default=np.inf)
+    end = max((joint.end for joint in spectra(run) if joint.moves), default=np.inf)
     rows = min(ROWS * preparation.decimator.cutoff(run.rate), end)
     return below_nyquist(max(SMOOTH * preparation.bandwidth, rows), run.rate)
 
@@ -131,7 +131,7 @@ def _disturbance(
     stiction; rows where the two differ in sign are next to a reversal, and masked. ``before`` is the configuration
     ahead of them.
     """
-    q, qd, directed = (np.ascontiguousarray(each.T) for each in (*motion[:2], direction))
+    q, qd, directed = (np.ascontiguousarray(rows.T) for rows in (*motion[:2], direction))
     dry = np.array([name.startswith("fs_") for name in regressor.names])
     c = idm.path(q, here, before)
     still = np.zeros_like(q)
@@ -174,6 +174,7 @@ class Loop:
         from scipy.signal import lfilter, lfilter_zi
 
         states = self._states or [lfilter_zi(b, a)[:, None] * disturbance[:1] for b, a in self._filters]
-        found = [lfilter(b, a, disturbance, axis=0, zi=z) for (b, a), z in zip(self._filters, states, strict=True)]
-        self._states = [state for _, state in found]
-        return [error for error, _ in found]
+        begun = zip(self._filters, states, strict=True)
+        errors, ends = zip(*(lfilter(b, a, disturbance, axis=0, zi=z) for (b, a), z in begun), strict=True)
+        self._states = list(ends)
+        return list(errors)

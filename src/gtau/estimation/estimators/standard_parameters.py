@@ -213,8 +213,8 @@ def standard_unknowns(system: System, solution: Solution, priors: Mapping[str, P
         upper[k] = upper[k] if prior.max is None else prior.max
         if prior.value is not None and prior.std is not None:
             centre[k], std[k] = prior.value, prior.std
-    own = bodies[: len(bodies) - len(system.payloads)]
-    within = within_reach(robot, own, len(names)) / (mass * length**2)
+    of_robot = bodies[: len(bodies) - len(system.payloads)]
+    within = within_reach(robot, of_robot, len(names)) / (mass * length**2)
     rigid = RigidBodies(tuple(bodies), unit, mass, length, lower, upper, within)
     return StandardUnknowns(tuple(names), S, centre, std, rigid)
 
@@ -232,8 +232,8 @@ def _regrouped(system: System) -> tuple[list[Body], list[Parameter], np.ndarray]
     for payload in system.payloads:
         label, known, first = f"L{payload.run + 1}", known_values(payload.payload), len(names)
         summed = {kind: first + k for k, kind in enumerate(payload.summed)}
-        places, values = ([of.get(kind, default) for kind in INERTIAL] for of, default in ((summed, -1), (known, 0.0)))
-        bodies.append(Body(label, np.array(places), np.array(values)))
+        places = np.array([summed.get(kind, -1) for kind in INERTIAL])
+        bodies.append(Body(label, places, np.array([known.get(kind, 0.0) for kind in INERTIAL])))
         names += [Parameter(kind, label) for kind in payload.summed]
     of_payloads = {name for payload in system.payloads for name in payload.unknown}
     others = [name for name in problem.parameters[base.count :] if name not in of_payloads]
@@ -273,7 +273,7 @@ def natural_size(name: Parameter, robot: Robot, mass: float, length: float, chan
         return mass if kind == "m" else mass * length if kind.startswith("m") else mass * length**2
     if any(spring.name == body for spring in robot.springs):
         return mass * STANDARD_GRAVITY / (length if kind == STIFFNESS else 1.0)
-    joint = next((each.joint for each in channels if each.name == body), body)
+    joint = next((channel.joint for channel in channels if channel.name == body), body)
     turns = robot.joint(joint).turns
     if kind == "ia":
         return mass * length**2 if turns else mass

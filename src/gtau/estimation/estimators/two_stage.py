@@ -37,9 +37,8 @@ def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
     gains = np.ones(n)
     for _ in range(3):
         scale = 1 / (problem.own_sigma * np.abs(gains))
-        A = np.concatenate(
-            [*(block * weight for block, weight in zip(blocks, scale, strict=True)), problem.total_known]
-        )
+        weighted = (block * weight for block, weight in zip(blocks, scale, strict=True))
+        A = np.concatenate([*weighted, problem.total_known])
         x = least_squares(A[:, :-1], -A[:, -1])
         gains = np.where(problem.unknown_gains, x[of_gains], 1.0)
         if not np.all(np.abs(gains) > 0):
@@ -60,9 +59,8 @@ def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
             e_u = (residuals(block, values) * (scale * gains)[:, None]).reshape(-1)
             white = A_u[:, :-1] @ back
             blocks.append((white.T @ white, white.T @ e_u))
-        return np.hstack(
-            [one_step(blocks) @ back.T, np.zeros((len(problem.units), n))]
-        )  # delays are those of all units
+        steps = one_step(blocks) @ back.T
+        return np.hstack([steps, np.zeros((len(steps), n))])  # delays are those of all units
 
     return replace(solution, replicates=replicates)
 

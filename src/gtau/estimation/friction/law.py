@@ -129,13 +129,12 @@ class FrictionLaw:
 
     def followers(self, path: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
         """Make the followers of a run in blocks: from times (N,) to states z (s, N), by actuated positions."""
-        rows = self.states
+        ratios = self.ratios[list(self.states)]
         elements = [PreslidingState(np.array([width])) for width in self.widths]
 
         def follow(time: np.ndarray) -> np.ndarray:
-            paths = self.ratios[list(rows)] @ path(time)
-            found = [element(time, path)[0] for element, path in zip(elements, paths, strict=True)]
-            return np.reshape(found, (len(rows), len(time)))
+            moved = zip(elements, ratios @ path(time), strict=True)
+            return np.reshape([element(time, q)[0] for element, q in moved], (len(elements), len(time)))
 
         return follow
 
@@ -145,9 +144,9 @@ class FrictionLaw:
         layout, robot = self.model.layout, self.model.robot
         if robot.couplings and not robot.closures:
             return motor_to_joint_speed(self.model)[: len(robot.joints)]
-        own = np.zeros((len(robot.joints), len(layout.actuated)))
-        own[layout.actuated, np.arange(len(layout.actuated))] = 1.0
-        return own
+        ratios = np.zeros((len(robot.joints), len(layout.actuated)))
+        ratios[layout.actuated, np.arange(len(layout.actuated))] = 1.0
+        return ratios
 
     @cached_property
     def groups(self) -> np.ndarray:
@@ -164,8 +163,8 @@ class FrictionLaw:
 
     def directions(self, math: ModuleType, yd: Any, z: Any) -> list[Any]:
         """List the direction factor of each joint's friction: its presliding state (``z`` (s,)), else ``sign(yd)``."""
-        states = dict(zip(self.states, range(len(self.states)), strict=True))
-        return [z[states[row]] if row in states else math.sign(yd[row]) for row in range(len(self.ratios))]
+        states = {row: z[k] for k, row in enumerate(self.states)}
+        return [states[row] if row in states else math.sign(yd[row]) for row in range(len(self.ratios))]
 
     def forces(
         self, math: ModuleType, values: Mapping[str, Any], yd: Any, load: Any, z: Sequence[Any] | None = None
@@ -240,7 +239,7 @@ class FrictionLaw:
 
     def fastest(self, joint: str) -> float:
         """Return V of any joint, from those of the motors that move it, rad/s or m/s."""
-        row = [each.name for each in self.model.robot.joints].index(joint)
+        row = self._row(joint)
         logged = np.array([self.logged_speeds.get(name, 0.0) for name in self.model.actuated])
         return float(np.abs(self.ratios[row]) @ logged)
 
@@ -253,7 +252,7 @@ class FrictionLaw:
         the actuated joints transmit, ``z`` (s, N) states of presliding; without them all joints slide.
         """
         joints = self.model.robot.joints
-        forces, speeds = (np.stack(each) for each in self.forces(np, values, motion.yd, load))
+        forces, speeds = map(np.stack, self.forces(np, values, motion.yd, load))
         scales = self.scales(np, forces, speeds)
         if z is not None and self.states:
             forces = np.stack(self.forces(np, values, motion.yd, load, self.directions(np, motion.yd, z))[0])
@@ -265,8 +264,11 @@ class FrictionLaw:
 
     def motor_of(self, joint: str) -> str | None:
         """Return the name of the motor that alone moves a joint; see :meth:`motor`."""
-        motor = self.motor([each.name for each in self.model.robot.joints].index(joint))
+        motor = self.motor(self._row(joint))
         return None if motor is None else self.model.actuated[motor]
+
+    def _row(self, name: str) -> int:
+        return next(row for row, joint in enumerate(self.model.robot.joints) if joint.name == name)
 
     def _viscous(self, values: Mapping[str, Any], j: int) -> Any:
         """Sum the viscous friction that the motor of actuated joint ``j`` feels."""

@@ -193,8 +193,8 @@ def normal_equations(
                 for m, j in enumerate(group.motors):
                     if (kept := valid[j] & moving).any():
                         base = np.vstack([part.currents[0, j, kept], -W[j, kept].T])
-                        own = [joint.ratios[j] * columns[joint][:-1, kept] for joint in group.joints]
-                        _add(group, m, np.vstack([*own, torques[:, j, kept]]), base, blocks[kept])
+                        friction = [joint.ratios[j] * columns[joint][:-1, kept] for joint in group.joints]
+                        _add(group, m, np.vstack([*friction, torques[:, j, kept]]), base, blocks[kept])
     return tuple(replace(group, G=group.G[group.G.any(axis=(1, 2, 3))]) for group in groups)
 
 

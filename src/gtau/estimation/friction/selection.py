@@ -47,20 +47,20 @@ def parameter_columns(structure: Structure, joint: FrictionJoint) -> dict[str, n
         return np.concatenate([np.zeros(len(PLAIN)), np.outer(direction, weight).ravel()])
 
     alone = dict(zip(PLAIN, np.eye(len(PLAIN), joint.count), strict=True))
-    made: dict[str, np.ndarray] = {kind: alone[kind] for kind in ("off", "fv") if kind in joint.plain}
+    columns: dict[str, np.ndarray] = {kind: alone[kind] for kind in ("off", "fv") if kind in joint.plain}
     if "fs" in joint.plain:
-        made["fs"] = sliding(weights[constant])
+        columns["fs"] = sliding(weights[constant])
         if "speed" in structure:
-            made["fr"] = sliding(np.pad(between(structure["speed"], len(SPEEDS)), (1, 2)))
-            made["fs"] = made["fs"] - made["fr"]
+            columns["fr"] = sliding(np.pad(between(structure["speed"], len(SPEEDS)), (1, 2)))
+            columns["fs"] = columns["fs"] - columns["fr"]
         if "gradual" in structure:
             states = np.eye(1 + len(WIDTHS))
-            made |= {f"z{k}": sliding(weights[constant], states[k]) for k in range(1, len(states)) if not z[k]}
+            columns |= {f"z{k}": sliding(weights[constant], states[k]) for k in range(1, len(states)) if not z[k]}
         if "load" in structure:
-            made["fl"] = sliding(weights[load])
+            columns["fl"] = sliding(weights[load])
     if "warm" in structure:
-        made |= {"fvt": alone["fvt"], "fst": sliding(weights[warm])}
-    return made
+        columns |= {"fvt": alone["fvt"], "fst": sliding(weights[warm])}
+    return columns
 
 
 def between(number: float, count: int) -> np.ndarray:
@@ -106,17 +106,17 @@ def fit(group: FrictionGroup, structures: tuple[Structure, ...]) -> Candidate:
 
     listed, M = columns_of(group, structures)
     G = reduced(group, M)
-    whole = G.sum(axis=(0, 1))
-    size = np.sqrt(np.maximum(np.diag(whole)[:-1], 1e-300))
-    A, c = whole[:-1, :-1] / size / size[:, None], whole[:-1, -1] / size
+    total = G.sum(axis=(0, 1))
+    size = np.sqrt(np.maximum(np.diag(total)[:-1], 1e-300))
+    A, c = total[:-1, :-1] / size / size[:, None], total[:-1, -1] / size
     # the singular value decomposition of a factor, which the products alone do not need to be of full rank for
     values, vectors = np.linalg.eigh(A)
     kept = values > 1e-9 * values[-1]
     R = np.sqrt(values[kept])[:, None] * vectors[:, kept].T
     d = (vectors[:, kept].T @ c) / np.sqrt(values[kept])
     free = [k for k, (_, kind) in enumerate(listed) if kind in FREE]
-    found = nnls(np.hstack([R, -R[:, free]]), d)[0]
-    active = (found[: len(listed)] > 0) | np.isin(np.arange(len(listed)), free)
+    positive = nnls(np.hstack([R, -R[:, free]]), d)[0][: len(listed)] > 0
+    active = positive | np.isin(np.arange(len(listed)), free)
     index = np.append(np.flatnonzero(active), len(listed))
     x, left, errors = left_out(G[..., index[:, None], index])
     return Candidate(structures, tuple(listed[a] for a in np.flatnonzero(active)), x, left, errors, M[:, active])
@@ -146,11 +146,11 @@ def left_out(G: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     k = G.shape[-1] - 1
     size = np.append(np.sqrt(np.maximum(np.diag(G.sum(axis=(0, 1)))[:-1], 1e-300)), 1.0)
     G = G / size / size[:, None]
-    whole = G.sum(axis=(0, 1))
-    left = _solved(whole - G.sum(axis=1), k)
-    error = np.hstack([-left, np.ones((len(left), 1))])
+    total = G.sum(axis=(0, 1))
+    others = _solved(total - G.sum(axis=1), k)
+    error = np.hstack([-others, np.ones((len(others), 1))])
     errors = np.einsum("bp,bmpq,bq->bm", error, G, error)
-    return _solved(whole[None], k)[0] / size[:-1], left / size[:-1], errors
+    return _solved(total[None], k)[0] / size[:-1], others / size[:-1], errors
 
 
 def _solved(G: np.ndarray, k: int) -> np.ndarray:
@@ -208,11 +208,11 @@ def _beyond(group: FrictionGroup, after: Candidate, s: int) -> bool:
     is slow still. One stop turns at once, and friction that bends below a hundredth of the rms speed made up for it.
     Faster ones are not asked: on motor 6 of a TX40 one takes the error of unused samples from 16.0 to 10.4 %.
     """
-    own = {**after.structures[s], "gradual": 0.0}
-    if own["speed"] > SLOW:
+    bent = {**after.structures[s], "gradual": 0.0}
+    if bent["speed"] > SLOW:
         return True
-    bare = {kind: number for kind, number in own.items() if kind != "speed"}
-    t, share = gained(*(fit(group, _changed(after, s, each)) for each in (bare, own)))
+    bare = {kind: number for kind, number in bent.items() if kind != "speed"}
+    t, share = gained(*(fit(group, _changed(after, s, structure)) for structure in (bare, bent)))
     return t > TERM_T and share > TERM_SHARE
 
 
@@ -230,7 +230,7 @@ def _refined(group: FrictionGroup, candidate: Candidate) -> Candidate:
     """Choose widths and speeds again, given the terms added since."""
     for s, kind in ((s, kind) for s in range(len(group.joints)) for kind in ("width", "speed")):
         if kind in candidate.structures[s]:
-            candidate = min([candidate, *_with(group, candidate, s, kind)], key=lambda each: float(each.errors.sum()))
+            candidate = min([candidate, *_with(group, candidate, s, kind)], key=lambda fit: float(fit.errors.sum()))
     return candidate
 
 
@@ -242,9 +242,9 @@ def refine(group: FrictionGroup, candidate: Candidate) -> Candidate:
     """
     best = candidate
     for _ in range(STEPS):
-        whole = with_shapes(group, best)
+        shaped, count = with_shapes(group, best), len(best.names)
         structures, x = list(best.structures), dict(zip(best.names, best.x, strict=True))
-        for (s, kind), step in zip(whole.names[len(best.names) :], whole.x[len(best.names) :], strict=True):
+        for (s, kind), step in zip(shaped.names[count:], shaped.x[count:], strict=True):
             values = shape_values(group, s, kind)
             if kind == "speed" and x.get((s, "fr"), 0.0) < x.get((s, "fs"), 0.0):
                 continue

@@ -120,9 +120,9 @@ def stated_inertias(robot: Robot) -> dict[str, float]:
     if not stated:
         return {}
     inertial = [Parameter(kind, body) for body in _heavy(robot) for kind in INERTIAL]
-    found = {name: stated.get(name, 0.0) for name in inertial}
-    rotors = {Parameter("ia", each.name) for each in robot.joints if each.parameters in ("all", "drive")}
-    return found | {name: value for name, value in stated.items() if name in rotors}
+    rotors = {Parameter("ia", joint.name) for joint in robot.joints if joint.parameters in ("all", "drive")}
+    inertias = {name: stated.get(name, 0.0) for name in inertial}
+    return inertias | {name: value for name, value in stated.items() if name in rotors}
 
 
 def sizes_of(stated: dict[str, float], body: str) -> dict[str, float] | None:
@@ -165,7 +165,7 @@ def inertia_priors(robot: Robot, std: float) -> dict[str, Prior]:
 
 def _heavy(robot: Robot) -> list[str]:
     """List the bodies that have a mass in the model."""
-    return [each.name for each in robot.joints if each.has_mass] + [each.name for each in robot.platforms]
+    return [joint.name for joint in robot.joints if joint.has_mass] + [body.name for body in robot.platforms]
 
 
 def known_equations(
@@ -178,9 +178,8 @@ def known_equations(
     free of the latter. ``parameters`` are theta, the base parameters first; bounds are not used here. Raises GtauError
     where a prior names no parameter.
     """
-    return np.vstack(
-        [_of_standard(base, standard, len(parameters), priors), of_theta(base, standard, parameters, priors)]
-    )
+    of_standard = _of_standard(base, standard, len(parameters), priors)
+    return np.vstack([of_standard, of_theta(base, standard, parameters, priors)])
 
 
 def of_theta(
@@ -215,8 +214,8 @@ def _of_standard(
     spread = np.array([stated[name].std for name in standard if name in stated], dtype=float)
     lengths = np.linalg.norm(base.matrix, axis=0)
     U = base.matrix[:, ~known & (lengths > 0)]
-    left, sizes, _ = np.linalg.svd(U / np.linalg.norm(U, axis=0))
-    P = left[:, int(np.count_nonzero(sizes > RANK * sizes.max(initial=0.0))) :].T  # P U = 0
+    vectors, sizes, _ = np.linalg.svd(U / np.linalg.norm(U, axis=0))
+    P = vectors[:, int(np.count_nonzero(sizes > RANK * sizes.max(initial=0.0))) :].T  # P U = 0
     S = P @ base.matrix[:, known]  # P chi = S x of the known x
     L = np.linalg.cholesky((S * spread) @ (S * spread).T) if len(P) else np.zeros((0, 0))
     rows = np.zeros((len(P), n_theta + 1))

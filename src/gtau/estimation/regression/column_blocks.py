@@ -109,10 +109,8 @@ def payload_columns(
     """
     of_tool = {kind: base.matrix[:, idm.parameter_names.index(Parameter(kind, idm.robot.tool))] for kind in INERTIAL}
     order = (*FIRST_MOMENTS, *(kind for kind in INERTIAL if kind not in FIRST_MOMENTS))
-    made = []
-    for run, payload in enumerate(payloads):
-        if payload is None:
-            continue
+    blocks = []
+    for run, payload in ((run, payload) for run, payload in enumerate(payloads) if payload is not None):
         values, center = known_values(payload), dict(zip(FIRST_MOMENTS, payload.center or (), strict=False))
         summed = tuple(kind for kind in order if kind not in values and kind not in center)
         mass = of_tool["m"] + sum(at * of_tool[kind] for kind, at in center.items())  # moments are the mass's
@@ -121,8 +119,8 @@ def payload_columns(
         kept, sums, _ = independent_columns(columns)
         unknown = tuple(Parameter(summed[k], f"L{run + 1}") for k in kept)
         both = np.array([acting[kind] for kind in (*(name.kind for name in unknown), *values)]).T
-        made.append(PayloadColumns(run, payload, unknown, summed, sums, both.reshape(base.count, -1)))
-    return tuple(made)
+        blocks.append(PayloadColumns(run, payload, unknown, summed, sums, both.reshape(base.count, -1)))
+    return tuple(blocks)
 
 
 def column_blocks(
@@ -170,10 +168,11 @@ def _drift_block(base: BaseParameters, joints: Sequence[str], runs: int) -> Colu
     units = np.eye(base.count)[:, drifting]
 
     def columns(run: int, channel: Channel, above: np.ndarray) -> np.ndarray:
-        return _felt(base, channel, np.hstack([units * ((k == run) - (run == runs - 1)) for k in range(runs - 1)]))
+        changes = [units * ((k == run) - (run == runs - 1)) for k in range(runs - 1)]
+        return _felt(base, channel, np.hstack([units[:, :0], *changes]))
 
-    names = tuple(Parameter(base.names[k].kind, base.names[k].body, run) for run in range(runs - 1) for k in drifting)
-    return ColumnBlock(names, columns) if names else ColumnBlock((), lambda *_: np.zeros((base.count + EXTRA, 0)))
+    names = ((base.names[k], run) for run in range(runs - 1) for k in drifting)
+    return ColumnBlock(tuple(Parameter(name.kind, name.body, run) for name, run in names), columns)
 
 
 def _own_block(base: BaseParameters, names: tuple[Parameter, ...]) -> ColumnBlock:
@@ -183,16 +182,14 @@ def _own_block(base: BaseParameters, names: tuple[Parameter, ...]) -> ColumnBloc
     """
 
     def columns(run: int, channel: Channel, above: np.ndarray) -> np.ndarray:
-        found = np.zeros((*above.shape, base.count + EXTRA, len(names)))
-        for k, name in enumerate(names):
-            if name.body != channel.name:
-                continue
-            if (kind := name.kind) in TERMS:
-                found[..., base.count + TERMS.index(kind), k] = 1.0
+        M = np.zeros((*above.shape, base.count + EXTRA, len(names)))
+        for k, kind in ((k, name.kind) for k, name in enumerate(names) if name.body == channel.name):
+            if kind in TERMS:
+                M[..., base.count + TERMS.index(kind), k] = 1.0
             else:
-                row = base.standard.index(f"{TEMPERATURE_TERMS.get(kind, kind)}_{channel.joint}")
-                found[..., row, k] = above if kind in TEMPERATURE_TERMS else 1.0
-        return found
+                row = base.standard.index(Parameter(TEMPERATURE_TERMS.get(kind, kind), channel.joint))
+                M[..., row, k] = above if kind in TEMPERATURE_TERMS else 1.0
+        return M
 
     return ColumnBlock(names, columns)
 
@@ -210,18 +207,15 @@ def column_map(
     ``above`` (...,) are temperatures of the channel above the mean.
     """
     parts = [block.columns(run, channel, np.asarray(above)) for block in blocks]
-    p = parts[0].shape[-2]
-    unknown = [[name not in block.stated for name in block.names] for block in blocks]
+    unknown = [np.array([name not in block.stated for name in block.names], dtype=bool) for block in blocks]
     shape = np.broadcast_shapes(*(part.shape[:-2] for part in parts))
-    M = np.zeros((*shape, p, sum(map(sum, unknown)) + FIXED))
-    M[..., KNOWN, KNOWN], M[..., SIGNALS, SIGNALS] = 1.0, np.eye(3)
-    end = 0
+    fixed = np.zeros((*shape, parts[0].shape[-2], FIXED))
+    fixed[..., KNOWN, KNOWN], fixed[..., SIGNALS, SIGNALS] = 1.0, np.eye(3)
     for block, part, free in zip(blocks, parts, unknown, strict=True):
-        begin, end = end, end + sum(free)
-        M[..., begin:end] = part[..., free]
         if block.stated:
-            M[..., KNOWN] += part[..., np.logical_not(free)] @ list(block.stated.values())
-    return M
+            fixed[..., KNOWN] += part[..., ~free] @ list(block.stated.values())
+    columns = [part[..., free] for part, free in zip(parts, unknown, strict=True)]
+    return np.concatenate([np.broadcast_to(part, (*shape, *part.shape[-2:])) for part in (*columns, fixed)], axis=-1)
 
 
 def all_terms(joints: Sequence[str], terms: Iterable[str] = TERMS) -> tuple[Parameter, ...]:
@@ -249,10 +243,10 @@ class Temperatures:
 
     def between(self, run: int, begin: float, end: float) -> np.ndarray:
         """Average the differences (n,) between two instants of a run."""
-        of, time = self.prepared[run].run, np.linspace(begin, end, INSTANTS)
-        assert of.temperature is not None  # all runs have one
-        means = {joint: of.temperature.at(joint, time).mean() - mean for joint, mean in self.reference.items()}
-        return np.array([means.get(joint, 0.0) for joint in of.joints])
+        logged, time = self.prepared[run].run, np.linspace(begin, end, INSTANTS)
+        assert logged.temperature is not None  # all runs have one
+        means = {joint: logged.temperature.at(joint, time).mean() - mean for joint, mean in self.reference.items()}
+        return np.array([means.get(joint, 0.0) for joint in logged.joints])
 
 
 def temperatures_of(prepared: Sequence[PreparedRun], edges: Sequence[np.ndarray]) -> Temperatures | None:
@@ -260,18 +254,17 @@ def temperatures_of(prepared: Sequence[PreparedRun], edges: Sequence[np.ndarray]
 
     Raises GtauError.
     """
-    found = [each.run.temperature for each in prepared]
-    logged = [each for each in found if each is not None]
+    logged = [run.run.temperature for run in prepared if run.run.temperature is not None]
     if not logged:
         return None
-    if len(logged) < len(found):
-        lacking = next(each.run.name for each in prepared if each.run.temperature is None)
+    if len(logged) < len(prepared):
+        lacking = next(run.run.name for run in prepared if run.run.temperature is None)
         raise GtauError(f"run '{lacking}' has no temperature, but other runs have; log it in all runs, or in none.")
     joints, means = prepared[0].run.joints, []
-    known = [joint for joint in joints if all(joint in each.of_joint for each in logged)]
-    for each, temperature, cut in zip(prepared, logged, edges, strict=True):
+    known = [joint for joint in joints if all(joint in temperature.of_joint for temperature in logged)]
+    for run, temperature, cut in zip(prepared, logged, edges, strict=True):
         share = np.interp(np.linspace(0, BLOCKS, BLOCKS * INSTANTS), np.arange(BLOCKS + 1), cut)
-        time = each.time[0] + share * (each.time[-1] - each.time[0])
+        time = run.time[0] + share * (run.time[-1] - run.time[0])
         along = [temperature.at(joint, time).reshape(BLOCKS, INSTANTS).mean(axis=1) for joint in known]
         means.append(np.reshape(along, (len(known), BLOCKS)).T)
     reference = np.mean(np.concatenate(means), axis=0)

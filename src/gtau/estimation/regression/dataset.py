@@ -107,7 +107,11 @@ class Dataset:
     @property
     def notes(self) -> tuple[Finding, ...]:
         """Notes on implausible parts of the robot, and on repairs and omissions in each run."""
-        runs = (note.of_source(each.run.name) for each in self.prepared for note in (*each.run.notes, *each.notes))
+        runs = (
+            note.of_source(prepared.run.name)
+            for prepared in self.prepared
+            for note in (*prepared.run.notes, *prepared.notes)
+        )
         of_robot = robot_notes(self.robot, loaded=any(run.payload for run in self.runs))
         return (*of_robot, *runs)
 
@@ -126,7 +130,8 @@ class Dataset:
         """
         measured = self.runs[0].channels
         channels = [channel for channel in measured if channel.kind.modelled]
-        given = (each.joint for each in measured if not each.kind.modelled and each.joint != self.robot.floating)
+        given = {channel.joint: None for channel in measured if not channel.kind.modelled}
+        given.pop(self.robot.floating, None)
         payloads = [run.payload for run in self.runs] if payloads is None else payloads
         of_payloads = payload_columns(self.model, self.base, payloads)
         effects = column_blocks(self.base, channels, of_payloads, terms, len(self.runs) if per_run else 1)
@@ -135,8 +140,8 @@ class Dataset:
         warm = None if self.temperatures is None else self.temperatures.of_blocks
         plain = assemble_problem(effects, channels, self.factors, slowest, warm, self.prepared.places[0].tolist())
         known = known_equations(self.base, self.model.parameter_names, plain.parameters, self.priors)
-        whole = replace(plain, known=known, wrenches=tuple(dict.fromkeys(given)), factored=plain.triangles)
-        return System(self, whole.without(unexcited(whole)), whole, effects, of_payloads, terms)
+        problem = replace(plain, known=known, wrenches=tuple(given), factored=plain.triangles)
+        return System(self, problem.without(unexcited(problem)), problem, effects, of_payloads, terms)
 
     def reduced(
         self,
@@ -236,7 +241,8 @@ class System:
         """
         if above is None:
             return self._maps[run]
-        return np.stack([column_map(self.effects, run, each, above[each.row]) for each in self.whole.channels])
+        channels = self.whole.channels
+        return np.stack([column_map(self.effects, run, channel, above[channel.row]) for channel in channels])
 
     @cached_property
     def _maps(self) -> list[np.ndarray]:
@@ -269,8 +275,8 @@ class System:
 
 def robot_notes(robot: Robot, loaded: bool) -> list[Finding]:
     """Note implausible parts of a robot's description, and, where ``loaded``, the body assumed to carry payloads."""
-    found = oddities(robot) + (tool_note(robot) if loaded else ())
-    return [Finding(F.ROBOT, values={"what": note}, source=f"robot '{robot.name}'") for note in found]
+    notes = oddities(robot) + (tool_note(robot) if loaded else ())
+    return [Finding(F.ROBOT, values={"what": note}, source=f"robot '{robot.name}'") for note in notes]
 
 
 def at_rate_of(runs: Sequence[Run], preparation: Preparation) -> Preparation:

@@ -69,9 +69,9 @@ def select_columns(R: np.ndarray, columns: Sequence[int]) -> np.ndarray:
     """Compute the triangular factor of some ``columns``, in order, of the rows with the triangular factor ``R``."""
     same = next((k for k, column in enumerate(columns) if column != k), len(columns))  # triangular as they are
     rest = triangle(R[same:, columns[same:]])
-    found = np.zeros((len(R[:same]) + len(rest), len(columns)))
-    found[:same], found[same:, same:] = R[:same, columns], rest
-    return found
+    T = np.zeros((len(R[:same]) + len(rest), len(columns)))
+    T[:same], T[same:, same:] = R[:same, columns], rest
+    return T
 
 
 def leave_one_out(factors: list[np.ndarray]) -> list[np.ndarray]:
@@ -134,7 +134,7 @@ class Triangles:
 
     def __init__(self, columns: Sequence[np.ndarray]) -> None:
         self._columns, self.rows = columns, np.zeros((BLOCKS, len(columns)), dtype=int)
-        self._factors = [[np.zeros((0, each.size)) for each in columns] for _ in range(BLOCKS)]
+        self._factors = [[np.zeros((0, places.size)) for places in columns] for _ in range(BLOCKS)]
         self._waiting: defaultdict[tuple[int, int], list[np.ndarray]] = defaultdict(list)  # of a block and channel
         self._held = 0
 
@@ -190,9 +190,9 @@ def reduce_rows(
     regressor, near = idm.columns(columns), singular_distances(idm)
     channels = [channel for channel in channels if channel.kind.modelled]
     c, p, n = len(channels), len(columns) + EXTRA, len(idm.actuated)
-    rows_of = (regressor.columns[regressor.rows == channel.row] for channel in channels)
-    own = [np.append(np.unique(entries), np.arange(p - EXTRA, p)) for entries in rows_of]
-    collected, distances, residuals = Triangles(own), Store((2,), np.float32), Store((c,))
+    entries = (regressor.columns[regressor.rows == channel.row] for channel in channels)
+    places = [np.append(np.unique(columns), np.arange(p - EXTRA, p)) for columns in entries]
+    collected, distances, residuals = Triangles(places), Store((2,), np.float32), Store((c,))
     speeds = np.zeros((BLOCKS, n))
     for part in rows:
         distances.append(near(part.motion).T)

@@ -28,8 +28,8 @@ from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import Joint, Robot
 from gtau.signals.preparation.prepared_run import Preparation, PreparedRun, prepare
 from gtau.signals.reading.columns import SampleRate
+from gtau.signals.reading.samples import extremes
 from gtau.signals.run import Run
-from gtau.signals.storage import block, spans
 
 FASTEST = {"revolute": FASTEST_TURN, "prismatic": FASTEST_SLIDE}
 FARTHEST = {"revolute": FARTHEST_TURN, "prismatic": FARTHEST_SLIDE}
@@ -40,10 +40,7 @@ UNITS = {"revolute": ("rad", "deg"), "prismatic": ("m", "mm")}
 def within_limits(robot: Robot, prepared: PreparedRun) -> PreparedRun:
     """Note every joint that leaves its limits in a run; raises GtauError."""
     position = prepared.run.position
-    extremes = [
-        (each.min(axis=0), each.max(axis=0)) for each in (block(position, *span) for span in spans(len(position)))
-    ]
-    lowest, highest = np.min([low for low, _ in extremes], axis=0), np.max([high for _, high in extremes], axis=0)
+    lowest, highest = extremes(position)
     speeds = np.sqrt(np.diag(prepared.speeds))
     _check_units(robot, prepared.run, highest - lowest, speeds)
     notes: list[Finding] = []
@@ -56,7 +53,7 @@ def _check_units(robot: Robot, run: Run, span: np.ndarray, speeds: np.ndarray) -
     """Refuse motions impossible for a robot of this size, and name the wrong unit or clock; (n,) rad or m, s."""
     # Motors behind gears make any number of turns, and floating bases move without limits.
     units = run.log.units
-    geared = {name for each in robot.couplings for name in (each.joint, *dict(each.ratios))}.union(robot.base)
+    geared = _coupled(robot).union(robot.base)
     for kind, (basic, other) in UNITS.items():
         joints = [j for j, name in enumerate(run.joints) if robot.joint(name).kind == kind and name not in geared]
         if not joints:
@@ -118,28 +115,33 @@ def sensors_of(robot: Robot, runs: Sequence[Run]) -> tuple[str, ...]:
     inertia, friction of motor and gear, and the offset of the current. It has an offset of its own. The parameters of
     the links are the same, so they carry the scale of the sensor to all drive gains. Raises GtauError.
     """
-    behind = [[each for each in run.channels if each.kind.link_side] for run in runs]
-    for run, own in zip(runs, behind, strict=True):
-        for kind in dict.fromkeys(each.kind for each in (*behind[0], *own)):
-            first, other = ([each.joint for each in of if each.kind == kind] for of in (behind[0], own))
+    behind = [[channel for channel in run.channels if channel.kind.link_side] for run in runs]
+    for run, sensors in zip(runs, behind, strict=True):
+        for kind in dict.fromkeys(channel.kind for channel in (*behind[0], *sensors)):
+            first = [channel.joint for channel in behind[0] if channel.kind == kind]
+            other = [channel.joint for channel in sensors if channel.kind == kind]
             if other != first:
                 raise GtauError(
                     f"runs '{runs[0].name}' and '{run.name}' have {kind.group} at other joints "
                     f"({', '.join(first) or 'none'}; {', '.join(other) or 'none'}); give '{kind.calibration}' for the "
                     "same joints in all runs."
                 )
-    coupled = {name for each in robot.couplings for name in (each.joint, *dict(each.ratios))}
-    for each in behind[0]:
-        if each.joint in coupled:
+    coupled = _coupled(robot)
+    for sensor in behind[0]:
+        joint, kind = sensor.joint, sensor.kind
+        if joint in coupled:
             raise GtauError(
-                f"joint '{each.joint}' has a {each.kind.name}, but couplings of robot '{robot.name}' share it between "
-                f"motors, so that no motor's torque is that of the joint; remove it from '{each.kind.calibration}'."
+                f"joint '{joint}' has a {kind.name}, but couplings of robot '{robot.name}' share it between "
+                f"motors, so that no motor's torque is that of the joint; remove it from '{kind.calibration}'."
             )
-        if each.name in robot.bodies:
-            raise GtauError(
-                f"joint '{each.name}' has the name of a {each.kind.name} of '{each.joint}'; rename the joint."
-            )
+        if sensor.name in robot.bodies:
+            raise GtauError(f"joint '{sensor.name}' has the name of a {kind.name} of '{joint}'; rename the joint.")
     return runs[0].sensors
+
+
+def _coupled(robot: Robot) -> set[str]:
+    """List the joints that couplings share between motors."""
+    return {name for coupling in robot.couplings for name in (coupling.joint, *dict(coupling.ratios))}
 
 
 def check_wrenches(robot: Robot, run: Run) -> None:

@@ -34,10 +34,6 @@ class Unknowns(tuple[Parameter, ...]):
         """Find the places of some unknowns, in their order."""
         return [self.places[name] for name in names]
 
-    def select(self, kind: str | None = None, body: str | None = None) -> Unknowns:
-        """Select the unknowns of a kind, of a body, joint or channel, or of both."""
-        return Unknowns(name for name in self if kind in (None, name.kind) and body in (None, name.body))
-
     @cached_property
     def theta(self) -> slice:
         """Those of the model."""
@@ -54,7 +50,7 @@ class Unknowns(tuple[Parameter, ...]):
         return self._of("delay")
 
     def _of(self, kind: str) -> slice:
-        places = self.at(self.select(kind))
+        places = [k for k, name in enumerate(self) if name.kind == kind]
         return slice(places[0], places[-1] + 1) if places else slice(len(self), len(self))
 
 
@@ -89,8 +85,7 @@ class Estimates:
         if self.freedom is None:
             return None
         scatter, total = np.diag(self.scatter), np.diag(self.covariance)
-        share = np.divide(total, scatter, out=np.ones_like(total), where=scatter > 0)
-        return np.asarray(self.freedom * share**2)
+        return self.freedom * np.divide(total, scatter, out=np.ones_like(total), where=scatter > 0) ** 2
 
     def __getitem__(self, name: str) -> float:
         """Value of an unknown."""
@@ -115,14 +110,14 @@ class Estimates:
         at, more = every.at(unknowns), len(every) - len(self.unknowns)
         T = np.eye(len(every), len(self.unknowns))
         T[at] = slopes
-        own = np.zeros((len(every), len(every)))
-        own[np.ix_(at, at)] = scatter
+        added = np.zeros((len(every), len(every)))
+        added[np.ix_(at, at)] = scatter
         all_values = np.pad(self.values, (0, more))
         all_values[at] = values
         nu = None if self.freedom is None else np.pad(self.freedom, (0, more))
         if nu is not None:
             nu[at] = freedom
-        parts = (T @ self.scatter @ T.T + own, T @ self.scale @ T.T, T @ self.model @ T.T)
+        parts = (T @ self.scatter @ T.T + added, T @ self.scale @ T.T, T @ self.model @ T.T)
         return Estimates(every, all_values, *parts, nu)
 
 
@@ -174,22 +169,23 @@ class Problem:
     @cached_property
     def joints(self) -> tuple[str, ...]:
         """Actuated joints, those of a floating base included, (n,)."""
-        return tuple(each.joint for each in self.channels if not each.kind.link_side)
+        return tuple(channel.joint for channel in self.channels if not channel.kind.link_side)
 
     @cached_property
     def sensor_channels(self) -> list[int]:
         """Numbers of the channels that measure a joint's torque itself, with the gain 1."""
-        return [k for k, each in enumerate(self.channels) if each.kind.of_joint and not each.kind.unknown_gain]
+        kinds = [channel.kind for channel in self.channels]
+        return [k for k, kind in enumerate(kinds) if kind.of_joint and not kind.unknown_gain]
 
     @cached_property
     def base(self) -> list[int]:
         """Numbers of the channels that are rows of a floating base."""
-        return [k for k, each in enumerate(self.channels) if not each.kind.of_joint]
+        return [k for k, channel in enumerate(self.channels) if not channel.kind.of_joint]
 
     @cached_property
     def unknown_gains(self) -> np.ndarray:
         """Mask of the channels with a gain to estimate, (c,)."""
-        return np.array([each.kind.unknown_gain for each in self.channels])
+        return np.array([channel.kind.unknown_gain for channel in self.channels])
 
     @property
     def scaled(self) -> bool:
@@ -204,8 +200,8 @@ class Problem:
     @cached_property
     def units(self) -> tuple[np.ndarray, ...]:
         """Return the units of the jackknife in turn, (c, ., n_theta + 4): a block, or all blocks in step."""
-        together = [self.blocks[self.block_numbers == number] for number in np.unique(self.block_numbers)]
-        return tuple(each[0] if len(each) == 1 else np.concatenate(each, axis=1) for each in together)
+        together = (self.blocks[self.block_numbers == number] for number in np.unique(self.block_numbers))
+        return tuple(np.concatenate(blocks, axis=1) for blocks in together)
 
     @cached_property
     def unknowns(self) -> Unknowns:
@@ -236,16 +232,16 @@ class Problem:
     @cached_property
     def own_currents(self) -> tuple[np.ndarray, ...]:
         """Residuals of v, v', v'' from each channel's own model: (3, 3) triangles, one a channel."""
-        left = []
+        residuals, signals = [], range(self.n_theta + 1, self.n_theta + FIXED)
         for R, columns in zip(self.triangles, self.own_columns, strict=True):
-            full = select_columns(R, [*columns, *range(self.n_theta + 1, self.n_theta + FIXED)])
-            left.append(full[len(columns) :, len(columns) :])
-        return tuple(left)
+            full = select_columns(R, [*columns, *signals])
+            residuals.append(full[len(columns) :, len(columns) :])
+        return tuple(residuals)
 
-    @property
+    @cached_property
     def total_rows(self) -> np.ndarray:
         """Equations of each channel, (c,)."""
-        return self.rows.sum(axis=0)
+        return np.asarray(self.rows.sum(axis=0))
 
     @cached_property
     def own_delays(self) -> np.ndarray:
@@ -254,7 +250,7 @@ class Problem:
         Minimises the residual of ``v - d v' + d^2/2 v''`` outside the joint's regressor, from the
         (3, 3) triangles alone. Zero where the minimum lies outside +-``slowest``.
         """
-        found = np.zeros(len(self.channels))
+        delays = np.zeros(len(self.channels))
         for j, T in enumerate(self.own_currents):
             if T.shape[0] < 2:
                 continue
@@ -265,20 +261,18 @@ class Problem:
             real = stationary[np.abs(stationary.imag) < 1e-12].real
             real = real[np.abs(real) < self.slowest]  # none of them without delays
             if real.size:
-                found[j] = real[np.argmin(np.polyval(quartic, real))]
-        return found
+                delays[j] = real[np.argmin(np.polyval(quartic, real))]
+        return delays
 
     @cached_property
     def own_sigma(self) -> np.ndarray:
         """Standard deviation of each channel about its own model (eq. 28), (c,)."""
-        sigma = np.zeros(len(self.channels))
-        for j, T in enumerate(self.own_currents):
-            rest = delayed_signal(T, self.own_delays[j])
-            free = max(self.total_rows[j] - len(self.own_columns[j]), 1)
-            sigma[j] = np.sqrt(rest @ rest / free)
-        found = np.maximum(sigma, self.smallest_sigma)
+        rest = zip(self.own_currents, self.own_delays, strict=True)
+        squares = np.array([np.sum(delayed_signal(T, delay) ** 2) for T, delay in rest])
+        free = np.maximum(self.total_rows - [len(columns) for columns in self.own_columns], 1)
+        sigma = np.maximum(np.sqrt(squares / free), self.smallest_sigma)
         # without a signal its own model gives no error level: start with that of the least weight
-        return np.where(self.silent, found.max() or 1.0, found)
+        return np.where(self.silent, sigma.max() or 1.0, sigma)
 
     @cached_property
     def signal(self) -> np.ndarray:
@@ -298,7 +292,8 @@ class Problem:
     def largest_terms(self, theta: np.ndarray) -> np.ndarray:
         """Return the largest of the model's terms in each channel, rms, (c,)."""
         terms = [np.linalg.norm(R[:, MODEL], axis=0) * np.abs(theta) for R in self.triangles]
-        return np.asarray(np.array([each.max(initial=0.0) for each in terms]) / np.sqrt(self.total_rows))
+        largest = np.array([of_channel.max(initial=0.0) for of_channel in terms])
+        return np.asarray(largest / np.sqrt(self.total_rows))
 
     @property
     def smallest_sigma(self) -> np.ndarray:
@@ -341,10 +336,10 @@ class Problem:
         # columns that depended on others still do if these are all there, or if there are none
         now = {old: new for new, old in enumerate(columns)}
         independent = tuple(
-            [now[k] for k in own if k in now]
-            if now.keys() >= set(own) or len(own) == np.count_nonzero(R[:, : KNOWN + 1].any(axis=0))
+            [now[k] for k in chosen if k in now]
+            if now.keys() >= set(chosen) or len(chosen) == np.count_nonzero(R[:, : KNOWN + 1].any(axis=0))
             else _independent(T)
-            for own, R, T in zip(self.own_columns, self.triangles, triangles, strict=True)
+            for chosen, R, T in zip(self.own_columns, self.triangles, triangles, strict=True)
         )
         blocks = self.blocks[..., columns]
         return replace(self, parameters=kept, blocks=blocks, known=known, factored=triangles, independent=independent)

@@ -131,12 +131,13 @@ def find_places(prepared: Sequence[PreparedRun]) -> tuple[np.ndarray, np.ndarray
 
 def _paths(prepared: Sequence[PreparedRun]) -> tuple[float, list[np.ndarray]]:
     """Sample the positions (N, n) of all runs at steps of one length (s), which comes first."""
-    samples = [np.arange(0, len(each), -(-len(each) // LONGEST)) for each in prepared]
-    step = max(int(at[1] if len(at) > 1 else 1) / each.run.rate for each, at in zip(prepared, samples, strict=True))
+    strides = [-(-len(run) // LONGEST) for run in prepared]
+    step = max(stride / run.run.rate for run, stride in zip(prepared, strides, strict=True))
     q = []
-    for each, at in zip(prepared, samples, strict=True):
-        time = each.time[at] - each.time[0]
-        position = each.run.position[each.kept.start + at]
+    for run, stride in zip(prepared, strides, strict=True):
+        at = np.arange(0, len(run), stride)
+        time = run.time[at] - run.time[0]
+        position = run.run.position[run.kept.start + at]
         instants = np.arange(0.0, time[-1] + step / 2, step)
         q.append(np.column_stack([np.interp(instants, time, of_joint) for of_joint in position.T]))
     return step, q
@@ -151,13 +152,13 @@ def _lag(a: np.ndarray, b: np.ndarray, moves: np.ndarray) -> int | None:
         return None
     spread = np.maximum(a.std(axis=0), b.std(axis=0))[moves]
     centre = a.mean(axis=0)[moves]
-    a, b = ((each[:, moves] - centre) / (spread * np.sqrt(moves.sum())) for each in (a, b))
+    a, b = ((path[:, moves] - centre) / (spread * np.sqrt(moves.sum())) for path in (a, b))
     # the mean square of a[i + lag] - b[i] at every lag
     size = next_fast_len(len(a) + len(b) - 1)
     products = (rfft(a, size, axis=0) * np.conj(rfft(b, size, axis=0))).sum(axis=1)
     lags = np.arange(1 - len(b), len(a))
     cross = irfft(products, size)[lags]
-    squares_a, squares_b = (np.concatenate([[0.0], np.cumsum(np.sum(each**2, axis=1))]) for each in (a, b))
+    squares_a, squares_b = (np.cumsum(np.append(0.0, np.sum(path**2, axis=1))) for path in (a, b))
     low, high = np.maximum(lags, 0), np.minimum(len(a), len(b) + lags)
     sums = squares_a[high] - squares_a[low] + squares_b[high - lags] - squares_b[low - lags] - 2 * cross
     enough = high - low >= least
@@ -184,7 +185,7 @@ def central_windows(prepared: Sequence[PreparedRun], pieces: int, cut: Sequence[
         if run.preparation.decimator.outputs(size) == 0:
             continue
         kept = _middle(stretches, size * pieces)
-        middle = joined([run.samples(each.start, each.stop) for each in kept])
+        middle = joined([run.samples(stretch.start, stretch.stop) for stretch in kept])
         first = range(0, size * pieces, size)
         windows += [(number, replace(middle[at : at + size], part_of=(middle, at))) for at in first]
     return windows
@@ -219,8 +220,9 @@ def _middle(stretches: Sequence[range], count: int) -> list[range]:
     """Keep the ``count`` samples in the middle of stretches."""
     ends = np.cumsum([0, *map(len, stretches)]).tolist()
     first = (ends[-1] - count) // 2
-    cut = [each[max(first - at, 0) : max(first + count - at, 0)] for each, at in zip(stretches, ends, strict=False)]
-    return [each for each in cut if each]
+    shifts = zip(stretches, ends, strict=False)
+    cut = [stretch[max(first - at, 0) : max(first + count - at, 0)] for stretch, at in shifts]
+    return [stretch for stretch in cut if stretch]
 
 
 def window_clusters(windows: Windows, groups: np.ndarray, spans: np.ndarray) -> np.ndarray:

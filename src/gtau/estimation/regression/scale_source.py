@@ -53,8 +53,8 @@ def _without_effect(robot: Robot, system: System, other: str) -> GtauError:
     if problem.sensor_channels:
         sensors = [problem.channels[k] for k in problem.sensor_channels]
         named = " and the ".join(
-            f"{kind.group} of {', '.join(each.joint for each in sensors if each.kind == kind)}"
-            for kind in dict.fromkeys(each.kind for each in sensors)
+            f"{kind.group} of {', '.join(sensor.joint for sensor in sensors if sensor.kind == kind)}"
+            for kind in dict.fromkeys(sensor.kind for sensor in sensors)
         )
         return GtauError(
             f"the {named} measure no load that the motors carry too, so they "
@@ -106,11 +106,11 @@ def unexplained_wrench_share(problem: Problem) -> tuple[float, float]:
         rows.append(np.column_stack([R[:, MODEL], currents, R[:, KNOWN]]) / sigma)
     stacked = np.concatenate(rows)
     columns, torque = stacked[:, :-1] / np.maximum(np.linalg.norm(stacked[:, :-1], axis=0), 1e-300), stacked[:, -1]
-    left, unanswered = (
-        float(np.linalg.norm(torque - of @ np.linalg.lstsq(of, torque, rcond=None)[0]))
-        for of in (columns[:, :n], columns)
+    unexplained, unanswered = (
+        float(np.linalg.norm(torque - W @ np.linalg.lstsq(W, torque, rcond=None)[0])) for W in (columns[:, :n], columns)
     )
-    return left / (float(np.linalg.norm(torque)) or 1.0), 1 - (unanswered / (left or 1.0)) ** 2
+    share = unexplained / (float(np.linalg.norm(torque)) or 1.0)
+    return share, 1 - (unanswered / (unexplained or 1.0)) ** 2
 
 
 def _always_carried(bodies: Sequence[str], other: str) -> str:

@@ -20,10 +20,12 @@ from gtau.estimation.diagnostics.verdict import (
 )
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import squared, stacked
-from gtau.estimation.regression.column_blocks import BEARING, PayloadColumns, known_values
+from gtau.estimation.friction.law import SHAPES
+from gtau.estimation.regression.column_blocks import BEARING, TEMPERATURE_TERMS, PayloadColumns, known_values
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.factors import triangle
 from gtau.estimation.regression.problem import Estimates, Problem
+from gtau.estimation.regression.rows import TERMS
 from gtau.estimation.results.estimate import (
     Estimate,
     FrictionCurve,
@@ -40,40 +42,41 @@ from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import regrouped
 from gtau.robots.geometry import longest_placement
 from gtau.robots.parameter import Parameter, gain_unit, torque_unit, unit_of
-from gtau.robots.robot import INERTIAL, Robot
+from gtau.robots.robot import INERTIAL, PLAIN_FRICTION, Robot
 from gtau.signals.reading.statements import FIRST_MOMENTS, PAYLOAD_KINDS
+
+FURTHER_FRICTION = {"fb", *SHAPES, *TERMS, *TEMPERATURE_TERMS}
+"""Kinds of friction that are no base parameters."""
 
 
 def model_estimates(
     fit: Fit,
     equations: Estimates,
     predicting: Estimates,
-    curves: Mapping[str, FrictionCurve],
     verdicts: Mapping[Parameter, Verdict],
     payloads: Mapping[str, Verdict],
     essential: Problem,
 ) -> ModelEstimates:
     """Collect the estimates with which the model predicts.
 
-    ``equations`` are those of the fit, ``predicting`` the same after the step of friction, with its ``curves``;
-    ``verdicts`` those on gains and delays, ``payloads`` those on known payloads by name.
+    ``equations`` are those of the fit, ``predicting`` the same after the step of friction; ``verdicts`` those on gains
+    and delays, ``payloads`` those on known payloads by name.
     """
-    dataset, channels, terms = fit.dataset, fit.system.problem.channels, fit.system.terms
-    temperatures, base_names = reference_temperatures(fit), set(dataset.base.names)
+    dataset, channels = fit.dataset, fit.system.problem.channels
+    temperatures = reference_temperatures(fit)
     sensors = {channel.name for channel in channels if channel.kind.link_side}
-    friction = _friction_names(fit, curves)
     given = {Parameter("gain", sensor) for sensor in sensors}
-    if curves:  # terms of the equations that predict nothing
-        given |= set(terms) - set(friction)
-    listed = sorted((name for name in predicting.unknowns if name not in given), key=_group)
+    listed = [name for name in predicting.unknowns if name not in given]
+    order = {"gain": 1, "delay": 2}  # behind the parameters
+    listed.sort(key=lambda name: order.get(name.kind, 0))
     return ModelEstimates(
         drive_gains=Named(_gains(fit, predicting, verdicts)),
         delays=Named((joint, _delay(predicting, joint, joint, verdicts)) for joint in dataset.model.actuated),
         parameters=Named(_parameters(fit, predicting, essential)),
         friction=Named(
             (name, _estimate(predicting, name, friction_unit(name, dataset.robot, temperatures)))
-            for name in friction
-            if name in predicting.unknowns.places and name not in base_names and name.body not in sensors
+            for name in predicting.unknowns
+            if name.kind in FURTHER_FRICTION and name.body not in sensors
         ),
         payloads=payload_estimates(fit.system, equations, payloads),
         covariance_names=tuple(listed),
@@ -82,19 +85,14 @@ def model_estimates(
     )
 
 
-def _friction_names(fit: Fit, curves: Mapping[str, FrictionCurve]) -> tuple[Parameter, ...]:
-    """List the friction that predicts: of the curves, or without any the terms of the equations."""
-    if not curves:
-        return fit.system.terms
-    return tuple(name for curve in curves.values() for name in curve.parameters)
-
-
 def fit_record(
     fit: Fit, method: str, errors: Mapping[str, tuple[float, float]], statistics: Mapping[str, float]
 ) -> FitRecord:
     """Record how the estimates were fitted, with ``errors`` over all samples by motor and further ``statistics``."""
     dataset, solution = fit.dataset, fit.solution
     total, (sigma, signal) = _total(fit.system.problem, solution.sigma), _levels(fit)
+    estimated, gains = _scaled(total[:, :-1]), np.abs(solution.gains)
+    condition = float(np.linalg.cond(estimated)) if estimated.size else 1.0
     return FitRecord(
         method=method,
         kind=dataset.runs[0].kind,
@@ -103,8 +101,8 @@ def fit_record(
         residuals=tuple(
             TorqueError(
                 joint,
-                float(abs(solution.gains[k]) * sigma[k]),
-                float(abs(solution.gains[k]) * signal[k]),
+                float(gains[k] * sigma[k]),
+                float(gains[k] * signal[k]),
                 torque_unit(dataset.robot, joint),
                 *errors.get(joint, ()),
             )
@@ -112,7 +110,7 @@ def fit_record(
         ),
         logged_speeds=_logged_speeds(fit),
         scale=_scale(fit) if fit.free_gains else {},
-        statistics={**solution.statistics, **statistics, "condition_number": _condition_number(total)},
+        statistics={**solution.statistics, **statistics, "condition_number": condition},
         singular_values=tuple(np.linalg.svd(_scaled(total), compute_uv=False).tolist()) if fit.free_gains else (),
         data=dataset.runs,
     )
@@ -136,7 +134,8 @@ def evidence(
 ) -> Evidence:
     """Collect what speaks for and against the estimates, those of the equations among them."""
     dataset, temperatures = fit.dataset, reference_temperatures(fit)
-    replaced = {*_friction_names(fit, curves), *fit.system.terms} if curves else set()
+    replaced = {name for name in dataset.base.names if name.kind in PLAIN_FRICTION and name.body in curves}
+    replaced |= set(fit.system.terms if curves else ())
     along = [
         (prepared, dataset.preparation.at(prepared.run.rate).decimator, factors.distances)
         for prepared, factors in zip(dataset.prepared, dataset.factors, strict=True)
@@ -154,11 +153,6 @@ def evidence(
         singularities=tuple(nearest for run in along for nearest in nearest_poses(*run)),
         distances=tuple(distances_along(*run) for run in along),
     )
-
-
-def _group(name: Parameter) -> int:
-    """Order estimates in the covariance: parameters, then gains, then delays."""
-    return {"gain": 1, "delay": 2}.get(name.kind, 0)
 
 
 def _estimate(
@@ -210,13 +204,8 @@ def _parameters(fit: Fit, vector: Estimates, essential: Problem) -> dict[Paramet
     return parameters
 
 
-def _condition_number(total: np.ndarray) -> float:
-    """Compute the condition number of the estimated columns of ``W_tot``, scaled to unit length."""
-    estimated = _scaled(total[:, :-1])
-    return float(np.linalg.cond(estimated)) if estimated.size else 1.0
-
-
 def _scaled(W: np.ndarray) -> np.ndarray:
+    """Scale the columns of ``W_tot`` to unit length."""
     length = np.linalg.norm(W, axis=0)
     return np.asarray(W[:, length > 0] / length[length > 0])
 

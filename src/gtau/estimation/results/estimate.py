@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from numbers import Integral
 from pathlib import Path
 from typing import Generic, Literal, TypeVar
@@ -124,15 +124,12 @@ class FrictionCurve:
         By how many standard errors blocks left out are better for ``presliding``, ``bent``, ``load``, ``temperature``.
     error, plain_error : float
         Of blocks left out, with this friction and with the plain law, per cent of the torque that is left to friction.
-    parameters : tuple of Parameter
-        That the curve has; not held by ``model.json``.
     """
 
     joint: str
     evidence: Mapping[str, float]
     error: NonNegativeFloat
     plain_error: NonNegativeFloat
-    parameters: tuple[Parameter, ...] = field(default=(), compare=False)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
@@ -45,7 +45,7 @@ def friction_step(
     Returns
     -------
     Estimates
-        The updated ones.
+        The updated ones, without the terms of the equations that the curves replace.
     dict
         Joint to its curve; without curves the plain law predicts.
     dict
@@ -60,6 +60,7 @@ def friction_step(
     joints = friction_joints(fit.dataset, law)
     name_of = dict(zip(base.standard, base.names, strict=True))
     curves: dict[str, FrictionCurve] = {}
+    names_of_curves: list[Parameter] = []
     errors: dict[str, tuple[float, float]] = {}
     of_rows = normal_equations(fit, law, joints)  # behind whose filter errors are stated
     fixed = _fixed(fit, estimates, {joint.name for joint in joints})
@@ -70,9 +71,13 @@ def friction_step(
             unknowns = [name_of.get(name, name) for name in names]
             freedom = float(len(group.G) - 1)
             estimates = estimates.updated(unknowns, values, _widened(slopes @ fixed, estimates), scatter, freedom)
-            curves |= _curves(group, candidate, plain, evidence, unknowns)
+            names_of_curves += unknowns
+            curves |= _curves(group, candidate, plain, evidence)
             motors = (fit.dataset.model.actuated[j] for j in group.motors)
             errors |= dict(zip(motors, _errors(rows, candidate), strict=True))
+    if curves:
+        replaced = set(fit.system.terms).difference(names_of_curves)
+        estimates = estimates.select([name for name in estimates.unknowns if name not in replaced])
     return estimates, {joint.name: curves[joint.name] for joint in joints if joint.name in curves}, errors
 
 
@@ -95,8 +100,8 @@ def friction_unit(name: Parameter, robot: Robot, temperatures: ReferenceTemperat
 
 def _errors(group: FrictionGroup, candidate: Candidate) -> list[tuple[float, float]]:
     """Compute the rms of error and torque of each motor over all its rows."""
-    left = np.append(-candidate.M @ candidate.x, 1.0)
-    squares = np.einsum("p,bmpq,q->m", left, group.G, left) / group.weights**2
+    error = np.append(-candidate.M @ candidate.x, 1.0)
+    squares = np.einsum("p,bmpq,q->m", error, group.G, error) / group.weights**2
     counts = np.maximum(group.signals[:, 0], 1)
     rms, signal = np.sqrt(np.maximum(squares, 0.0) / counts), np.sqrt(group.signals[:, 1] / counts)
     return list(zip(rms.tolist(), signal.tolist(), strict=True))
@@ -111,11 +116,7 @@ def _fixed(fit: Fit, estimates: Estimates, joints: Collection[str]) -> np.ndarra
     gains = (Parameter("gain", joint) for joint in dataset.model.actuated)
     subtracted = (name.kind not in PLAIN_FRICTION or name.body not in joints for name in dataset.base.names)
     names = [*gains, *(name if kept else None for name, kept in zip(dataset.base.names, subtracted, strict=True))]
-    selection = np.zeros((len(names), len(estimates.unknowns)))
-    for row, name in zip(selection, names, strict=True):
-        if name is not None and name in estimates.unknowns.places:
-            row[estimates.unknowns.places[name]] = 1.0
-    return selection
+    return np.array([[float(name == unknown) for unknown in estimates.unknowns] for name in names])
 
 
 def _widened(slopes: np.ndarray, estimates: Estimates) -> np.ndarray:
@@ -198,7 +199,6 @@ def _curves(
     candidate: Candidate,
     plain: Candidate,
     evidence: Mapping[tuple[int, str], float],
-    unknowns: Sequence[Parameter],
 ) -> dict[str, FrictionCurve]:
     """Collect what the data say of the friction of each joint of a group, by its name."""
     signal = max(float(group.G[..., -1, -1].sum()), 1e-300)
@@ -209,7 +209,6 @@ def _curves(
             {WORDS[kind]: float(evidence[s, kind]) for kind in KINDS if (s, kind) in evidence},
             error,
             plain_error,
-            tuple(name for name in unknowns if name.body == joint.name),
         )
         for s, joint in enumerate(group.joints)
     }

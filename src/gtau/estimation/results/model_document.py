@@ -54,12 +54,6 @@ from gtau.signals.channel import SENSOR, ChannelKind, link_side_kind
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import Preparation
 
-SCHEMA = "gtau-model/4"
-WRITTEN = {"between_run_std": "spread"}
-"""Keys of fields with other names."""
-OLDER = ("gtau-model/2", "gtau-model/3")
-"""Schemas that are read too: 2 is without friction on all samples, and 3 has it apart from ``parameters``."""
-
 
 def _with(*properties: str) -> PlainSerializer:
     """Write a record with what follows from its fields."""
@@ -88,12 +82,12 @@ def _estimate(estimate: Estimate, *more: str, key: str = "name") -> dict[str, An
         "model_std": estimate.model_std,
         "unit": estimate.unit,
         **_verdict(estimate.verdict),
-        **{WRITTEN.get(name, name): getattr(estimate, name) for name in more},
+        **{name.replace("between_run_std", "spread"): getattr(estimate, name) for name in more},
     }
 
 
 def _verdict(verdict: Verdict) -> dict[str, Any]:
-    finding = None if verdict.finding is None else finding_document(verdict.finding)
+    finding = verdict.finding and finding_document(verdict.finding)
     return {"outcome": verdict.outcome.value, "finding": finding, "why": verdict.why, "advice": verdict.advice}
 
 
@@ -103,29 +97,20 @@ def _listed(*more: str, key: str = "name") -> PlainSerializer:
 
 
 def _by_name(estimates: tuple[Estimate, ...]) -> dict[str, Estimate]:
-    named = {estimate.name: estimate for estimate in estimates}
-    if len(named) < len(estimates):
+    if len(named := {estimate.name: estimate for estimate in estimates}) < len(estimates):
         raise ValueError("a name is used twice; remove one entry")
     return named
 
 
 def _by_parameter(estimates: dict[str, Estimate]) -> dict[Parameter, Estimate]:
-    return {
-        parameter_of(name, regrouped=len(estimate.regrouping.split()) > 1): estimate
-        for name, estimate in estimates.items()
-    }
+    regrouped = {name: len(estimate.regrouping.split()) > 1 for name, estimate in estimates.items()}
+    return {parameter_of(name, regrouped=regrouped[name]): estimate for name, estimate in estimates.items()}
 
 
 def _alternative(alternative: Alternative) -> dict[str, Any]:
     causes = [finding_document(cause) for cause in alternative.causes]
     held = {key: value for key, value in asdict(alternative).items() if key not in ("shifts", "plausible")}
     return held | {"subject": alternative.subject, "causes": causes}
-
-
-def _curve(curve: FrictionCurve | Any) -> Any:
-    """Leave out a curve's parameters, which stand with the others; schema 3 has them."""
-    entries = asdict(curve) if isinstance(curve, FrictionCurve) else curve
-    return {key: entries[key] for key in entries if key != "parameters"} if isinstance(entries, dict) else entries
 
 
 def _method(name: str) -> str:
@@ -306,7 +291,7 @@ class ModelDocument(_Group):
     parameters: Annotated[_ByParameter, _listed("regrouping", "between_run_std", "essential")]
     friction: Annotated[_ByParameter, _listed()]
     equation_friction: Annotated[_ByParameter, _listed()] = Field(default=(), validate_default=True)
-    curves: tuple[Annotated[FrictionCurve, BeforeValidator(_curve), PlainSerializer(_curve)], ...] = ()
+    curves: tuple[FrictionCurve, ...] = ()
     sensors: tuple[_Sensor, ...] = ()
     payloads: Annotated[tuple[_Payload, ...], PlainSerializer(payload_documents)]
     residuals: tuple[_TorqueError, ...]
@@ -343,8 +328,8 @@ class ModelDocument(_Group):
         return Result(robot, ModelEstimates(**estimates), FitRecord(**fit), Evidence(**evidence))
 
 
-def to_document(result: Result) -> dict[str, Any]:
-    """Describe a result as a JSON document; ``rel_std`` in per cent, null where a value is known."""
+def described(result: Result) -> ModelDocument:
+    """Fill the document of a result."""
     decimator = result.preparation.decimator
     prepared = vars(result.preparation) | {"decimation": decimator.factor, "decimator": decimator.kind}
     values = {name: getattr(result, name, None) for name in ModelDocument.model_fields} | {
@@ -356,10 +341,7 @@ def to_document(result: Result) -> dict[str, Any]:
         "covariance": _Covariance.model_construct(names=result.covariance_names, matrix=result.covariance),
         "standard": _standard(result),
     }
-    document = ModelDocument.model_construct(**values).model_dump(mode="json")
-    for entry in document["drive_gains"]:
-        entry["scale"] = dict(result.scale.get(entry["joint"], {}))
-    return {"schema": SCHEMA, "robot": result.robot.name, **document}
+    return ModelDocument.model_construct(**values)
 
 
 def torque_error(error: TorqueError) -> dict[str, Any]:

@@ -14,9 +14,21 @@ from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError, unreadable
 from gtau.estimation.friction.law import SHAPES
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.model_document import OLDER, SCHEMA, ModelDocument, to_document
+from gtau.estimation.results.model_document import ModelDocument, described
 from gtau.estimation.results.result import Result
 from gtau.robots.parameter import Parameter
+
+SCHEMA = "gtau-model/4"
+OLDER = ("gtau-model/2", "gtau-model/3")
+"""Schemas that are read too: 2 is without friction on all samples, and 3 has it apart from ``parameters``."""
+
+
+def to_document(result: Result) -> dict[str, Any]:
+    """Describe a result as a JSON document; ``rel_std`` in per cent, null where a value is known."""
+    document = described(result).model_dump(mode="json")
+    for entry in document["drive_gains"]:
+        entry["scale"] = dict(result.scale.get(entry["joint"], {}))
+    return {"schema": SCHEMA, "robot": result.robot.name, **document}
 
 
 def model_text(result: Result) -> str:

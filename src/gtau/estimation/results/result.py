@@ -27,6 +27,7 @@ from gtau.estimation.results.estimate import (
 )
 from gtau.estimation.results.groups import Evidence, FitRecord, ModelEstimates, PayloadEstimate
 from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter
@@ -49,11 +50,11 @@ T = TypeVar("T")
 class Forwarded(Generic[T]):
     """A field of one of the groups of a result, as a property of the result."""
 
-    def __init__(self, group: str, words: str) -> None:
-        self.group, self.__doc__ = group, words
+    def __init__(self, group: str) -> None:
+        self.group = group
 
     def __set_name__(self, owner: type, name: str) -> None:
-        self.name = name
+        self.name, self.__doc__ = name, f"The field ``{name}`` of ``{self.group}``."
 
     @overload
     def __get__(self, result: None, owner: type) -> Self: ...
@@ -89,57 +90,35 @@ class Result:
     fit: FitRecord
     evidence: Evidence = field(default_factory=Evidence)
 
-    drive_gains = Forwarded[Named[str]](
-        "estimates", "Drive gains by joint, N m/A or N/A; of logged torques the factors that make them true."
-    )
-    delays = Forwarded[Named[str]]("estimates", "Delays of the current references by joint, s.")
-    parameters = Forwarded[Named[Parameter]]("estimates", "All base parameters, with which the model predicts.")
-    friction = Forwarded[Named[Parameter]](
-        "estimates", "Friction with which the model predicts beyond that among the base parameters."
-    )
-    payloads = Forwarded[tuple[PayloadEstimate, ...]]("estimates", "One entry for each loaded run.")
-    sensors = Forwarded[tuple[SensorEstimate, ...]]("estimates", "Sensors of joints, behind their drives.")
-    covariance_names = Forwarded[tuple[Parameter, ...]]("estimates", "Names of the rows of the covariance.")
-    covariance = Forwarded[np.ndarray]("estimates", "Covariance of parameters, gains and delays.")
-    temperatures = Forwarded[ReferenceTemperatures | None](
-        "estimates", "Temperatures at which friction has its values."
-    )
-    consistency: ClassVar[Forwarded[Consistency | None]] = Forwarded(
-        "estimates", "Physically consistent standard parameters."
-    )
-    method = Forwarded[str]("fit", "Name of the estimator.")
-    kind = Forwarded[str]("fit", "``current`` or ``torque``: what was logged.")
-    runs = Forwarded[tuple[str, ...]]("fit", "Names of the runs.")
-    preparation = Forwarded[Preparation]("fit", "How the logs were filtered and decimated.")
-    residuals = Forwarded[tuple[TorqueError, ...]]("fit", "Torque errors over the rows used.")
-    logged_speeds = Forwarded[Mapping[str, float]](
-        "fit", "Largest speed of each actuated joint among these, rad/s or m/s."
-    )
-    statistics = Forwarded[Mapping[str, float]]("fit", "Further figures of the method.")
-    scale = Forwarded[Mapping[str, Mapping[str, float]]]("fit", "What the scale of each gain rests on, in shares.")
-    singular_values = Forwarded[tuple[float, ...]]("fit", "Singular values of ``W_tot`` (eq. 33), in falling order.")
-    data = Forwarded[tuple[Run, ...]]("fit", "The runs; empty for a result read from a file.")
-    notes = Forwarded[tuple[Finding, ...]]("evidence", "What was repaired, left out, or is not to be trusted.")
-    alternatives = Forwarded[tuple[Alternative, ...]](
-        "evidence", "What the model may lack, and by how much that would move the gains."
-    )
-    curves = Forwarded[Mapping[str, FrictionCurve]](
-        "evidence", "What the data say of friction on all samples, by joint."
-    )
-    equation_friction = Forwarded[Named[Parameter]](
-        "evidence", "Friction in the equations that give gains and inertia."
-    )
-    geometry: ClassVar[Forwarded[GeometryTest | None]] = Forwarded(
-        "evidence", "What logged poses say of the robot's geometry."
-    )
-    audit: ClassVar[Forwarded[InertiaAudit | None]] = Forwarded(
-        "evidence", "How well the inertias of the robot's file predict."
-    )
-    requirements = Forwarded[tuple[Requirement, ...]](
-        "evidence", "What the experiment file requires, and what was found of it."
-    )
-    singularities = Forwarded[tuple[NearestPose, ...]]("evidence", "Where each run comes nearest to singularities.")
-    distances = Forwarded[tuple[np.ndarray, ...]]("evidence", "Times and distances to singularities, run by run.")
+    drive_gains = Forwarded[Named[str]]("estimates")
+    delays = Forwarded[Named[str]]("estimates")
+    parameters = Forwarded[Named[Parameter]]("estimates")
+    friction = Forwarded[Named[Parameter]]("estimates")
+    payloads = Forwarded[tuple[PayloadEstimate, ...]]("estimates")
+    sensors = Forwarded[tuple[SensorEstimate, ...]]("estimates")
+    covariance_names = Forwarded[tuple[Parameter, ...]]("estimates")
+    covariance = Forwarded[np.ndarray]("estimates")
+    temperatures = Forwarded[ReferenceTemperatures | None]("estimates")
+    consistency: ClassVar[Forwarded[Consistency | None]] = Forwarded("estimates")
+    method = Forwarded[str]("fit")
+    kind = Forwarded[str]("fit")
+    runs = Forwarded[tuple[str, ...]]("fit")
+    preparation = Forwarded[Preparation]("fit")
+    residuals = Forwarded[tuple[TorqueError, ...]]("fit")
+    logged_speeds = Forwarded[Mapping[str, float]]("fit")
+    statistics = Forwarded[Mapping[str, float]]("fit")
+    scale = Forwarded[Mapping[str, Mapping[str, float]]]("fit")
+    singular_values = Forwarded[tuple[float, ...]]("fit")
+    data = Forwarded[tuple[Run, ...]]("fit")
+    notes = Forwarded[tuple[Finding, ...]]("evidence")
+    alternatives = Forwarded[tuple[Alternative, ...]]("evidence")
+    curves = Forwarded[Mapping[str, FrictionCurve]]("evidence")
+    equation_friction = Forwarded[Named[Parameter]]("evidence")
+    geometry: ClassVar[Forwarded[GeometryTest | None]] = Forwarded("evidence")
+    audit: ClassVar[Forwarded[InertiaAudit | None]] = Forwarded("evidence")
+    requirements = Forwarded[tuple[Requirement, ...]]("evidence")
+    singularities = Forwarded[tuple[NearestPose, ...]]("evidence")
+    distances = Forwarded[tuple[np.ndarray, ...]]("evidence")
 
     def __repr__(self) -> str:
         gains = ", ".join(f"{joint} {gain}" for joint, gain in self.drive_gains.items())
@@ -270,8 +249,9 @@ class Result:
 
     @property
     def accepted(self) -> bool:
-        """Whether the result is :attr:`believable` and meets all requirements of the experiment file."""
-        return self.believable and all(requirement.met for requirement in self.requirements)
+        """Whether the result is :attr:`believable`, has all that was asked for, and meets all requirements."""
+        lacking = any(note.kind == F.NO_BODIES for note in self.notes)
+        return self.believable and not lacking and all(requirement.met for requirement in self.requirements)
 
     @property
     def plot(self) -> Any:

@@ -11,9 +11,8 @@ from pkgutil import iter_modules
 import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import Alternative, Hypothesis, compete
-from gtau.estimation.diagnostics.linearisation import Linearised, linearise, on_channels, side_by_side
+from gtau.estimation.diagnostics.linearisation import Linearised, linearise, on_channels, side_by_side, slopes_of
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.estimators.newton import to_gains
 from gtau.estimation.regression.run_blocks import WINDOWS
 from gtau.estimation.thresholds.estimates import SAME_EFFECT, TOGETHER_SHARE
 from gtau.findings import Finding
@@ -29,29 +28,24 @@ HYPOTHESES: tuple[Hypothesis, ...] = tuple(
 def find_alternatives(fit: Fit, hypotheses: Sequence[Hypothesis] = HYPOTHESES) -> list[Alternative]:
     """Try all hypotheses on a fit, in one pass over windows of its runs; those of one effect count once."""
     windows = fit.dataset.windows(WINDOWS)
-    tried = [(hypothesis, columns) for hypothesis in hypotheses if (columns := hypothesis.offered(fit))]
     if not windows:
         return []
-    offers = [on_channels(hypothesis.torques(fit), hypothesis.shared) for hypothesis, _ in tried]
+    tried = [(hypothesis, columns) for hypothesis in hypotheses if (columns := hypothesis.offered(fit))]
+    offers = [on_channels(hypothesis.torques, hypothesis.shared) for hypothesis, _ in tried]
     linear = linearise(fit, windows, side_by_side(offers))
     ends = np.cumsum([0, *(len(columns) for _, columns in tried)]).tolist()
-    others = _other_causes(fit, linear, tried)
-    T = to_gains(fit.solution.values, len(fit.solution.gains), fit.free_gains)
+    causes = _all_causes(fit, linear, tried)
+    T = slopes_of(fit)
     alternatives: list[Alternative] = []
     for (hypothesis, columns), (start, stop) in zip(tried, pairwise(ends), strict=True):
         sizes, stds, shares, slopes = linear.score_tests(slice(start, stop), hypothesis.shared)
         alone = []
-        for m, joint in np.ndindex(*sizes.shape):
-            if (start + m, joint) not in others:
-                continue
-            tested = replace(
-                columns[m],
-                causes=others[start + m, joint],
-                size=float(sizes[m, joint]),
-                std=float(stds[m, joint]) if np.isfinite(stds[m, joint]) else None,
-                share=float(shares[m, joint]),
-            )
-            alone.append(tested.moving(fit, T @ slopes[m, joint]))
+        for m, j in np.ndindex(*sizes.shape):
+            if named := causes.get((start + m, j)):
+                std = float(stds[m, j]) if np.isfinite(stds[m, j]) else None
+                size, share = float(sizes[m, j]), float(shares[m, j])
+                tested = replace(columns[m], causes=named, size=size, std=std, share=share)
+                alone.append(tested.moving(fit, T @ slopes[m, j]))
         together = _together(fit, hypothesis, linear, range(start, stop)) if hypothesis.describe and alone else []
         alternatives += together or alone  # what they explain together counts once
     return alternatives
@@ -65,7 +59,7 @@ def ranked(
     return compete(alternatives, lambda effect: effect.causes[0].joints if effect.hypothesis in of_drives else None)
 
 
-def _other_causes(
+def _all_causes(
     fit: Fit, linear: Linearised, tried: Sequence[tuple[Hypothesis, Sequence[Alternative]]]
 ) -> dict[tuple[int, int], tuple[Finding, ...]]:
     """Group columns of one effect: by number and joint of that with the largest plausible effect, what they all are.
@@ -73,22 +67,22 @@ def _other_causes(
     Only those that contradict the description, or only those that do not, stand for each other, on the same joint.
     """
     grams = np.einsum("wjpm,wjpn->jmn", linear.offered, linear.offered)
-    columns = [(hypothesis, column) for hypothesis, of_one in tried for column in of_one]
-    plausible = np.array([column.plausible for _, column in columns])
+    columns = [column for _, of_one in tried for column in of_one]
+    kinds = [(hypothesis.shared, hypothesis.description) for hypothesis, of_one in tried for _ in of_one]
+    plausible = np.array([column.plausible for column in columns])
     joints = fit.dataset.model.actuated
+    # a base that floats has no current and no friction
+    driven = np.flatnonzero(fit.system.problem.unknown_gains[: len(joints)]).tolist()
     causes: dict[tuple[int, int], tuple[Finding, ...]] = {}
-    for shared in (False, True):
-        # a base that floats has no current and no friction
-        acting = [0] if shared else np.flatnonzero(fit.system.problem.unknown_gains[: len(joints)]).tolist()
-        for joint in acting:
+    for kind in dict.fromkeys(kinds):
+        shared, _ = kind
+        alike = [k for k, other in enumerate(kinds) if other == kind]
+        for joint in [0] if shared else driven:
             gram = grams.sum(axis=0) if shared else grams[joint]
-            for description_ in (False, True):
-                kinds = (shared, description_)
-                mine = [k for k, (each, _) in enumerate(columns) if (each.shared, each.description) == kinds]
-                for group in same_effects(gram[np.ix_(mine, mine)], plausible[mine]):
-                    named = [columns[mine[k]][1].causes[0] for k in group]
-                    named = named if shared else [replace(cause, joints=(joints[joint],)) for cause in named]
-                    causes[mine[group[0]], joint] = tuple(named)
+            for group in same_effects(gram[np.ix_(alike, alike)], plausible[alike]):
+                named = [columns[alike[k]].causes[0] for k in group]
+                named = named if shared else [replace(cause, joints=(joints[joint],)) for cause in named]
+                causes[alike[group[0]], joint] = tuple(named)
     return causes
 
 
@@ -112,13 +106,17 @@ def same_effects(gram: np.ndarray, plausible: np.ndarray) -> list[list[int]]:
 def _together(fit: Fit, hypothesis: Hypothesis, linear: Linearised, columns: range) -> list[Alternative]:
     """Fit all columns of a hypothesis jointly, since they may explain much together and little alone."""
     assert hypothesis.describe is not None
-    (before, rest), (step, left) = linear.fitted(), linear.fitted(columns)
-    share = 1 - left @ left / (rest @ rest)
+    before, rest = linear.fitted()
+    squares = rest @ rest
+
+    def explained(tried: Sequence[int]) -> tuple[np.ndarray, float]:
+        step, rest = linear.fitted(tried)
+        return step, float(1 - rest @ rest / squares)
+
+    step, share = explained(columns)
     if share < TOGETHER_SHARE:
         return []
-    each_left = [linear.fitted([k])[1] for k in columns]
-    alone = np.array([1 - left_alone @ left_alone / (rest @ rest) for left_alone in each_left])
-    T = to_gains(fit.solution.values, len(fit.solution.gains), fit.free_gains)
+    alone = np.array([explained([k])[1] for k in columns])
     cause = hypothesis.describe(fit, step[len(before) :], alone / share)
-    together = Alternative(hypothesis.name, (cause,), 1.0, None, "", share=float(share))
-    return [together.moving(fit, T @ (step[: len(before)] - before))]
+    slopes = slopes_of(fit) @ (step[: len(before)] - before)
+    return [Alternative(hypothesis.name, (cause,), 1.0, None, "", share=share).moving(fit, slopes)]

@@ -8,30 +8,29 @@ x f``, so that one which is off adds a moment proportional to the force.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.alternatives import Alternative, Cause, Hypothesis
-from gtau.estimation.diagnostics.linearisation import CandidateColumns, Moving, Offer, at_full_rate, motion_along
+from gtau.estimation.diagnostics.alternatives import Alternative, Hypothesis, candidate
+from gtau.estimation.diagnostics.linearisation import CandidateColumns, FitWindow, motion_along
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.plausibility import stated_rate
 from gtau.estimation.regression.rows import external_torques, instants
 from gtau.estimation.thresholds import Threshold
 from gtau.findings import Finding
 from gtau.robots.placement import WRENCH
-from gtau.signals.preparation.prepared_run import SampleWindow
 
 DEGREE, MILLIMETRE, PER_CENT = np.pi / 180, 1e-3, 1e-2
 STEP = 0.1  # of the unit: the torques' change is linear over this
 
-ZERO = Cause(
+ZERO = candidate(
     "encoder zero",
     Threshold(0.5, "error of an encoder's zero, degrees or mm", evidence="experience"),
 )
-SCALE = Cause(
+SCALE = candidate(
     "position scale",
     Threshold(
         1.0,
@@ -44,63 +43,58 @@ SCALE = Cause(
 )
 
 
-def _encoder_zeros(fit: Fit) -> Offer:
+def _encoder_zeros(at: FitWindow) -> CandidateColumns:
     """Add a constant error of a joint's position."""
-    steps = np.diag([STEP * (DEGREE if unit == "deg" else MILLIMETRE) for unit in _units(fit)])
-    return _with_positions(fit, [(np.ones(len(steps)), step) for step in steps])
+    steps = np.diag([STEP * (DEGREE if unit == "deg" else MILLIMETRE) for unit in _units(at.fit)])
+    return _with_positions(at, np.ones_like(steps), steps)
 
 
-def _position_scales(fit: Fit) -> Offer:
+def _position_scales(at: FitWindow) -> CandidateColumns:
     """Scale a joint's positions, velocities and accelerations, as a wrong gear ratio does."""
-    joints = np.eye(len(fit.dataset.model.actuated))
-    return _with_positions(fit, [(1 + STEP * PER_CENT * joint, 0 * joint) for joint in joints])
+    joints = np.eye(len(at.fit.dataset.model.actuated))
+    return _with_positions(at, 1 + STEP * PER_CENT * joints, 0 * joints)
 
 
 def _units(fit: Fit) -> list[str]:
     return ["deg" if fit.dataset.robot.joint(joint).turns else "mm" for joint in fit.dataset.model.actuated]
 
 
-def _with_positions(fit: Fit, steps: Sequence[tuple[np.ndarray, np.ndarray]]) -> Offer:
-    """Move the positions of each joint in turn by a factor and a shift, both (n,), a ``STEP`` of its unit."""
-    model = fit.dataset.model
-    regressor = model.columns(fit.dataset.base.standard)
-
-    def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
-        before = regressor.torques_along(model.layout, motion(), values)
-        columns = np.zeros((len(steps), *before.shape))
-        for k, (factor, shift) in enumerate(steps):
-            q, qd, qdd = window.q * factor + shift, window.qd * factor, window.qdd * factor
-            moved, labels = replace(window, q=q, qd=qd, qdd=qdd, part_of=None), instants(window.run.name, window.time)
-            try:  # from near the first configuration, so that loops are closed as before
-                path = model.path(np.ascontiguousarray(moved.q.T), labels, motion().c[:, 0])
-                after = regressor.torques_along(model.layout, motion_along(model, moved, path), values)
-            except GtauError:
-                continue  # the loops do not close there: nothing is said of this joint
-            columns[k] = (after - before) / STEP
-        return at_full_rate(window, fit, columns)
-
-    return offer
+def _with_positions(at: FitWindow, factors: np.ndarray, shifts: np.ndarray) -> CandidateColumns:
+    """Move the positions of each joint in turn by factors and shifts, both (., n), a ``STEP`` of its unit."""
+    model, window = at.fit.dataset.model, at.window
+    before = at.torques_along(at.motion, at.values)
+    columns = np.zeros((len(shifts), *before.shape))
+    for column, factor, shift in zip(columns, factors, shifts, strict=True):
+        q, qd, qdd = window.q * factor + shift, window.qd * factor, window.qdd * factor
+        moved, labels = replace(window, q=q, qd=qd, qdd=qdd, part_of=None), instants(window.run.name, window.time)
+        try:  # from near the first configuration, so that loops are closed as before
+            path = model.path(np.ascontiguousarray(q.T), labels, at.motion.c[:, 0])
+            after = at.torques_along(motion_along(model, moved, path), at.values)
+        except GtauError:
+            continue  # the loops do not close there: nothing is said of this joint
+        column[:] = (after - before) / STEP
+    return at.decimated(columns)
 
 
 def _zeros_of(fit: Fit) -> list[Alternative]:
     joints = zip(fit.dataset.model.actuated, _units(fit), strict=True)
-    return [replace(ZERO.column(joint), unit=unit) for joint, unit in joints]
+    return [replace(ZERO.on(joint), unit=unit) for joint, unit in joints]
 
 
 def _scales_of(fit: Fit) -> list[Alternative]:
-    return [SCALE.column(joint) for joint in fit.dataset.model.actuated]
+    return list(map(SCALE.on, fit.dataset.model.actuated))
 
 
-ENCODER_ZEROS = Hypothesis("encoder zeros", True, _encoder_zeros, (ZERO,), _zeros_of, description=True)
-POSITION_SCALES = Hypothesis("position scales", True, _position_scales, (SCALE,), _scales_of, description=True)
+ENCODER_ZEROS = Hypothesis("encoder zeros", True, _encoder_zeros, _zeros_of, description=True)
+POSITION_SCALES = Hypothesis("position scales", True, _position_scales, _scales_of, description=True)
 
 
-TILT = Cause(
+TILT = candidate(
     "gravity tilt",
     Threshold(1.0, "tilt of the base, degrees", evidence="experience"),
     unit="deg",
 )
-STRENGTH = Cause(
+STRENGTH = candidate(
     "gravity strength",
     Threshold(
         0.2,
@@ -110,10 +104,10 @@ STRENGTH = Cause(
     ),
     unit="%",
 )
-OTHER_GRAVITY = Cause("gravity")
+OTHER_GRAVITY = candidate("gravity")
 # Time that runs s times too fast makes velocities s and accelerations s^2 times too large, and with them the inertial
 # torques against those of gravity, whose length on Earth is known to 0.3 %.
-CLOCK = Cause("clock")
+CLOCK = candidate("clock")
 CLOCK_SIZE = Threshold(
     0.9,
     "part of what another gravity explains that another strength of it explains alone: the clock is wrong",
@@ -128,16 +122,13 @@ CLOCK_REVERSED = Threshold(
 )
 
 
-def _gravity(fit: Fit) -> Offer:
+def _gravity(at: FitWindow) -> CandidateColumns:
     """Add a tilt of the base, or another strength of gravity (a wrong clock)."""
-    model, n = fit.dataset.model, len(fit.dataset.model.actuated)
-    regressor, changes = model.gravity_torques(fit.dataset.base.standard), _changes_of_gravity(fit)
-
-    def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
-        entries = regressor(model.layout, motion(), values)
-        return at_full_rate(window, fit, np.stack([regressor.torques(entries, change, n) for change in changes]))
-
-    return offer
+    model, n = at.fit.dataset.model, len(at.fit.dataset.model.actuated)
+    regressor = model.gravity_torques(at.fit.dataset.base.standard)
+    entries = regressor(model.layout, at.motion, at.values)
+    changes = _changes_of_gravity(at.fit)
+    return at.decimated(np.stack([regressor.torques(entries, change, n) for change in changes]))
 
 
 def _across(gravity: np.ndarray) -> np.ndarray:
@@ -153,31 +144,22 @@ def _changes_of_gravity(fit: Fit) -> np.ndarray:
 
 def _gravity_columns(fit: Fit) -> list[Alternative]:
     gravity = np.array(fit.dataset.robot.gravity)
-    tilts = [TILT.column(towards=direction.tolist()) for direction in _across(gravity)]
-    return [*tilts, STRENGTH.column()] if gravity.any() else []
+    tilts = [TILT.on(towards=direction.tolist()) for direction in _across(gravity)]
+    return [*tilts, STRENGTH] if gravity.any() else []
 
 
 def _gravity_found(fit: Fit, sizes: np.ndarray, shares: np.ndarray) -> Finding:
-    factor = 1 + sizes[-1] / 100
-    # as where gravity points up
-    reversed_ = factor < CLOCK_REVERSED or bool(np.any(fit.gains < 0))
+    factor = float(1 + sizes[-1] / 100)
+    reversed_ = factor < CLOCK_REVERSED or bool(np.any(fit.gains < 0))  # as where gravity points up
     if shares[-1] > CLOCK_SIZE and not reversed_:
-        return Finding(CLOCK.kind, values={"factor": float(factor), "rate": stated_rate(fit.dataset.runs[0])})
-    return Finding(
-        OTHER_GRAVITY.kind, values={"gravity": (fit.dataset.robot.gravity + sizes @ _changes_of_gravity(fit)).tolist()}
-    )
+        return Finding(CLOCK.kind, values={"factor": factor, "rate": stated_rate(fit.dataset.runs[0])})
+    gravity = fit.dataset.robot.gravity + sizes @ _changes_of_gravity(fit)
+    return Finding(OTHER_GRAVITY.kind, values={"gravity": gravity.tolist()})
 
 
-CAUSES = TILT, STRENGTH, OTHER_GRAVITY, CLOCK
-GRAVITY = Hypothesis("gravity", True, _gravity, CAUSES, _gravity_columns, _gravity_found, description=True)
+GRAVITY = Hypothesis("gravity", True, _gravity, _gravity_columns, _gravity_found, description=True)
 
-Reading = Callable[[np.ndarray], np.ndarray]
-"""From what the wrenches read (6 k, M) to by how much too large that may be, (m, 6 k, M)."""
-
-COMPONENTS = ("moment x", "moment y", "moment z", "force x", "force y", "force z")
-
-
-OFFSET = Cause(
+OFFSET = candidate(
     "wrench offset",
     Threshold(
         0.01,
@@ -189,15 +171,10 @@ OFFSET = Cause(
 )
 
 
-def _offsets(fit: Fit) -> Offer:
+def _offsets(at: FitWindow) -> CandidateColumns:
     """Add a constant error of a measured force or moment."""
-    unit = np.eye(len(WRENCH) * len(_sensed_bodies(fit)))
-
-    def read(measured: np.ndarray) -> np.ndarray:
-        """Offset each component in turn by one unit; (m, 6 k, M)."""
-        return np.broadcast_to(unit[:, :, None], (*unit.shape, measured.shape[-1]))
-
-    return _felt(fit, read)
+    unit = np.eye(len(WRENCH) * len(_sensed_bodies(at.fit)))
+    return _felt(at, np.broadcast_to(unit[:, :, None], (*unit.shape, len(at.window))))
 
 
 def _sensed_bodies(fit: Fit) -> list[str]:
@@ -205,37 +182,33 @@ def _sensed_bodies(fit: Fit) -> list[str]:
 
 
 def _levels(fit: Fit) -> np.ndarray:
-    """Compute the rms moment and force of each wrench in all runs, once for each of its components, (k, 6)."""
+    """Compute the rms moment and force of each wrench in all runs, (k, 2)."""
     squares = [np.mean(run.command[:, run.given] ** 2, axis=0) for run in fit.dataset.runs]
-    levels = np.sqrt(np.mean(squares, axis=0)).reshape(-1, 2, 3)
-    return np.asarray((np.sqrt(np.sum(levels**2, axis=2, keepdims=True)) * np.ones(3)).reshape(-1, 6))
+    return np.asarray(np.sqrt(np.mean(squares, axis=0).reshape(-1, 2, 3).sum(axis=2)))
 
 
-def _offset_columns(fit: Fit) -> list[Alternative]:
+def _offset_columns(fit: Fit) -> Iterator[Alternative]:
     bodies = _sensed_bodies(fit)
-    return [
-        replace(
-            OFFSET.column(subject=body, component=component),
-            unit="N m" if component.startswith("moment") else "N",
-            plausible=float(OFFSET.plausible * level),
-        )
-        for body, of_body in zip(bodies, _levels(fit) if bodies else [], strict=True)
-        for component, level in zip(COMPONENTS, of_body, strict=True)
-    ]
+    for body, levels in zip(bodies, _levels(fit) if bodies else (), strict=True):
+        for quantity, unit, level in zip(("moment", "force"), ("N m", "N"), levels, strict=True):
+            plausible = float(OFFSET.plausible * level)
+            for axis in "xyz":
+                column = OFFSET.on(subject=body, component=f"{quantity} {axis}")
+                yield replace(column, unit=unit, plausible=plausible)
 
 
 def _offset_found(fit: Fit, sizes: np.ndarray, shares: np.ndarray) -> Finding:
-    worst = int(np.argmax(np.max(np.abs(sizes.reshape(-1, 6)) / np.maximum(_levels(fit), 1e-12), axis=1)))
-    moment, force = sizes.reshape(-1, 2, 3)[worst].tolist()
+    sizes = sizes.reshape(-1, 2, 3)
+    relative = np.abs(sizes) / np.maximum(_levels(fit), 1e-12)[..., None]
+    worst = int(np.argmax(relative.max(axis=(1, 2))))
+    moment, force = sizes[worst].tolist()
     return Finding(OFFSET.kind, (), _sensed_bodies(fit)[worst], {"force": force, "moment": moment})
 
 
-WRENCH_OFFSETS = Hypothesis(
-    "wrench offsets", True, _offsets, (OFFSET,), _offset_columns, _offset_found, description=True
-)
+WRENCH_OFFSETS = Hypothesis("wrench offsets", True, _offsets, _offset_columns, _offset_found, description=True)
 
 
-POINT = Cause(
+POINT = candidate(
     "wrench point",
     Threshold(
         2.0,
@@ -247,44 +220,34 @@ POINT = Cause(
 )
 
 
-def _points(fit: Fit) -> Offer:
+def _points(at: FitWindow) -> CandidateColumns:
     """Add another point about which a measured moment is stated."""
-    count = len(_sensed_bodies(fit))
-
-    def read(measured: np.ndarray) -> np.ndarray:
-        """Compute the errors of the moments for a force that acts 1 mm further back; (3 k, 6 k, M)."""
-        errors = np.zeros((3 * count, *measured.shape))
-        for k in range(count):
-            force = measured[6 * k + 3 : 6 * k + 6].T
-            for axis, direction in enumerate(np.eye(3)):
-                errors[3 * k + axis, 6 * k : 6 * k + 3] = -MILLIMETRE * np.cross(direction, force).T
-        return errors
-
-    return _felt(fit, read)
+    bodies = np.arange(len(_sensed_bodies(at.fit)))
+    measured = at.window.samples().command.T[at.window.run.given]
+    # of a force that acts 1 mm further back
+    force = measured.reshape(len(bodies), 2, 1, 3, -1)[:, 1]
+    errors = np.zeros((len(bodies), 3, len(bodies), 6, measured.shape[1]))
+    errors[bodies, :, bodies, :3] = -MILLIMETRE * np.cross(np.eye(3)[:, :, None], force, axis=-2)
+    return _felt(at, errors.reshape(3 * len(bodies), *measured.shape))
 
 
 def _point_found(fit: Fit, sizes: np.ndarray, shares: np.ndarray) -> Finding:
-    worst = int(np.argmax(np.max(np.abs(sizes.reshape(-1, 3)), axis=1)))
-    shift = (MILLIMETRE * sizes.reshape(-1, 3)[worst]).tolist()
+    sizes = sizes.reshape(-1, 3)
+    worst = int(np.argmax(np.abs(sizes).max(axis=1)))
+    shift = (MILLIMETRE * sizes[worst]).tolist()
     return Finding(POINT.kind, (), _sensed_bodies(fit)[worst], {"shift": shift})
 
 
 def _point_columns(fit: Fit) -> list[Alternative]:
-    return [POINT.column(subject=body, axis=axis) for body in _sensed_bodies(fit) for axis in "xyz"]
+    return [POINT.on(subject=body, axis=axis) for body in _sensed_bodies(fit) for axis in "xyz"]
 
 
-WRENCH_POINTS = Hypothesis("wrench points", True, _points, (POINT,), _point_columns, _point_found, description=True)
+WRENCH_POINTS = Hypothesis("wrench points", True, _points, _point_columns, _point_found, description=True)
 
 
-def _felt(fit: Fit, read: Reading) -> Offer:
-    """Compute the joint torques that errors of the wrench readings cause."""
-    model = fit.dataset.model
-
-    def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
-        run = window.run
-        extra = read(window.samples().command.T[run.given])
-        padded = np.zeros((len(extra), len(run.channels), extra.shape[-1]))
-        padded[:, run.given] = extra
-        return at_full_rate(window, fit, external_torques(model, run, motion(), padded))
-
-    return offer
+def _felt(at: FitWindow, errors: np.ndarray) -> CandidateColumns:
+    """Compute the joint torques that errors (m, 6 k, N) of the wrench readings cause."""
+    run = at.window.run
+    padded = np.zeros((len(errors), len(run.channels), errors.shape[-1]))
+    padded[:, run.given] = errors
+    return at.decimated(external_torques(at.fit.dataset.model, run, at.motion, padded))

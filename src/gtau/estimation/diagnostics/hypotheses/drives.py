@@ -17,28 +17,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import (
+    GAIN_CHANGE,
     Alternative,
-    Cause,
     Hypothesis,
+    candidate,
     friction_levels,
     rms_speeds,
     rms_torques,
 )
 from gtau.estimation.diagnostics.linearisation import (
     CandidateColumns,
+    FitWindow,
     Linearised,
-    Moving,
-    Offer,
-    at_full_rate,
+    slopes_of,
     weighted,
+    weights_of,
 )
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.estimators.newton import jacobian_of_known, to_gains
+from gtau.estimation.estimators.newton import jacobian_of_known
 from gtau.estimation.regression.column_blocks import is_transmitted
 from gtau.estimation.regression.factors import KNOWN, modelled
 from gtau.estimation.regression.rows import Rows
@@ -49,21 +50,20 @@ from gtau.findings import FindingKind as F
 from gtau.findings.words import RELATIVE
 from gtau.robots.parameter import Parameter
 from gtau.signals.preparation.filters import differentiate
-from gtau.signals.preparation.prepared_run import SampleWindow
 
-CUBIC_FRICTION = Cause(
+CUBIC_FRICTION = candidate(
     "cubic friction",
     Threshold(0.2, "cubic friction at three times the rms speed, of the friction", evidence="experience"),
     unit="of its friction",
 )
-LOAD_FRICTION = Cause(
+LOAD_FRICTION = candidate(
     "load-dependent friction",
     Threshold(
         0.05, "friction coefficient of the load", healthy="0.02 to 0.1 in strain-wave gears", evidence="UR10e pairs"
     ),
     unit="of its load",
 )
-STRIBECK_FRICTION = Cause(
+STRIBECK_FRICTION = candidate(
     "Stribeck friction",
     Threshold(0.3, "Stribeck friction at rest, of the friction", evidence="experience"),
     unit="of its friction",
@@ -71,77 +71,52 @@ STRIBECK_FRICTION = Cause(
 STRIBECK_SPEED = Threshold(0.1, "Stribeck speed, in rms speeds", evidence="experience")
 
 
-def _friction_shape(fit: Fit) -> Offer:
+def _friction_shape(at: FitWindow) -> CandidateColumns:
     """Add cubic, load-dependent or Stribeck friction where the model has none."""
-    joints, speeds = fit.dataset.model.actuated, rms_speeds(fit)
-    fv, fs = friction_levels(fit)
-    level = np.maximum(fv * speeds + fs, 0.02 * rms_torques(fit))
-    model, base = fit.dataset.model, fit.dataset.base
-    regressor, acting = model.columns(base.standard), is_transmitted(base.names)
-    absent = {term: np.array([Parameter(term, j) not in fit.system.terms for j in joints]) for term in ("f3", "fl")}
-
-    def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
-        samples = window.samples()
-        ratio, sign = samples.qd / np.where(speeds > 0, speeds, 1.0), np.sign(samples.qd)
-        cubic = level * ratio**3 / 3 * absent["f3"]
-        torques = regressor.torques_along(model.layout, motion(), values * acting)
-        load = np.abs(torques.T) * sign * absent["fl"]
-        stribeck = level * np.exp(-np.abs(ratio) / STRIBECK_SPEED) * sign
-        return at_full_rate(window, fit, np.stack([cubic.T, load.T, stribeck.T]))
-
-    return offer
+    dataset, terms, qd = at.fit.dataset, at.fit.system.terms, at.window.samples().qd
+    joints, speeds = dataset.model.actuated, rms_speeds(at.fit)
+    fv, fs = friction_levels(at.fit)
+    level = np.maximum(fv * speeds + fs, 0.02 * rms_torques(at.fit))
+    no_cubic, no_load = (np.array([Parameter(term, j) not in terms for j in joints]) for term in ("f3", "fl"))
+    ratio, sign = qd / np.where(speeds > 0, speeds, 1.0), np.sign(qd)
+    transmitted = at.values * is_transmitted(dataset.base.names)
+    torques = at.torques_along(at.motion, transmitted).T
+    cubic = level * ratio**3 / 3 * no_cubic
+    load = np.abs(torques) * sign * no_load
+    stribeck = level * np.exp(-np.abs(ratio) / STRIBECK_SPEED) * sign
+    return at.decimated(np.stack([cubic.T, load.T, stribeck.T]))
 
 
-FRICTION = CUBIC_FRICTION, LOAD_FRICTION, STRIBECK_FRICTION
-FRICTION_SHAPE = Hypothesis("friction shape", False, _friction_shape, FRICTION)
+FRICTION_SHAPE = Hypothesis(
+    "friction shape", False, _friction_shape, (CUBIC_FRICTION, LOAD_FRICTION, STRIBECK_FRICTION)
+)
 
 FRICTION_CHANGE = Threshold(0.1, "relative change of friction along a run", evidence="experience")
-VISCOUS_DRIFT = Cause(
-    "drifting viscous friction",
-    FRICTION_CHANGE,
-    unit=RELATIVE,
-)
-COULOMB_DRIFT = Cause(
-    "drifting Coulomb friction",
-    FRICTION_CHANGE,
-    unit=RELATIVE,
-)
+VISCOUS_DRIFT = candidate("drifting viscous friction", FRICTION_CHANGE, RELATIVE)
+COULOMB_DRIFT = candidate("drifting Coulomb friction", FRICTION_CHANGE, RELATIVE)
 
 
-def _friction_drift(fit: Fit) -> Offer:
+def _friction_drift(at: FitWindow) -> CandidateColumns:
     """Add viscous or Coulomb friction that changes along the runs."""
-    joints, terms = fit.dataset.model.actuated, fit.system.terms
+    terms, samples = at.fit.system.terms, at.window.samples()
     # friction that depends on the temperature has a slope of its own for this
-    fv, fs = friction_levels(fit) * np.array(
-        [Parameter("fvt", j) not in terms and Parameter("fst", j) not in terms for j in joints]
-    )
-    along = _along_runs(fit)
-
-    def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
-        samples = window.samples()
-        change = along(window, samples.time)
-        return at_full_rate(
-            window, fit, np.stack([(fv * samples.qd).T * change, (fs * np.sign(samples.qd)).T * change])
-        )
-
-    return offer
+    joints = at.fit.dataset.model.actuated
+    free = [{Parameter("fvt", j), Parameter("fst", j)}.isdisjoint(terms) for j in joints]
+    fv, fs = friction_levels(at.fit) * np.array(free)
+    friction = np.stack([(fv * samples.qd).T, (fs * np.sign(samples.qd)).T])
+    return at.decimated(friction * _along_run(at, samples.time))
 
 
-def _along_runs(fit: Fit) -> Callable[[SampleWindow, np.ndarray], np.ndarray]:
-    """Return a function that takes instants in a window's run to -0.5 at its beginning, 0.5 at its end."""
-    spans = {id(run.run): (run.time[0], run.time[-1]) for run in fit.dataset.prepared}
-
-    def along(window: SampleWindow, time: np.ndarray) -> np.ndarray:
-        begin, end = spans[id(window.run)]
-        return np.asarray((time - begin) / max(end - begin, 1e-12) - 0.5)
-
-    return along
+def _along_run(at: FitWindow, time: np.ndarray) -> np.ndarray:
+    """Map instants in a window's run to -0.5 at its beginning, 0.5 at its end."""
+    begin, *_, end = at.fit.dataset.prepared[at.run].time[[0, -1]]
+    return np.asarray((time - begin) / max(end - begin, 1e-12) - 0.5)
 
 
 FRICTION_DRIFT = Hypothesis("friction drift", False, _friction_drift, (VISCOUS_DRIFT, COULOMB_DRIFT))
 
 LARGE = 2.0  # rms currents: where the fall is stated
-FALLING_CONSTANT = Cause(
+FALLING_CONSTANT = candidate(
     "saturation",
     Threshold(
         0.03,
@@ -153,24 +128,20 @@ FALLING_CONSTANT = Cause(
 )
 
 
-def _saturation(fit: Fit) -> Offer:
+def _saturation(at: FitWindow) -> CandidateColumns:
     """Add a torque constant that falls with the current, ``tau abs(tau)``."""
-    regressor, n = fit.dataset.model.columns(fit.dataset.base.standard), len(fit.gains)
-    scale = LARGE * rms_torques(fit)
+    scale = LARGE * rms_torques(at.fit)[:, None]
 
-    def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
-        def columns(rows: Rows) -> np.ndarray:
-            tau = regressor.torques(rows.entries, values, n)
-            return (np.abs(tau) * tau / scale[:, None])[:, :, None]
+    def columns(rows: Rows) -> np.ndarray:
+        tau = at.torques(rows)
+        return (np.abs(tau) * tau / scale)[:, :, None]
 
-        return columns
-
-    return offer
+    return columns
 
 
 SATURATION = Hypothesis("saturation", False, _saturation, (FALLING_CONSTANT,))
 
-DRIFTING_CONSTANT = Cause(
+DRIFTING_CONSTANT = candidate(
     "gain drift",
     Threshold(
         0.005,
@@ -182,20 +153,14 @@ DRIFTING_CONSTANT = Cause(
 )
 
 
-def _gain_drift(fit: Fit) -> Offer:
+def _gain_drift(at: FitWindow) -> CandidateColumns:
     """Add a torque constant that changes along the runs."""
-    regressor, n = fit.dataset.model.columns(fit.dataset.base.standard), len(fit.gains)
-    along = _along_runs(fit)
-
-    def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
-        return lambda rows: (regressor.torques(rows.entries, values, n) * along(window, rows.time))[:, :, None]
-
-    return offer
+    return lambda rows: (at.torques(rows) * _along_run(at, rows.time))[:, :, None]
 
 
 GAIN_DRIFT = Hypothesis("gain drift", False, _gain_drift, (DRIFTING_CONSTANT,), description=True)
 
-FILTER_OR_ELASTICITY = Cause(
+FILTER_OR_ELASTICITY = candidate(
     "current lag",
     Threshold(
         1e-4,
@@ -207,21 +172,14 @@ FILTER_OR_ELASTICITY = Cause(
 )
 
 
-def _current_lag(fit: Fit) -> Offer:
+def _current_lag(at: FitWindow) -> CandidateColumns:
     """Add a low-pass filter of the current, or an elastic transmission: the torque's second derivative."""
-    model = fit.dataset.model
-    regressor = model.columns(fit.dataset.base.standard)
-
-    def offer(window: SampleWindow, motion: Moving, values: np.ndarray) -> CandidateColumns:
-        torques = regressor.torques_along(model.layout, motion(), values)
-        _, change = differentiate(torques.T, window.run.rate)
-        return at_full_rate(window, fit, change.T[None])
-
-    return offer
+    torques = at.torques_along(at.motion, at.values)
+    _, change = differentiate(torques.T, at.window.run.rate)
+    return at.decimated(change.T[None])
 
 
 CURRENT_LAG = Hypothesis("current lag", False, _current_lag, (FILTER_OR_ELASTICITY,))
-GAIN_CHANGE = "gain change"
 
 
 def gain_changes(fit: Fit) -> Iterator[Alternative]:
@@ -230,9 +188,8 @@ def gain_changes(fit: Fit) -> Iterator[Alternative]:
     Its size is the relative increase of the current, its share that of the residual variance of all joints where each
     has such a change in these runs. Changes that no motor makes, of sign or unit, are left to other checks.
     """
-    problem, solution, gains = fit.system.problem, fit.solution, fit.gains
-    positions = fit.system.block_positions  # number of the run, and time from its beginning (0) to its end (1)
-    runs, of_block = np.unique(positions[:, 0].astype(int), return_inverse=True)
+    problem, solution = fit.system.problem, fit.solution
+    runs, of_block = np.unique(fit.system.block_positions[:, 0].astype(int), return_inverse=True)
     loaded = np.zeros(len(runs), dtype=bool)
     np.logical_or.at(loaded, of_block, np.any(problem.blocks[..., KNOWN], axis=(1, 2)))
     groups = np.unique(np.vstack([np.eye(len(runs), dtype=bool), loaded]), axis=0)
@@ -241,36 +198,31 @@ def gain_changes(fit: Fit) -> Iterator[Alternative]:
         return
     tried = len(np.unique(groups ^ groups[:, :1], axis=0))  # larger in some runs is smaller in the others
     errors, J = weighted(fit, problem.blocks)
-    weights = 1 / (solution.gains * np.maximum(solution.sigma, problem.smallest_sigma))
-    current = modelled(problem.blocks, solution.theta) * weights[:, None]
+    current = modelled(problem.blocks, solution.theta) * (weights_of(fit) / solution.gains)[:, None]
     offered = -current[..., None] * groups[:, of_block].T[:, None, None, :]
     known = np.zeros(len(problem.known)), jacobian_of_known(problem, True)
     clusters = np.unique(problem.block_numbers, return_inverse=True)[1]
     linear = Linearised(errors, J, offered, known, clusters)
     sizes, stds, of_joints, slopes = linear.score_tests(slice(None), shared=False)
-    t, shares = sizes / np.maximum(stds, 1e-300), of_joints.sum(axis=1)
-    worst = _first_largest(np.abs(t[:, : len(gains)]))
+    t, shares = np.abs(sizes) / np.maximum(stds, 1e-300), of_joints.sum(axis=1)
+    worst = _first_largest(t[:, : len(fit.gains)])
     if shares.max() > DOMINANT:  # the same runs for all joints
         worst[:] = _first_largest(shares)
-    T = to_gains(solution.values, len(solution.gains), True)
+    T, prior = (
+        slopes_of(fit),
+        float(ALTERNATIVE_PRIOR) / tried,
+    )  # the largest of several is larger by chance
     for j, k in enumerate(worst):
         change, std = float(sizes[k, j]), float(stds[k, j])
         if not t[k, j] or abs(change) > SCALED:
             continue  # reversed, or in another unit: other checks name these better
         names = [fit.dataset.runs[run].name for run in runs[groups[k]]]
         cause = Finding(F.GAIN_CHANGE, (problem.joints[j],), "", {"runs": names, "change": change})
+        share, plausible = float(shares[k]), float(PLAUSIBLE_GAIN_CHANGE)
+        effect = Alternative(GAIN_CHANGE, (cause,), change, std, RELATIVE, prior, share, plausible=plausible)
         of_gains = np.zeros(len(T))
         of_gains[problem.gain_rows] = (T @ slopes[k, j])[problem.gain_rows]
-        yield Alternative(
-            GAIN_CHANGE,
-            (cause,),
-            change,
-            std,
-            RELATIVE,
-            float(ALTERNATIVE_PRIOR) / tried,  # the largest of several changes is larger by chance
-            float(shares[k]),
-            plausible=float(PLAUSIBLE_GAIN_CHANGE),
-        ).moving(fit, of_gains)
+        yield effect.moving(fit, of_gains)
 
 
 def _first_largest(values: np.ndarray) -> np.ndarray:
