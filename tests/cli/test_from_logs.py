@@ -127,6 +127,17 @@ def test_check_drafts_as_identify_does(tmp_path: Path, motion: Any, monkeypatch:
     assert read_experiment(tmp_path / "looked" / "experiment.yaml").signals.kind == "current"
 
 
+def test_a_log_that_is_refused_has_no_figures(tmp_path: Path, motion: Any) -> None:
+    """The page is written and says why; singularities and figures have no samples."""
+    time, position, current = (column[:60] for column in motion["empty"])
+    head = "t,q_left,q_right,i_left,i_right"
+    np.savetxt(tmp_path / "a.csv", np.column_stack([time, position, current]), delimiter=",", header=head, comments="")
+    out = tmp_path / "out"
+    done = CliRunner().invoke(app, ["check", str(tmp_path / "a.csv"), "--robot", "five-bar", "--out", str(out)])
+    assert (done.exit_code, "has 60 samples" in done.stdout) == (2, True), done.output
+    assert {path.name for path in out.iterdir()} == {"experiment.yaml", "report.html"}
+
+
 def test_what_is_given_wrongly_is_refused(tmp_path: Path, motion: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     logs = bags(tmp_path, motion, urdf=URDF)

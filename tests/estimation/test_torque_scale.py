@@ -64,6 +64,13 @@ def test_a_wrong_scale_is_found_and_said_first(wrong: Result) -> None:
     assert wrong.accepted
 
 
+def test_a_scale_whose_interval_excludes_1_is_not_consistent_with_1(wrong: Result) -> None:
+    left, right = wrong.drive_gains.values()
+    near = replace(right, value=1 + 1.2 * (right.half_interval() or 0.0))
+    (_, scale) = torque_scales(wrong.replaced(drive_gains={"left": left, "right": near}))
+    assert scale.state == "undecided"
+
+
 def test_the_correction_is_written_with_intervals(wrong: Result) -> None:
     left = yaml.safe_load(torque_scale_text(wrong))["torque_scale"]["left"]
     assert left["state"] == "wrong"

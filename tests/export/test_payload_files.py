@@ -127,6 +127,14 @@ def test_a_payload_weighed_twice_has_two_files(tmp_path: Path) -> None:
     assert "(3.0, [" in second
 
 
+def test_mass_and_centre_have_the_digits_of_their_intervals(tmp_path: Path) -> None:
+    known = {"m": 0.043, "cx": 0.0012}
+    certain = payload()
+    shown = {key: replace(value, std=known.get(key)) for key, value in certain.parameters.items()}
+    gtau.export_payload(replace(certain, parameters=shown), "kuka", tmp_path)
+    assert "M 2.554,CM {X 12.3,Y -45.6," in (tmp_path / "gripper_2.dat").read_text()
+
+
 def test_numbers_have_no_exponents(tmp_path: Path) -> None:
     small = RigidBody(2.0, np.array([1e-9, 0.0, -2.5e-7]), np.diag([1e-5, 2e-5, 2e-5]))
     for kind in ("ur", "kuka", "abb"):

@@ -71,7 +71,7 @@ def whole() -> Page:
         (Column("x", Kind.NUMBER, missing="at rest"), float("nan"), "at rest", None),
         (Column("x", Kind.NUMBER), "given", "given", None),
         (Column("x", Kind.SHARE, decimals=0), 0.834, "83", 0.834),
-        (Column("x", Kind.INTERVAL), (1.23456, 1.25456), "1.235 to 1.255", 0.02),
+        (Column("x", Kind.INTERVAL), (1.23456, 1.25456), "1.2346 to 1.2546", 0.02),
         (Column("x", Kind.SPREAD), (2.50312, 0.0042), "2.5031 ± 0.0042", 2.50312),
         (Column("x", Kind.NUMBER, decimals=2, most=1000.0), 4321.0, "> 1000", 4321.0),
         (Column("x"), None, "-", None),

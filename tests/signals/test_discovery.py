@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from five_bar_logs import GAINS, STEEL, Plant, write_log
+from scipy.io import savemat
 from typer.testing import CliRunner
 
 from gtau.cli.commands import app
@@ -18,7 +19,7 @@ from gtau.robots.robot import Joint, Mdh, Robot
 from gtau.signals.channel import SENSOR
 from gtau.signals.reading.column_names import base_like, parse_column_name, wrench_like
 from gtau.signals.reading.discovery import Draft, discover
-from gtau.signals.reading.drafting import draft_text
+from gtau.signals.reading.drafting import draft_text, guesses
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import read_run
 
@@ -189,6 +190,40 @@ def test_joints_of_the_robot(tmp_path: Path) -> None:
         discover([tmp_path / "b.csv"], load_robot("ur10e"), "ur10e")
 
 
+def handed(fingers: int = 2) -> Robot:
+    """An arm of two joints, with two fingers and a head."""
+    joints = [Joint("j1", "ground", "revolute", Mdh(alpha=1.5)), Joint("j2", "j1", "revolute", Mdh(d=0.5))]
+    joints += [Joint(f"f{k}", "j2", "prismatic", Mdh(d=0.1)) for k in range(fingers)]
+    return Robot("handed", (Joint("head", "ground", "revolute"), *joints))
+
+
+@pytest.mark.parametrize(
+    ("header", "columns", "unmatched", "open_"),
+    [
+        ("q_j1,q_j2,i_j1,i_j2", {"j1": "q_j1", "j2": "q_j2"}, None, ()),
+        ("/s/j1/position,/s/wheel/position,/s/j1/current,/s/wheel/current", {"j1": "/s/j1/position"}, "wheel", ()),
+        ("q1,q2,i1,i2", {"j1": "q1", "j2": "q2"}, None, ("joints",)),
+    ],
+)
+def test_joints_that_the_log_lacks_are_held(
+    header: str, columns: dict[str, str], unmatched: str | None, open_: tuple[str, ...], tmp_path: Path
+) -> None:
+    """By name those that both have; by number the chain to the palm, where no other is as long."""
+    log = save(tmp_path / "a.csv", f"t,{header}", TIME, Q, V)
+    draft = discover([log], handed(), "handed.urdf")
+    assert (draft.signals["position"], draft.open) == (columns, open_)
+    assert draft.robot == {"file": "handed.urdf", "joints": list(columns)}
+    assert draft.reasons.get("unmatched") == unmatched
+
+
+def test_two_arms_are_not_told_apart_by_number(tmp_path: Path) -> None:
+    log = save(tmp_path / "a.csv", "t,q1,q2,i1,i2", TIME, Q, V)
+    arm = handed(0).joints[1:]
+    other = (Joint("k1", "ground", "revolute", Mdh(alpha=1.5)), Joint("k2", "k1", "revolute", Mdh(d=0.5)))
+    with pytest.raises(GtauError, match=r"of 2 joints .* has 4 actuated ones; name the columns after their joints"):
+        discover([log], Robot("twin", (*arm, *other)), "twin.urdf")
+
+
 def test_what_is_not_there_is_said(tmp_path: Path) -> None:
     with pytest.raises(GtauError, match="of 0 joints, but robot 'five-bar' has 2"):
         discover([save(tmp_path / "c.csv", "t,q1,q2,current_a", TIME, Q, V[:, 0])], load_robot("five-bar"), "five-bar")
@@ -334,6 +369,39 @@ def test_torque_sensors_beside_currents(name: str, tmp_path: Path) -> None:
     if name == "torque_sensor":
         assert read_experiment(tmp_path / "experiment.yaml").signals.sensors(SENSOR).keys() == {"j1", "j2"}
         assert "Drive gains need the mass" not in text
+
+
+def test_what_is_no_torque_sensor(tmp_path: Path) -> None:
+    """Targets are the controller's model, and a column that never changes measures nothing."""
+    header = "t,q1,q2,current1,current2,{0}1,{0}2"
+    target = discover([save(tmp_path / "a.csv", header.format("target_moment_"), TIME, Q, V, 3 * V + 0.1)])
+    assert (target.beside["torques"], target.beside["others"]) == ({}, ("target_moment_1 ... target_moment_2",))
+    stuck = np.column_stack([np.zeros(len(TIME)), 3 * V[:, 1]])
+    draft = discover([save(tmp_path / "b.csv", header.format("torque_sensor_"), TIME, Q, V, stuck)])
+    assert draft.signals["joint_torque"] == {"j2": "torque_sensor_2"}
+    assert "never change: columns torque_sensor_1." in draft_text(draft, tmp_path)
+    assert [note.what for note in guesses(draft, tmp_path)][-1].startswith("torque_sensor_1 are not used")
+    none = discover([save(tmp_path / "c.csv", header.format("tau_"), TIME, Q, V, 0 * V)])
+    assert (none.beside["torques"], none.beside["still"]) == ({}, ["tau_1", "tau_2"])
+
+
+@pytest.mark.parametrize("name", ["matrix.mat", "matrix.npz"])
+def test_an_array_without_names(name: str, tmp_path: Path) -> None:
+    """As a table without a header; where that says nothing, what to save is said."""
+
+    def saved(*columns: np.ndarray) -> Path:
+        array = np.column_stack(columns)
+        savemat(tmp_path / name, {"X": array}) if name.endswith("mat") else np.savez(tmp_path / name, X=array)
+        return tmp_path / name
+
+    draft = discover([saved(TIME, Q, QD, V)])
+    assert (draft.time, list(draft.signals["position"].values()), list(draft.command.values())) == (
+        ("X[1]",),
+        ["X[2]", "X[3]"],
+        ["X[6]", "X[7]"],
+    )
+    with pytest.raises(GtauError, match=r"is one array without names.*save arrays with names \(t, q, current\)"):
+        discover([saved(TIME, Q, V)])
 
 
 @pytest.mark.parametrize(

@@ -258,6 +258,12 @@ BAD: list[tuple[str, Callable[[list[str]], list[str]], str, str]] = [
         HEADER,
         "has 100 of 1000 rows with missing or non-numeric values (first in line 9, column 'vb': 'n.a.')",
     ),
+    (
+        "half a row at first, many times",
+        lambda x: [f"{line.rsplit(',', 1)[0]}," if i < 80 else line for i, line in enumerate(x)],
+        HEADER,
+        "(first in line 2, column 'vb'); leave out its first rows (skip: 80)",
+    ),
     ("nothing moves", lambda x: _set(1, "1")(_set(2, "2")(x)), HEADER, "no position ever changes"),
     ("stuck current", _set(3, "0.25"), HEADER, "column 'va' (joint 'a') is stuck at 0.25"),
     ("no current", _set(3, "-0.0"), HEADER, "column 'va' (joint 'a') is stuck at 0;"),

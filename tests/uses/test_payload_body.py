@@ -200,6 +200,8 @@ def test_the_centre_of_mass_is_within_its_interval(weighings: list[tuple[Payload
         assert body.rigid is not None
         own = estimate.in_frame().rigid
         assert own is not None
+        mass = estimate.parameters["m"]
+        assert (own.mass, *body.parameters["m"].interval()) == pytest.approx((mass.value, *mass.interval()), rel=1e-5)
         moved = own.seen_from(FRAME.rotation, FRAME.position)
         assert moved.center == pytest.approx(body.rigid.center)
         assert moved.inertia == pytest.approx(body.rigid.inertia)

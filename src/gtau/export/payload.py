@@ -1,7 +1,7 @@
 """Payloads in the formats of controllers: URScript, Franka's JSON, KRL, RAPID, and a ROS message.
 
 Every format describes the same body: mass in kg, centre of mass, inertia about it, in the requested frame.
-Numbers keep all their digits.
+Mass and centre are rounded as they are shown; an inertia keeps its digits, so that the body can exist.
 """
 
 from __future__ import annotations
@@ -18,10 +18,9 @@ from gtau.documents.validation import PATH, TEXT, takes
 from gtau.errors import GtauError
 from gtau.estimation.results.groups import PayloadBody
 from gtau.export.exported import Exported, refuse_unknown, written
+from gtau.findings.words import to_width
 from gtau.robots.parameter import RigidBody
 from gtau.robots.placement import angles_of
-
-MILLI = 1e3  # mm in a m
 
 
 @takes(payload=("what PayloadEstimate.in_frame returns", (PayloadBody,)), kind=TEXT, out=PATH)
@@ -64,7 +63,17 @@ def export_payload(payload: PayloadBody, kind: str, out: str | Path) -> Exported
             "body, not measured"
         )
     head = f"payload '{payload.name}' in {payload.frame}, weighed by gtau"
-    return Exported(written(Path(out), writer(name, payload.rigid, " ".join(head.split()))), tuple(notes))
+    return Exported(
+        written(Path(out), writer(name, _shown(payload, payload.rigid), " ".join(head.split()))), tuple(notes)
+    )
+
+
+def _shown(payload: PayloadBody, rigid: RigidBody) -> RigidBody:
+    """Round mass and centre of a body to the digits of their intervals."""
+    halves = [payload.parameters[key].half_interval() for key in ("m", "cx", "cy", "cz")]
+    values = [rigid.mass, *map(float, rigid.center)]
+    mass, *center = (float(to_width(x, half)) if half else x for x, half in zip(values, halves, strict=True))
+    return RigidBody(mass, np.array(center), rigid.inertia)
 
 
 def refuse_unnamed(kind: str, frame: str, links: Sequence[str]) -> None:
@@ -122,7 +131,7 @@ def _kuka(name: str, body: RigidBody, head: str) -> Mapping[str, str]:
     """
     moments, axes = body.principal
     roll, pitch, yaw = np.degrees(angles_of(axes))
-    frame = _fields("XYZABC", [*(MILLI * body.center), yaw, pitch, roll])
+    frame = _fields("XYZABC", [*_millimetres(body), yaw, pitch, roll])
     line = f"LOAD_DATA[1]={{M {_number(body.mass)},CM {{{frame}}},J {{{_fields('XYZ', moments)}}}}}"
     return {f"{name}.dat": f"; {head}\n{line}\n"}
 
@@ -138,7 +147,7 @@ def _abb(name: str, body: RigidBody, head: str) -> Mapping[str, str]:
 
     moments, axes = body.principal
     x, y, z, w = Rotation.from_matrix(axes).as_quat(canonical=True)
-    record = f"[{_number(body.mass)},[{_listed(MILLI * body.center)}],[{_listed([w, x, y, z])}],{_listed(moments)}]"
+    record = f"[{_number(body.mass)},[{_listed(_millimetres(body))}],[{_listed([w, x, y, z])}],{_listed(moments)}]"
     name = name[:27]  # RAPID's names have 32 characters at most
     return {f"{name}.mod": f"MODULE {name}_load\n  ! {head}\n  PERS loaddata {name}:={record};\nENDMODULE\n"}
 
@@ -167,8 +176,12 @@ WRITERS: Mapping[str, tuple[Callable[[str, RigidBody, str], Mapping[str, str]], 
 """How each kind is written, and in which frame it is expected."""
 
 
+def _millimetres(body: RigidBody) -> np.ndarray:
+    return np.round(1e3 * body.center, 12)
+
+
 def _number(value: float) -> str:
-    return str(np.format_float_positional(value, trim="0"))  # all digits; not every controller reads exponents
+    return str(np.format_float_positional(value, trim="0"))  # not every controller reads exponents
 
 
 def _listed(values: np.ndarray | list[float]) -> str:

@@ -70,7 +70,7 @@ def _environment() -> Environment:
         "plural": lambda number: "s" * (number != 1),
         "quoted": lambda names, between=", ": between.join(f"'{name}'" for name in names),
         "numbers": lambda numbers, spec, unit=1: ", ".join(f"{unit * number:{spec}}" for number in numbers),
-        "decimals": lambda half: f".{min(max(1 - floor(log10(half)), 0), 4)}f",
+        "to_width": to_width,
         "direction": _direction,
         "rpy": _rpy,
     }
@@ -109,6 +109,12 @@ def clock_advice(rate: float | None) -> str:
     if rate is not None:
         return f"correct the sampling rate, 'rate: {rate:g}' under signals.time"
     return "correct the unit of the time (units: {time: ...})"
+
+
+def to_width(value: float, width: float) -> str:
+    """Write a number to two digits of half the width of its interval."""
+    decimals = max(1 - floor(log10(width)), 0) if 0 < width < float("inf") else 4
+    return f"{value:.{min(decimals, 12)}f}"
 
 
 def percent_text(share: float, accuracy: float | None = None) -> str:

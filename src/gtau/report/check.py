@@ -220,6 +220,8 @@ def write_check(checked: ExperimentCheck, folder: Path) -> list[Path]:
         Where a file cannot be written.
     """
     written = _saved(checked, [motion_chart(log, checked.robot) for log in checked.logs], folder)
+    if not checked.logs:
+        return written
     distances = folder / "singularities.parquet"
     write_distances(((log.run.name, log.distances) for log in checked.logs), distances)
     return [*written, distances]

@@ -203,11 +203,11 @@ def unknown_payloads(result: Result) -> list[PayloadEstimate]:
 def masses_table(payloads: Sequence[PayloadEstimate]) -> Table | None:
     """Tabulate identified masses of payloads; None without any."""
     rows = [
-        (f"payload '{payload.name}' of {payload.run}", *value_cells(payload.parameters["m"]))
+        (f"payload '{payload.name}' of {payload.run}", (mass.value, mass.half_interval()), mass.unit)
         for payload in payloads
-        if "m" in set(payload.parameters) - payload.known
+        if "m" not in payload.known and (mass := payload.parameters.get("m")) and mass.value is not None
     ]
-    return table((Column("mass"), *VALUE), rows) if rows else None
+    return table((Column("mass"), Column("value", Kind.SPREAD, 5), Column("unit")), rows) if rows else None
 
 
 def masses_section(payloads: Sequence[PayloadEstimate]) -> Section | None:

@@ -9,12 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from math import floor, isfinite, log10
+from math import isfinite
 from operator import attrgetter
 from typing import Any, Literal
 
 import numpy as np
 
+from gtau.findings.words import to_width
 from gtau.report.chart import Chart
 from gtau.robots.robot import Robot
 
@@ -73,7 +74,7 @@ class Column:
         if cell is None or (isinstance(cell, float) and not isfinite(cell)):
             return self.missing
         if self.kind == Kind.INTERVAL:
-            return " to ".join(to_width(end, cell[1] - cell[0]) for end in cell)
+            return " to ".join(to_width(end, (cell[1] - cell[0]) / 2) for end in cell)
         if self.kind == Kind.SPREAD:
             value, half = cell
             return number(value, self.digits) if not half else f"{to_width(value, half)} ± {to_width(half, half)}"
@@ -97,12 +98,6 @@ def number(value: float, digits: int = 5) -> str:
     if isinstance(value, (int, np.integer)):
         return str(value)
     return f"{value:.{digits}g}".replace("e-0", "e-").replace("e+0", "e")
-
-
-def to_width(value: float, width: float) -> str:
-    """Write a number to two digits of the width of its interval."""
-    decimals = max(1 - floor(log10(width)), 0) if 0 < width < float("inf") else 4
-    return f"{value:.{min(decimals, 12)}f}"
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from gtau.estimation.results.groups import PayloadBody, PayloadEstimate
 from gtau.estimation.results.model_document import torque_error
 from gtau.estimation.results.result import Result
 from gtau.findings import Finding
+from gtau.findings.words import to_width
 from gtau.report.chart import Chart
 from gtau.report.check import unique_names
 from gtau.report.evidence import RunEvidence, worst_stretch
@@ -192,13 +193,14 @@ def masses_words(payloads: Sequence[PayloadEstimate], given: str) -> str:
         if mass is None or mass.value is None:
             parts.append(f"the mass of '{name}' is not identifiable")
             continue
-        ends = mass.interval()
-        between = "" if ends is None else f" ({given}95 % interval {ends[0]:.4g} to {ends[1]:.4g} kg)"
+        ends, half = mass.interval(), mass.half_interval() or 0.0
+        low, high = (to_width(end, half) for end in ends or (0.0, 0.0))
+        between = "" if ends is None else f" ({given}95 % interval {low} to {high} kg)"
         if payload.verdict.outcome == Outcome.CONTRADICTORY:
             parts.append(f"the mass of '{name}' contradicts the data{between}: {payload.verdict.sentence}")
         elif ends is not None and ends[0] < 0:
             parts.append(f"the mass of '{name}' cannot be distinguished from zero{between}")
         else:
-            parts.append(f"'{name}' weighs {mass.value:.4g} kg{between}")
+            parts.append(f"'{name}' weighs {to_width(mass.value, half)} kg{between}")
     words = "; ".join(parts)
     return f"{words[:1].upper()}{words[1:]}."

@@ -19,7 +19,7 @@ SHORT = 2e-3  # rad: 3.14 stands for pi
 MEANT = 1e-3  # rad: with fewer decimals, 0.79 or 0.26 need not stand for a multiple of pi/12
 STEP = pi / 12  # of angles that may be written short
 
-PRINTED = 6  # significant digits that programs write, MuJoCo and others that print by %g
+PRINTED = 5  # significant digits that programs write at least; MuJoCo and others that print by %g write 6
 COMPUTED = 14  # significant digits of numbers that were computed, not written; of 1,000 such numbers, 1 has fewer
 FEWEST = 3  # decimals of numbers that were rounded, m or rad
 

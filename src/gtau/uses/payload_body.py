@@ -62,6 +62,8 @@ def payload_body(payload: PayloadEstimate, frame: str | Pose = "", file: str | P
         estimate = Estimate(key, float(values[k]), std, unit, freedom=weighed.freedom)
         shown = seen_of[k] and (estimate.half_interval() or 0.0) <= widest[k]
         estimates[key] = estimate if shown else replace(estimate, value=None, std=None)
+    if (weight := payload.parameters.get("m")) is not None:  # which the sum itself gives, with its own freedom
+        estimates["m"] = replace(estimates["m"], freedom=weight.freedom)
     return body(estimates, rigid)
 
 
@@ -104,7 +106,7 @@ def _seen(weighed: Weighed, J: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def _consistent(weighed: Weighed, mass: float) -> np.ndarray:
-    """Find the physically consistent parameters (10,) nearest to the sums, compact where these are uninformative."""
+    """Find the physically consistent parameters (10,) of this mass nearest to the sums; compact where unseen."""
     shown, moments, _ = _seen(weighed, np.eye(10)[6:9])
     center = np.where(shown, moments, 0.0) / mass
     ball = RigidBody(mass, center, compact_moment(mass) * np.eye(3))
@@ -115,7 +117,9 @@ def _consistent(weighed: Weighed, mass: float) -> np.ndarray:
     spread, axes = np.linalg.eigh(weighed.covariance / np.outer(stds, stds))
     whiten = (axes / np.sqrt(np.maximum(spread, 1e-9))).T / stds
     tight = 1 / (EXACT * (np.abs(weighed.exact) @ unit))
-    R = np.concatenate([whiten @ weighed.sums, weighed.exact * tight[:, None], np.diag(1 / (LOOSE * unit))])
-    y = np.concatenate([whiten @ weighed.values, weighed.stated * tight, supposed / (LOOSE * unit)])
+    known, stated = weighed.exact * tight[:, None], weighed.stated * tight
+    of_mass = np.eye(10)[9:] / (EXACT * mass)
+    R = np.concatenate([whiten @ weighed.sums, known, of_mass, np.diag(1 / (LOOSE * unit))])
+    y = np.concatenate([whiten @ weighed.values, stated, [1 / EXACT], supposed / (LOOSE * unit)])
     body = Body("payload", np.arange(10), np.zeros(10))
     return constrained_least_squares(R, y, unbounded([body], unit, mass, length))

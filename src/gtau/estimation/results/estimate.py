@@ -15,6 +15,7 @@ from gtau import display
 from gtau.documents.files import write_table
 from gtau.errors import GtauError, UnknownName
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict
+from gtau.findings.words import to_width
 from gtau.model.singularities import TYPES
 from gtau.robots.parameter import Parameter
 from gtau.signals.channel import SENSOR, ChannelKind
@@ -50,7 +51,8 @@ class Estimate:
         if self.value is None:
             return "not identifiable"
         half = self.half_interval()
-        return f"{self.value:.5g}{'' if half is None else f' +- {half:.2g}'} {self.unit}"
+        shown = f"{to_width(self.value, half)} +- {to_width(half, half)}" if half else f"{self.value:.5g}"
+        return f"{shown} {self.unit}"
 
     def __repr__(self) -> str:
         return f"Estimate({self.name!r}: {self}, {self.verdict.outcome.value})"

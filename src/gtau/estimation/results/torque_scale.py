@@ -29,7 +29,8 @@ HEAD = """\
 class TorqueScale:
     """The torque scale of a joint, and whether it is wrong: known, and not 1.
 
-    ``state`` is ``wrong`` or ``consistent with 1``, ``in doubt`` beside a contradiction, else the verdict's outcome.
+    ``state`` is ``wrong``, ``consistent with 1`` or ``undecided``, ``in doubt`` beside a contradiction, else the
+    verdict's outcome.
     """
 
     gain: Estimate
@@ -56,7 +57,7 @@ def torque_scales(result: Result) -> tuple[TorqueScale, ...]:
     """List the torque scales of all joints; empty where logs hold currents, or nothing tests the torques.
 
     A scale is wrong where it differs from 1 by more than the required accuracy, and by 3.5 standard deviations: of many
-    joints some are outside their 95 % interval by chance.
+    joints some are outside their 95 % interval by chance, and these are undecided.
     """
     gains = list(result.drive_gains.values())
     if result.kind != "torque" or all(gain.std is None for gain in gains):
@@ -68,7 +69,10 @@ def torque_scales(result: Result) -> tuple[TorqueScale, ...]:
             return gain.verdict.outcome.value
         if not result.believable:
             return "in doubt"
-        return "wrong" if abs(gain.value - 1) > max(APART * (gain.std or 0.0), accuracy) else "consistent with 1"
+        off = abs(gain.value - 1)
+        if off > max(APART * (gain.std or 0.0), accuracy):
+            return "wrong"
+        return "consistent with 1" if off <= (gain.half_interval() or 0.0) else "undecided"
 
     return tuple(TorqueScale(gain, state(gain)) for gain in gains)
 
@@ -93,6 +97,10 @@ def torque_headline(result: Result) -> str:
         widest = percent_text(max(scale.gain.half_width or 0.0 for scale in right))
         known = f"consistent with 1, known to within {widest} %{'' if wrong else ' (95 % intervals)'}"
         sentences.append(_scales_are(right, known, "all joints" if len(right) == len(scales) > 1 else ""))
+    if undecided := of_state.get("undecided"):
+        one = len(undecided) == 1
+        outside = f"1 is outside {'its 95 % interval' if one else 'their 95 % intervals'}, but by too little to correct"
+        sentences.append(_scales_are(undecided, f"undecided: {outside} {'it' if one else 'them'}"))
     for state in ("in doubt", Outcome.NOT_IDENTIFIABLE.value):
         if members := of_state.get(state):
             sentences.append(_scales_are(members, state))

@@ -55,7 +55,8 @@ class Draft:
     but ``robot`` has no ``file`` where it is unknown, and a rate is None. ``masses`` (kg) of payloads by log come from
     the names of the files where they are not ``stated``. ``beside`` are columns that are not used, some by joint:
     ``temperature``, ``torques`` that may be of sensors, a ``pose``, the ``motion`` of a base, ``wrenches``, and
-    ``others`` that might be meant instead. ``urdf`` is the text of the robot's file where a bag holds it.
+    ``others`` that might be meant instead, torques that are ``still``. ``urdf`` is the text of the robot's file where a
+    bag holds it.
     """
 
     logs: tuple[tuple[Path, ...], ...]
@@ -109,11 +110,13 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
         named = "" if robot else "give the robot whose joints they name (--robot ROBOT), "
         raise GtauError(
             f"no columns of {what} are recognised among {listed}; {named}write the experiment file by hand "
-            "(docs/lookup/experiment-file.md), or rename the columns, such as q1 and current1.",
+            "(docs/lookup/experiment-file.md), or rename columns or arrays, such as q1 and current1.",
             source=paths[0],
         )
     reasons, units = dict(position_log.reasons), dict[str, str]()
-    joints, reasons["position"], by_order = _joints(positions, commands, robot)
+    joints, unmatched, reasons["position"], by_order = _joints(positions, commands, robot)
+    if unmatched:
+        reasons["unmatched"] = ", ".join(unmatched)
     unsure = {"joints"} if by_order else set()
     columns, currents = ({joint: pair[k] for joint, pair in joints.items()} for k in (0, 1))
     time = _time(position_log, command_log, positions, units, reasons, unsure)
@@ -125,21 +128,22 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
     unsure |= doubts | ({"gravity"} if compensated else set()) | ({"reference"} if commands.reference else set())
     if commands.unit in ("A", "mA", "N m", "N"):
         units[kind] = commands.unit
-    label = {name: label for label, name in positions.columns.items()}
-    logged = [(joint, label[column]) for joint, column in columns.items()]
-    sensors, torques = (
-        {joint: group.columns[name] for joint, name in logged if group and name in group.columns}
-        for group in (command_log.group("sensor"), command_log.group("torque"))
-    )
-    torques = {} if sensors or kind != "current" else torques
+    labels = {name: label for label, name in positions.columns.items()}
+    logged = {joint: labels[column] for joint, column in columns.items()}
+    sensors, still = _sensors(command_log, "sensor", logged)
+    torques = dict[str, str]()
+    if not sensors and kind == "current":
+        torques, others = _sensors(command_log, "torque", logged)
+        still += others
     if _computed(command_log, currents, torques):
         reasons["torques"] = "a straight line of the currents, from which they may be computed"
     used = {*positions.columns.values(), *commands.columns.values()}
-    beside = _unused(position_log, command_log, used, columns, torques, base is not None)
+    beside = _unused(position_log, command_log, used, columns, torques, base is not None) | {"still": still}
     masses = {run[0]: mass for run in runs if (mass := mass_in_name(run[0].name)) is not None}
     doubtful = beside | {"base": beside["motion"], "mass": masses, "robot": source is None}
     unsure |= {key for key in ("torques", "wrenches", "base", "mass", "robot") if doubtful[key]}
-    entries = {"file": source, "base": base, "gravity": [0, 0, 0] if compensated else None}
+    moving = list(joints) if robot and len(joints) < len(robot.actuated) else None
+    entries = {"file": source, "base": base, "gravity": [0, 0, 0] if compensated else None, "joints": moving}
     return Draft(
         logs=tuple(runs),
         signals={"time": time, "position": columns, kind: currents} | ({"joint_torque": sensors} if sensors else {}),
@@ -227,6 +231,16 @@ def _unused(
     }
 
 
+def _sensors(log: LogContents, kind: str, labels: Mapping[str, str]) -> tuple[dict[str, str], list[str]]:
+    """Select the measured torques of a kind by joint, and list those that never change."""
+    group = log.group(kind)
+    if group is None or group.reference:
+        return {}, []
+    columns = {joint: group.columns[label] for joint, label in labels.items() if label in group.columns}
+    still = [column for column in columns.values() if log.is_still(column)]
+    return {joint: column for joint, column in columns.items() if column not in still}, still
+
+
 def _computed(log: LogContents, commands: Mapping[str, str], torques: Mapping[str, str]) -> bool:
     """Decide whether torques are linear functions of the commands and hence computed from them."""
     rests = []
@@ -255,8 +269,13 @@ def _sources(paths: Sequence[Path], robot: Robot | None) -> tuple[LogContents, L
     return first, second, list(zip(paths[:half], paths[half:], strict=True))
 
 
-def _joints(positions: Group, commands: Group, robot: Robot | None) -> tuple[dict[str, tuple[str, str]], str, bool]:
-    """Match columns of positions and commands to joints; also return how, and whether by their order alone."""
+def _joints(
+    positions: Group, commands: Group, robot: Robot | None
+) -> tuple[dict[str, tuple[str, str]], list[str], str, bool]:
+    """Match columns of positions and commands to joints, of a robot without loops some of them.
+
+    Also return the labels of those without a joint, how they were matched, and whether by their order alone.
+    """
     common = [label for label in positions.columns if label in commands.columns]
     pairs = {label: (positions.columns[label], commands.columns[label]) for label in common}
     by_order = False
@@ -266,16 +285,22 @@ def _joints(positions: Group, commands: Group, robot: Robot | None) -> tuple[dic
         by_order = True
     if robot is None:
         named = {label if not label.isdigit() else f"j{label}": pair for label, pair in pairs.items()}
-        return named, "joint names from the log", by_order
+        return named, [], "joint names from the log", by_order
     joints = robot.actuated
-    if set(joints) <= set(pairs):
+    known, unknown = [joint for joint in joints if joint in pairs], [name for name in pairs if name not in joints]
+    some = known and not robot.closures and not any(name.isdigit() for name in unknown)
+    if some or len(known) == len(joints):
         how = "positions matched by joint name, commands by column order" if by_order else "matched by joint name"
-        return {joint: pairs[joint] for joint in joints}, how, by_order
+        return {joint: pairs[joint] for joint in known}, unknown, how, by_order
+    if len(pairs) < len(joints) and len(chain := _chain(robot)) == len(pairs):
+        joints = chain
     if len(pairs) < len(joints):
         listed = f" ({', '.join(pairs)})" if pairs else ""
         raise GtauError(
             f"the log has positions and commands of {len(pairs)} joints{listed}, but robot "
-            f"'{robot.name}' has {len(joints)} actuated ones; give matching logs and robot."
+            f"'{robot.name}' has {len(joints)} actuated ones; "
+            + (f"name the columns after their joints (q_{joints[0]}), or " if not robot.closures else "")
+            + "give matching logs and robot."
         )
     numbers = {joint: int(digits[-1]) for joint in joints if (digits := re.findall(r"\d+", joint))}
     how = "matched by column order"
@@ -283,8 +308,18 @@ def _joints(positions: Group, commands: Group, robot: Robot | None) -> tuple[dic
         by_number = tuple(sorted(joints, key=numbers.__getitem__))
         how = how if by_number == joints else "matched by the numbers in the joints' names"
         joints = by_number
-    assigned = zip(joints, _ordered(pairs), strict=False)
-    return {joint: pairs[label] for joint, label in assigned}, how, True
+    ordered = _ordered(pairs)
+    assigned = {joint: pairs[label] for joint, label in zip(joints, ordered, strict=False)}
+    return assigned, ordered[len(joints) :], how, True
+
+
+def _chain(robot: Robot) -> tuple[str, ...]:
+    """List the actuated joints that carry the tool; none where another branch has as many."""
+    chains: dict[str, tuple[str, ...]] = {}
+    for joint in robot.joints:
+        chains[joint.name] = chains.get(joint.antecedent, ()) + (joint.name,) * joint.actuated
+    chain = chains.get(robot.tool, ())
+    return chain if sum(len(other) == len(chain) for other in set(chains.values())) == 1 else ()
 
 
 def _ordered(labels: Iterable[str]) -> list[str]:

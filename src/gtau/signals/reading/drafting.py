@@ -45,14 +45,13 @@ def draft_logs(
         twice = next(log for log in logs if list(logs).count(log) > 1)
         raise GtauError(f"the log '{twice}' is given twice; give every log once.")
     urdf = robot_description(logs[0]) if robot is None and is_rosbag(logs[0]) else None
-    known, moving = (None, ()) if robot is None and urdf is None else _robot(logs[0], robot, urdf, base)
+    known = None if robot is None and urdf is None else _robot(logs[0], robot, urdf, base)
     if known is not None and known.floating:
         raise GtauError(
             f"robot '{known.name}': its base '{known.floating}' floats, and an experiment file with a base that "
             "floats is not drafted; start from docs/lookup/experiment-file.md, 'A base that floats'."
         )
-    draft = discover(logs, known, URDF if urdf is not None else robot, base)
-    draft = replace(draft, urdf=urdf, robot={**draft.robot, "joints": list(moving)} if moving else draft.robot)
+    draft = replace(discover(logs, known, URDF if urdf is not None else robot, base), urdf=urdf)
     draft = draft if preset is None else with_preset(draft, preset)
     draft = draft if kind is None else with_kind(draft, kind)
     return with_masses(draft, _of_logs(draft, masses or {}))
@@ -129,21 +128,13 @@ def _sealed(text: str) -> str:
     return f"{text}{SEAL}{crc32(text.encode()):08x}\n"
 
 
-def _robot(log: Path, robot: str | None, urdf: str | None, base: Any) -> tuple[Robot, tuple[str, ...]]:
-    """Load the robot; list its logged joints where a log of joint states lacks some, such as fingers."""
+def _robot(log: Path, robot: str | None, urdf: str | None, base: Any) -> Robot:
     with TemporaryDirectory(prefix="gtau-") as folder:
         source = robot or str(Path(folder) / URDF)
         if urdf is not None:
             Path(source).write_text(urdf)
         try:
-            known = load_robot(source, base=base)
-            columns = find_columns(log).columns
-            moving = tuple(
-                joint for joint in known.actuated if any(column.endswith(f"/{joint}/position") for column in columns)
-            )
-            if not 0 < len(moving) < len(known.actuated):
-                return known, ()
-            return load_robot(source, base=base, joints=moving), moving
+            return load_robot(source, base=base)
         except GtauError as error:
             if urdf is None:
                 raise
@@ -174,10 +165,11 @@ def draft_text(draft: Draft, folder: Path) -> str:
     Guesses are marked ``CHECK``.
     """
     count = f"{len(draft.logs)} log{'s' * (len(draft.logs) != 1)}"
+    doubt = _question(draft, "robot") or "the other joints are held at home" * ("joints" in draft.robot)
     lines = [
         f"# Drafted by gtau from {count}. Edit the lines marked CHECK, then run gtau check.",
         "",
-        _line(f"robot: {_flow(_robot_entry(draft, folder))}", _question(draft, "robot")),
+        _line(f"robot: {_flow(_robot_entry(draft, folder))}", doubt),
         "",
         "signals:",
         *_signals(draft),
@@ -235,6 +227,8 @@ def _signals(draft: Draft) -> Iterator[str]:
         yield from (f"  #{line[1:]}" for line in _by_joint("joint_torque", torques, ""))
     if others := beside.get("others"):
         yield f"  # Not used: columns {'; '.join(others)}."
+    if still := beside.get("still"):
+        yield f"  # Not used, as they never change: columns {_first(still)}."
     if velocity := why.get("velocity"):
         yield f"  # {velocity[0].upper()}{velocity[1:]}."
 
@@ -278,11 +272,15 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
     for log, *_ in draft.logs:
         if episodes := find_columns(log).episodes:
             what = f"each of the {len(episodes)} episodes in {log.name} is a run"
-            notes.append((what, "remove unwanted episodes from 'runs'"))
+            notes.append((what, "remove unwanted episodes from 'runs', where each may have a 'payload' of its own"))
     if draft.urdf is not None:
         notes.append(("the robot comes from /robot_description of the bag", "for a different robot give --robot"))
     if moving := draft.robot.get("joints"):
         notes.append((f"joints missing from the log are held at home; {', '.join(moving)} move", ""))
+    if unknown := draft.reasons.get("unmatched"):
+        notes.append((f"the log's {unknown} are not used, as the robot has no such joints", ""))
+    if still := beside.get("still"):
+        notes.append((f"{_first(still)} are not used: they never change", ""))
     if draft.time and draft.time[0].endswith("/header/stamp"):
         notes.append((f"time is {draft.time[0]}, measurement stamps, not receipt stamps", ""))
     return tuple(Finding(F.DRAFT, values={"what": what, "action": action}, source=str(file)) for what, action in notes)

@@ -73,9 +73,9 @@ class LogContents:
             for name in table.columns
             if name and table.columns.count(name) == 1
         ]
-        if table.numbered:
-            return _numbered(path, table, len(joints))
         groups = _grouped(names)
+        if table.numbered or _is_matrix(groups, path):
+            return _numbered(path, table, len(joints))
         wanted = [name for name in names if name.kind not in (None, "other")] or names
         topics = _topics(table)
         if len(topics) > 1:
@@ -100,6 +100,11 @@ class LogContents:
     def rows(self) -> int:
         """Number of rows that were read."""
         return max((len(column) for column in self.values.values()), default=0)
+
+    def is_still(self, column: str) -> bool:
+        """Return whether a column that was read never changes."""
+        values = self.values[column][np.isfinite(self.values[column])]
+        return not (values != values[:1]).any()
 
     def group(self, kind: str) -> Group | None:
         """Return the columns of a kind, measured ones before references, the group with most joints first."""
@@ -219,8 +224,7 @@ def _grows(column: np.ndarray) -> bool:
 def _classified(groups: Sequence[Group], values: Mapping[str, np.ndarray], path: Path) -> Iterator[Group]:
     """Classify commands that are derivatives of the positions as velocities, and a lone group by the file's name."""
     positions = next((group for group in groups if group.kind == "position" and not group.reference), None)
-    of_file = parse_column_name(path.stem).kind
-    if len(groups) == 1 and groups[0].kind is None and of_file in ("position", "current", "torque"):
+    if len(groups) == 1 and groups[0].kind is None and (of_file := _kind_of(path)):
         groups = [replace(groups[0], kind=of_file)]
     for group in groups:
         pairs = [] if positions is None or group.kind != "command" else list(_pairs(positions, group, values))
@@ -230,6 +234,16 @@ def _classified(groups: Sequence[Group], values: Mapping[str, np.ndarray], path:
             yield replace(group, kind="position", reference=True)
         else:
             yield group
+
+
+def _kind_of(path: Path) -> str | None:
+    kind = parse_column_name(path.stem).kind
+    return kind if kind in ("position", "current", "torque") else None
+
+
+def _is_matrix(groups: Sequence[Group], path: Path) -> bool:
+    """Decide whether a log is one array whose name says nothing of its columns."""
+    return [(group.kind, group.stem[-3:]) for group in groups] == [(None, "[#]")] and not _kind_of(path)
 
 
 def _pairs(
@@ -260,7 +274,7 @@ def correlation(position: np.ndarray, other: np.ndarray) -> float:
 
 
 def _numbered(path: Path, table: Table, joints: int) -> LogContents:
-    """Group columns of a log without header: time increases, velocities are derivatives of columns n to their left."""
+    """Group columns without names: time increases, velocities are derivatives of columns n to their left."""
     values = _values(path, table.columns, table)
     names = list(table.columns)
     time = tuple(names[:1]) if _grows(values[names[0]]) and np.ptp(values[names[0]]) else ()
@@ -277,10 +291,13 @@ def _numbered(path: Path, table: Table, joints: int) -> LogContents:
             "one file, with names in its first line (t,q1,q2,current1,current2)."
         )
     if not width:
+        lacks, advice = "has no header", "write a first line with names (t,q1,q2,current1,current2)"
+        if not table.numbered:
+            lacks, advice = "is one array without names", "save arrays with names (t, q, current) in its place"
         raise GtauError(
-            f"{path} has no header, and among its {len(names)} columns no positions are recognised by their "
-            "velocities; write a first line with names (t,q1,q2,current1,current2)"
-            + ("." if joints else ", or give the robot (--robot).")
+            f"{path} {lacks}, and among its {len(names)} columns no positions are recognised by their velocities; "
+            + (advice if joints else f"{advice}, or give the robot (--robot ROBOT)")
+            + "."
         )
     kinds = ["position", "velocity"]
     blocks = [rest[k : k + width] for k in range(0, len(rest) - len(rest) % width, width)]

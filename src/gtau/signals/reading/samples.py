@@ -138,8 +138,9 @@ def complete(
     n, wide = len(samples.joints), len(samples.columns) - 1  # columns before the time
     stores = Store(), Store((n,)), Store((wide - n,)), Store(dtype=int)
     numbers = np.zeros(wide + 1, dtype=int)  # in each column
-    incomplete, empty, bad_column = _Rows(), _Rows(), 0
+    incomplete, empty, bad_column, begin = _Rows(), _Rows(), 0, -1
     for row, values in part.of(parts):
+        begin = row if begin < 0 else begin
         finite = np.isfinite(values)
         kept = finite.all(axis=1)
         nothing = ~finite[:, :wide].any(axis=1)
@@ -169,11 +170,14 @@ def complete(
     if incomplete.count > MAX_MISSING * count:
         column = samples.columns[bad_column]
         entry = samples.table.texts.get(column, "")
+        leading = int(rows[0]) - begin if len(rows) and not part.begin else 0
+        at_start = incomplete.count - leading <= MAX_MISSING * count
+        repair = f"leave out its first rows (skip: {part.skip + leading})" if at_start else "correct or delete them"
         raise GtauError(
             f"{samples.name} has {incomplete.count} of {count} rows with missing or non-numeric values (first in "
             f"{samples.places(incomplete.first[:1], 1)}, column '{column}'"
             + (f": '{entry}'" if entry else "")
-            + "); correct or delete them, or record the log again."
+            + f"); {repair}, or record the log again."
         )
     if incomplete.count:
         dropped = {"count": incomplete.count, "places": samples.places(incomplete.first, incomplete.count)}
