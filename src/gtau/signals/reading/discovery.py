@@ -292,7 +292,7 @@ def _joints(
     if some or len(known) == len(joints):
         how = "positions matched by joint name, commands by column order" if by_order else "matched by joint name"
         return {joint: pairs[joint] for joint in known}, unknown, how, by_order
-    if len(pairs) < len(joints) and len(chain := _chain(robot)) == len(pairs):
+    if 0 < len(pairs) < len(joints) and len(chain := _chain(robot)) == len(pairs):
         joints = chain
     if len(pairs) < len(joints):
         listed = f" ({', '.join(pairs)})" if pairs else ""
