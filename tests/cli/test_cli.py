@@ -723,6 +723,32 @@ def test_logs_that_are_no_files(here: Path, kind: str) -> None:
     assert f"there is no file 'free.csv'; {'' if kind == 'link' else 'it '}{what}." in result.stderr
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["check", "pipe.csv", "--robot", "five-bar"],
+        ["identify", "pipe.yaml"],
+        ["validate", "pipe.json", "experiment.yaml"],
+        ["robot", "pipe.urdf"],
+    ],
+)
+def test_a_pipe_is_refused_and_not_waited_for(here: Path, command: list[str]) -> None:
+    os.mkfifo(here / command[1])
+    process = start(here, *command)
+    _, said = process.communicate(timeout=60)
+    assert f"{command[1]}" in said
+    assert "pipe" in said.replace(command[1], "")
+    assert process.returncode == 2
+
+
+@pytest.mark.parametrize("command", [["check"], ["identify"], ["validate", "model.json"], ["robot"]])
+def test_a_path_that_is_too_long(here: Path, command: list[str]) -> None:
+    process = start(here, *command, 5000 * "x" + ".csv")
+    _, said = process.communicate(timeout=60)
+    assert "name too long" in said.lower()
+    assert process.returncode == 2
+
+
 def test_a_reader_that_goes_away(here: Path) -> None:
     process = start(here, "robot", "ur10e")
     assert process.stdout is not None

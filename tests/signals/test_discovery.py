@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +18,13 @@ from gtau.estimation.identify import identify
 from gtau.model.home import load_robot
 from gtau.robots.robot import Joint, Mdh, Robot
 from gtau.signals.channel import SENSOR
+from gtau.signals.reading import logs
 from gtau.signals.reading.column_names import base_like, parse_column_name, wrench_like
 from gtau.signals.reading.discovery import Draft, discover
 from gtau.signals.reading.drafting import draft_text, guesses
 from gtau.signals.reading.experiment import read_experiment
+from gtau.signals.reading.log_contents import LogContents
+from gtau.signals.reading.logs import find_columns
 from gtau.signals.run import read_run
 
 TIME = np.arange(3000) / 250
@@ -523,3 +527,32 @@ def test_a_single_column_without_a_header_is_refused(tmp_path: Path) -> None:
     np.savetxt(tmp_path / "positions.txt", Q.ravel())
     with pytest.raises(GtauError, match="single column without a header; put time, positions and currents of a run"):
         discover([tmp_path / "positions.txt"], load_robot("five-bar"), "five-bar")
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_log_without_rows_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("t,q1,q2,i1,i2\n")
+    with pytest.raises(GtauError, match="0 samples"):
+        LogContents.read(tmp_path / "a.csv", None)
+
+
+def test_an_infinite_position_is_missing(tmp_path: Path) -> None:
+    rows = [f"{k / 100},{'inf' if k == 50 else np.sin(k / 20)},{np.cos(k / 9)}" for k in range(200)]
+    (tmp_path / "a.csv").write_text("\n".join(["t,q1,i1", *rows]))
+    values = LogContents.read(tmp_path / "a.csv", None).values["q1"]
+    assert np.flatnonzero(~np.isfinite(values)).tolist() == [50]
+    assert np.isnan(values[50])
+
+
+def test_columns_are_looked_up_and_not_searched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Searches for each of 100,000 columns took minutes."""
+
+    class Names(tuple[str, ...]):
+        def _refused(self, name: object) -> int:
+            raise AssertionError(f"searched for {name}")
+
+        __contains__ = index = count = _refused
+
+    table = find_columns(save(tmp_path / "a.csv", "t,q1,i1", TIME, Q[:, 0], V[:, 0]))
+    monkeypatch.setattr(logs, "find_columns", lambda path: replace(table, columns=Names(table.columns)))
+    assert logs.read_log(table.path, ["t", "i1"]).columns == ("t", "i1")

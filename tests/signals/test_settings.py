@@ -11,7 +11,7 @@ from five_bar_logs import EXPERIMENT, Plant, write_log
 from gtau.errors import GtauError
 from gtau.estimation.experiment_runs import read_runs
 from gtau.signals.preparation.choice import choose_preparation
-from gtau.signals.preparation.prepared_run import Preparation
+from gtau.signals.preparation.prepared_run import Preparation, prepare
 from gtau.signals.reading.experiment import read_experiment
 
 HEAD = EXPERIMENT.split("runs:")[0]
@@ -41,10 +41,10 @@ def test_what_is_given_is_taken(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("preparation", "message"),
     [
-        (
-            "{position_filter: 300}",
-            "position_filter is 300 Hz, but logs sampled at 500 Hz contain nothing above",
-        ),
+        ("{position_filter: 300}", "position_filter is 300 Hz, .* 500 Hz"),
+        ("{bandwidth: 5000}", "bandwidth is 5000 Hz, .* 500 Hz"),
+        ("{bandwidth: 0.01}", "bandwidth is 0.01 Hz, .* 20 s"),
+        ("{decimation: 2.5}", "decimation: '2.5' is not a whole number"),
         ("{clock: late}", "clock"),
         ("{cutoff: 3}", "cutoff"),
         ("{decimation: 0}", "decimation"),
@@ -54,6 +54,14 @@ def test_what_cannot_be_is_refused(preparation: str, message: str, tmp_path: Pat
     path = experiment(tmp_path, "  - {log: a.csv}\n", preparation)
     with pytest.raises(GtauError, match=message):
         prepared(path)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_filter_longer_than_the_logs_is_refused(tmp_path: Path) -> None:
+    path = experiment(tmp_path, "  - {log: a.csv}\n", "{position_filter: 0.1}")
+    (run,) = read_runs(read := read_experiment(path), read.runs)
+    with pytest.raises(GtauError, match=r"margins.*position_filter"):
+        prepare(run, choose_preparation([run]))
 
 
 def test_parts_of_a_log(tmp_path: Path) -> None:

@@ -383,7 +383,7 @@ UNKNOWN = experiment((LOADED + "}\nval", ", payload: {name: lead}}\nval"))
 MODELS = [
     Case(
         "no model",
-        "nowhere.json cannot be read (No such file or directory)",
+        "nowhere.json cannot be read: no such file or directory",
         command=("validate", "nowhere.json", "experiment.yaml"),
     ),
     Case(

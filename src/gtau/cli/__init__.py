@@ -59,9 +59,10 @@ def _run() -> int:
             raise KeyboardInterrupt from None
         if "GTAU_DEBUG" in os.environ:
             raise
-        if isinstance(error, OSError) and error.errno in FULL:
+        if isinstance(error, OSError) and (error.filename or error.errno in FULL):
             where = error.filename or "the output"  # without a name it is what was printed
-            typer.echo(f"gtau: {where} cannot be written ({error.strerror}); free some space.", err=True)
+            deed = "written ({}); free some space" if error.errno in FULL else "opened ({}); check the path"
+            typer.echo(f"gtau: {where} cannot be {deed.format(error.strerror)}.", err=True)
             return 2
         bug = f"this is a bug in gtau ({type(error).__name__}: {error}); report it with the output of GTAU_DEBUG=1."
         typer.echo(f"gtau: {bug}", err=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import tempfile
@@ -87,11 +88,21 @@ def folder_of(path: str | Path) -> Path:
     return path
 
 
+def regular(path: Path) -> Path:
+    """Return a path that is no device and no pipe, of which reading might never end; raises OSError otherwise."""
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise OSError(errno.EINVAL, "it is a device or a pipe")
+    return path
+
+
 @contextmanager
 def system_refusals(path: Path, advice: str = "check the path") -> Iterator[None]:
     """Turn an error of the system while a file is read into a GtauError."""
     try:
+        regular(path)
         yield
+    except GtauError:
+        raise
     except OSError as error:
         why = (error.strerror or str(error)).lower()
         raise unreadable(f"{path} cannot be read: {why}; {advice}.", error) from None
@@ -103,7 +114,7 @@ def read_at_most(size: int, path: Path, larger: str) -> bytes:
     Raises GtauError where it cannot be read, or is longer (message ``larger``). The caller names the file.
     """
     try:
-        with path.open("rb") as file:
+        with regular(path).open("rb") as file:
             content = file.read(size + 1)
     except OSError as error:
         why = (error.strerror or str(error)).lower()
@@ -183,10 +194,10 @@ _KEYS = (
 def kind_of(path: str | Path) -> str | None:
     """Recognise a file by its content; None if it is of no known kind or cannot be read."""
     path = Path(path)
-    if path.is_dir():
-        return FOLDER
     try:
-        with path.open("rb") as file:
+        if path.is_dir():
+            return FOLDER
+        with regular(path).open("rb") as file:
             head = file.read(HEAD)
     except OSError:
         return None

@@ -148,8 +148,10 @@ def _sentence(error: ErrorDetails) -> str:
     match error["type"]:
         case "value_error":
             return str(context["error"])
-        case "float_parsing" | "float_type" | "finite_number" | "int_parsing" | "int_type" | "int_from_float":
+        case "float_parsing" | "float_type" | "finite_number":
             return f"{written} is not a number; write one such as 0.1"
+        case "int_parsing" | "int_type" | "int_from_float":
+            return f"{written} is not a whole number; write one such as 3"
         case "bool_parsing" | "bool_type":
             return f"write true or false, not {written}"
         case "string_type":

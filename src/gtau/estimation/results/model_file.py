@@ -8,10 +8,10 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from gtau.documents.files import MODEL, refuse_other_kind, write_atomically
+from gtau.documents.files import MODEL, refuse_other_kind, system_refusals, write_atomically
 from gtau.documents.validation import validate
 from gtau.documents.yaml_document import Document
-from gtau.errors import GtauError, unreadable
+from gtau.errors import GtauError
 from gtau.estimation.friction.law import SHAPES
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.model_document import ModelDocument, described
@@ -51,14 +51,11 @@ def load(path: str | Path) -> Result:
     """
     refuse_other_kind(path, MODEL)
     path = Path(path)
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse, parse_float=_finite)
-    except OSError as error:
-        raise unreadable(
-            f"{path} cannot be read ({error.strerror}); give the model.json that 'gtau identify' wrote.", error
-        ) from None
-    except (ValueError, RecursionError):
-        raise GtauError(f"{path} is not a JSON file; give the model.json that 'gtau identify' wrote.") from None
+    with system_refusals(path, "give the model.json that 'gtau identify' wrote"):
+        try:
+            document = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse, parse_float=_finite)
+        except (ValueError, RecursionError):
+            raise GtauError(f"{path} is not a JSON file; give the model.json that 'gtau identify' wrote.") from None
     if not isinstance(document, dict) or "schema" not in document:
         raise GtauError(f"{path} is not a model; give the model.json that 'gtau identify' wrote.")
     if document["schema"] not in (SCHEMA, *OLDER):

@@ -31,28 +31,27 @@ def choose_preparation(runs: Sequence[Run], decimator: Literal["fir", "chebyshev
     The bandwidth is the largest of all joints in all runs, whose rates may differ. The position filter follows from it
     and from where noise takes over, see :func:`gtau.signals.preparation.filters.cutoff_frequency`. The decimation
     leaves five rows in a period of the bandwidth, or more where it would lose more than 15 % of the samples around
-    reversals and rests. Raises GtauError where no joint moves in a run, or a filter that is given is none at the rate
-    of the slowest run.
+    reversals and rests. Raises GtauError where no joint moves in a run, or a frequency that is given is not between
+    a period of the longest and half the rate of the slowest run.
     """
     settings = runs[0].log.settings
     slowest = min(run.rate for run in runs)
     of_runs = [moving_spectra(run) for run in runs]
     moving = [spectrum for of_run in of_runs for spectrum in of_run if spectrum.moves]
+    longest = max(len(run.time) / run.rate for run in runs)
+    for key, least in (("bandwidth", 1 / longest), ("position_filter", 0.0)):
+        given = getattr(settings, key)
+        if isinstance(given, float) and not least <= given < 0.5 * slowest:
+            raise GtauError(
+                f"preparation.{key} is {given:g} Hz, but logs of {longest:.3g} s at {slowest:.4g} Hz can hold motion "
+                f"of {1 / longest:.2g} to {slowest / 2:.4g} Hz; give a frequency between these, or leave it out."
+            )
     bandwidth = settings.bandwidth or max(spectrum.bandwidth for spectrum in moving)
-    cutoff: float | None
-    match settings.position_filter:
-        case "none":
-            cutoff = None
-        case None:
-            end = max(spectrum.end for spectrum in moving) if settings.bandwidth is None else np.inf
-            seconds = float(np.mean([len(run.time) / run.rate for run in runs]))
-            cutoff = cutoff_frequency(bandwidth, end, slowest, seconds)
-        case cutoff:
-            if cutoff >= 0.5 * slowest:
-                raise GtauError(
-                    f"preparation.position_filter is {cutoff:g} Hz, but logs sampled at {slowest:.4g} Hz contain "
-                    f"nothing above {slowest / 2:.4g} Hz; give a lower cut-off, or none."
-                )
+    cutoff = None if settings.position_filter == "none" else settings.position_filter
+    if settings.position_filter is None:
+        end = max(spectrum.end for spectrum in moving) if settings.bandwidth is None else np.inf
+        seconds = float(np.mean([len(run.time) / run.rate for run in runs]))
+        cutoff = cutoff_frequency(bandwidth, end, slowest, seconds)
     fraction = SPEED_FRACTION if settings.least_speed is None else settings.least_speed
     chosen = Preparation(bandwidth, cutoff, Decimator(1, decimator), fraction, slowest, settings.given)
     factor = settings.decimation
@@ -93,7 +92,11 @@ def _affordable(
             kept[j] += np.maximum(lengths - 2 * guard, 0).sum() / ratio
             total[j] += lengths.sum() / ratio
         moving = total > 0
-        if (kept[moving] / total[moving]).mean() < KEPT or (kept[moving] / factor).min() < FEWEST_ROWS:
+        if (
+            not moving.any()
+            or (kept[moving] / total[moving]).mean() < KEPT
+            or (kept[moving] / factor).min() < FEWEST_ROWS
+        ):
             break
         chosen = factor
         factor += max(1, factor // MAX_FACTOR)  # from there on in steps of some 5 %

@@ -258,9 +258,11 @@ def prepare(run: Run, preparation: Preparation, motor_to_joint_speed: np.ndarray
     last = next((int(moving[-1]) for piece in reversed(pieces) if (moving := awake(*piece)).size), None)
     if first is None or last is None:
         edge = filter_edge(run.rate, preparation.cutoff)
+        given = "position_filter" in preparation.given
+        remedy = "give a higher preparation.position_filter" if given else "give a longer log of a moving robot"
         raise GtauError(
             f"run '{run.name}': no joint moves between its filter margins ({edge} of {samples} samples at either "
-            "side); give a longer log of a moving robot."
+            f"side); {remedy}."
         )
     kept = range(first, last + 1)
     ratios = np.eye(n) if motor_to_joint_speed is None else motor_to_joint_speed

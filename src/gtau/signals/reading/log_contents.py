@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
 from gtau.signals.reading.formats import Table
 from gtau.signals.reading.formats.columnar import data_set
 from gtau.signals.reading.logs import find_columns, read_log
+from gtau.signals.reading.samples import refuse_short
 
 ROWS = 200_000  # of a log that are evaluated
 DERIVATIVE = 0.9  # correlation with a numerical derivative from which a column is taken for the velocity
@@ -70,8 +72,8 @@ class LogContents:
         joints, (rate, labels) = robot.actuated if robot else (), data_set(path, table.columns)
         names = [
             parse_item(name, labels[name], joints) if name in labels else parse_column_name(name, joints)
-            for name in table.columns
-            if name and table.columns.count(name) == 1
+            for name, count in Counter(table.columns).items()
+            if name and count == 1
         ]
         groups = _grouped(names)
         if table.numbered or _is_matrix(groups, path):
@@ -190,7 +192,8 @@ def _values(path: Path, names: Sequence[str], table: Table) -> dict[str, np.ndar
     log = read_log(path, names)
     rows = next(iter(table.episodes.values()), range(ROWS))
     parts = [values for values, _ in log.blocks(rows[:ROWS])]
-    table_of_rows = np.vstack(parts) if parts else np.empty((0, len(log.columns)))
+    refuse_short(str(path), sum(map(len, parts)))
+    table_of_rows = np.vstack(parts)
     return {name: table_of_rows[:, k] for k, name in enumerate(log.columns)}
 
 

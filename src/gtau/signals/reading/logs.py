@@ -5,6 +5,7 @@ Commands with separate time stamps are interpolated.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
@@ -74,10 +75,11 @@ def _refuse_missing(names: Iterable[str], table: Table) -> None:
             f"{path} holds no columns of numbers; save the signals as plain numeric arrays, not as objects such as "
             "tables or time series."
         )
+    counts = Counter(columns)
     for name in names:
-        if columns.count(name) > 1:
-            raise GtauError(f"{path} has {columns.count(name)} columns named '{name}'; rename them.")
-        if name in columns:
+        if counts[name] > 1:
+            raise GtauError(f"{path} has {counts[name]} columns named '{name}'; rename them.")
+        if counts[name]:
             continue
         if table.numbered:
             raise GtauError(

@@ -72,13 +72,14 @@ def numbers(count: int) -> tuple[str, ...]:
 
 
 def _floats(series: pl.Series) -> tuple[np.ndarray, str | None]:
-    """Read numbers of a column, nan for other entries, and the first non-numeric entry, if any."""
+    """Read numbers of a column, nan for other entries, infinite ones too, and the first of these, if any."""
     import polars as pl
 
     values = series.cast(pl.Float64, strict=False).to_numpy().astype(float)  # null becomes nan
     bad = np.flatnonzero(~np.isfinite(values))
     if not bad.size:
         return values, None
+    values[bad] = np.nan
     entry = series[int(bad[0])]
     return values, "" if entry is None else str(entry)
 

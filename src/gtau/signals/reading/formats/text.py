@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Iterator, Sequence
+from functools import cache
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -63,8 +64,8 @@ def open_text(path: Path) -> Table:
     first_byte += sum(map(len, lines[:begin]))
 
     def frames(names: Sequence[str], rows: range) -> Iterator[tuple[pl.DataFrame, float]]:
-        row = 0
-        wanted = [columns.index(name) for name in names]
+        row, places = 0, {name: k for k, name in enumerate(columns)}
+        wanted = [places[name] for name in names]
         for text, done in _whole_lines(path, first_byte):
             frame = _frame(table, separator, text, wanted)
             part = frame[max(rows.start - row, 0) : max(rows.stop - row, 0)]
@@ -124,11 +125,11 @@ def _is_row(fields: Sequence[str]) -> bool:
 
 def _first_row(fields: Sequence[tuple[str, ...]], written: Sequence[int]) -> int | None:
     """Find the first of ``ROWS_ALIKE`` rows, or of those that there are, among the lines that are ``written``."""
-    rows = {k for k in written if _is_row(fields[k])}
+    row = cache(lambda k: _is_row(fields[k]))
     for i, k in enumerate(written):
-        if all(line in rows and len(fields[line]) == len(fields[k]) for line in written[i : i + ROWS_ALIKE]):
+        if all(row(line) and len(fields[line]) == len(fields[k]) for line in written[i : i + ROWS_ALIKE]):
             return k
-    return min(rows, default=None)
+    return next(filter(row, written), None)
 
 
 def _header(texts: Sequence[str], fields: Sequence[tuple[str, ...]], first: int) -> int | None:
