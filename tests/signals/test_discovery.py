@@ -229,6 +229,8 @@ def test_two_arms_are_not_told_apart_by_number(tmp_path: Path) -> None:
 
 
 def test_what_is_not_there_is_said(tmp_path: Path) -> None:
+    with pytest.raises(GtauError, match="of 0 joints, but robot 'five-bar' has 2"):
+        discover([save(tmp_path / "c.csv", "t,q1,q2,current_a", TIME, Q, V[:, 0])], load_robot("five-bar"), "five-bar")
     with pytest.raises(GtauError, match="no columns of currents or torques are recognised among t, q1, dq1"):
         discover([save(tmp_path / "a.csv", "t,q1,dq1", TIME, Q[:, 0], QD[:, 0])])
 
