@@ -213,7 +213,7 @@ SENTENCES = [  # finding, reason, advice
      values={"parameter": "m", "declared": 2.0, "found": 2.05, "std": 0.01, "unit": "kg", "given": "torque"}),
      "all other data give it a mass of 2.05 kg (standard deviation 0.01), not 2 kg",
      "check which runs carry the payload, its mass (kg) and the unit and scale of the torques; if the mass is "
-     "certain, leave out --method: it then sets their scale"),
+     "certain, use --method ml: it then sets their scale"),
     (Finding(F.PAYLOAD_MASS,
      values={"parameter": "m", "declared": 2.0, "found": 2.05, "std": 0.01, "unit": "kg", "given": "current"}),
      "all other data give it a mass of 2.05 kg (standard deviation 0.01), not 2 kg",
@@ -292,6 +292,10 @@ SENTENCES = [  # finding, reason, advice
      "the true torques are 83.2 to 138 times those logged: by their size they are motor-side torques (before the "
      "gear) or currents",
      GEARS),
+    (Finding(F.MOTOR_SIDE, values={"least": 100.1, "most": 100.2}),
+     "the true torques are 100 times those logged: by their size they are motor-side torques (before the gear) or "
+     "currents",
+     GEARS),
     (Finding(F.MOTOR_SIDE, ("left",), values={"share": 0.0031, "limit": 150.0}),
      "the torques reach 0.31 % of the limit of 'left' (150), and less for all others: by their size they are "
      "motor-side torques (before the gear) or currents",
@@ -316,7 +320,7 @@ SENTENCES = [  # finding, reason, advice
      "reweigh the payload before you correct the torques"),
     (Finding(F.GAINS_APART, ("a",), "b",
      {"ratio": 61.2, "gain": 0.2, "of_peer": 12.24, "unit": "N m/A", "kind": "current"}),
-     "its gain of 0.2 N m/A and that of 'b', 12.2 N m/A, differ by a factor of 61, which is implausible for motors and "
+     "the gains of 'a', 0.2 N m/A, and 'b', 12.2 N m/A, differ by a factor of 61, which is implausible for motors and "
      "gears of one robot",
      "check that the current columns of these joints are in the same unit, and convert those that are not; if the "
      "motors do differ, state 'prior_gains'"),
