@@ -48,9 +48,12 @@ def _bar(first: str) -> Iterator[Callable[[str, int, int], None]]:
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(first, total=None)
-        yield lambda stage, done, total: bar.update(
-            task, description=stage, completed=done, total=total if total > 1 else None
-        )
+
+        def report(stage: str, done: int, total: int) -> None:
+            bar.tasks[task].total = total if total > 1 else None  # which pulses; update() would keep the last total
+            bar.update(task, description=stage, completed=done)
+
+        yield report
 
 
 @contextmanager
