@@ -384,7 +384,7 @@ def test_what_is_no_torque_sensor(tmp_path: Path) -> None:
     draft = discover([save(tmp_path / "b.csv", header.format("torque_sensor_"), TIME, Q, V, stuck)])
     assert draft.signals["joint_torque"] == {"j2": "torque_sensor_2"}
     assert "never change: columns torque_sensor_1." in draft_text(draft, tmp_path)
-    assert [note.what for note in guesses(draft, tmp_path)][-1].startswith("torque_sensor_1 are not used")
+    assert [note.what for note in guesses(draft, tmp_path)][-1].endswith("are no torque sensors: torque_sensor_1")
     none = discover([save(tmp_path / "c.csv", header.format("tau_"), TIME, Q, V, 0 * V)])
     assert (none.beside["torques"], none.beside["still"]) == ({}, ["tau_1", "tau_2"])
 
