@@ -88,7 +88,7 @@ def with_preset(draft: Draft, name: str) -> Draft:
             if column != preset[kind].format(k=k, n=k + 1, joint=joint):
                 raise GtauError(
                     f"the logs have no columns of the preset '{name}', as '{column}' is not '{preset[kind]}'; leave "
-                    "out --preset, and state what the commands are (--kind current|torque)."
+                    "out --preset, and state in the draft whether these are currents or torques."
                 )
         draft = with_kind(draft, "current" if kind == "current" else "torque")
     robot = {key: entry for key, entry in draft.robot.items() if key != "gravity"} | preset.get("robot", {})
