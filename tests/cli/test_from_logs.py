@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 from gtau.cli.commands import app
 from gtau.cli.logs import Commands, experiment_of
+from gtau.demo.tutorial import write_tutorial
 from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -137,6 +138,19 @@ def test_a_log_that_is_refused_has_no_figures(tmp_path: Path, motion: Any) -> No
     assert {path.name for path in out.iterdir()} == {"experiment.yaml", "report.html"}
 
 
+def test_priors_that_do_not_fit_are_named_and_not_the_columns(tmp_path: Path, motion: Any) -> None:
+    """The file's inertias alone give the scale of the currents, and are not those of this arm."""
+    (tmp_path / "arm.urdf").write_text(URDF.replace("prismatic", "fixed"))
+    head = "t,q_elbow,q_shoulder,i_elbow,i_shoulder"
+    np.savetxt(tmp_path / "a.csv", np.column_stack(motion["empty"]), delimiter=",", header=head, comments="")
+    robot, out = str(tmp_path / "arm.urdf"), str(tmp_path / "out")
+    options = ["--robot", robot, "--prior-inertias", "0.3", "--out", out]
+    done = CliRunner().invoke(app, ["identify", str(tmp_path / "a.csv"), *options])
+    assert done.exit_code == 2
+    assert "check 'priors', 'prior_inertias' and the inertias" in done.stderr
+    assert "signs and units" not in done.stderr
+
+
 def test_what_is_given_wrongly_is_refused(tmp_path: Path, motion: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     logs = bags(tmp_path, motion, urdf=URDF)
@@ -157,6 +171,19 @@ def test_what_is_given_wrongly_is_refused(tmp_path: Path, motion: Any, monkeypat
     )
     with pytest.raises(GtauError, match=r"/robot_description in .*broken.*give the robot \(--robot ROBOT\)"):
         draft_logs([broken])
+
+
+def test_a_refusal_names_the_options_that_correct_the_guesses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_tutorial(tmp_path)
+    forgotten = CliRunner().invoke(app, ["identify", "empty_1.csv"])
+    assert forgotten.exit_code == 2
+    assert "--robot ROBOT" in forgotten.stderr
+    refused = CliRunner().invoke(app, ["identify", "empty_1.csv", "--robot", "five-bar"])
+    assert refused.exit_code == 2
+    *guessed, refusal = refused.stderr.splitlines()
+    assert "--payload LOG=KG" in "".join(guessed)
+    assert "needs a scale" in refusal
 
 
 @pytest.mark.parametrize("compression", ["STORAGE", "MESSAGE", "FILE", "LZ4"])

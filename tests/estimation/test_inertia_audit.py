@@ -131,3 +131,11 @@ def test_a_known_payload_gives_the_scale_beside_priors(true: Robot) -> None:
     for gain, value in zip(result.drive_gains.values(), made.gains, strict=True):
         assert abs(gain.value - value) < 4 * gain.std + 1e-3 * value
     assert result.believable
+
+
+def test_priors_that_alone_give_the_scale_are_held_against_the_data(true: Robot, tmp_path: Path) -> None:
+    """Nothing else gives it, but one scale does not fit links of which one is twice as heavy."""
+    made = replace(plant(true, noise=0.02), gains=np.array([8.0, 8.0, 6.0, 5.0]))
+    for believed, contradicted in ((true, False), (robot(tmp_path, {"j3": 2 * MASSES["j3"]}), True)):
+        result = identify(believed, [made.run(1)], prior_inertias=0.02)
+        assert any(note.kind == FindingKind.PRIOR_INERTIA for note in result.notes) == contradicted

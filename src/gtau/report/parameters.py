@@ -160,7 +160,7 @@ def inertias_section(audit: InertiaAudit | None, short: bool = False) -> Section
     if audit.prior:
         words += (
             f" They are priors with a standard deviation of {100 * audit.prior:.3g} %, and the intervals include them; "
-            "the comparison below uses the data without them."
+            "where something else gives the scale, the comparison below uses the data without them."
         )
     return section(
         "Inertias of the robot file",

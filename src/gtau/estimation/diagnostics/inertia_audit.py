@@ -117,27 +117,30 @@ def _rms(errors: Mapping[str, float]) -> float:
 def audit_inertias(fit: Fit, estimates: Estimates, loaded: bool) -> tuple[Fit | None, InertiaAudit | None]:
     """Compare the robot file's inertias with a fit without them, which is returned too.
 
-    That is refitted where the file's inertias were priors, None where then nothing gives the scale. A robot that is
-    ``loaded`` with a body that is not declared is not audited: the file is not blamed for what it lacks.
+    That is refitted where the file's inertias were priors, None where then nothing gives the scale; they are compared
+    with the fit that has them, and the audit is returned if it contradicts some even so. A robot that is ``loaded``
+    with a body that is not declared is not audited: the file is not blamed for what it lacks.
     """
+    bare: Fit | None = fit
     covariance, freedom, prior = estimates.covariance, estimates.effective_freedom, fit.dataset.prior_inertias
     if prior:
         dataset = replace(fit.dataset, priors=fit.dataset.stated_priors, prior_inertias=0.0)
         bare = refitted(fit, dataset=dataset)
-        if bare is None:
-            return None, None
-        freedom = degrees_of_freedom(bare.system.problem, bare.solution, fit.free_gains)
-        fit, covariance = bare, bare.solution.jackknife
+        if bare is not None:
+            freedom = degrees_of_freedom(bare.system.problem, bare.solution, fit.free_gains)
+            fit, covariance = bare, bare.solution.jackknife
     if loaded:
-        return fit, None
+        return bare, None
     identified = fit.system.full(fit.solution.theta)[:-1]
     file, tested, unstated = _file_values(fit, identified)
     prior_values = _kept(fit, file, prior)
     std = np.sqrt(np.diag(covariance))
     parameters = _parameters(fit, file, tested, unstated, prior_values, std, freedom)
     wrong = any(parameter.standing == "contradicted" for parameter in parameters)
+    if bare is None and not wrong:
+        return None, None
     links = tuple(_links(fit, identified, file)) if wrong else ()
-    return fit, InertiaAudit(_errors(fit, file), _errors(fit, identified), parameters, links, prior)
+    return bare, InertiaAudit(_errors(fit, file), _errors(fit, identified), parameters, links, prior)
 
 
 def _file_values(fit: Fit, identified: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

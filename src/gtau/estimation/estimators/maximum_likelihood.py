@@ -30,24 +30,30 @@ def ml(problem: Problem) -> Solution:
     explain them, the verdicts say so), or if only known parameters with little effect fix the scale.
     """
     solution = solve(problem, two_stage(problem).values, problem.weights, True)
-    if not solution.converged:
-        loaded = bool(problem.blocks[..., KNOWN].any())
-        alone = len(problem.known) and problem.unknown_gains.all() and not (loaded or problem.wrenches)
-        if alone and (share := own_share(problem)) < HIDDEN_KNOWN:
-            raise GtauError(
-                "the maximum-likelihood iteration did not converge, as the known parameters hardly fix the scale of "
-                f"the drive gains: unknown ones explain all but {100 * share:.2g} % of their torque in "
-                "these motions; give priors of those too (friction and offsets among them), log faster motions, add a "
-                "payload or torque sensors, or use --method wls with prior_gains."
-            )
-    if not solution.converged and np.all(solution.sigma < MISFIT * problem.balance(solution.theta)):
+    if solution.converged:
+        return solution
+    loaded = bool(problem.blocks[..., KNOWN].any())
+    alone = len(problem.known) and problem.unknown_gains.all() and not (loaded or problem.wrenches)
+    if alone and (share := own_share(problem)) < HIDDEN_KNOWN:
+        raise GtauError(
+            "the maximum-likelihood iteration did not converge, as the known parameters hardly fix the scale of the "
+            f"drive gains: unknown ones explain all but {100 * share:.2g} % of their torque in these motions; give "
+            "priors of those too (friction and offsets among them), log faster motions, add a payload or torque "
+            "sensors, or use --method wls with prior_gains."
+        )
+    if np.all(solution.sigma < MISFIT * problem.balance(solution.theta)):
         scale = "a heavier payload" if loaded else "a payload, torque sensors or more known parameters"
         if problem.wrenches:  # what a body that is always carried does to its sensor is what its own inertia would do
             scale = f"one in which another wrench acts on {', '.join(problem.wrenches)} (without the tool, say)"
+        advice = f"{scarcity(problem)}check the signs and units of positions and currents"
+        if alone:
+            advice = (
+                "the known parameters, on which alone their scale rests, contradict the data or are too uncertain; "
+                "check 'priors', 'prior_inertias' and the inertias in the robot's file"
+            )
         raise GtauError(
             "the maximum-likelihood iteration did not converge, so the data do not determine the drive gains: "
-            f"{scarcity(problem)}check the signs and units of positions and currents, add runs that move every joint "
-            f"or {scale}, or use --method wls with prior_gains."
+            f"{advice}, add runs that move every joint or {scale}, or use --method wls with prior_gains."
         )
     return solution
 

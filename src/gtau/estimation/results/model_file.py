@@ -51,11 +51,11 @@ def load(path: str | Path) -> Result:
     """
     refuse_other_kind(path, MODEL)
     path = Path(path)
-    try:
-        with system_refusals(path, "give the model.json that 'gtau identify' wrote"):
+    with system_refusals(path, "give the model.json that 'gtau identify' wrote"):
+        try:
             document = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse, parse_float=_finite)
-    except (ValueError, RecursionError):
-        raise GtauError(f"{path} is not a JSON file; give the model.json that 'gtau identify' wrote.") from None
+        except (ValueError, RecursionError):
+            raise GtauError(f"{path} is not a JSON file; give the model.json that 'gtau identify' wrote.") from None
     if not isinstance(document, dict) or "schema" not in document:
         raise GtauError(f"{path} is not a model; give the model.json that 'gtau identify' wrote.")
     if document["schema"] not in (SCHEMA, *OLDER):
