@@ -35,7 +35,7 @@ TITLES = {
     "errors": "Missing packages",
     "demo": "Tutorial",
 }
-ERRORS = {"GtauError", "WorkerDied", "ValueError"}  # the last in checks of files, which become the former
+ERRORS = {"GtauError", "UnknownName", "unreadable", "WorkerDied", "ValueError"}  # the last in checks of files
 HEAD = """# Messages
 
 This page is made by `python docs/make_messages.py` from the words of the code.

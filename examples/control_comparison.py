@@ -194,7 +194,7 @@ def computed_torque(
 def model_parameters(result: Result, payload: Payload | None) -> np.ndarray:
     """Return the base parameters (n_b,) of the identified robot with the known parameters of its payload."""
     model, base = result.idm, result.base
-    chi = np.array([result.params[name] for name in base.names])
+    chi = np.array([result.parameters[name].value or 0.0 for name in base.names])
     if payload is not None:
         place = {name: k for k, name in enumerate(model.parameter_names)}
         for kind, value in {**result.payload(payload.name), **known_values(payload)}.items():

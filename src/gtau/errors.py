@@ -1,7 +1,7 @@
-"""The one error that users see."""
+"""The error that users see, which is a built-in one too where scripts expect that."""
 
 
-class GtauError(Exception):
+class GtauError(ValueError):
     """Error raised for input that gtau cannot use.
 
     The message is one sentence for a person: what is wrong, where (file, key, joint, time), and
@@ -11,6 +11,21 @@ class GtauError(Exception):
     def __init__(self, sentence: str, source: object = "") -> None:
         self.sentence, self.source = sentence, str(source)
         super().__init__(f"{source}: {sentence}" if self.source else sentence)
+
+    __str__ = BaseException.__str__  # a KeyError shows its message in quotes
+
+
+class UnknownName(GtauError, KeyError):
+    """Error raised for a name (of a joint, a parameter) that is not among those there are."""
+
+
+class NoFile(GtauError, FileNotFoundError):
+    """Error raised for a file that does not exist."""
+
+
+def unreadable(sentence: str, error: OSError) -> GtauError:
+    """Make the error for what the system refuses to read."""
+    return (NoFile if isinstance(error, FileNotFoundError) else GtauError)(sentence)
 
 
 def missing_extra(purpose: str, package: str, extra: str) -> GtauError:

@@ -125,7 +125,7 @@ def test_two_pairs_of_one_robot_agree_within_their_intervals(ur10e: Result, fold
 def test_ur10e_friction_takes_energy_beyond_the_logged_speeds(ur10e: Result) -> None:
     """Cubic terms of the shoulder are negative: at 3.1 rad/s, its limit, the polynomials would propel by 90 N m."""
     plain = of_equations(ur10e)
-    values = {name: each.value for name, each in plain.friction.items()} | plain.params
+    values = {name: each.value or 0.0 for name, each in (plain.friction | plain.parameters).items()}
     for j, (joint, logged) in enumerate(ur10e.logged_speeds.items()):
         assert 0.8 < logged < 1.4
         qd = np.zeros((60, 6))

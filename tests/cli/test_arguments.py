@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import inspect
+import pickle
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -79,10 +81,47 @@ def test_numbers_out_of_range_are_refused() -> None:
         ({"accuracy": 3.0}, r"write 0\.03 for 3 %"),
         ({"ratio": 0.5}, "10 to 30"),
         ({"prior_gains": {"left": 0.0, "right": 1.0}}, "the prior gain of joint 'left' is 0"),
-        ({"method": 3}, "'method' cannot be of type int; give a text"),
+        ({"method": 3}, r"'method' of identify\(\) cannot be of type int; give a text"),
     ):
         with pytest.raises(gtau.GtauError, match=sentence):
             gtau.identify("nowhere.yaml", **options)  # type: ignore[arg-type]
+
+
+def test_a_refusal_is_the_built_in_error_that_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    robot = gtau.load_robot("five-bar")
+    for call, kind in (
+        (lambda: gtau.identify("nowhere.yaml"), FileNotFoundError),
+        (lambda: gtau.Result.load("nowhere.json"), FileNotFoundError),
+        (lambda: gtau.load_robot("nowhere.urdf"), FileNotFoundError),
+        (lambda: gtau.load_robot("nowhere.csv"), FileNotFoundError),
+        (lambda: gtau.read_run("nowhere.csv", OF_LOG), FileNotFoundError),
+        (lambda: robot.joint("99"), KeyError),
+        (lambda: gtau.InverseDynamics(robot).torques(*np.zeros((3, 2)), {"m_99": 1.0}), KeyError),
+    ):
+        with pytest.raises(kind) as refusal:
+            call()
+        assert isinstance(refusal.value, gtau.GtauError)
+        assert isinstance(refusal.value, ValueError)
+        assert str(refusal.value) == refusal.value.args[0]
+        assert str(pickle.loads(pickle.dumps(refusal.value))) == str(refusal.value)
+
+
+def test_a_type_error_names_the_function() -> None:
+    for function in (gtau.identify, gtau.check, gtau.load_robot, gtau.InverseDynamics):
+        for arguments in ({}, {"nonsense": 1}):
+            with pytest.raises(TypeError, match=rf"{function.__qualname__}\S*\(\) (missing|got)"):
+                function(**arguments)
+
+
+def test_editors_find_the_public_names() -> None:
+    """They read the imports below TYPE_CHECKING, which jedi leaves out where that is False without a type."""
+    tree = ast.parse(Path(gtau.__file__).read_text(encoding="utf-8"))
+    (declared,) = (each for each in tree.body if isinstance(each, ast.AnnAssign))
+    (imports,) = (each.body for each in tree.body if isinstance(each, ast.If))
+    assert ast.unparse(declared) == "TYPE_CHECKING: bool = False"
+    found = {name.asname or name.name for each in imports for name in each.names}
+    assert found - {"Any"} == set(gtau.__all__)
 
 
 def test_types_of_public_signatures_can_be_imported_from_the_package() -> None:

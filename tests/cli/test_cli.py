@@ -25,6 +25,7 @@ from typer.testing import CliRunner
 import gtau.estimation.experiment_runs
 import gtau.estimation.identify
 from gtau.cli.commands import COMMANDS, app
+from gtau.cli.identification import percent
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.registry import NAMES
 from gtau.estimation.experiment_runs import read_runs
@@ -318,10 +319,30 @@ def test_help_and_version() -> None:
     assert run("--version").stdout == f"gtau {gtau.__version__}\n"
     for command in ("identify", "validate", "payload", "robot", "demo"):
         assert run(command, "--help").exit_code == 0
+    assert "'--version'?" in run("version").stderr
+    assert "'--help'?" in run("help").stderr
+    said = run("--help").stdout
+    assert all(
+        f"\n{purpose}:\n" in said and all(f"\n  {each.__name__} " in said for each in group)
+        for purpose, group in COMMANDS.items()
+    )
     for arguments in (["nonsense"], ["identify"], ["identify", "--nonsense"], ["identify", "x", "--ratio", "0.5"]):
         result = run(*arguments)
         assert result.exit_code == 2
         assert "Traceback" not in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "read"), [("3%", 3.0), ("2.5 %", 2.5), ("4", 4.0), ("0", None), ("3 %%", None), ("nan", None)]
+)
+def test_an_accuracy_is_per_cent_with_or_without_the_sign(text: str, read: float | None) -> None:
+    if read is not None:
+        assert percent(text) == read
+        return
+    result = run("identify", "nowhere.yaml", "--accuracy", text)
+    assert result.exit_code == 2
+    assert "'--accuracy'" in result.stderr
+    assert "from 0.01 to 50" in result.stderr
 
 
 def test_an_unknown_method_is_told_the_known_ones(here: Path) -> None:
@@ -737,7 +758,7 @@ def test_a_reader_that_goes_away(here: Path) -> None:
     process.wait(timeout=60)
 
 
-@pytest.mark.parametrize("command", ["", *(each.__name__.replace("_", "-") for each in COMMANDS), "excite"])
+@pytest.mark.parametrize("command", ["", *(each.__name__ for group in COMMANDS.values() for each in group)])
 def test_help_fits_a_terminal_and_names_no_types(command: str) -> None:
     said = CliRunner().invoke(app, [*command.split(), "--help"]).stdout
     assert max(map(len, said.splitlines())) <= 80

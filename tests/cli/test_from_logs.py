@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 from gtau.cli.commands import app
 from gtau.cli.logs import Commands, experiment_of
+from gtau.demo.tutorial import write_tutorial
 from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -170,6 +171,19 @@ def test_what_is_given_wrongly_is_refused(tmp_path: Path, motion: Any, monkeypat
     )
     with pytest.raises(GtauError, match=r"/robot_description in .*broken.*give the robot \(--robot ROBOT\)"):
         draft_logs([broken])
+
+
+def test_a_refusal_names_the_options_that_correct_the_guesses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_tutorial(tmp_path)
+    forgotten = CliRunner().invoke(app, ["identify", "empty_1.csv"])
+    assert forgotten.exit_code == 2
+    assert "--robot ROBOT" in forgotten.stderr
+    refused = CliRunner().invoke(app, ["identify", "empty_1.csv", "--robot", "five-bar"])
+    assert refused.exit_code == 2
+    *guessed, refusal = refused.stderr.splitlines()
+    assert "--payload LOG=KG" in "".join(guessed)
+    assert "needs a scale" in refusal
 
 
 @pytest.mark.parametrize("compression", ["STORAGE", "MESSAGE", "FILE", "LZ4"])

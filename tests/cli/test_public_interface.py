@@ -139,6 +139,11 @@ def test_without_a_terminal_a_line_a_minute_says_where_the_work_stands(monkeypat
     assert len(lines) <= (time.monotonic() - begun) / every
     assert list(dict.fromkeys(lines)) == ["gtau: starting, T", "gtau: simulating, 25 %, T"]
     monkeypatch.setattr(sys, "stderr", said := io.StringIO())
+    with progress_lines("starting", every) as progress:
+        progress("deriving", 0, 1)  # of which nobody knows the share
+        wait_until(lambda: "deriving" in said.getvalue())
+    assert "%" not in said.getvalue()
+    monkeypatch.setattr(sys, "stderr", said := io.StringIO())
     with progress_lines("starting", every=60.0) as progress:
         progress("simulating", 1, 4)
     assert said.getvalue() == ""

@@ -204,7 +204,9 @@ def test_compare(tmp_path: Path, few: bool, request: pytest.FixtureRequest) -> N
         write_log(tmp_path / f"{name}.csv", plant.run(name, 6.0, payload, seed))
     experiment = tmp_path / "experiment.yaml"
     experiment.write_text(EXPERIMENT)
-    compared = compare(experiment)
+    said: list[str] = []
+    compared = compare(experiment, progress=lambda stage, *_: said.append(stage))
+    assert {stage.partition(" (")[0] for stage in said} >= set(names)
     document, shown = to_document(compared), comparison_table(compared)
     assert document["joints"] == list(JOINTS)
     assert [each["method"] for each in document["estimators"]] == names

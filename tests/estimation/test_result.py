@@ -40,11 +40,17 @@ def test_a_model_survives_writing_and_reading(result: Result, again: Result) -> 
     assert to_document(again) == to_document(result)
     assert again.robot == result.robot
     assert again.preparation == result.preparation
-    assert again.params == result.params
+    assert again.parameters == result.parameters
     assert again.payloads == result.payloads
     assert again.residuals == result.residuals
     assert again.summary() == result.summary()
     np.testing.assert_array_equal(again.covariance, result.covariance)
+
+
+def test_one_state_is_one_row_of_states(result: Result) -> None:
+    states = np.array([[[0.1, 0.2]], [[0.3, -0.1]], [[1.0, 2.0]]])
+    for compute in (result.torques, result.currents):
+        np.testing.assert_array_equal(compute(*states[:, 0]), compute(*states)[0])
 
 
 def test_a_model_that_was_read_predicts_the_same(result: Result, again: Result) -> None:
@@ -109,7 +115,6 @@ def test_an_edited_model_works_or_is_refused_in_a_sentence(result: Result, tmp_p
         except GtauError as error:
             refused.append(str(error))
         else:
-            assert set(found.params) == set(found.parameters)
             assert found.to_frame().height
             assert found.summary()
     assert len(edits) / 2 < len(refused) < len(edits)

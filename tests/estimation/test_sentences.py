@@ -139,7 +139,7 @@ SENTENCES = [  # finding, reason, advice
      "check the payload's mass (kg) and the unit of the currents; if the limit is a placeholder, state the real one "
      "under 'robot' in the experiment file ({file: ..., limits: {left: ...}})"),
     (Finding(F.WIDE_SCALE, ("left",), values={"half": 0.051, "accuracy": 0.03, "random": True, "payload": True}),
-     "the 95 % interval is +-5.1 %, limited by the uncertainty of its scale reference",
+     "the 95 % interval is +-5.1 %, limited by the uncertainty of the scale reference",
      "calibrate the sensors, or weigh the payload, more accurately"),
     (Finding(F.WIDE_RANDOM, ("left",), values={"half": 0.051, "accuracy": 0.03, "random": True, "payload": True}),
      "the 95 % interval is +-5.1 %",
@@ -163,8 +163,18 @@ SENTENCES = [  # finding, reason, advice
      causes=(Finding(drives.FALLING_CONSTANT.kind, ("left",)),)),
      "the 95 % interval is +-5.1 %, because the data cannot exclude the torque constant of 'left' falling with its "
      "current",
-     "stay at lower currents, with slower motions or less load, and check that the log holds the actual "
-     "current; friction that grows with the load has the same effect"),
+     "check that the log holds the actual current, and add runs with another payload or slower motions; friction that "
+     "grows with the load has the same effect"),
+    (Finding(F.WIDE_SCALE, ("left",),
+     values={"accuracy": 0.03, "half": 0.2, "each": [["left", {"half": 0.2}], ["right", {"half": 0.05}]]}),
+     "the 95 % intervals are +-20 % ('left'), +-5.0 % ('right'), limited by the uncertainty of the scale reference",
+     "calibrate the sensors, or weigh the payload, more accurately"),
+    (Finding(F.REFUTED, ("left",),
+     values={"size": 1.2, "unit": "deg", "share": 1.0, "each": [["left", {"move": -23.0}], ["right", {"move": 0.05}]]},
+     causes=(Finding(description.ZERO.kind, ("left",)),)),
+     "an error in the zero of encoder 'left' (1.2 deg) would explain 100 % of the residual variance and move the gains "
+     "by more than 1000 % ('left'), +5 % ('right')",
+     "compare the encoder zeros with the robot's zero position"),
     (Finding(F.COUPLED, ("left",), "right"),
      "joint 'right' contradicts the model, whose parameters all joints share",
      "resolve that joint first"),
@@ -203,7 +213,7 @@ SENTENCES = [  # finding, reason, advice
      values={"parameter": "m", "declared": 2.0, "found": 2.05, "std": 0.01, "unit": "kg", "given": "torque"}),
      "all other data give it a mass of 2.05 kg (standard deviation 0.01), not 2 kg",
      "check which runs carry the payload, its mass (kg) and the unit and scale of the torques; if the mass is "
-     "certain, leave out --method: it then sets their scale"),
+     "certain, use --method ml: it then sets their scale"),
     (Finding(F.PAYLOAD_MASS,
      values={"parameter": "m", "declared": 2.0, "found": 2.05, "std": 0.01, "unit": "kg", "given": "current"}),
      "all other data give it a mass of 2.05 kg (standard deviation 0.01), not 2 kg",
@@ -282,6 +292,10 @@ SENTENCES = [  # finding, reason, advice
      "the true torques are 83.2 to 138 times those logged: by their size they are motor-side torques (before the "
      "gear) or currents",
      GEARS),
+    (Finding(F.MOTOR_SIDE, values={"least": 100.1, "most": 100.2}),
+     "the true torques are 100 times those logged: by their size they are motor-side torques (before the gear) or "
+     "currents",
+     GEARS),
     (Finding(F.MOTOR_SIDE, ("left",), values={"share": 0.0031, "limit": 150.0}),
      "the torques reach 0.31 % of the limit of 'left' (150), and less for all others: by their size they are "
      "motor-side torques (before the gear) or currents",
@@ -293,6 +307,10 @@ SENTENCES = [  # finding, reason, advice
     (Finding(F.SCALE_UNTESTED, values={"why": "no joint shows it"}),
      "the torques are assumed to be correct, because their scale could not be tested: no joint shows it",
      "add runs with a heavier payload of known mass, or longer ones"),
+    (Finding(F.SCALE_UNTESTED, (), "yaw", {"payloads": ["105 g", "205 g"]}),
+     "the torques are assumed to be correct, because their scale could not be tested: no joint torque shows the mass "
+     "of '105 g' or '205 g' by itself on 'yaw'",
+     "check 'tool' of the robot, which carries the payload, or state the payload's 'center'"),
     (Finding(F.NO_BODIES, values={"why": "the search did not converge"}),
      "physically consistent parameters were not found: the search did not converge",
      ""),
@@ -302,7 +320,7 @@ SENTENCES = [  # finding, reason, advice
      "reweigh the payload before you correct the torques"),
     (Finding(F.GAINS_APART, ("a",), "b",
      {"ratio": 61.2, "gain": 0.2, "of_peer": 12.24, "unit": "N m/A", "kind": "current"}),
-     "its gain of 0.2 N m/A and that of 'b', 12.2 N m/A, differ by a factor of 61, which is implausible for motors and "
+     "the gains of 'a', 0.2 N m/A, and 'b', 12.2 N m/A, differ by a factor of 61, which is implausible for motors and "
      "gears of one robot",
      "check that the current columns of these joints are in the same unit, and convert those that are not; if the "
      "motors do differ, state 'prior_gains'"),
@@ -385,8 +403,8 @@ SENTENCES = [  # finding, reason, advice
      "let the robot warm up before the runs, or split long runs"),
     (Finding(drives.FALLING_CONSTANT.kind, ("left",)),
      "the torque constant of 'left' falling with its current",
-     "stay at lower currents, with slower motions or less load, and check that the log holds the actual "
-     "current; friction that grows with the load has the same effect"),
+     "check that the log holds the actual current, and add runs with another payload or slower motions; friction that "
+     "grows with the load has the same effect"),
     (Finding(drives.DRIFTING_CONSTANT.kind, ("left",)),
      "the torque constant of 'left' falling along the runs",
      "let the robot warm up before the runs"),

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 
 import gtau.estimation.diagnostics.diagnose
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.diagnose import base_misfit
 from gtau.estimation.diagnostics.verdict import (
     GOOD,
@@ -344,16 +345,24 @@ def test_notes_that_may_move_an_estimate_most_stand_first() -> None:
     assert listed == {Severity.ERROR: ["refusal"], Severity.WARNING: ["large", "slight"]}
 
 
-def test_reasons_that_differ_in_numbers_are_one_row_with_the_worst(result: Result) -> None:
-    gains = {
-        joint: replace(gain, std=half / 196 * gain.value, verdict=verdict_of(Finding(F.WIDE_RANDOM, (), joint, values)))
-        for (joint, gain), half in zip(result.drive_gains.items(), (10.0, 20.0), strict=True)
-        for values in [{"half": half / 100, "accuracy": 0.03, "payload": True, "wrenches": False, "random": True}]
-    }
-    (row,) = reasons(result.replaced(drive_gains=gains))
-    assert row.joints == JOINTS[::-1]
-    assert "20" in row.why
-    assert JOINTS[1] in row.why
+def test_reasons_that_differ_in_numbers_or_causes_are_one_row_with_those_of_each(result: Result) -> None:
+    drives = {joint: Finding("saturation", (joint,)) for joint in JOINTS}
+    for kind, causes in ((F.WIDE_RANDOM, {}), (F.WIDE_CAUSE, drives)):
+        gains = {}
+        for (joint, gain), half in zip(result.drive_gains.items(), (10.0, 20.0), strict=True):
+            values = {"half": half / 100, "accuracy": 0.03, "payload": True, "wrenches": False, "random": half > 15}
+            finding = Finding(kind, (joint,), values=values, causes=(causes[joint],) if causes else ())
+            gains[joint] = replace(gain, std=half / 196 * gain.value, verdict=verdict_of(finding))
+        (row,) = reasons(result.replaced(drive_gains=gains))
+        assert row.joints == JOINTS[::-1]
+        for joint, number, cause in zip(JOINTS, ("10 %", "20 %"), drives.values(), strict=True):
+            assert number in row.why
+            assert f"('{joint}')" in row.why
+            assert (cause.what in row.why) == bool(causes)
+
+
+def test_no_share_exceeds_the_whole() -> None:
+    assert Alternative("lengths", (Finding(F.LENGTH),), 0.1, None, "", share=1.06).share == 1.0
 
 
 @pytest.mark.parametrize(("left", "unexplained"), [(0.05, False), (1.0, True)])

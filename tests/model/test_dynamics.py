@@ -295,13 +295,21 @@ def test_symmetric_order_runs_over_like_legs():
 def test_samples_of_other_shapes_are_refused():
     idm = model(load_robot("orthoglide"))
     with pytest.raises(GtauError, match=r"\(N, 3\)"):
-        idm.regressor(np.zeros(3), np.zeros(3), np.zeros(3))
+        idm.regressor(np.zeros(4), np.zeros(4), np.zeros(4))
     with pytest.raises(GtauError, match=r"\(N, 3\)"):
         idm.regressor(np.zeros((2, 3)), np.zeros((2, 3)), np.zeros((3, 3)))
     with pytest.raises(GtauError, match="220 entries"):
         idm.torques(*np.zeros((3, 1, 3)), np.zeros(7))
     with pytest.raises(GtauError, match="zz_99"):
         idm.torques(*np.zeros((3, 1, 3)), {"zz_99": 1.0})
+
+
+def test_one_state_is_one_row_of_states():
+    idm = model(load_robot("orthoglide"))
+    q, qd, qdd = 0.01 * np.ones((3, 1, 3))
+    chi = np.linspace(0.1, 1.0, len(idm.parameter_names))
+    np.testing.assert_array_equal(idm.regressor(q[0], qd[0], qdd=qdd[0]), idm.regressor(q, qd, qdd)[0])
+    np.testing.assert_array_equal(idm.torques(q[0], qd[0], qdd[0], chi), idm.torques(q, qd, qdd, chi)[0])
 
 
 @every_robot

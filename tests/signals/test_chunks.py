@@ -10,16 +10,21 @@ import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import polars as pl
 import pytest
+from five_bar_logs import JOINTS, five_bar
 
 import gtau.signals.storage
 from gtau.errors import GtauError
+from gtau.estimation.friction.law import FrictionLaw
+from gtau.estimation.friction.normal_equations import friction_joints
 from gtau.signals.preparation.choice import choose_preparation
-from gtau.signals.preparation.filters import position_filter
-from gtau.signals.preparation.prepared_run import Preparation, prepare
+from gtau.signals.preparation.filters import Decimator, position_filter
+from gtau.signals.preparation.prepared_run import Preparation, PreparedRun, prepare
 from gtau.signals.run import Run, read_run
 from gtau.signals.storage import Store, block, store, working_with
 
@@ -181,6 +186,23 @@ def test_checks_hold_no_more_of_a_longer_log(tmp_path: Path, rng: np.random.Gene
         peaks.append(tracemalloc.get_traced_memory()[1] / 2**20)
         tracemalloc.stop()
     assert peaks[1] - peaks[0] < 3  # six columns of the further samples take 9 MiB
+
+
+def test_the_travel_of_joints_is_found_block_by_block() -> None:
+    model, samples, eye = five_bar(), 400_000, np.eye(2)
+    position = np.column_stack([np.linspace(0, 1, samples), np.linspace(0, 2, samples)])
+    run = Run("a", JOINTS, np.arange(samples) / 500, position, np.zeros((samples, 2)))
+    prepared = PreparedRun(run, Preparation(1.0, None, Decimator(1)), range(samples), np.ones(2, bool), eye, eye, eye)
+    base = SimpleNamespace(standard=model.parameter_names)
+    dataset: Any = SimpleNamespace(model=model, temperatures=None, prepared=[prepared], base=base)
+    law = FrictionLaw(model, {})
+    tracemalloc.start()
+    with working_with(1 << 12):
+        joints = friction_joints(dataset, law)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert [joint.travel for joint in joints if joint.motor is not None] == pytest.approx([1, 2])
+    assert peak < 8 * samples  # one column of them
 
 
 ROBOT = """

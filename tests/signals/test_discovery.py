@@ -229,6 +229,8 @@ def test_two_arms_are_not_told_apart_by_number(tmp_path: Path) -> None:
 
 
 def test_what_is_not_there_is_said(tmp_path: Path) -> None:
+    with pytest.raises(GtauError, match="of 0 joints, but robot 'five-bar' has 2"):
+        discover([save(tmp_path / "c.csv", "t,q1,q2,current_a", TIME, Q, V[:, 0])], load_robot("five-bar"), "five-bar")
     with pytest.raises(GtauError, match="no columns of currents or torques are recognised among t, q1, dq1"):
         discover([save(tmp_path / "a.csv", "t,q1,dq1", TIME, Q[:, 0], QD[:, 0])])
 
@@ -382,7 +384,7 @@ def test_what_is_no_torque_sensor(tmp_path: Path) -> None:
     draft = discover([save(tmp_path / "b.csv", header.format("torque_sensor_"), TIME, Q, V, stuck)])
     assert draft.signals["joint_torque"] == {"j2": "torque_sensor_2"}
     assert "never change: columns torque_sensor_1." in draft_text(draft, tmp_path)
-    assert [note.what for note in guesses(draft, tmp_path)][-1].startswith("torque_sensor_1 are not used")
+    assert [note.what for note in guesses(draft, tmp_path)][-1].endswith("are no torque sensors: torque_sensor_1")
     none = discover([save(tmp_path / "c.csv", header.format("tau_"), TIME, Q, V, 0 * V)])
     assert (none.beside["torques"], none.beside["still"]) == ({}, ["tau_1", "tau_2"])
 

@@ -7,6 +7,7 @@ get from their own readers stands in the tests of those.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -422,6 +423,18 @@ MODELS = [
         "a gain gone",
         "one of the drive gains is null",
         _model(lambda text: text.replace('"value": ', '"value": null, "old": ', 1)),
+        VALIDATE,
+    ),
+    Case(
+        "a cut-off above half the rate",
+        "'preparation.cutoff' is 5000 Hz",
+        _model(lambda text: re.sub('"cutoff": [^,]*', '"cutoff": 5000', text, count=1)),
+        VALIDATE,
+    ),
+    Case(
+        "noise of one joint",
+        "'prediction_cutoffs' and 'position_noise' are not",
+        _model(lambda text: re.sub(r'"position_noise": \[[^]]*', '"position_noise": [0.0', text, count=1)),
         VALIDATE,
     ),
     Case(

@@ -13,7 +13,7 @@ from plausible_parameters import body_parameters, random_parameters
 
 from gtau.errors import GtauError
 from gtau.estimation.identify import identify
-from gtau.estimation.results.conclusions import remarks, sums_with_mass
+from gtau.estimation.results.conclusions import headline, remarks, sums_with_mass
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.groups import PayloadEstimate
 from gtau.estimation.results.result import Result
@@ -201,6 +201,16 @@ def test_a_mass_that_no_joint_feels_is_said_to_be_one(hung: list[Run]) -> None:
         found = result.payloads[0].parameters[kind]
         assert found.value == pytest.approx(truth, abs=5 * found.std)
     assert "center: [x, y, z]" in said.action
+
+
+def test_a_known_mass_that_no_joint_shows_is_why_the_torques_are_untested(hung: list[Run]) -> None:
+    free, loaded = hung
+    result = identify(remote_centre(), [free, replace(loaded, payload=Payload(name="tip", mass=1.5))])
+    (said,) = (note for note in result.notes if note.kind == F.SCALE_UNTESTED)
+    assert (said.subject, said.values["payloads"]) == ("bottom", ["tip"])
+    assert said.what[1:] in headline(result)
+    without = identify(remote_centre(), [free])
+    assert F.SCALE_UNTESTED not in {note.kind for note in without.notes}
 
 
 def test_a_known_center_gives_the_mass(hung: list[Run]) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 
 from gtau import __version__
 from gtau.cli.identification import compare, fleet, identify
@@ -41,8 +41,51 @@ def _no_type(ctx: Any) -> None:
     """Describe no type."""
 
 
+COMMANDS: dict[str, dict[Callable[..., None], str]] = {
+    "Learn": {
+        tutorial: "Copy the logs of the ten-minute tutorial to a folder.",
+        demo: "Simulate, identify and weigh on an Orthoglide.",
+    },
+    "Prepare": {
+        robot: "Show joints, loops and base parameters of a robot.",
+        excite: "Design the most informative motion.",
+        simulate: "Simulate a robot under control, and write its logs.",
+        init: "Draft an experiment file from logs.",
+        check: "Check the logs before identifying.",
+    },
+    "Identify": {
+        identify: "Identify drive gains and dynamic parameters.",
+        compare: "Identify with every estimator, and compare.",
+        fleet: "Identify many robots; mark outliers among them.",
+    },
+    "Use": {
+        validate: "Compare measured and predicted torques on other runs.",
+        payload: "Weigh unknown payloads.",
+        use: "Compute external joint torques along a log.",
+        watch: "Watch a robot: is it still the one that was identified?",
+        export: "Export a model for other programs.",
+    },
+}
+MASSES = {"allow_extra_args": True}  # of excite: those after --payload-mass are extra arguments
+
+
+class _Group(TyperGroup):
+    """The commands by what they are for; a word that is an option (version, help) is answered with the option."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        for purpose, commands in COMMANDS.items():
+            with formatter.section(purpose):
+                formatter.write_dl([(command.__name__, short) for command, short in commands.items()])
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        if any(f"--{args[0]}" in parameter.opts for parameter in self.get_params(ctx)):
+            ctx.fail(f"No such command '{args[0]}'. Did you mean '--{args[0]}'?")
+        return super().resolve_command(ctx, args)
+
+
 app = typer.Typer(
     name="gtau",
+    cls=_Group,
     no_args_is_help=True,
     rich_markup_mode=None,  # its tables name the type of every flag and cut long values
     pretty_exceptions_enable=False,
@@ -59,23 +102,6 @@ def gtau(
     """Identify drive gains and dynamic parameters of serial and parallel robots from logged positions and currents."""
 
 
-COMMANDS: dict[Callable[..., None], str] = {
-    tutorial: "Copy the logs of the ten-minute tutorial to a folder.",
-    init: "Draft an experiment file from logs.",
-    check: "Check the logs before identifying.",
-    identify: "Identify drive gains and dynamic parameters.",
-    fleet: "Identify many robots; mark outliers among them.",
-    compare: "Identify with every estimator, and compare.",
-    validate: "Compare measured and predicted torques on other runs.",
-    payload: "Weigh unknown payloads.",
-    watch: "Watch a robot: is it still the one that was identified?",
-    use: "Compute external joint torques along a log.",
-    export: "Export a model for other programs.",
-    robot: "Show joints, loops and base parameters of a robot.",
-    demo: "Simulate, identify and weigh on an Orthoglide.",
-    simulate: "Simulate a robot under control, and write its logs.",
-}
-for command, short in COMMANDS.items():
-    app.command(name=command.__name__.replace("_", "-"), cls=_Command, short_help=short)(command)
-masses = {"allow_extra_args": True}  # those after --payload-mass are extra arguments
-app.command(cls=_Command, context_settings=masses, short_help="Design the most informative motion.")(excite)
+for command, short in (each for commands in COMMANDS.values() for each in commands.items()):
+    settings = MASSES if command is excite else None
+    app.command(command.__name__, cls=_Command, short_help=short, context_settings=settings)(command)

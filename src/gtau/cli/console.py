@@ -48,7 +48,12 @@ def _bar(first: str) -> Iterator[Callable[[str, int, int], None]]:
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(first, total=None)
-        yield lambda stage, done, total: bar.update(task, description=stage, completed=done, total=total)
+
+        def report(stage: str, done: int, total: int) -> None:
+            bar.tasks[task].total = total if total > 1 else None  # which pulses; update() would keep the last total
+            bar.update(task, description=stage, completed=done)
+
+        yield report
 
 
 @contextmanager
@@ -57,7 +62,7 @@ def progress_lines(first: str, every: float) -> Iterator[Callable[[str, int, int
     begun, finished, now = time.monotonic(), threading.Event(), [first]
 
     def report(stage: str, done: int, total: int) -> None:
-        now[0] = f"{stage}, {100 * done / max(total, 1):.0f} %"
+        now[0] = f"{stage}, {100 * done / total:.0f} %" if total > 1 else stage
 
     def speak() -> None:
         while not finished.wait(every):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -20,7 +21,7 @@ from gtau.cli.console import (
     refusing,
     seconds,
 )
-from gtau.cli.logs import KindOfLogs, Payloads, PresetOfLogs, RobotOfLogs, Sources, experiment_of
+from gtau.cli.logs import KindOfLogs, Payloads, PresetOfLogs, RobotOfLogs, Sources, experiment_of, said_if_refused
 from gtau.documents.files import folder_of, refuse_as_folder, write_atomically
 from gtau.errors import GtauError
 
@@ -55,10 +56,22 @@ PriorInertias = Annotated[
     float | None,
     option("STD", "Use the inertias of the robot file as priors with this relative standard deviation, 0.3 for 30 %."),
 ]
+
+
+def percent(text: str | float) -> float:
+    """Read ``--accuracy``, with or without its sign."""
+    with suppress(ValueError):
+        if 0.01 <= (value := float(str(text).removesuffix("%"))) <= 50.0:
+            return value
+    raise typer.BadParameter(f"'{text}' is not an accuracy; write a number of per cent from 0.01 to 50.")
+
+
 Accuracy = Annotated[
     float,
     option(
-        "PERCENT", "A drive gain is good if its 95 % interval is within +- PERCENT of its value.", min=0.01, max=50.0
+        "PERCENT",
+        "A drive gain is good if its 95 % interval is within +- PERCENT (0.01 to 50) of its value.",
+        parser=percent,
     ),
 ]
 Verbose = Annotated[bool, option("", "Print all parameters, the fit of each joint and all notes.", "--verbose", "-v")]
@@ -91,7 +104,7 @@ def identify(
     """
     refuse_as_folder(out)
     experiment, guessed = experiment_of(sources, robot, payload, kind, preset, out)
-    with progress_bar() as progress:
+    with said_if_refused(guessed), progress_bar() as progress:
         from gtau.estimation.identify import identify as run
         from gtau.estimation.results.model_file import to_document
         from gtau.report.identification import full_page, summary_page

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import sys
 import textwrap
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
@@ -184,7 +186,7 @@ def check(
     refuse_as_folder(out)
     refuse_as_folder(figure)
     experiment, guessed = experiment_of(sources, robot, payload, kind, preset, out or Path("result"))
-    with progress_bar() as progress:
+    with said_if_refused(guessed), progress_bar() as progress:
         from gtau.estimation.check_logs import check_logs
         from gtau.report.check import check_document, check_page, write_check, write_preparation
         from gtau.report.write import inputs_of, write_report
@@ -240,6 +242,17 @@ def experiment_of(
     write_draft(draft, file)
     typer.echo(f"gtau: {file} is drafted from {len(sources)} log{'s' * (len(sources) != 1)}.", err=True)
     return file, guesses(draft, file)
+
+
+@contextmanager
+def said_if_refused(guesses: tuple[Finding, ...]) -> Iterator[None]:
+    """Say the guesses at logs, each with the option that corrects it, before the refusal that may be due to them."""
+    try:
+        yield
+    except GtauError:
+        for guess in guesses:
+            typer.echo(f"gtau: {guess}.", err=True)
+        raise
 
 
 def _is_log(path: Path) -> bool:

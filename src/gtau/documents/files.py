@@ -13,7 +13,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gtau.errors import GtauError
+from gtau.errors import GtauError, unreadable
 
 if TYPE_CHECKING:
     import polars as pl
@@ -101,8 +101,11 @@ def system_refusals(path: Path, advice: str = "check the path") -> Iterator[None
     try:
         regular(path)
         yield
+    except GtauError:
+        raise
     except OSError as error:
-        raise GtauError(f"{path} cannot be read: {(error.strerror or str(error)).lower()}; {advice}.") from None
+        why = (error.strerror or str(error)).lower()
+        raise unreadable(f"{path} cannot be read: {why}; {advice}.", error) from None
 
 
 def read_at_most(size: int, path: Path, larger: str) -> bytes:
@@ -114,9 +117,8 @@ def read_at_most(size: int, path: Path, larger: str) -> bytes:
         with regular(path).open("rb") as file:
             content = file.read(size + 1)
     except OSError as error:
-        raise GtauError(
-            f"the file cannot be read ({(error.strerror or str(error)).lower()}); check the path."
-        ) from None
+        why = (error.strerror or str(error)).lower()
+        raise unreadable(f"the file cannot be read ({why}); check the path.", error) from None
     if len(content) > size:
         raise GtauError(larger)
     return content

@@ -198,13 +198,17 @@ def takes(**accepted: Accepted) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
-        parameters = signature(function)
+        parameters, called = signature(function), function.__qualname__.removesuffix(".__init__")
 
         @wraps(function)
         def checked(*args: P.args, **kwargs: P.kwargs) -> R:
-            for name, value in parameters.bind(*args, **kwargs).arguments.items():
+            try:
+                given = parameters.bind(*args, **kwargs).arguments
+            except TypeError:
+                return function(*args, **kwargs)  # whose own error names it
+            for name, value in given.items():
                 if name in accepted and value is not parameters.parameters[name].default:
-                    expect(f"'{name}'", value, accepted[name])
+                    expect(f"'{name}' of {called}()", value, accepted[name])
             return function(*args, **kwargs)
 
         return checked

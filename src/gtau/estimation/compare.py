@@ -109,12 +109,15 @@ def compare(
     subject = read(source, runs, asked, progress)
 
     def row(method: str) -> Row:
+        def said(stage: str, done: int, total: int) -> None:
+            progress(f"{method} ({1 + NAMES.index(method)} of {len(NAMES)}): {stage}", done, total)
+
         start, asked = perf_counter(), replace(subject, options=replace(subject.options, method=method))
         try:
             estimator = require_inputs(asked)
             planned = plan(asked, dataset, system)
             usable = dataset if estimator.takes_priors else replace(dataset, priors={})
-            result = estimate(usable, *planned, asked.options, progress)
+            result = estimate(usable, *planned, asked.options, said)
         except GtauError as refusal:
             return Row(method, refusal=str(refusal))
         seconds, gains = perf_counter() - start, result.drive_gains.values()
@@ -130,10 +133,7 @@ def compare(
         system = dataset.system()
         plan(subject, dataset, system)  # refuses runs that do not fix the scale
         rows = []
-        for k, name in enumerate(NAMES):
-            progress("estimators", k, len(NAMES))
-            rows.append(row(name))
-        progress("estimators", len(NAMES), len(NAMES))
+        rows = [row(name) for name in NAMES]
     robot, kind = subject.robot, dataset.runs[0].kind
     units = tuple(gain_unit(robot, joint, kind) for joint in robot.motors)
     return EstimatorComparison(robot.motors, tuple(rows), units, robot.name)

@@ -155,7 +155,13 @@ def _identified(subject: Subject, dataset: Dataset, system: System, progress: Pr
     options = subject.options
     estimator, gains = plan(subject, dataset, system)
     if options.method is not None or gains is not None or dataset.runs[0].kind == "current":
-        return estimated(estimator, gains)
+        result = estimated(estimator, gains)
+        known = [carried for carried in system.payloads if carried.payload.mass is not None]
+        hidden = list(dict.fromkeys(carried.payload.name for carried in known if not carried.shown))
+        if options.method is not None or not hidden:
+            return result
+        untested = Finding(F.SCALE_UNTESTED, (), dataset.robot.tool, {"payloads": hidden})
+        return result.replaced(notes=(untested, *result.notes))
     try:
         result = estimated(estimator, None)
         first, *_ = result.drive_gains.values()

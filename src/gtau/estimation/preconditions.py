@@ -33,8 +33,8 @@ def require_inputs(subject: Subject) -> Estimator:
     GtauError
         Where it takes neither torque sensors nor known parameters, and there are some (``consistent`` parameters are
         sought with the latter whatever the estimator); where it does not support a floating base; where it takes gains
-        and some joint has none; where the paper has no such method, or it cannot be constrained, for want of a solver
-        too.
+        and some joint has none; where the paper has no such method, or it cannot be constrained; where the solver of
+        consistent parameters is not installed.
     """
     options, estimator = subject.options, estimator_for(subject.options, subject.runs)
     if options.as_paper and not estimator.in_paper:

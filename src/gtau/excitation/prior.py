@@ -171,7 +171,8 @@ def prior_of(
         if result.robot.actuated != model.actuated:
             raise GtauError(f"{entry.model} is the model of another robot; give one of '{model.robot.name}'.")
         known = identified_gains(result, entry.model)
-        chi = np.array([result.params.get(name, 0.0) for name in base.names])
+        values = {name: known.value or 0.0 for name, known in result.parameters.items()}
+        chi = np.array([values.get(name, 0.0) for name in base.names])
         rms = np.array([error.rms for error in result.residuals])
         # white noise of the currents' samples that explains the residuals
         sigma = rms / np.abs([gain.value for gain in known]) * np.sqrt(result.preparation.decimator.factor)

@@ -21,6 +21,8 @@ DEPENDENT = 1e-8  # share of a unit column left outside the columns kept before 
 IDLE = 1e-10  # share of the largest column: a smaller one is rounding
 ROWS = 2  # of the regressor for each of its columns that are drawn at once
 SAMPLES = 60  # that are drawn at once at least: as many give the rank that 1500 do, on all robots of the catalog
+COUNTING, STEPS = "counting base parameters", 3  # of a draw: its regressor, factor and rank
+SQUARED_JOINTS = 40_000  # joints of a chain by joints whose equations take a minute: 0.25 min of 100, 4 min of 400
 DRAWS = 12  # after which the rank must have settled
 
 
@@ -141,18 +143,25 @@ def _settled_triangle(
     idm: InverseDynamics, columns: Sequence[int], rng: np.random.Generator, sensors: Sequence[str], progress: Progress
 ) -> np.ndarray:
     """Factor the regressor's ``columns`` until more random states no longer raise the rank."""
-    progress(f"deriving the equations of {len(idm.robot.joints)} joints", 0, 1)
+    joints = len(idm.robot.joints)
+    minutes = f", about {joints**2 / SQUARED_JOINTS:.0f} min" if joints**2 > SQUARED_JOINTS else ""
+    progress(f"deriving the equations of {joints} joints{minutes}", 0, 1)
     full, n, n_st = idm.full, len(idm.actuated), len(idm.parameter_names)
+    progress(f"compiling the equations of {joints} joints{minutes}", 0, 1)
+    _ = full.program
     seen = {idm.actuated.index(joint): seen_by_sensor(idm.parameter_names, joint) for joint in sensors}
     samples = max(SAMPLES, -(-ROWS * n_st // n))
     R, rank = np.zeros((0, n_st)), -1
     for draw in range(DRAWS):
-        progress("counting base parameters", min(draw, 2), 3)  # two draws settle most robots
+        steps = iter(range(STEPS * min(draw, 1), STEPS * 2))  # two draws settle most robots
+        progress(COUNTING, next(steps), STEPS * 2)
         motion = random_motion(idm, samples, rng)
         W = np.zeros((n, samples, n_st))
         W[full.rows, :, full.columns] = full(idm.layout, motion)
+        progress(COUNTING, next(steps), STEPS * 2)
         rows = [W.reshape(-1, n_st), *(W[j] * felt for j, felt in seen.items())]
         R = np.asarray(np.linalg.qr(np.vstack([R, *(block[:, columns] for block in rows)]), mode="r"))
+        progress(COUNTING, next(steps), STEPS * 2)
         before, rank = rank, len(independent_columns(R)[0])
         if rank == before:
             return R

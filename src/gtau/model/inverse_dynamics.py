@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
-from functools import cached_property
+from functools import cached_property, wraps
+from inspect import signature
+from typing import ParamSpec
 
 import casadi as ca
 import numpy as np
 
 from gtau.documents.validation import TEXT, takes
-from gtau.errors import GtauError
+from gtau.errors import GtauError, UnknownName
 from gtau.model.dynamics import parameter_names, torques, wrench_torques
 from gtau.model.interpreter.program import NONE, Program, compile_program, share
 from gtau.model.kinematics import Coordinates, placements, shifted
@@ -20,6 +22,7 @@ from gtau.robots.parameter import Parameter
 from gtau.robots.placement import WRENCH, WrenchFrame
 from gtau.robots.robot import Robot
 
+P = ParamSpec("P")
 PATH = 65536  # samples whose loops are closed together, in parallel segments
 BLOCK = 2048  # samples whose motion is computed together: enough to amortise Python, few enough for the cache
 
@@ -89,6 +92,21 @@ class Regressor:
         """Return the inputs of the program along ``motion``."""
         passive = motion.J[layout.passive].reshape(layout.passive.size * len(layout.actuated), motion.c.shape[1])
         return motion.c, motion.yd, motion.ydd, passive
+
+
+def one_or_many(compute: Callable[P, np.ndarray]) -> Callable[P, np.ndarray]:
+    """Let a method of states ``q, qd, qdd``, (N, n) each, take one state (n,) too, and return its only row."""
+    parameters = signature(compute)
+
+    @wraps(compute)
+    def computed(*args: P.args, **kwargs: P.kwargs) -> np.ndarray:
+        given = parameters.bind(*args, **kwargs)
+        if one := np.ndim(given.arguments["q"]) == 1:
+            given.arguments.update({name: np.asarray(given.arguments[name])[None] for name in ("q", "qd", "qdd")})
+        rows = compute(*given.args, **given.kwargs)
+        return rows[0] if one else rows
+
+    return computed
 
 
 class InverseDynamics:
@@ -228,14 +246,15 @@ class InverseDynamics:
         """Regressor of all standard parameters."""
         return self.columns(self.parameter_names)
 
+    @one_or_many
     def regressor(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """Compute the regressor ``IDM_st`` of eq. (15), (N, n, n_st).
 
         Parameters
         ----------
         q, qd, qdd : ndarray
-            Positions, velocities and accelerations of the actuated joints, (N, n), SI units. The
-            samples are taken as points of a path that starts at home.
+            Positions, velocities and accelerations of the actuated joints, (N, n), or (n,) of one state, SI
+            units. The samples are taken as points of a path that starts at home.
 
         Raises
         ------
@@ -247,6 +266,7 @@ class InverseDynamics:
         self._for_blocks(q, qd, qdd, lambda block, motion: full.fill(self.layout, motion, W[block]))
         return W
 
+    @one_or_many
     def torques(
         self,
         q: np.ndarray,
@@ -313,7 +333,7 @@ class InverseDynamics:
         if unknown := next((name for name in chi if name not in names), None):
             close = get_close_matches(unknown, names, n=1)
             hint = f"did you mean '{close[0]}'?" if close else "parameter_names lists them."
-            raise GtauError(f"the model of '{self.robot.name}' has no standard parameter '{unknown}'; {hint}")
+            raise UnknownName(f"the model of '{self.robot.name}' has no standard parameter '{unknown}'; {hint}")
         return np.array([chi.get(name, 0.0) for name in names], dtype=float)
 
 

@@ -12,7 +12,7 @@ from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.groups import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import ACCURACY
-from gtau.findings.words import percent_text
+from gtau.findings.words import percent_text, to_width
 from gtau.model.base_parameters import whole_mass
 from gtau.report.chart import Chart, intervals
 from gtau.report.page import Column, ColumnOf, Kind, Section, Table, Text, joint_label, section, table, table_of
@@ -229,8 +229,10 @@ VALUE = (
 
 
 def value_cells(estimate: Estimate) -> tuple[object, ...]:
-    """Return value, standard deviation, relative standard deviation and unit."""
-    return estimate.value, estimate.std, estimate.rel_std, estimate.unit
+    """Return the value in the digits of its interval, standard deviation, relative standard deviation and unit."""
+    value, half = estimate.value, estimate.half_interval()
+    shown = float(to_width(value, half)) if half and value is not None else value
+    return shown, estimate.std, estimate.rel_std, estimate.unit
 
 
 def regroups(estimate: Estimate) -> str:

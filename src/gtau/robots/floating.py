@@ -98,5 +98,5 @@ def refuse_floating(robot: Robot, what: str) -> None:
     if robot.floating:
         raise GtauError(
             f"robot '{robot.name}': its base '{robot.floating}' floats, and {what} not supported there; if the base "
-            "did not move, fix it by 'robot: {file: ..., base: fixed}', or --base fixed."
+            "did not move, fix it by 'robot: {file: ..., base: fixed}'."
         )

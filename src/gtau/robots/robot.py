@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from gtau.documents.validation import name_problem
-from gtau.errors import GtauError
+from gtau.errors import GtauError, UnknownName
 from gtau.robots.placement import Digits
 from gtau.robots.placement import Mdh as Mdh
 from gtau.robots.placement import Placement as Placement
@@ -280,7 +280,7 @@ class Robot:
             if joint.name == name:
                 return joint
         names = ", ".join(joint.name for joint in self.joints)
-        raise GtauError(f"robot '{self.name}' has no joint '{name}'; choose from {names}.")
+        raise UnknownName(f"robot '{self.name}' has no joint '{name}'; choose from {names}.")
 
 
 def _problems(robot: Robot) -> Iterator[str]:

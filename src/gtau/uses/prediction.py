@@ -20,6 +20,7 @@ from gtau.estimation.regression.dataset import at_rate_of
 from gtau.estimation.regression.plausibility import check_wrenches, motor_to_joint_speed
 from gtau.estimation.regression.rows import Law, stream_torques
 from gtau.estimation.results.result import Result
+from gtau.model.inverse_dynamics import one_or_many
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter
 from gtau.signals.preparation.bandwidth import position_noise
@@ -174,8 +175,9 @@ def torques_along(
     return load + result.friction_law.torques(motion, friction_values(result, chi) | dict(terms or {}), load, z)
 
 
+@one_or_many
 def torques(result: Result, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, payload: Payload | None) -> np.ndarray:
-    """Compute torques (N, n) of the identified model at any states; see :meth:`gtau.Result.torques`."""
+    """Compute torques (N, n), or (n,), of the identified model at any states; see :meth:`gtau.Result.torques`."""
     model = result.idm
     chi = loaded_parameters(result, payload, "the robot")
     q, qd, qdd = model.samples(q, qd, qdd)
@@ -195,7 +197,7 @@ def loaded_parameters(result: Result, payload: Payload | None, carrier: str) -> 
     has.
     """
     require_all_parameters(result)
-    chi = np.array([result.params[name] for name in result.base.names])
+    chi = np.array([result.parameters[name].value or 0.0 for name in result.base.names])
     if payload is None:
         return chi
     identified = result.payload(payload.name)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from gtau.errors import GtauError
+from gtau.errors import GtauError, NoFile
 from gtau.estimation.experiment_runs import describe
 from gtau.estimation.results.result import Result
 from gtau.robots.robot import Limits, Robot, RobotFile
@@ -35,6 +35,8 @@ def read_log(model: Result, log: str | Path, experiment: str | Path | None = Non
     }
     try:
         return read_run(log, signals, part=part)
+    except NoFile:
+        raise
     except GtauError as error:
         raise GtauError(f"{str(error).rstrip('.')}; or name its columns by --experiment EXPERIMENT.yaml.") from None
 

@@ -206,6 +206,9 @@ def test_cells_in_windows_1252(tmp_path: Path) -> None:
     path.write_bytes("\n".join([header, *rows]).encode("cp1252").replace(rows[20].encode("cp1252"), b"\x00\x81\x90,1"))
     with pytest.raises(GtauError, match="line 22 "):
         read_run(path, SIGNALS)
+    path.write_bytes("\n".join([header, *rows, rows[0] + ",zu,viel"]).encode("cp1252"))
+    with pytest.raises(GtauError, match=f"line {len(rows) + 2} has 6 columns"):
+        read_run(path, SIGNALS)
 
 
 @pytest.mark.parametrize("before", [0, 2, 500])

@@ -71,6 +71,10 @@ class Alternative:
     shifts: np.ndarray = field(default_factory=lambda: np.zeros(0))
     plausible: float = SHOWN
 
+    def __post_init__(self) -> None:
+        # to first order it may be more than all
+        object.__setattr__(self, "share", min(self.share, 1.0))
+
     def __repr__(self) -> str:
         return f"Alternative({self.subject}: probability {self.probability:.2g})"
 

@@ -85,14 +85,14 @@ class FrictionJoint:
 def friction_joints(dataset: Dataset, law: FrictionLaw) -> tuple[FrictionJoint, ...]:
     """List the joints with friction that moves with the motors at constant ratios."""
     model, warm = dataset.model, dataset.temperatures
-    lowest, highest, squares, samples = [], [], np.zeros((len(model.actuated),) * 2), 0
+    travels, squares, samples = [], np.zeros((len(model.actuated),) * 2), 0
     for run in dataset.prepared:
         position, kept = run.run.position, run.kept
-        parts = [block(position, kept.start + a, kept.start + b) @ law.ratios.T for a, b in spans(len(kept))]
-        lowest.append(np.min([part.min(axis=0) for part in parts], axis=0))
-        highest.append(np.max([part.max(axis=0) for part in parts], axis=0))
+        parts = (block(position, kept.start + a, kept.start + b) @ law.ratios.T for a, b in spans(len(kept)))
+        ends = [(part.min(axis=0), part.max(axis=0)) for part in parts]
+        travels.append(np.max([high for _, high in ends], axis=0) - np.min([low for low, _ in ends], axis=0))
         squares, samples = squares + run.speeds * len(run), samples + len(run)
-    travel = np.max(np.array(highest) - np.array(lowest), axis=0)
+    travel = np.max(travels, axis=0)
     rms = np.sqrt(np.einsum("ki,ij,kj->k", law.ratios, squares / samples, law.ratios))
     joints = []
     for row, joint in enumerate(model.robot.joints):

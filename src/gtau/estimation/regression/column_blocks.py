@@ -87,6 +87,11 @@ class PayloadColumns:
         """Decide whether its known parameters act on some actuated joint."""
         return bool(self.columns[:, len(self.unknown) :].any())
 
+    @property
+    def shown(self) -> bool:
+        """Decide whether its known parameters act on some actuated joint otherwise than its unknown ones do."""
+        return len(independent_columns(self.columns)[0]) > len(self.unknown)
+
     def regrouping(self, name: Parameter) -> str:
         """Write the sum of parameters that an unknown one stands for."""
         terms = zip(self.summed, self.sums[self.unknown.index(name)], strict=True)

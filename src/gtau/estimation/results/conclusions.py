@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.regression.column_blocks import TEMPERATURE_TERMS
@@ -15,11 +15,14 @@ from gtau.estimation.thresholds.estimates import INFLATED
 from gtau.estimation.thresholds.logs import NEAR_SINGULAR
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
+from gtau.findings.finding import named_causes
 from gtau.findings.words import percent_text
 from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.statements import FIRST_MOMENTS
 
 NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
+NUMBERED = {F.REFUTED, F.WIDE_SCALE, F.WIDE_RIPPLE, F.WIDE_CAUSE, F.WIDE_RANDOM}
+"""Kinds whose sentence takes the number of ``each`` joint."""
 NAMED = 2  # groups of contradictory joints whose reason the headline gives
 VISIBLE = 0.01  # per cent: a smaller torque error is rounding
 
@@ -104,19 +107,31 @@ def _known(result: Result) -> str:
 def reasons(result: Result) -> tuple[Reason, ...]:
     """List reasons and advice for the verdicts on gains, the worst first: joints with equal advice share a row.
 
-    Where the numbers of a reason differ between joints, those of the first and worst are given.
+    What differs between them, a number or the cause, is given of each.
     """
-    groups: dict[tuple[Outcome, str, str], list[Estimate]] = {}
+    groups: dict[tuple[Outcome, str, str], dict[str, list[Estimate]]] = {}
     for gain in sorted(result.drive_gains.values(), key=lambda gain: -(gain.half_width or 0.0)):
-        if gain.verdict.finding is not None:
-            key = gain.verdict.outcome, gain.verdict.finding.kind, gain.verdict.advice
-            groups.setdefault(key, []).append(gain)
+        if (finding := gain.verdict.finding) is not None:
+            remedy = finding.causes[0].action if finding.causes else finding.action
+            key = gain.verdict.outcome, finding.kind, remedy
+            alike = named_causes(finding.causes) if finding.kind in NUMBERED else finding.what
+            groups.setdefault(key, {}).setdefault(alike, []).append(gain)
     merged = []
-    for (outcome, _, advice), gains in groups.items():
-        whys = [gain.verdict.why for gain in gains]
-        why = whys[0] if len(set(whys)) == 1 else f"{whys[0]} ('{gains[0].name}')"
-        merged.append(Reason(outcome, tuple(gain.name for gain in gains), why, advice))
+    for (outcome, *_), parts in groups.items():
+        members = [gain for gains in parts.values() for gain in gains]
+        why = "; ".join(_why(gains, len(parts) > 1) for gains in parts.values())
+        merged.append(Reason(outcome, tuple(gain.name for gain in members), why, members[0].verdict.advice))
     return tuple(sorted(merged, key=lambda reason: -list(Outcome).index(reason.outcome)))
+
+
+def _why(gains: Sequence[Estimate], named: bool) -> str:
+    """Give the reason of gains that differ in a number at most; ``named`` where there are others beside it."""
+    findings = {gain.name: gain.verdict.finding for gain in gains if gain.verdict.finding is not None}
+    first = next(iter(findings.values()))
+    if len(gains) > 1 and first.kind in NUMBERED:
+        of_each = [(name, finding.values) for name, finding in findings.items()]
+        return replace(first, values={**first.values, "each": of_each}).what
+    return f"{first.what} ({', '.join(map(repr, findings))})" if named else first.what
 
 
 def _good(gains: Sequence[Estimate], accuracy: float) -> str:

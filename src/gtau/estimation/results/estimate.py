@@ -13,7 +13,7 @@ from pydantic import NonNegativeFloat
 
 from gtau import display
 from gtau.documents.files import write_table
-from gtau.errors import GtauError
+from gtau.errors import GtauError, UnknownName
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict
 from gtau.findings.words import to_width
 from gtau.model.singularities import TYPES
@@ -107,7 +107,7 @@ class Named(dict[Key, Estimate], Generic[Key]):
     def __missing__(self, name: object) -> Estimate:
         if isinstance(name, Integral) and str(name) in self:
             return self[str(name)]  # type: ignore[index]
-        raise GtauError(f"there is no '{name}' here; choose from {', '.join(self) or 'nothing'}.")
+        raise UnknownName(f"there is no '{name}' here; choose from {', '.join(self) or 'nothing'}.")
 
     def _repr_html_(self) -> str:
         html: str = display.views().html(self)

@@ -51,11 +51,11 @@ def load(path: str | Path) -> Result:
     """
     refuse_other_kind(path, MODEL)
     path = Path(path)
-    try:
-        with system_refusals(path, "give the model.json that 'gtau identify' wrote"):
+    with system_refusals(path, "give the model.json that 'gtau identify' wrote"):
+        try:
             document = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse, parse_float=_finite)
-    except (ValueError, RecursionError):
-        raise GtauError(f"{path} is not a JSON file; give the model.json that 'gtau identify' wrote.") from None
+        except (ValueError, RecursionError):
+            raise GtauError(f"{path} is not a JSON file; give the model.json that 'gtau identify' wrote.") from None
     if not isinstance(document, dict) or "schema" not in document:
         raise GtauError(f"{path} is not a model; give the model.json that 'gtau identify' wrote.")
     if document["schema"] not in (SCHEMA, *OLDER):
@@ -110,6 +110,12 @@ def _problems(result: Result) -> Iterator[str]:
             yield f"the {what} are not those of the joints {', '.join(joints)}"
         if any(estimate.value is None for estimate in estimates.values()):
             yield f"one of the {what} is null"
+    preparation = result.preparation
+    if preparation.cutoff and 0 < preparation.rate <= 2 * preparation.cutoff:
+        yield f"'preparation.cutoff' is {preparation.cutoff:g} Hz, more than half the rate"
+    of_joints = {len(preparation.prediction_cutoffs), len(preparation.position_noise)}
+    if len(of_joints) > 1 or not of_joints <= {0, len(robot.actuated)}:
+        yield "'prediction_cutoffs' and 'position_noise' are not those of the joints"
     strange = set(result.curves) - {joint.name for joint in robot.joints}
     if strange:
         yield f"'curves' has the friction of '{sorted(strange)[0]}', which is no joint"

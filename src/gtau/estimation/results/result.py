@@ -153,7 +153,7 @@ class Result:
 
     @property
     def gains(self) -> np.ndarray:
-        """Gains of the rows of the model, (n,): of the motors, N m/A or N/A, and 1 of a floating base."""
+        """``drive_gains`` as an array (n,), one for each of ``robot.actuated``; 1 of a floating base."""
         known = self.drive_gains
         return np.array([known[joint].value if joint in known else 1.0 for joint in self.robot.actuated], dtype=float)
 
@@ -161,11 +161,6 @@ class Result:
     def essential(self) -> Named[Parameter]:
         """The base parameters that the reduction keeps (paper, section 5.2), with their values in ``parameters``."""
         return Named({name: estimate for name, estimate in self.parameters.items() if estimate.essential})
-
-    @property
-    def params(self) -> dict[Parameter, float]:
-        """Values of ``parameters`` by name; 0 for one that is not identifiable."""
-        return {name: estimate.value or 0.0 for name, estimate in self.parameters.items()}
 
     @cached_property
     def friction_parameters(self) -> Mapping[Parameter, Estimate]:
@@ -198,15 +193,15 @@ class Result:
         Parameters
         ----------
         q, qd, qdd : ndarray
-            Positions, velocities and accelerations (N, n) of the actuated joints, SI units. The samples are taken as
-            points of a path that starts at home.
+            Positions, velocities and accelerations (N, n) of the actuated joints, or (n,) of one state, SI units. The
+            samples are taken as points of a path that starts at home.
         payload : mapping, optional
             As in an experiment file: ``{"name": "steel"}`` for one that was identified, or with its ``mass``, ...
 
         Returns
         -------
         ndarray
-            (N, n), N m or N.
+            (N, n) or (n,), N m or N.
 
         Raises
         ------

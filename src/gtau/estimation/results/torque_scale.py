@@ -15,6 +15,7 @@ from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.estimates import APART
+from gtau.findings import FindingKind as F
 from gtau.findings.words import percent_text
 
 KNOWN = (Outcome.GOOD, Outcome.WEAK)
@@ -82,6 +83,8 @@ def torque_headline(result: Result) -> str:
     if not (scales := torque_scales(result)):
         if any(gain.value != 1 for gain in result.drive_gains.values()):
             return "The torque scales were given, not identified."
+        if why := next((note.what for note in result.notes if note.kind == F.SCALE_UNTESTED), ""):
+            return f"{why[0].upper()}{why[1:]}."
         return (
             "The logged torques are assumed to be correct: their scale was not tested. To test it, log one run with a "
             "payload of known mass and one without."

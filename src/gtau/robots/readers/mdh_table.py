@@ -95,7 +95,7 @@ def read_mdh_csv(path: str | Path) -> Robot:
         notes = short_angles_note({row.name: row.short for row in rows})
         return Robot(path.stem, joints, file=RobotFile(path.name, notes))
     except GtauError as error:
-        raise GtauError(f"{path}: {error}") from None
+        raise type(error)(f"{path}: {error}") from None
 
 
 def _lines(path: Path) -> list[tuple[int, list[str]]]:

@@ -54,7 +54,7 @@ def read_mjcf(path: str | Path, base: BaseChoice = None) -> Robot:
         robot = replace(as_written(file, path, base), name=root.get("model") or path.stem)
         return without_idle_pins(robot)
     except GtauError as error:
-        raise GtauError(f"{path}: {error}") from None
+        raise type(error)(f"{path}: {error}") from None
 
 
 def as_written(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:

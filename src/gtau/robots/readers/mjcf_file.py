@@ -195,6 +195,8 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
         notes = [*_with_exact_orientations(geometry)]
         notes += _reduce_to_geometry(geometry, chain(*straight_tendons(spec).values()))
         return MjcfFile(spec, geometry.compile(), elements, notes)
+    except GtauError:
+        raise
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         said = " ".join(str(error).split()).rstrip(".")
         raise GtauError(f"MuJoCo refuses the file ({said}); correct it.") from None

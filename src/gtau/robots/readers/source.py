@@ -13,8 +13,8 @@ from gtau.robots.readers.expressions import evaluate
 
 FLOATING: Literal["floating"] = "floating"
 BASE_ADVICE = (
-    "write 'robot: {file: ..., base: fixed}' in the experiment file (--base fixed) if the robot was hung up or bolted "
-    "down, or 'base: floating' if its base moved and the motion is logged"
+    "write 'robot: {file: ..., base: fixed}' in the experiment file ('gtau init' and 'gtau robot' have --base fixed) "
+    "if the robot was hung up or bolted down, or 'base: floating' if its base moved and the motion is logged"
 )
 
 

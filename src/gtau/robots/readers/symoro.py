@@ -34,7 +34,7 @@ def read_par(path: str | Path) -> Robot:
     try:
         return _robot(_text(path), path)
     except GtauError as error:
-        raise GtauError(f"{path}: {error}") from None
+        raise type(error)(f"{path}: {error}") from None
 
 
 def _text(path: Path) -> str:

@@ -47,7 +47,7 @@ def read_urdf(path: str | Path, base: BaseChoice = None) -> Robot:
         robot = Robot(tree.name, tree.joints, couplings=tree.couplings, file=replace(tree.file, notes=notes))
         return _without_motors_of_base(robot, tree)
     except GtauError as error:
-        raise GtauError(f"{path}: {error}") from None
+        raise type(error)(f"{path}: {error}") from None
 
 
 def _without_motors_of_base(robot: Robot, tree: UrdfTree) -> Robot:

@@ -106,7 +106,7 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
         file = RobotFile(path.name, notes, inertias=urdf_inertias(root, frames), rounding=_rounding(root))
         return UrdfTree(root.get("name") or path.stem, joints, couplings, frames, root, file)
     except GtauError as error:
-        raise GtauError(f"{path}: {error}") from None
+        raise type(error)(f"{path}: {error}") from None
 
 
 def _rounding(root: Element) -> Digits:

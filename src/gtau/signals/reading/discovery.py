@@ -107,8 +107,9 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
         names = position_log.table.columns
         listed = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
         what = "positions" if positions is None else "currents or torques"
+        named = "" if robot else "give the robot whose joints they name (--robot ROBOT), "
         raise GtauError(
-            f"no columns of {what} are recognised among {listed}; write the experiment file by hand "
+            f"no columns of {what} are recognised among {listed}; {named}write the experiment file by hand "
             "(docs/lookup/experiment-file.md), or rename columns or arrays, such as q1 and current1.",
             source=paths[0],
         )
@@ -291,11 +292,12 @@ def _joints(
     if some or len(known) == len(joints):
         how = "positions matched by joint name, commands by column order" if by_order else "matched by joint name"
         return {joint: pairs[joint] for joint in known}, unknown, how, by_order
-    if len(pairs) < len(joints) and len(chain := _chain(robot)) == len(pairs):
+    if 0 < len(pairs) < len(joints) and len(chain := _chain(robot)) == len(pairs):
         joints = chain
     if len(pairs) < len(joints):
+        listed = f" ({', '.join(pairs)})" if pairs else ""
         raise GtauError(
-            f"the log has positions and commands of {len(pairs)} joints ({', '.join(pairs)}), but robot "
+            f"the log has positions and commands of {len(pairs)} joints{listed}, but robot "
             f"'{robot.name}' has {len(joints)} actuated ones; "
             + (f"name the columns after their joints (q_{joints[0]}), or " if not robot.closures else "")
             + "give matching logs and robot."

@@ -88,7 +88,7 @@ def with_preset(draft: Draft, name: str) -> Draft:
             if column != preset[kind].format(k=k, n=k + 1, joint=joint):
                 raise GtauError(
                     f"the logs have no columns of the preset '{name}', as '{column}' is not '{preset[kind]}'; leave "
-                    "out --preset, and state what the commands are (--kind current|torque)."
+                    "out --preset, and state in the draft whether these are currents or torques."
                 )
         draft = with_kind(draft, "current" if kind == "current" else "torque")
     robot = {key: entry for key, entry in draft.robot.items() if key != "gravity"} | preset.get("robot", {})
@@ -280,7 +280,7 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
     if unknown := draft.reasons.get("unmatched"):
         notes.append((f"the log's {unknown} are not used, as the robot has no such joints", ""))
     if still := beside.get("still"):
-        notes.append((f"{_first(still)} are not used: they never change", ""))
+        notes.append((f"columns that never change are no torque sensors: {_first(still)}", ""))
     if draft.time and draft.time[0].endswith("/header/stamp"):
         notes.append((f"time is {draft.time[0]}, measurement stamps, not receipt stamps", ""))
     return tuple(Finding(F.DRAFT, values={"what": what, "action": action}, source=str(file)) for what, action in notes)

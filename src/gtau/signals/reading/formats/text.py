@@ -217,12 +217,15 @@ def _frame(table: Table, separator: str, text: bytes, wanted: list[int]) -> pl.D
         )
 
     try:
-        frame = read(text)
+        try:
+            frame = read(text)
+        except pl.exceptions.PolarsError:
+            again = "".join(_decoded(line) for line in text.splitlines(keepends=True))
+            if "\ufffd" in again or again.encode() == text:
+                raise
+            frame = read(again.encode())
     except pl.exceptions.PolarsError as error:
-        again = "".join(_decoded(line) for line in text.splitlines(keepends=True))
-        if "\ufffd" in again or again.encode() == text:
-            raise GtauError(_unreadable_line(table, separator, str(error))) from None
-        frame = read(again.encode())
+        raise GtauError(_unreadable_line(table, separator, str(error))) from None
     entries = pl.col(pl.String).str.strip_chars()
     if separator != ",":
         entries = entries.str.replace(",", ".", literal=True)
