@@ -426,7 +426,7 @@ def test_a_pose_out_of_reach_names_sample_and_pose():
     assert message.startswith(f"robot 'orthoglide': at sample 3217 ({pose}) the loops cannot be closed")
     assert "check the units, signs and zeros" in message
     labels = [f"t = {time:.3f} s of run.csv" for time in times]
-    assert "at t = 3.217 s of run.csv (" in refusal(path_of, robot, q, labels=labels)
+    assert "at t = 3.217 s of run.csv (" in refusal(path_of, robot, q, labels=labels.__getitem__)
 
 
 @pytest.mark.parametrize("bad", [0, 1, 250, 598, 599])

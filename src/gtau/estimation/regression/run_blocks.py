@@ -20,6 +20,7 @@ import numpy as np
 from gtau.estimation.thresholds.logs import REPEATED, REPEATED_PART
 from gtau.signals.preparation.filters import STENCIL
 from gtau.signals.preparation.prepared_run import PreparedRun, SampleWindow, joined
+from gtau.signals.storage import rows_at
 
 BLOCKS = 20  # of a run, which the jackknife leaves out in turn
 ASLEEP = 1e-6  # weight of a sample in a rest
@@ -136,8 +137,8 @@ def _paths(prepared: Sequence[PreparedRun]) -> tuple[float, list[np.ndarray]]:
     q = []
     for run, stride in zip(prepared, strides, strict=True):
         at = np.arange(0, len(run), stride)
-        time = run.time[at] - run.time[0]
-        position = run.run.position[run.kept.start + at]
+        time = rows_at(run.time, at) - run.time[0]
+        position = rows_at(run.run.position, run.kept.start + at)
         instants = np.arange(0.0, time[-1] + step / 2, step)
         q.append(np.column_stack([np.interp(instants, time, of_joint) for of_joint in position.T]))
     return step, q
