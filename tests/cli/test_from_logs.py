@@ -132,10 +132,15 @@ def test_a_log_that_is_refused_has_no_figures(tmp_path: Path, motion: Any) -> No
     time, position, current = (column[:60] for column in motion["empty"])
     head = "t,q_left,q_right,i_left,i_right"
     np.savetxt(tmp_path / "a.csv", np.column_stack([time, position, current]), delimiter=",", header=head, comments="")
+    (tmp_path / "experiment.yaml").write_text(
+        "robot: five-bar\n"
+        "signals: {time: t, position: {left: q_left, right: q_right}, current: {left: i_left, right: i_right}}\n"
+        "runs: [{log: a.csv}]\n"
+    )
     out = tmp_path / "out"
-    done = CliRunner().invoke(app, ["check", str(tmp_path / "a.csv"), "--robot", "five-bar", "--out", str(out)])
-    assert (done.exit_code, "has 60 samples" in done.stdout) == (2, True), done.output
-    assert {path.name for path in out.iterdir()} == {"experiment.yaml", "report.html"}
+    done = CliRunner().invoke(app, ["check", str(tmp_path / "experiment.yaml"), "--out", str(out)])
+    assert (done.exit_code, "has 60 samples" in " ".join(done.stdout.split())) == (2, True), done.output
+    assert {path.name for path in out.iterdir()} == {"report.html"}
 
 
 def test_priors_that_do_not_fit_are_named_and_not_the_columns(tmp_path: Path, motion: Any) -> None:
