@@ -85,6 +85,15 @@ def test_a_run_out_of_scale_is_named(which: int, factor: float, runs: list[Run],
     assert F.RIPPLE not in {note.kind for note in result.notes}
 
 
+def test_a_halved_current_is_the_cause(runs: list[Run]) -> None:
+    """And not a tilt of gravity, which explains as much of one run."""
+    result = identify(
+        ARM, [replace(run, command=run.command * [1.0, 0.5 if k == 5 else 1.0]) for k, run in enumerate(runs)]
+    )
+    (cause,) = {cause.kind: cause for cause in result.drive_gains["2"].verdict.finding.causes}.values()
+    assert (cause.kind, cause.joints, cause.values["runs"]) == (F.GAIN_CHANGE, ("2",), ["run 5"])
+
+
 def test_the_difference_is_measured(runs: list[Run]) -> None:
     dataset = reduce_runs(ARM, scaled(runs, 2, 1.03))
     found = list(gain_changes(ML.fit(dataset.system(per_run=True))))

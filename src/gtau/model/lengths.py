@@ -110,7 +110,7 @@ class VariableGeometry:
         shapes = [(self.rows,), *by_rows, (3,), (3, 3), (6, layout.n_y), (6, places)]
         ends = np.cumsum([int(np.prod(shape)) for shape in shapes])
         parts = np.split(self.program(c, parameters=shift), ends[:-1])
-        return [part.T.reshape(-1, *shape) for part, shape in zip(parts, shapes, strict=True)]
+        return [part.T.reshape(c.shape[1], *shape) for part, shape in zip(parts, shapes, strict=True)]
 
 
 def variable_geometry(robot: Robot, body: str) -> VariableGeometry:

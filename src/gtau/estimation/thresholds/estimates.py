@@ -293,11 +293,11 @@ SWAPPED = Threshold(
     evidence="tests/estimation/test_swapped_channels.py",
 )
 SCALED = Threshold(
-    0.3,
-    "change of a current between runs that no motor makes",
+    1.5,
+    "change of a current between runs; larger ones are a sign or a unit, which other checks name",
     healthy="0",
-    faulty="2 (reversed), 1000 (units)",
-    evidence="faults",
+    faulty="-0.5 (halved), 1 (doubled); not -2 (reversed), 1000 (units)",
+    evidence="benchmarks/faults.py",
 )
 TIE = Threshold(
     1e-6,
