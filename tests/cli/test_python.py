@@ -67,8 +67,9 @@ def test_torques_and_currents_of_the_identified_model(result: gtau.Result) -> No
     assert np.all(np.median(np.abs(heavier[at] - of_run), axis=0) < 0.01 * rms)
     with pytest.raises(gtau.GtauError, match="carries the payload 'lead', whose mass neither"):
         result.torques(q, qd, qdd, {"name": "lead"})
+    assert result.torques(q[0], qd[0], qdd[0]) == pytest.approx(result.torques(q[:1], qd[:1], qdd[:1])[0])
     with pytest.raises(gtau.GtauError, match=r"give each as \(N, 2\)"):
-        result.torques(q[0], qd[0], qdd[0])
+        result.torques(q[:, :1], qd, qdd)
 
 
 def test_what_has_been_used_can_still_be_pickled(result: gtau.Result) -> None:

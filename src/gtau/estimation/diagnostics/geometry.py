@@ -181,12 +181,13 @@ def geometry_test(
     given = fit = fit_frames(model, columns, joints, logged)
     candidates = tried = _candidates(given)
     for k in range(MOST):
+        if k:
+            candidates = _candidates(fit)
         progress("geometry", k + 1, MOST + 1)
         better = _better(fit, candidates, characteristic_length(model.robot))
         if better is None:
             break
         fit = better
-        candidates = _candidates(fit) if k + 1 < MOST else []
     progress("geometry", MOST + 1, MOST + 1)
     return _tested(columns, [poses.run for poses in logged], given, fit, tried, model.robot)
 

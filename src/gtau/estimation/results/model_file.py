@@ -113,8 +113,8 @@ def _problems(result: Result) -> Iterator[str]:
     preparation = result.preparation
     if preparation.cutoff and 0 < preparation.rate <= 2 * preparation.cutoff:
         yield f"'preparation.cutoff' is {preparation.cutoff:g} Hz, more than half the rate"
-    of_joints = {len(preparation.prediction_cutoffs), len(preparation.position_noise)}
-    if len(of_joints) > 1 or not of_joints <= {0, len(robot.actuated)}:
+    cutoffs, noise = len(preparation.prediction_cutoffs), len(preparation.position_noise)
+    if not {cutoffs, noise} <= {0, len(robot.actuated)} or cutoffs > noise:
         yield "'prediction_cutoffs' and 'position_noise' are not those of the joints"
     strange = set(result.curves) - {joint.name for joint in robot.joints}
     if strange:
