@@ -167,6 +167,9 @@ def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
     still = np.zeros((len(rest), 1))
     poses = model.motion(rest[:, None], still, still).c
     guarded = guard(model, poses, file.limits.clearance, stated, file.limits.floor, Path(file.robot))
+    if "parameters" in assumed:
+        rods = "torque: guessed for links that are rods, real ones may take more; state prior.parameters or prior.model"
+        said = *said, rods
     limits = replace(limits, guarded=Guarded(guarded.clearance, (*guarded.said, *said)))
     for name, pose, (low, high) in zip(robot.actuated, rest, limits.position, strict=True):
         if file.approach and not low <= pose <= high:
