@@ -89,3 +89,19 @@ def test_numba_is_only_for_compiling() -> None:
     environment = {**os.environ, "PYTHONPATH": str(SOURCE.parents[2])}
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment)
     assert (found.stdout.strip(), found.stderr) == ("False", "")
+
+
+def test_threads_that_come_first_together_link_once() -> None:
+    """A second link would be freed while addresses of its code are in use."""
+    program = (
+        "from concurrent.futures import ThreadPoolExecutor\n"
+        "from threading import Barrier\n"
+        "from gtau.model.interpreter.compiled import loops\n"
+        "together = Barrier(8)\n"
+        "def machine(_):\n"
+        "    together.wait()\n"
+        "    return loops().machine\n"
+        "print(len(set(ThreadPoolExecutor(8).map(machine, range(8)))))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "1\n"

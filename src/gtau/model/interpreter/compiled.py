@@ -14,6 +14,7 @@ from functools import cache
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
+from threading import Lock
 from typing import Any, NamedTuple
 
 from gtau.documents.files import write_atomically
@@ -28,6 +29,7 @@ def _sources() -> bytes:
     return b"".join(path.read_bytes() for path in sorted(_HERE.glob("*.py")))
 
 
+_LINKING = Lock()
 _LOADED = _sources()  # as imported: files that are replaced later, by an update, are of other machine code
 
 
@@ -45,9 +47,14 @@ class Loops(NamedTuple):
     follow_path: Callable[..., None]
 
 
-@cache
 def loops() -> Loops:
-    """Link the machine code, and return its functions; they release Python's lock while they run."""
+    """Return the functions of the machine code, linked once a process; they release Python's lock while they run."""
+    with _LINKING:  # a second link of two threads would be freed while its addresses are in use
+        return _linked()
+
+
+@cache
+def _linked() -> Loops:
     import llvmlite.binding as llvm
 
     llvm.initialize_native_target()
