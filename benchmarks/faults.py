@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from textwrap import shorten
 from typing import Any
 
 import numpy as np
@@ -199,7 +200,8 @@ def outcome(path: Path) -> tuple[int, str, dict[str, float | None]]:
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     document = json.loads(done.stdout) if done.stdout.startswith("{") else {}
     if "drive_gains" not in document:
-        return done.returncode, document.get("error", done.stderr.strip().splitlines()[-1]).split(": ", 1)[-1], {}
+        refusal = document.get("error") or done.stderr.strip().splitlines()[-1].removeprefix("gtau: ")
+        return done.returncode, shorten(refusal, 100, placeholder=" ..."), {}
     gains = {gain["joint"]: gain["value"] for gain in document["drive_gains"]}
     if "validation" in document:
         del document["validation"]
