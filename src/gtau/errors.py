@@ -22,6 +22,8 @@ class UnknownName(GtauError, KeyError):
 class NoFile(GtauError, FileNotFoundError):
     """Error raised for a file that does not exist."""
 
+    __new__ = FileNotFoundError.__new__  # type: ignore[assignment]  # the layout's, which tblib (Dask) calls by name
+
 
 def unreadable(sentence: str, error: OSError) -> GtauError:
     """Make the error for what the system refuses to read."""

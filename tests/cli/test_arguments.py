@@ -105,6 +105,8 @@ def test_a_refusal_is_the_built_in_error_that_it_is(tmp_path: Path, monkeypatch:
         assert isinstance(refusal.value, ValueError)
         assert str(refusal.value) == refusal.value.args[0]
         assert str(pickle.loads(pickle.dumps(refusal.value))) == str(refusal.value)
+        blank = type(refusal.value).__new__(type(refusal.value), *refusal.value.args)  # as tblib, Dask's, does
+        assert isinstance(blank, gtau.GtauError)
 
 
 def test_a_type_error_names_the_function() -> None:

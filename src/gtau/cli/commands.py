@@ -69,7 +69,7 @@ COMMANDS: dict[str, dict[Callable[..., None], str]] = {
 MASSES = {"allow_extra_args": True}  # of excite: those after --payload-mass are extra arguments
 
 
-class _Group(TyperGroup):
+class _Commands(TyperGroup):
     """The commands by what they are for; a word that is an option (version, help) is answered with the option."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
@@ -85,7 +85,7 @@ class _Group(TyperGroup):
 
 app = typer.Typer(
     name="gtau",
-    cls=_Group,
+    cls=_Commands,
     no_args_is_help=True,
     rich_markup_mode=None,  # its tables name the type of every flag and cut long values
     pretty_exceptions_enable=False,

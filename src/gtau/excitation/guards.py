@@ -165,5 +165,5 @@ def _floor(
     height = min(0.0, lowest - ROOM * least)
     down = model.robot.gravity[2] < -0.99 * float(np.linalg.norm(model.robot.gravity)) < 0
     plane = "" if down else ", the plane of its mounting: where the real floor is is unknown"
-    lower = " (z = 0 lies within the clearance of the resting arm)" if height < 0 else ""
+    lower = " (the resting arm is closer to z = 0 than the clearance)" if height < 0 else ""
     return height, f"floor: guessed at z = {height:.3g} m of the base{plane}{lower}; {state}"

@@ -63,6 +63,8 @@ def export_payload(payload: PayloadBody, kind: str, out: str | Path) -> Exported
             "body, not measured"
         )
     head = f"payload '{payload.name}' in {payload.frame}, weighed by gtau"
+    if payload.unseen:
+        head += f"; {', '.join(payload.unseen)} not measured"
     return Exported(
         written(Path(out), writer(name, _shown(payload, payload.rigid), " ".join(head.split()))), tuple(notes)
     )

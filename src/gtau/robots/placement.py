@@ -216,7 +216,7 @@ def is_written(number: float) -> bool:
 
 @dataclass(frozen=True)
 class Digits:
-    """The digits of the numbers in a file: so many ``decimals``, or so many ``significant`` ones where those are many.
+    """The digits of the numbers in a file: the number of ``decimals``, and of ``significant`` ones where they count.
 
     Trailing zeros are often left out, so a single number does not show them; the longest of all numbers does. ``turn``
     is the largest turn about an axis by rounding, rad, where a reader computes placements from the numbers.

@@ -118,8 +118,8 @@ def _fitted(
 ) -> Iterator[tuple[Explained, int]]:
     """Fit each hypothesis to the charts ``rows``, which ``L`` whitens, and return its degrees of freedom too.
 
-    ``changes`` (rows, 2) are whitened, of all later logs and of the newest one; intervals are those of so many
-    ``logs``.
+    ``changes`` (rows, 2) are whitened, of all later logs and of the newest one; ``logs`` is their number, from which
+    the intervals follow.
     """
     from scipy.stats import t as student
 
