@@ -20,15 +20,15 @@ PAGE = ROOT / "docs" / "lookup" / "messages.md"
 EXAMPLES = ROOT / "tests" / "estimation" / "test_sentences.py"
 HEAD = """# Messages
 
-Every finding that can appear in a summary, a report or `gtau check`, with its remedy. This page is generated from the source by
-`python docs/make_messages.py`; the joints and numbers are examples.
+Every finding that can appear in a summary, a report or `gtau check`, with its remedy. This page is generated from the
+source by `python docs/make_messages.py`; the joints and numbers are examples.
 
 - [Verdicts](#verdicts): findings that lower a verdict
 - [Notes](#notes): other findings
 - [Causes](#causes): effects that the model may lack, and errors that the description may have
 
-The first column is the `kind` in `model.json` and `finding.kind` in Python. An error, which ends a command with exit code 2, is one sentence
-that states the problem, its place and the remedy; it is not listed here.
+The first column is the `kind` in `model.json` and `finding.kind` in Python. An error, which ends a command with exit
+code 2, is one sentence that states the problem, its place and the remedy; it is not listed here.
 """
 
 
