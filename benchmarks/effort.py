@@ -23,7 +23,7 @@ import zoo
 from realism.departures import DEPARTURES
 from realism.logs import make_logs
 from realism.plants import PLANTS, Plant, of_limits
-from realism.tables import write_csv
+from table import write_csv
 from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 import yaml
-from realism.tables import write_csv
+from table import write_csv
 
 UR10E = "ur10e/ur-20_02_19_14harm50sec{}.csv"
 Frames = list[pl.DataFrame]

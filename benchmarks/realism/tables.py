@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from table import write_csv
 
 from gtau.estimation.diagnostics.verdict import Outcome
 from realism.departures import DEPARTURES, MOTIONS
@@ -99,11 +99,6 @@ def write_files(records: Sequence[dict], folder: Path) -> None:
     for name, lines in tables.items():
         if len(lines) > 1:
             write_csv(folder / f"{name}.csv", lines)
-
-
-def write_csv(path: Path, lines: Sequence[Sequence[str]]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file, lineterminator="\n").writerows(lines)
 
 
 def _where(records: Sequence[dict], keep) -> Gains:
