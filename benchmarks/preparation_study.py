@@ -313,9 +313,7 @@ def main() -> None:
     parser.add_argument("--rates", nargs="+", type=float, default=RATES)
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
     parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument(
-        "--out", type=Path, metavar="FOLDER", help="of a CSV file for each robot"
-    )
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="of a CSV file for each robot")
     arguments = parser.parse_args()
     cells: dict[tuple[str, str], list[str]] = {each: [] for each in product(arguments.robots, arguments.kinds)}
     for k, rate in enumerate(arguments.rates, start=1):
