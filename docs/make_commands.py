@@ -13,7 +13,7 @@ from gtau.cli.commands import app
 PAGE = Path(__file__).parent / "lookup" / "commands.md"
 HEAD = """# Commands
 
-This page is made by `python docs/make_commands.py` from the help of the commands, which `gtau COMMAND --help` prints.
+The help that `gtau COMMAND --help` prints. This page is generated from the source by `python docs/make_commands.py`.
 
 | command | what it does |
 | --- | --- |
