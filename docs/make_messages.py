@@ -62,7 +62,8 @@ def page() -> str:
     words = templates()
     notes = [kind for kind in [*words["verdicts"], *words["notes"], *words["logs"]] if kind not in OUTCOMES]
     text = HEAD + "\n## Verdicts\n\n" + table(list(OUTCOMES), made, True)
-    text += "\n## Notes\n\n" + table(notes, made, False)
+    text += "\n## Notes\n\n" + table([kind for kind in notes if made[kind][0].action], made, False)
+    text += "\nFor information, without a remedy: " + ", ".join(k for k in notes if not made[k][0].action) + ".\n"
     text += "\n## Causes\n\nVerdicts and notes name these with their size and a remedy.\n\n"
     return text + table(list(words["causes"]), made, False)
 
