@@ -65,7 +65,8 @@ def page() -> str:
     text += "\n## Notes\n\n" + table([kind for kind in notes if made[kind][0].action], made, False)
     text += "\nFor information, without a remedy: " + ", ".join(k for k in notes if not made[k][0].action) + ".\n"
     text += "\n## Causes\n\nVerdicts and notes name these with their size and a remedy.\n\n"
-    return text + table(list(words["causes"]), made, False)
+    rows = (f"| {kind} | {cell(made[kind][0].action)} |\n" for kind in words["causes"])
+    return text + "| name | what to do |\n| --- | --- |\n" + "".join(rows)
 
 
 if __name__ == "__main__":
