@@ -21,7 +21,7 @@ EXAMPLES = ROOT / "tests" / "estimation" / "test_sentences.py"
 HEAD = """# Messages
 
 Every finding that can appear in a summary, a report or `gtau check`, with its remedy. This page is generated from the
-source by `python docs/make_messages.py`; the joints and numbers are examples.
+source by `python docs/make_messages.py`; joints and numbers are examples, and long messages are cut.
 
 - [Verdicts](#verdicts): findings that lower a verdict
 - [Notes](#notes): other findings
@@ -40,6 +40,15 @@ def examples() -> dict[str, list[Finding]]:
     return made
 
 
+LONGEST = 18  # words of an example
+
+
+def shortened(text: str) -> str:
+    """Cut a long example."""
+    words = text.split()
+    return " ".join([*words[: LONGEST - 1], "…"]) if len(words) > LONGEST else text
+
+
 def cell(text: str) -> str:
     """Write a text into a table."""
     text = text[:1].upper() + text[1:] if text else "-"
@@ -52,7 +61,7 @@ def table(kinds: Sequence[str], made: Mapping[str, list[Finding]], outcome: bool
     for kind in kinds:
         first = made[kind][0]
         middle = f"{OUTCOMES[kind].value} | " if outcome else ""
-        lines.append(f"| {kind} | {middle}{cell(first.what)} | {cell(first.action)} |")
+        lines.append(f"| {kind} | {middle}{cell(shortened(first.what))} | {cell(first.action)} |")
     return "\n".join(lines) + "\n"
 
 
