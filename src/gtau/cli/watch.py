@@ -44,9 +44,8 @@ Robots = Annotated[int | None, option("NUMBER", "Number of robots in the fleet (
 LogsPerYear = Annotated[float | None, option("NUMBER", "Logs a year of each robot (365).", min=1.0)]
 Reset = Annotated[str | None, option("DATE", "Begin a new baseline with the first log from this date on.")]
 Acknowledge = Annotated[str | None, option("NOTE", "End the alarm: what has changed is the new reference.")]
-Reopen = Annotated[bool, option("", "Undo the last --acknowledge.", "--reopen")]
 Forget = Annotated[str | None, option("LOG", "Leave out a log that was not of this robot or of this state.")]
-Remember = Annotated[str | None, option("LOG", "Undo --forget.")]
+Undo = Annotated[str | None, option("LOG|DATE", "Undo what was last done about a log or a date.")]
 Follow = Annotated[
     bool, option("", "Follow one folder of finished logs, or a growing text log, until Ctrl-C.", "--follow")
 ]
@@ -67,9 +66,8 @@ def watch(
     logs_per_year: LogsPerYear = None,
     reset: Reset = None,
     acknowledge: Acknowledge = None,
-    reopen: Reopen = False,
     forget: Forget = None,
-    remember: Remember = None,
+    undo: Undo = None,
     follow: Follow = False,
     block: Block = 30.0,
     json_: JsonLines = False,
@@ -101,13 +99,15 @@ def watch(
     if follow and len(sources) != 1:
         raise GtauError("--follow takes one folder or one growing text log; give it alone.")
     given = sorted(logs_of([*healthy, *([] if follow else sources)]), key=lambda log: date_of(log)[:10])
-    done = [what is not None and what is not False for what in (reset, acknowledge, reopen, forget, remember)]
-    if not (given or follow or any(done)):
+    done = {"reset": reset, "acknowledge": acknowledge, "forget": forget, "undo": undo}
+    if not (given or follow or any(done.values())):
         raise GtauError("there is no log to compare; give logs.")
     result = Result.load(model)
     tolerances = None if experiment is None else read_experiment(experiment).tolerances
     watched = Watch(result, out, count, false_alarms, robots, logs_per_year, tolerances)
-    _do(watched, reset, acknowledge, reopen, forget, remember)
+    for what, subject in done.items():
+        if subject is not None:
+            getattr(watched, what)(subject)
     read = partial(_read, result, experiment, payload)
     inputs = (("model", model), *(("log", log) for log in given))
     aside = 0
@@ -124,22 +124,6 @@ def watch(
         answer(False, dict, lambda: watch_page(watched), written)
     if watched.alarm is not None or aside:
         raise typer.Exit(3)
-
-
-def _do(
-    watched: Watch, reset: str | None, note: str | None, reopen: bool, forget: str | None, remember: str | None
-) -> None:
-    """Do what the options ask of the history."""
-    if reset is not None:
-        watched.reset(reset)
-    if note is not None:
-        watched.acknowledge(note)
-    if reopen:
-        watched.reopen()
-    if forget is not None:
-        watched.forget(forget)
-    if remember is not None:
-        watched.remember(remember)
 
 
 def _read(result: Result, experiment: Path | None, payload: str | None, log: Path) -> Run:

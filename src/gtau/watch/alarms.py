@@ -10,7 +10,7 @@ from gtau.estimation.results.result import Result
 from gtau.signals.reading.statements import Tolerances
 from gtau.watch.causes import Difference, causes_of
 from gtau.watch.detectors import FEWEST, WINDOW, Evidence, evidence
-from gtau.watch.history import Alarm, Settings
+from gtau.watch.history import Alarm, Explained, Settings
 from gtau.watch.statistics import RESIDUAL, LogStatistics
 from gtau.watch.table import WEEK, View, beyond, week_of
 
@@ -38,26 +38,53 @@ def judge(
         columns = np.flatnonzero(view.odd[row])
         return Judgement(_alarm("log", model, view, log, columns, (row, row, row), tolerances))
     previous = None if previous is not None and previous.kind == "log" else previous
-    if previous is not None and (inside := _inside(view, previous)) is not None:
-        return Judgement(None, inside)
-    far = beyond(view, week_of(view, std_of_model(model, view)))
-    if far.any():
-        columns = np.flatnonzero(far)
-        return Judgement(_alarm("tolerance", model, view, log, columns, _run_beyond(view, columns), tolerances))
-    if view.baseline > settings.baseline:
-        proof, rows = evidence_of(view, settings)
-        limit, best = limit_of(settings, view), int(np.argmax(proof.log_e))
-        log_e = float(proof.log_e[best] - limit + np.log(settings.limit))
-        stated = (log_e, view.names[best]) if np.isfinite(log_e) else (None, "")
-        if (columns := np.flatnonzero((proof.log_e >= limit) & proof.confirmed)).size:
-            leading = columns[np.argmax(proof.log_e[columns])]
-            start, earliest, latest = (int(rows[part[leading]]) for part in (proof.start, proof.earliest, proof.latest))
-            changed = np.flatnonzero(proof.log_e > 0)
-            changed = changed[np.argsort(-proof.log_e[changed])]
-            span = start, earliest, latest
-            return Judgement(_alarm("change", model, view, log, changed, span, tolerances), None, *stated)
-        return Judgement(previous, None, *stated)
-    return Judgement(previous)
+    if previous is not None and len(back := _back(view, previous)):
+        days = view.table.days[back]
+        week = np.ptp(days) >= WEEK or (np.ptp(days) < 1 and len(back) >= WEEKLY)
+        return Judgement(None, int(view.table.ids[back[0]])) if week else Judgement(previous)
+    changed, span, stated = _changes(settings, view)
+    far = np.flatnonzero(beyond(view, week_of(view, std_of_model(model, view), span[0])))
+    if len(far):
+        alarm = _alarm("tolerance", model, view, log, far, (_run_beyond(view, far),) * 3, tolerances)
+        if not alarm.explanations or any(_is_beyond(view, cause) for cause in alarm.explanations):
+            return Judgement(_since(alarm, previous), None, *stated)
+    if len(changed):
+        alarm = _alarm("change", model, view, log, changed, span, tolerances)
+        return Judgement(_since(alarm, previous), None, *stated)
+    return Judgement(previous, None, *stated)
+
+
+def _since(alarm: Alarm, previous: Alarm | None) -> Alarm:
+    """Date an alarm that goes on from its beginning."""
+    if previous is None:
+        return alarm
+    return alarm.model_copy(update={name: getattr(previous, name) for name in ("since", "earliest", "latest", "date")})
+
+
+def _is_beyond(view: View, cause: Explained) -> bool:
+    """Tell whether a cause, or that beside it, is beyond its tolerance: one quantity alone may follow another."""
+    kind = {"load": cause.quantity, "clock": "delay", "warming": "friction"}.get(cause.kind, cause.kind)
+    of_kind = [view.tolerance[k] for k, quantity in enumerate(view.quantities) if quantity.kind == kind]
+    size = cause.size if cause.relative is None else cause.relative
+    far = cause.kind == "units" or any(abs(size) > tolerance for tolerance in of_kind)
+    return far or (cause.and_also is not None and _is_beyond(view, cause.and_also))
+
+
+def _changes(settings: Settings, view: View) -> tuple[np.ndarray, tuple[int, int, int], tuple[float | None, str]]:
+    """Find the quantities that have changed, the first log of the change with its interval, and what is leading."""
+    none, proof = np.zeros(0, dtype=int), None
+    if view.baseline <= settings.baseline:
+        return none, (0, 0, 0), (None, "")
+    proof, rows = evidence_of(view, settings)
+    limit, best = limit_of(settings, view), int(np.argmax(proof.log_e))
+    log_e = float(proof.log_e[best] - limit + np.log(settings.limit))
+    stated = (log_e, view.names[best]) if np.isfinite(log_e) else (None, "")
+    columns = np.flatnonzero((proof.log_e >= limit) & proof.confirmed)
+    if not len(columns):
+        return none, (0, 0, 0), stated
+    leading = columns[np.argmax(proof.log_e[columns])]
+    start, earliest, latest = (int(rows[part[leading]]) for part in (proof.start, proof.earliest, proof.latest))
+    return columns[np.argsort(-proof.log_e[columns])], (start, earliest, latest), stated
 
 
 def limit_of(settings: Settings, view: View) -> float:
@@ -65,8 +92,8 @@ def limit_of(settings: Settings, view: View) -> float:
     return float(np.log(settings.limit * max(np.isfinite(view.values).any(axis=0).sum(), 1)))
 
 
-def evidence_of(view: View, settings: Settings, more: np.ndarray | None = None) -> tuple[Evidence, np.ndarray]:
-    """Compute the evidence of a change over the last logs, and ``more`` (n, m) imagined ones; and the rows of these."""
+def evidence_of(view: View, settings: Settings) -> tuple[Evidence, np.ndarray]:
+    """Compute the evidence of a change over the last logs, and list the rows of these."""
     x = view.compared
     rows = np.flatnonzero(np.isfinite(x).any(axis=1))[-WINDOW:]
     learning = settings.baseline if view.baseline <= WINDOW else FEWEST
@@ -87,29 +114,25 @@ def std_of_model(model: Result, view: View) -> np.ndarray:
     return np.array(relative)
 
 
-def _inside(view: View, alarm: Alarm) -> int | None:
-    """Find the log since which all quantities of an alarm have been back for a week, None if they are not."""
-    columns = [k for k, name in enumerate(view.names) if name in alarm.charts]
-    order = [alarm.charts.index(view.names[k]) for k in columns]
-    healthy, changed = (np.array(part)[order] for part in (alarm.healthy, alarm.changed))
+def _back(view: View, alarm: Alarm) -> np.ndarray:
+    """Find the last logs whose quantities are all nearer to their healthy means than to those of an alarm."""
+    columns = [view.names.index(name) for name in alarm.charts]
+    healthy, changed = np.array(alarm.healthy), np.array(alarm.changed)
     x = view.compared[:, columns]
     rows = np.flatnonzero(np.isfinite(x).any(axis=1))
-    far = np.nanmax(np.where(np.isfinite(x[rows]), np.abs(x[rows] - healthy) / np.abs(changed - healthy), 0.0), axis=1)
-    outside = np.flatnonzero(far > 0.5)
-    back = rows[outside[-1] + 1 :] if len(outside) else rows
-    if len(back) < FEWEST or not len(columns):
-        return None
-    days = view.table.days[back]
-    return int(view.table.ids[back[0]]) if np.ptp(days) >= WEEK or (np.ptp(days) < 1 and len(back) >= WEEKLY) else None
+    if not len(rows):
+        return rows
+    far = np.abs(x[rows] - healthy) / np.abs(changed - healthy) > 0.5
+    outside = np.flatnonzero(far.any(axis=1))
+    return rows[outside[-1] + 1 :] if len(outside) else rows
 
 
-def _run_beyond(view: View, columns: np.ndarray) -> tuple[int, int, int]:
+def _run_beyond(view: View, columns: np.ndarray) -> int:
     """Find the first of the last logs that are all beyond tolerance."""
     x = view.counted[:, columns] - view.reference[columns]
     rows = np.flatnonzero(np.isfinite(x).any(axis=1))
     within = np.flatnonzero(~(np.abs(x[rows]) > view.tolerance[columns]).any(axis=1))
-    at = rows[min(int(within[-1]) + 1, len(rows) - 1) if len(within) else 0]
-    return int(at), int(at), int(at)
+    return int(rows[min(int(within[-1]) + 1, len(rows) - 1) if len(within) else 0])
 
 
 def _alarm(
@@ -130,14 +153,14 @@ def _alarm(
         after, before = np.array([start]), np.flatnonzero(np.isfinite(view.counted).any(axis=1))
     x = view.values if kind == "log" else view.compared
     by_model = kind == "tolerance" or len(before) < FEWEST
-    healthy = view.reference if by_model else _means(x[before])
+    healthy = view.reference if by_model else means_of(x[before])
     difference = Difference(
         table.values[before],
         table.values[after],
-        np.zeros(table.values.shape[1]) if by_model else _means(table.values[before]),
+        np.zeros(table.values.shape[1]) if by_model else means_of(table.values[before]),
         np.nanmax(table.uneven[before], axis=0, initial=1.0) if len(before) else np.ones(table.uneven.shape[1]),
     )
-    names, changed = view.names, _means(x[after])
+    names, changed = view.names, means_of(x[after])
     columns = columns[np.isfinite(healthy[columns]) & np.isfinite(changed[columns])]
     return Alarm.model_validate(
         {
@@ -154,7 +177,7 @@ def _alarm(
     )
 
 
-def _means(x: np.ndarray) -> np.ndarray:
+def means_of(x: np.ndarray) -> np.ndarray:
     """Average logs (N, k) without those that are NaN."""
     there = np.isfinite(x)
     count = there.sum(axis=0)

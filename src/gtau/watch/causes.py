@@ -91,7 +91,7 @@ def causes_of(model: Result, log: LogStatistics, difference: Difference, rated: 
     fits = [fit for one in hypotheses if (fit := _fit(model, log, change, [one], bounds)) is not None]
     squares = float(change.values[:, 0] @ change.values[:, 0])
     best = min(fits, key=lambda fit: fit.misfit, default=None)
-    if best is None or best.misfit > 0.1 * squares:
+    if best is None or best.misfit > SECOND * 10 * len(change.rows):
         two = [_fit(model, log, change, list(pair), bounds) for pair in combinations(hypotheses, 2)]
         limit = SECOND * min(squares, np.inf if best is None else best.misfit)
         better = [fit for fit in two if fit is not None and fit.misfit < limit]

@@ -92,10 +92,15 @@ def evidence(values: np.ndarray, variances: np.ndarray, learning: int, rising: n
 
 def isolated(values: np.ndarray) -> np.ndarray:
     """Find values (n, k) that are far off alone: those of the logs before and after are not, on the same side."""
+    return alone(np.where(far_off(values), np.sign(values - median(values)), 0.0))
+
+
+def far_off(values: np.ndarray) -> np.ndarray:
+    """Find values (n, k) that are further from the median than scatter explains."""
     middle, count = median(values), np.isfinite(values).sum(axis=0)
     spread = 1.4826 * median(np.abs(values - middle))
-    far = np.abs(values - middle) > stdtrit(np.maximum(count - 1, 1), 1 - RARE) * spread
-    return alone(np.where(far & (count >= FEWEST), np.sign(values - middle), 0.0))
+    distant = np.abs(values - middle) > stdtrit(np.maximum(count - 1, 1), 1 - RARE) * spread
+    return np.asarray(distant & (count >= FEWEST))
 
 
 def alone(side: np.ndarray) -> np.ndarray:

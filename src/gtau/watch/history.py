@@ -10,8 +10,9 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
+import tempfile
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from datetime import date as calendar
 from pathlib import Path
@@ -123,51 +124,48 @@ class Event:
 def open_history(folder: Path | None, settings: Settings) -> sqlite3.Connection:
     """Open the history in a folder, or make it there, in memory without a folder; raises GtauError."""
     if folder is None:
-        database = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
-        database.executescript(TABLES)
-        save_settings(database, settings)
-        return database
-    if not (folder / HISTORY).exists():
-        _make(folder / HISTORY, settings)
-    return _opened(folder / HISTORY)
+        return _made(settings, None)
+    path = folder / HISTORY
+    if not path.exists():
+        with closing(_made(settings, folder / LINES)) as made, _refusals(path):
+            _put(made.serialize(), path)
+    return _opened(path)
+
+
+def _made(settings: Settings, lines: Path | None) -> sqlite3.Connection:
+    """Make a history in memory, with the entries of an earlier version's; raises GtauError."""
+    database = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
+    database.executescript(TABLES)
+    taken = lines is not None and lines.exists()
+    save_settings(database, _take_lines(database, lines, settings) if taken and lines else settings)
+    return database
+
+
+def _put(content: bytes, path: Path) -> None:
+    """Write a file at once, unless another program has written it meanwhile."""
+    handle, part = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+            os.fsync(handle)
+        with suppress(FileExistsError):
+            os.link(part, path)
+    finally:
+        os.unlink(part)
 
 
 def _opened(path: Path) -> sqlite3.Connection:
     """Open a history; raises GtauError where the file is none."""
     with _refusals(path):
-        size = path.stat().st_size
+        if not path.stat().st_size:
+            raise GtauError(f"{path} is empty; restore it from a backup, or give another --out.")
         uri = f"{path.absolute().as_uri()}?mode=rw"
         database = sqlite3.connect(uri, PATIENCE, isolation_level=None, check_same_thread=False, uri=True)
-        if not size or database.execute("PRAGMA application_id").fetchone() != (APPLICATION,):
-            database.close()
-            what = "not a history of gtau" if size else "empty"
-            raise GtauError(f"{path} is {what}; restore it from a backup, or give another --out.")
+        if database.execute("PRAGMA application_id").fetchone() != (APPLICATION,):
+            raise GtauError(f"{path} is not a history of gtau; restore it from a backup, or give another --out.")
+        database.execute("PRAGMA journal_mode = WAL")
         database.execute("PRAGMA synchronous = FULL")
     return database
-
-
-def _make(path: Path, settings: Settings) -> None:
-    """Make a history, with the entries of an earlier version's beside it; complete or not at all."""
-    part = path.with_name(f".{path.name}.{os.getpid()}")
-    with _refusals(path):
-        part.unlink(missing_ok=True)
-        try:
-            with closing(sqlite3.connect(part, isolation_level=None)) as database:
-                database.executescript(TABLES)
-                database.execute("BEGIN")
-                lines = path.with_name(LINES)
-                save_settings(database, _take_lines(database, lines, settings) if lines.exists() else settings)
-                database.execute("COMMIT")
-                database.execute("PRAGMA journal_mode = WAL")
-            try:
-                os.link(part, path)  # unlike a replacement it leaves what another program has made meanwhile
-            except FileExistsError:
-                pass
-            except OSError:  # a file system without links
-                os.replace(part, path)
-        finally:
-            for name in (part, Path(f"{part}-wal"), Path(f"{part}-shm"), Path(f"{part}-journal")):
-                name.unlink(missing_ok=True)
 
 
 def _take_lines(database: sqlite3.Connection, path: Path, settings: Settings) -> Settings:
@@ -289,13 +287,16 @@ def add_event(
 def events_of(database: sqlite3.Connection) -> list[Event]:
     """Read the events, the oldest first."""
     found = database.execute("SELECT id, date, kind, subject, note, details, undone FROM events ORDER BY id")
-    return [Event(*known, json.loads(details), bool(undone)) for *known, details, undone in found.fetchall()]
+    return [
+        Event(number, date, kind, subject, note, json.loads(details), bool(undone))
+        for number, date, kind, subject, note, details, undone in found
+    ]
 
 
 def undo(database: sqlite3.Connection, event: int, date: str) -> None:
     """Undo an event, and say so."""
     database.execute("UPDATE events SET undone = 1 WHERE id = ?", (event,))
-    values = ("SELECT ?, 'undone', kind || ' ' || subject, note, 'null' FROM events WHERE id = ?", (date, event))
+    values = ("SELECT ?, 'undone', subject, kind, 'null' FROM events WHERE id = ?", (date, event))
     database.execute(f"INSERT INTO events (date, kind, subject, note, details) {values[0]}", values[1])
 
 

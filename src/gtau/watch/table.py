@@ -17,14 +17,14 @@ from gtau.estimation.results.result import Result
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import PLAIN_FRICTION
 from gtau.signals.reading.statements import Tolerances
-from gtau.watch.detectors import FEWEST, alone, isolated, median
+from gtau.watch.detectors import FEWEST, alone, far_off, median
 from gtau.watch.history import Event, Row
 from gtau.watch.quantities import Quantity
 from gtau.watch.statistics import RESIDUAL
 
 WEEK = 7.0  # days
 FEWEST_OF_WEEK = 3  # logs of a week; fewer are filled up with earlier ones
-ODD = 5.0  # tolerances from the model of a log with too few others to compare with
+ODD = 5.0  # standard deviations, and tolerances from the model where there are too few logs to compare with
 COMMON = 3  # joints from which the friction of all has a median that one of them does not set
 LOUDER = float(np.log(2))  # growth of a residual that counts as odd
 
@@ -169,12 +169,17 @@ def _odd(view: View) -> np.ndarray:
     """
     odd = np.zeros(view.values.shape, dtype=bool)
     rows = np.flatnonzero(np.isfinite(view.values).any(axis=1))
-    x = view.values[rows]
+    x, std = view.values[rows], np.nan_to_num(view.std[rows])
     material = np.where([quantity.kind == RESIDUAL for quantity in view.quantities], LOUDER, view.tolerance)
-    change = x - view.reference
-    early = alone(np.where(np.abs(change) > ODD * material, np.sign(change), 0.0))
-    later = isolated(x) & (np.abs(x - median(x)) > material)
-    odd[rows] = np.where(np.isfinite(x).sum(axis=0) < FEWEST, early, later)
+    few = np.isfinite(x).sum(axis=0) < FEWEST
+    change = x - np.where(few, view.reference, median(x))
+    size = np.abs(change)
+    plain = np.array(
+        [quantity.kind in ("m", "gain") for quantity in view.quantities]
+    )  # a model misses other motions' lags
+    far = np.where(few, plain & (size > ODD * material), (size > material) & far_off(x)) & (size > ODD * std)
+    single = alone(np.where(far, np.sign(change), 0.0))
+    odd[rows] = single & ~(far & ~single).any(axis=1, keepdims=True)
     return odd
 
 
@@ -187,13 +192,14 @@ class Week:
     first: int
 
 
-def week_of(view: View, std_of_model: np.ndarray) -> Week:
+def week_of(view: View, std_of_model: np.ndarray, since: int = 0) -> Week:
     """Average the logs of the last week, at least the last few; its interval is that of scatter, jackknife and model.
 
-    ``std_of_model`` (m,) are the standard deviations of what the quantities are relative to.
+    ``std_of_model`` (m,) are the standard deviations of what the quantities are relative to. Only logs ``since`` a row
+    count, such as that of a change.
     """
     x, days = view.counted, view.table.days
-    seen = np.isfinite(x)
+    seen = np.isfinite(x) & (np.arange(len(x)) >= since)[:, None]
     recent = (days > days.max(initial=-np.inf) - WEEK)[:, None]
     latest = np.cumsum(seen[::-1], axis=0)[::-1] <= FEWEST_OF_WEEK
     part = seen & (recent | latest)

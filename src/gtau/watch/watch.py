@@ -20,7 +20,7 @@ from gtau.robots.parameter import torque_unit
 from gtau.signals.reading.statements import Tolerances
 from gtau.signals.run import Run
 from gtau.watch import history
-from gtau.watch.alarms import judge
+from gtau.watch.alarms import evidence_of, judge, means_of
 from gtau.watch.detectors import FEWEST
 from gtau.watch.history import Alarm, Event, Row, Settings
 from gtau.watch.logs import checked_date, now, run_digest
@@ -28,6 +28,7 @@ from gtau.watch.quantities import Quantity, charts_of
 from gtau.watch.statistics import RESIDUAL, LogStatistics, statistics_of
 from gtau.watch.table import View, table_of, view_of
 
+DONE = ("acknowledge", "forget", "reset")  # events that can be undone
 OPTIONS = {"false_alarms": "--false-alarms-per-year"}  # of settings whose option has another name
 
 
@@ -200,6 +201,8 @@ class Watch:
         if self.seen(samples):
             with history.writing(self._database):
                 history.see(self._database, digest or samples)
+                history.forgive(self._database, run.name)
+            self._read()
             return Status(self.entry, copied=True)
         return self._add(statistics_of(self.model, run), [samples, *([digest] if digest else [])], date or now())
 
@@ -283,30 +286,43 @@ class Watch:
         if self.alarm is None or self.alarm.kind == "log":
             advice = "" if self.alarm is None else f"; forget the log '{self.alarm.since}' instead"
             raise GtauError(f"there is no alarm to acknowledge{advice or '; watch further logs first'}.")
-        first = int(self.view.table.ids[_place(self.view, self.alarm)])
-        changed = dict(zip(self.alarm.charts, self.alarm.changed, strict=True))
-        self._do("acknowledge", self.alarm.since, note, {"first": first, "changed": changed}, None)
+        place = _place(self.view, self.alarm)
+        moved, _ = evidence_of(self.view, self.settings)
+        means = means_of(self.view.counted[place:])
+        accepted = {
+            name: float(mean)
+            for name, mean, log_e in zip(self.view.names, means, moved.log_e, strict=True)
+            if np.isfinite(mean) and (name in self.alarm.charts or log_e > 0)
+        }
+        details = {"first": int(self.view.table.ids[place]), "changed": accepted}
+        self._do("acknowledge", self.alarm.since, note, details, None)
 
     @takes(log=TEXT)
     def forget(self, log: str) -> None:
         """Leave out a log that was not of this robot or of this state; raises GtauError where there is none."""
-        self._require_log(log)
-        self._do("forget", log, "", {}, None)
-
-    def reopen(self) -> None:
-        """Undo the last acknowledgement; raises GtauError where there is none."""
-        self._undo("acknowledge", "", "there is no acknowledged alarm to reopen.")
-
-    @takes(log=TEXT)
-    def remember(self, log: str) -> None:
-        """Take a forgotten log back; raises GtauError where it is not forgotten."""
-        self._undo("forget", log, f"the log '{log}' is not forgotten; give the name of one that is.")
-
-    def _require_log(self, log: str) -> None:
         names = self.view.table.logs
         if log not in names:
             some = ", ".join(names[-3:]) or "none yet"
             raise UnknownName(f"the history holds no log '{log}'; give one of its names, such as {some}.")
+        self._do("forget", log, "", {}, None)
+
+    @takes(subject=TEXT)
+    def undo(self, subject: str) -> None:
+        """Undo what was last done about a log (forgotten, or first of an acknowledged alarm) or a date of maintenance.
+
+        Raises GtauError where nothing was.
+        """
+        events = [
+            event for event in self.events if event.subject == subject and event.kind in DONE and not event.undone
+        ]
+        if not events:
+            raise UnknownName(f"nothing was done about '{subject}'; give a log or a date of the report's events.")
+        alarm = events[-1].details["alarm"]
+        with history.writing(self._database):
+            history.undo(self._database, events[-1].id, now())
+            restored = None if alarm is None else Alarm.model_validate_json(alarm)
+            history.set_alarm(self._database, max(row.id for row in self._rows), restored)
+        self._read(whole=True)
 
     def _do(self, kind: str, subject: str, note: str, details: dict[str, Any], alarm: Alarm | None) -> None:
         """Note an event, and the alarm that remains after it."""
@@ -315,18 +331,6 @@ class Watch:
             history.add_event(self._database, now(), kind, subject, note, {**details, "alarm": before})
             if self._rows:
                 history.set_alarm(self._database, max(row.id for row in self._rows), alarm)
-        self._read(whole=True)
-
-    def _undo(self, kind: str, subject: str, refusal: str) -> None:
-        """Undo the last event of a kind, and restore the alarm before it."""
-        events = [e for e in self.events if e.kind == kind and not e.undone and subject in ("", e.subject)]
-        if not events:
-            raise GtauError(refusal)
-        alarm = events[-1].details["alarm"]
-        with history.writing(self._database):
-            history.undo(self._database, events[-1].id, now())
-            restored = None if alarm is None else Alarm.model_validate_json(alarm)
-            history.set_alarm(self._database, max(row.id for row in self._rows), restored)
         self._read(whole=True)
 
 
