@@ -277,7 +277,7 @@ class RobotLine:
 
 
 def fleet_lines(folder: Path) -> list[RobotLine]:
-    """Sum up each history in the folders of a folder in a line; their names tell the robots apart; raises GtauError."""
+    """Sum up each history in the folders of a folder in a line; each is named as its robot; raises GtauError."""
     robots = in_order(path.parent for path in folder.glob(f"*/{HISTORY}"))
     if not robots:
         raise GtauError(f"no folder in {folder} holds a history; give a folder of folders given as --out.")

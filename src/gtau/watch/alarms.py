@@ -62,7 +62,7 @@ def _since(alarm: Alarm, previous: Alarm | None) -> Alarm:
 
 
 def _is_beyond(view: View, cause: Explained) -> bool:
-    """Tell whether a cause, or that beside it, is beyond its tolerance: one quantity alone may follow another."""
+    """Return whether a cause, or that beside it, is beyond its tolerance: one quantity alone may follow another."""
     kind = {"load": cause.quantity, "clock": "delay", "warming": "friction"}.get(cause.kind, cause.kind)
     of_kind = [view.tolerance[k] for k, quantity in enumerate(view.quantities) if quantity.kind == kind]
     size = cause.size if cause.relative is None else cause.relative

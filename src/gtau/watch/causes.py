@@ -198,7 +198,7 @@ def _stated(
 
 
 def _plausible(stated: Explained, bounds: tuple[float, float]) -> bool:
-    """Tell whether a robot can have a change of this size."""
+    """Return whether a robot can have a change of this size."""
     if stated.kind == "load":
         least, most = bounds if stated.quantity == "m" else (-bounds[1] * REACH, bounds[1] * REACH)
         return least - stated.half <= stated.size <= most

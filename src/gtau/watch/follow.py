@@ -140,7 +140,7 @@ def _block(watch: Watch, part: Path, read: Read, block: bytes, name: str) -> Sta
 
 
 def _replaced(log: Path, file: BinaryIO) -> bool:
-    """Tell whether a log is no longer the file that is read, or has been cut."""
+    """Return whether a log is no longer the file that is read, or has been cut."""
     try:
         state, opened = log.stat(), os.fstat(file.fileno())
     except FileNotFoundError:

@@ -26,7 +26,7 @@ from gtau.errors import GtauError
 HISTORY, LINES = "history.db", "history.jsonl"  # LINES: of earlier versions, read once
 KEPT, SLACK = 4000, 1000  # logs kept one by one, and by how many more before they are condensed
 PATIENCE = 60.0  # s to wait for another program that writes
-APPLICATION = 0x67746175  # "gtau", by which SQLite files are told apart
+APPLICATION = 0x67746175  # "gtau", of SQLite files that are histories
 TABLES = f"""
 PRAGMA application_id = {APPLICATION};
 CREATE TABLE settings (document TEXT NOT NULL);
@@ -240,7 +240,7 @@ def save_settings(database: sqlite3.Connection, settings: Settings) -> None:
 
 
 def is_seen(database: sqlite3.Connection, digest: str) -> bool:
-    """Tell whether a log of this digest is in the history."""
+    """Return whether a log of this digest is in the history."""
     return database.execute("SELECT 1 FROM seen WHERE digest = ?", (_short(digest),)).fetchone() is not None
 
 
@@ -314,7 +314,7 @@ def summary_of(folder: Path) -> tuple[Settings, list[Event], int, Row | None]:
 
 
 def condense(database: sqlite3.Connection) -> bool:
-    """Condense logs beyond the last ``KEPT`` to one row a day; tell whether any were."""
+    """Condense logs beyond the last ``KEPT`` to one row a day; return whether any were."""
     ids = [number for (number,) in database.execute("SELECT id FROM logs ORDER BY id DESC")]
     if len(ids) <= KEPT + SLACK:
         return False

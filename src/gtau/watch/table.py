@@ -1,7 +1,7 @@
 """What the logs of a history say of each watched quantity, against the model and its tolerances.
 
 Quantities are the charts of the logs, but friction is one a joint: Coulomb and viscous together, at the mean speed of
-the motion and relative to the model's, as a motion hardly tells the two apart. Warming changes the friction of all
+the motion and relative to the model's, as a motion hardly separates the two. Warming changes the friction of all
 joints by one factor; their median is that factor, and what is compared from log to log is what exceeds it.
 """
 
@@ -218,6 +218,6 @@ def week_of(view: View, std_of_model: np.ndarray, since: int = 0) -> Week:
 
 
 def beyond(view: View, week: Week) -> np.ndarray:
-    """Tell which quantities (m,) are beyond their tolerance with their whole interval."""
+    """Find which quantities (m,) are beyond their tolerance with their whole interval."""
     excess = np.abs(week.mean - view.reference) - np.nan_to_num(week.half, nan=np.inf)
     return np.asarray(excess > view.tolerance)

@@ -171,7 +171,7 @@ class Watch:
         return [event for event in self.events if event.kind == "refused"]
 
     def seen(self, digest: str) -> bool:
-        """Tell whether a log of this digest is in the history."""
+        """Return whether a log of this digest is in the history."""
         return history.is_seen(self._database, digest)
 
     @single_threaded_blas()
