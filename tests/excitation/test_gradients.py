@@ -44,7 +44,7 @@ def make_task(robot: Robot, platform: bool = False, one_motion: bool = True) -> 
     center = np.zeros(3) if platform else limits.position.mean(axis=1)
     series = FourierSeries(center, np.full(len(center), half), 0.2, 4, platform)
     chi = base.matrix @ rng.uniform(0.2, 1.0, len(model.parameter_names))
-    prior = Prior(chi, (KnownGain(9.0, (9.0, 9.0), "given"),) * n, np.full(n, 0.02))
+    prior = Prior(chi, (KnownGain(9.0, (9.0, 9.0), "given"),) * n, np.full(n, 0.02), chi)
     return DesignProblem(model, base, series, 500.0, 1, None, (None, DISC), one_motion, limits, prior)
 
 

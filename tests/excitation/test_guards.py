@@ -21,7 +21,7 @@ from gtau.excitation.design_file import read_design
 from gtau.excitation.evaluation import design_grid, evaluate
 from gtau.excitation.forecast import Outlook, sampled_motions
 from gtau.excitation.nlp import random_start
-from gtau.excitation.prior import KnownGain, identified_gains
+from gtau.excitation.prior import COULOMB, ERROR, ROTOR, VISCOUS, KnownGain, identified_gains
 from gtau.findings import Outcome
 from gtau.report.design import design_page
 from gtau.report.render.terminal import plain
@@ -119,7 +119,7 @@ def test_a_bare_arm_keeps_off_the_floor_and_itself(tmp_path: Path) -> None:
     first = " ".join(lines)
     for words in ("The tool moves at up to", "m/s",
                   "Floor: guessed at z = 0 m of the base; state 'limits: {floor: HEIGHT}'",
-                  "Self-collision: guessed with capsules from links' lengths", "state limits.shapes",
+                  "Self-collision: bodies are capsules, guessed about lines from joint to joint for",
                   "Limits: 80 % of the robot file's", "state limits.share"):  # fmt: skip
         assert words in first
 
@@ -179,7 +179,7 @@ def test_capsules_enclose_the_shapes_of_a_file(tmp_path: Path, rng: np.random.Ge
     (tmp_path / "arm.urdf").write_text(URDF)
     (tmp_path / "design.yaml").write_text((DESIGN % "").replace("arm.yaml", "arm.urdf"))
     task, _ = read_design(tmp_path / "design.yaml")
-    assert "from the robot file's shapes (3 of 3 bodies); state" in task.guards[1]
+    assert task.guards[1].endswith("about the robot file's shapes for ground, a, b; state limits.shapes")
     (pair,) = (pair for pair in task.limits.clearance.pairs if pair == ("ground", "b"))
     model = pin.buildModelFromUrdf(str(tmp_path / "arm.urdf"))
     (tmp_path / "pin.urdf").write_text(URDF.replace("package://shaped/", f"{tmp_path}/"))
@@ -204,6 +204,38 @@ def test_a_capsule_bounds_points(rng: np.random.Generator) -> None:
         line = found.end - found.start
         part = np.clip((points - found.start) @ line / max(line @ line, 1e-300), 0, 1)
         assert np.linalg.norm(points - found.start - part[:, None] * line, axis=1).max() <= found.radius + 1e-9
+
+
+HEAVY = """<inertial><origin xyz="0 0.05 %g" rpy="0.2 0 0.1"/><mass value="%g"/>
+<inertia ixx="0.3" ixy="0.01" ixz="0" iyy="0.25" iyz="0.02" izz="0.1"/></inertial>"""
+
+
+def test_torques_are_limited_with_the_inertias_of_the_file(tmp_path: Path) -> None:
+    """They are Pinocchio's times the margin, with friction and rotors of the effort limits, and far above the rods'."""
+    text = URDF.replace('<link name="one">', f'<link name="one">{HEAVY % (0.2, 12)}')
+    text = text.replace('<link name="two">', f'<link name="two">{HEAVY % (0.3, 8)}')
+    text = text.replace('<link name="tip">', f'<link name="tip">{HEAVY % (0.05, 2)}')
+    (tmp_path / "two.obj").write_text(CUBE)
+    (tmp_path / "arm.urdf").write_text(text)
+    (tmp_path / "design.yaml").write_text((DESIGN % "").replace("arm.yaml", "arm.urdf"))
+    task, assumed = read_design(tmp_path / "design.yaml")
+    assert any(said.startswith("torque: with the inertias of the robot's file and 25 %") for said in task.guards)
+    x = random_start(task, np.random.default_rng(0), 0.5)
+    assert x is not None
+    (point,) = evaluate(task, x, design_grid(task))
+    q, qd, qdd = point.joints[:3]
+    model = pin.buildModelFromUrdf(str(tmp_path / "arm.urdf"))
+    data, effort = model.createData(), 0.8 * 50
+    rigid = np.array([pin.rnea(model, data, *state) for state in zip(q.T, qd.T, qdd.T, strict=True)]).T
+    expected = ERROR * rigid + ROTOR * effort * qdd + VISCOUS * effort / 1.6 * qd + COULOMB * effort * np.sign(qd)
+    usages = {usage.what: usage for usage in usages_of_motion(point)}
+    for j, joint in enumerate(task.model.actuated):
+        fast = np.abs(qd[j]) > 0.3 * np.abs(qd[j]).max()
+        counted = effort * usages[f"torque of joint '{joint}'"].values
+        assert counted[fast] == pytest.approx(expected[j, fast], abs=0.02 * effort)
+        rods = point.W[j] @ task.information.load[0]
+        assert np.abs(counted).max() > 2 * np.abs(rods).max()
+    assert "parameters" in assumed  # which the criterion still assumes
 
 
 def result_with(value: float, std: float, outcome: Outcome) -> SimpleNamespace:

@@ -147,7 +147,7 @@ def _drives(point: Point) -> Iterator[ConstraintUsage]:
             for kind, limit, factor, unit in kinds:
                 if not np.isfinite(limit):
                     continue
-                load = task.information.load[run] / (factor * limit)
+                load = task.information.cautious[run] / (factor * limit)
 
                 def rows(j: int = j, load: np.ndarray = load) -> np.ndarray:
                     weights = np.zeros_like(point.W)

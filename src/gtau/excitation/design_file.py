@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -17,7 +17,7 @@ from gtau.errors import GtauError
 from gtau.excitation.clearance import Shape, capsule, hull
 from gtau.excitation.gradients import in_platform_space
 from gtau.excitation.guards import Guarded, guard
-from gtau.excitation.prior import DesignPrior, FilePath, prior_of
+from gtau.excitation.prior import ERROR, DesignPrior, FilePath, prior_of, stated_bodies
 from gtau.excitation.task import DesignProblem, MotionLimits
 from gtau.excitation.trajectory import FourierSeries
 from gtau.model.base_parameters import base_parameters
@@ -26,7 +26,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.floating import refuse_floating
 from gtau.robots.robot import Pose, Robot
 from gtau.signals.reading.logged_run import RobotName
-from gtau.signals.reading.statements import Payload
+from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
 
 Interval = tuple[FiniteFloat, FiniteFloat]
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
@@ -126,6 +126,7 @@ class DesignFile(Keys):
         return self
 
 
+RISE = 0.3  # s, in which a joint without a limit of acceleration reaches its speed limit
 TURN = np.pi  # rad, reach of a joint without position limits
 TURNING = 0.3  # rad, reach of a platform's turns
 
@@ -138,7 +139,7 @@ def read_design(path: str | Path) -> tuple[DesignProblem, dict[str, str]]:
     -------
     Task, dict of str to str
         The design problem, and assumptions where the file states nothing, with a sentence on each:
-        ``parameters``, ``gains``, ``noise``, ``acceleration``.
+        ``parameters``, ``gains``, ``noise``.
 
     Raises
     ------
@@ -162,14 +163,14 @@ def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
     prior = prior_of(file.prior, model, base, file.payloads, assumed)
     if "gains" in assumed and file.limits.current:
         raise GtauError("limits.current needs the drive gains; add prior.gains or prior.model, or limit torques.")
-    limits, shapes = _limits(file.limits, robot, assumed), file.limits.shapes
+    limits, shapes = _limits(file.limits, robot), file.limits.shapes
     stated = None if shapes == "none" else {body: [entry.shape for entry in shapes[body]] for body in shapes}
     still = np.zeros((len(rest), 1))
     poses = model.motion(rest[:, None], still, still).c
     guarded = guard(model, poses, file.limits.clearance, stated, file.limits.floor, Path(file.robot))
-    if "parameters" in assumed:
-        rods = "torque: guessed for links that are rods, real ones may take more; state prior.parameters or prior.model"
-        said = *said, rods
+    begin = ", ".join(f"'{name}' {pose:.4g}" for name, pose in zip(robot.actuated, rest, strict=True))
+    where = (f"rest: runs begin and end at {begin}; state rest",) if file.approach else ()
+    said = (*said, *_torques(model, file, assumed), *where)
     limits = replace(limits, guarded=Guarded(guarded.clearance, (*guarded.said, *said)))
     for name, pose, (low, high) in zip(robot.actuated, rest, limits.position, strict=True):
         if file.approach and not low <= pose <= high:
@@ -190,6 +191,24 @@ def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
     return problem, assumed
 
 
+def _torques(model: InverseDynamics, file: DesignFile, assumed: Mapping[str, str]) -> Iterator[str]:
+    """Say what limits of torque rest on: inertias of links, and the centre of each payload."""
+    stated, state = stated_bodies(model), "state prior.parameters or prior.model"
+    rods = [f"'{body}'" for body in model.robot.bodies if body not in stated and f"m_{body}" in model.parameter_names]
+    if "parameters" in assumed and not stated:
+        yield f"torque: guessed for links that are rods, real ones may take more; {state}"
+    elif "parameters" in assumed:
+        guessed = f", rods for {some_of(rods, 4)}" if rods else ""
+        yield (
+            f"torque: with the inertias of the robot's file and {100 * (ERROR - 1):.0f} % for their error{guessed}, "
+            f"friction and rotors guessed from the limits of effort; {state}"
+        )
+    loads = {payload.name: payload for payload in file.payloads if payload is not None}
+    if central := [f"'{name}'" for name, load in loads.items() if not {*FIRST_MOMENTS} & {*load.parameters}]:
+        origin = f"the origin of '{model.robot.tool}'"
+        yield f"payload: the centre of {some_of(central, 4)} is taken at {origin}; state its parameters (mx, my, mz)"
+
+
 def _require_actuated(file: DesignFile, robot: Robot) -> None:
     """Refuse limits, rest and prior knowledge of what is no actuated joint."""
     limits, prior = ("position", "velocity", "acceleration", "jerk", "current"), ("gains", "noise")
@@ -206,7 +225,7 @@ def _require_actuated(file: DesignFile, robot: Robot) -> None:
 
 def _with_limits(robot: Robot, entry: LimitsEntry, rest: Mapping[str, float]) -> tuple[Robot, tuple[str, ...]]:
     """Take the design file's limits, or else a share of the robot's; say which, and which are missing."""
-    joints, free, weak = [], [], []
+    joints, free, weak, slow = [], [], [], []
     for joint in robot.joints:
         if not joint.actuated:
             joints.append(joint)
@@ -225,16 +244,22 @@ def _with_limits(robot: Robot, entry: LimitsEntry, rest: Mapping[str, float]) ->
         )
         free += [f"'{joint.name}'"] * (limits.position is None)
         weak += [f"'{joint.name}'"] * (limits.effort is None and joint.name not in entry.current)
+        slow += [f"'{joint.name}'"] * (limits.acceleration is None)
         joints.append(replace(joint, limits=limits))
     said = [f"limits: {100 * entry.share:.3g} % of the robot file's, in full where stated; state limits.share"]
     if free:
         said.append(f"position: no limit in the file for {some_of(free, 4)}; state limits.position")
     if weak:
         said.append(f"torque: no limit in the file for {some_of(weak, 4)}; state limits.current (A)")
+    if slow:
+        reached = f"guessed for {some_of(slow, 4)}: the speed limit is reached in {RISE:g} s"
+        said.append(f"acceleration: {reached}; state limits.acceleration")
+    if not entry.jerk:
+        said.append("jerk: not limited; state limits.jerk")
     return replace(robot, joints=tuple(joints)), tuple(said)
 
 
-def _limits(entry: LimitsEntry, robot: Robot, assumed: dict[str, str]) -> MotionLimits:
+def _limits(entry: LimitsEntry, robot: Robot) -> MotionLimits:
     limits = [robot.joint(name).limits for name in robot.actuated]
     velocity, acceleration, effort = (
         np.array([getattr(limit, key) or np.inf for limit in limits]) for key in ("velocity", "acceleration", "effort")
@@ -242,15 +267,13 @@ def _limits(entry: LimitsEntry, robot: Robot, assumed: dict[str, str]) -> Motion
     if np.isinf(velocity).any():
         name = robot.actuated[int(np.argmax(np.isinf(velocity)))]
         raise GtauError(f"joint '{name}' has no velocity limit; add it under limits.velocity.")
-    if np.isinf(acceleration).any():
-        assumed["acceleration"] = "acceleration limits: where none is given, the speed limit is reached in 0.3 s"
     current, jerk = (
         np.array([stated.get(name, np.inf) for name in robot.actuated]) for stated in (entry.current, entry.jerk)
     )
     return MotionLimits(
         position=np.array([limit.position or (-np.inf, np.inf) for limit in limits]),
         velocity=velocity,
-        acceleration=np.where(np.isinf(acceleration), velocity / 0.3, acceleration),
+        acceleration=np.where(np.isinf(acceleration), velocity / RISE, acceleration),
         jerk=jerk,
         current=current,
         torque=np.where(np.isfinite(current), np.inf, effort),

@@ -6,9 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from gtau.documents.validation import some_of
 from gtau.errors import GtauError
 from gtau.excitation.clearance import (
     FIXED,
@@ -100,13 +102,16 @@ def _guesses(robot: Robot, stated: Mapping[str, Sequence[Shape]], file: Path) ->
         how = f"links of closed loops cross, and their thickness is unknown{meshes}; state {STATE}"
         kept = f"only bodies under {STATE} are checked" if stated else "self-collision: not checked"
         return {}, f"{kept}: {how}"
-    counts = {"stated": len(stated), "the robot file's shapes": len(drawn), "links' lengths": len(lines)}
-    sources = [f"{words} ({count} of {len(robot.bodies) + 1} bodies)" for words, count in counts.items() if count]
+    kinds: dict[str, Mapping[str, Any]] = {
+        "stated": stated,
+        "about the robot file's shapes": drawn,
+        "guessed about lines from joint to joint": lines,
+    }
+    sources = [f"{words} for {some_of(list(named), 3)}" for words, named in kinds.items() if named]
     if not sources:
         return {}, f"self-collision: not checked, as the robot file has no shapes and no lengths; state {STATE}"
     shapes = {body: [*drawn.get(body, ()), *lines.get(body, ())] for body in bodies if body in {**drawn, **lines}}
-    guessed = "guessed" if lines else "checked"
-    return shapes, f"self-collision: {guessed} with capsules from {', '.join(sources)}{meshes}; state {STATE}"
+    return shapes, f"self-collision: bodies are capsules, {', '.join(sources)}{meshes}; state {STATE}"
 
 
 def _around(points: np.ndarray, radius: float) -> Capsule:

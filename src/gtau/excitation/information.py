@@ -109,8 +109,8 @@ class Information:
     ``names`` (P,) have kind ``gain`` and ``delay`` behind the parameters, and ``scale`` (P,) is the reference of
     relative standard deviations. A row of W times ``maps`` (runs, n, n_b, P) is a row of the current's Jacobian,
     without delays. ``load`` and ``smooth`` (runs, n_b) are prior values of the base columns, with payload, and those
-    without Coulomb friction; ``gains`` and ``sigma`` (n,) the prior gains and standard deviations of a current's
-    sample, A. ``rate`` are samples a second of the motion, over all repetitions.
+    without Coulomb friction; ``cautious`` (runs, n_b) those for which limits hold; ``gains`` and ``sigma`` (n,) the
+    prior gains and standard deviations of a current's sample, A. ``rate`` are samples a second, over all repetitions.
     """
 
     names: tuple[Parameter, ...]
@@ -118,6 +118,7 @@ class Information:
     maps: np.ndarray
     load: np.ndarray
     smooth: np.ndarray
+    cautious: np.ndarray
     gains: np.ndarray
     sigma: np.ndarray
     rate: float
@@ -163,8 +164,7 @@ def information_of(
     problem = plain_problem(model, base, [identity] * runs, payloads)
     names = problem.unknowns
     M = problem.blocks[:, 0, :n_b]  # (runs, n_b, parameters + 4), the same for all joints
-    known = dict(zip(base.names, prior.chi, strict=True))
-    theta = np.array([known.get(name, 0.0) for name in problem.parameters])
+    theta, heavy = (_values(problem.parameters, base, chi) for chi in (prior.chi, prior.cautious))
     load = modelled(M, theta)
     smooth = load * np.array([not name.startswith("fs_") for name in base.names])
     maps = np.zeros((runs, n, n_b, len(names)))
@@ -172,7 +172,13 @@ def information_of(
         maps[:, j, :, names.theta] = -M[..., MODEL] / gains[j]
         maps[:, j, :, names.gains.start + j] = load / gains[j]
     scale = np.concatenate([_scales(problem.parameters, theta, payloads), np.ones(n), np.full(n, 1e-2)])
-    return Information(names, scale, maps, load, smooth, gains, prior.sigma, rate)
+    return Information(names, scale, maps, load, smooth, modelled(M, heavy), gains, prior.sigma, rate)
+
+
+def _values(names: Sequence[str], base: BaseParameters, chi: np.ndarray) -> np.ndarray:
+    """Return the values of parameters by name, from base parameters ``chi`` (n_b,); others are zero."""
+    known = dict(zip(base.names, chi, strict=True))
+    return np.array([known.get(name, 0.0) for name in names])
 
 
 Criterion = Callable[[np.ndarray], tuple[float, np.ndarray, np.ndarray]]

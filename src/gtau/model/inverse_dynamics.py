@@ -142,6 +142,7 @@ class InverseDynamics:
         self.actuated = robot.actuated
         self._kind = parameters
         self._regressors: dict[tuple[str, ...], Regressor] = {}
+        self._gravity: dict[tuple[Parameter, ...], Regressor] = {}
         self._wrenches: dict[tuple[WrenchFrame, ...], Regressor] = {}
 
     def __reduce__(self) -> tuple[type[InverseDynamics], tuple[Robot, str]]:
@@ -233,13 +234,17 @@ class InverseDynamics:
 
     def gravity_torques(self, names: Sequence[Parameter]) -> Regressor:
         """Return a regressor of gravity along the base axes, whose program takes values of ``names``, others zero."""
+        names = tuple(names)
+        if names in self._gravity:
+            return self._gravity[names]
         (c, yd, ydd, passive), J = self.symbols
         gravity, values = ca.SX.sym("g", 3), ca.SX.sym("chi", len(names))
         chi = {name: ca.SX(1, 1) for name in self.parameter_names} | dict(zip(names, ca.vertsplit(values), strict=True))
         tau = torques(self.layout, c, ca.SX(*yd.shape), ca.SX(*ydd.shape), J, chi, gravity)
         matrix = ca.jacobian(tau, gravity)
         program = compile_program([c, yd, ydd, passive], [matrix.nz[:]], [values])
-        return Regressor(("x", "y", "z"), [c, yd, ydd, passive], matrix, program)
+        self._gravity[names] = Regressor(("x", "y", "z"), [c, yd, ydd, passive], matrix, program)
+        return self._gravity[names]
 
     @property
     def full(self) -> Regressor:

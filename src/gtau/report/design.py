@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,8 @@ from gtau.signals.reading.statements import Payload
 ORDERS = (("position", ""), ("velocity", "/s"), ("acceleration", "/s²"))
 DIGITS = 9
 MOST = 1000  # %, of an assumed value, that are worth printing
+NBSP = "\N{NO-BREAK SPACE}"
+NO_MOTION = "no motion of one joint within the limits helps; wider limits, or another pose of the robot, may"
 
 
 def file_stems(task: DesignProblem) -> tuple[str, ...]:
@@ -126,12 +128,16 @@ def _finite(value: float) -> float | None:
 
 
 def _advice(weak: Weak) -> str:
-    if weak.joint is None or not 100 * weak.then <= MOST:
-        return "no motion of one joint within the limits helps; wider limits, or another pose of the robot, may"
+    if not _helps(weak):
+        return NO_MOTION
     return (
         f"a run of joint '{weak.joint}' alone, {weak.how}, would bring it to {100 * weak.then:.3g} %; "
         "or use it as criterion: --criterion " + weak.name
     )
+
+
+def _helps(weak: Weak) -> bool:
+    return weak.joint is not None and 100 * weak.then <= MOST
 
 
 def design_page(outlook: Outlook) -> Page:
@@ -190,21 +196,31 @@ def _verdict(outlook: Outlook) -> Text:
         f"With this motion of {outlook.duration:.4g} s a run, the drive gains can be identified with a standard "
         f"deviation of {outlook.rms:.2g} % (rms over the joints)."
     )
-    weak: dict[str, list[str]] = {}
-    for unknown in outlook.weak:
-        share = 100 * unknown.relative
-        size = f"{share:.3g}" if share <= MOST else f">\N{NO-BREAK SPACE}{MOST}"
-        weak.setdefault(_advice(unknown), []).append(f"{unknown.name} ({size} %)")
-    said = [
-        f"not identified (30 % or more, of the value or of a typical one): {', '.join(names)}; {advice}"
-        for advice, names in weak.items()
-    ]
+    said = list(_weak(outlook.weak))
     if outlook.task.base.without_effect:
         said.append(f"no effect on the motors along any motion: {', '.join(outlook.task.base.without_effect)}")
     if outlook.design.cut_short:
         said.append("the search was cut short; a longer one may find a better motion")
     said.append("these standard deviations are for white noise; model errors add to them")
     return Text(words, tuple(said), "neutral")
+
+
+def _weak(unknowns: Sequence[Weak]) -> Iterator[str]:
+    """List what remains unidentified, then what one joint alone would bring, a sentence each."""
+    if not unknowns:
+        return
+    shares = {weak.name: 100 * weak.relative for weak in unknowns}
+    sizes = (f"{f'{share:.3g}' if share <= MOST else f'>{NBSP}{MOST}'} %" for share in shares.values())
+    names = ", ".join(f"{name} ({size})" for name, size in zip(shares, sizes, strict=True))
+    yield f"not identified (30 % or more, of the value or of a typical one): {names}"
+    helpful: dict[tuple[str, str], list[str]] = {}
+    for weak in unknowns:
+        if weak.joint is not None and _helps(weak):
+            helpful.setdefault((weak.joint, weak.how), []).append(f"{weak.name} to {100 * weak.then:.3g} %")
+    for (joint, how), brought in helpful.items():
+        yield f"a run of joint '{joint}' alone, {how}, would bring {', '.join(brought)}"
+    if len(unknowns) > sum(map(len, helpful.values())):
+        yield f"of the others: {NO_MOTION}" if helpful else NO_MOTION
 
 
 def _expected_table(outlook: Outlook, unknowns: Sequence[Expected], assumed: bool, name: str = "") -> Table:

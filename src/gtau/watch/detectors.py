@@ -172,7 +172,7 @@ def _from_each(products: np.ndarray) -> np.ndarray:
 
 
 def _confirmed(x: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Return whether the last two logs of each chart are both nearer to the mean after ``start`` than to that before."""
+    """Return whether the last two logs of each chart are both nearer to the mean after ``start`` than before."""
     after = np.arange(len(x))[:, None] >= start
     healthy, changed = (_mean(np.where(part, x, np.nan)) for part in (~after, after))
     position = (x - healthy) / np.where(changed != healthy, changed - healthy, np.inf)

@@ -63,10 +63,17 @@ def low_pass(x: np.ndarray, rate: float, cutoff: float) -> np.ndarray:
 
     The gain at frequency f is ``1 / (1 + (f / cutoff)^8)``: 1 - 1e-8 at a tenth of the cut-off.
     """
-    from scipy.signal import butter, sosfiltfilt
+    from scipy.signal import sosfiltfilt
 
-    sos = butter(4, cutoff, fs=rate, output="sos")
-    return sosfiltfilt(sos, x, axis=0, padlen=min(len(x) - 1, filter_edge(rate, cutoff)))
+    edge = min(len(x) - 1, filter_edge(rate, cutoff))
+    return sosfiltfilt(_butterworth(cutoff / rate), x, axis=0, padlen=edge)
+
+
+@lru_cache
+def _butterworth(cutoff: float) -> np.ndarray:
+    from scipy.signal import butter
+
+    return butter(4, 2 * cutoff, output="sos")
 
 
 def smooth_path(position: np.ndarray, rate: float, cutoff: Cutoff, start: int, stop: int) -> np.ndarray:
