@@ -21,7 +21,7 @@ EXAMPLES = ROOT / "tests" / "estimation" / "test_sentences.py"
 HEAD = """# Messages
 
 Every finding that can appear in a summary, a report or `gtau check`, with its remedy. This page is generated from the
-source by `python docs/make_messages.py`; the joints and numbers are examples.
+source by `python docs/make_messages.py`; joints and numbers are examples, and long messages are cut.
 
 - [Verdicts](#verdicts): findings that lower a verdict
 - [Notes](#notes): other findings
@@ -40,19 +40,27 @@ def examples() -> dict[str, list[Finding]]:
     return made
 
 
+LONGEST = 18  # words of an example
+
+
+def shortened(text: str) -> str:
+    """Cut a long example."""
+    words = text.split()
+    return " ".join([*words[: LONGEST - 1], "…"]) if len(words) > LONGEST else text
+
+
 def cell(text: str) -> str:
     """Write a text into a table."""
     text = text[:1].upper() + text[1:] if text else "-"
     return re.sub(r"([|<*_\[\]])", r"\\\1", text)
 
 
-def table(kinds: Sequence[str], made: Mapping[str, list[Finding]], outcome: bool) -> str:
+def table(kinds: Sequence[str], made: Mapping[str, list[Finding]]) -> str:
     """Return a table of findings."""
-    lines = ["| name |" + " verdict |" * outcome + " message | what to do |", "| --- |" + " --- |" * (2 + outcome)]
+    lines = ["| name | message | what to do |", "| --- | --- | --- |"]
     for kind in kinds:
         first = made[kind][0]
-        middle = f"{OUTCOMES[kind].value} | " if outcome else ""
-        lines.append(f"| {kind} | {middle}{cell(first.what)} | {cell(first.action)} |")
+        lines.append(f"| {kind} | {cell(shortened(first.what))} | {cell(first.action)} |")
     return "\n".join(lines) + "\n"
 
 
@@ -61,10 +69,15 @@ def page() -> str:
     made = examples()
     words = templates()
     notes = [kind for kind in [*words["verdicts"], *words["notes"], *words["logs"]] if kind not in OUTCOMES]
-    text = HEAD + "\n## Verdicts\n\n" + table(list(OUTCOMES), made, True)
-    text += "\n## Notes\n\n" + table(notes, made, False)
+    text = HEAD + "\n## Verdicts\n"
+    for outcome in dict.fromkeys(OUTCOMES.values()):
+        text += f"\n### {outcome.value.capitalize()}\n\n"
+        text += table([kind for kind, each in OUTCOMES.items() if each is outcome], made)
+    text += "\n## Notes\n\n" + table([kind for kind in notes if made[kind][0].action], made)
+    text += "\nFor information, without a remedy: " + ", ".join(k for k in notes if not made[k][0].action) + ".\n"
     text += "\n## Causes\n\nVerdicts and notes name these with their size and a remedy.\n\n"
-    return text + table(list(words["causes"]), made, False)
+    rows = (f"| {kind} | {cell(made[kind][0].action)} |\n" for kind in words["causes"])
+    return text + "| name | what to do |\n| --- | --- |\n" + "".join(rows)
 
 
 if __name__ == "__main__":

@@ -150,11 +150,14 @@ def hits(of: np.ndarray) -> str:
 
 def by_departure(made: Sequence[dict]) -> str:
     """One row a departure, all robots together."""
-    lines = [f"| defect | {' | '.join(COLUMNS)} |", f"| --- | {' | '.join(len(COLUMNS) * ['---:'])} |"]
+    shown = [0, 1, 2, 4]  # of COLUMNS; all of them are in the file by robot
+    heads = [COLUMNS[k] for k in shown]
+    lines = [f"| defect | {' | '.join(heads)} |", f"| --- | {' | '.join(len(shown) * ['---:'])} |"]
     for name in DEPARTURES:
         mine = [record for record in made if record["departure"] == name]
         if mine:
-            lines.append(f"| {name} | {' | '.join(pooled(mine).row())} |")
+            row = pooled(mine).row()
+            lines.append(f"| {name} | {' | '.join(row[k] for k in shown)} |")
     return "\n".join(lines)
 
 
