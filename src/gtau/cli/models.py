@@ -232,6 +232,13 @@ def export(
     ] = 0,
     models: Annotated[int, option("N", "Number of draws also written as models.", min=0)] = 16,
     seed: Annotated[int, option("SEED", "Seed of the draws.", min=0)] = 0,
+    experiment: Annotated[
+        Path | None, option("EXPERIMENT.yaml", "For 'thresholds': its validation runs, all without contact.")
+    ] = None,
+    hours: Annotated[float, option("HOURS", "For 'thresholds': mean time between false alarms of the robot.")] = 8.0,
+    observer: Annotated[
+        float | None, option("HZ", "For 'thresholds': those of the momentum observer with this bandwidth.")
+    ] = None,
     json_: Json = False,
 ) -> None:
     """Export a model for controllers, simulators, papers and other programs."""
@@ -239,7 +246,18 @@ def export(
 
     with progress_bar() as progress:
         progress("export", 0, 1)
-        exported = export_model(model, to, out, into, samples, models, seed)
+        if to == "thresholds" and experiment is not None:
+            from gtau.estimation.experiment_runs import read_runs
+            from gtau.estimation.results.result import Result
+            from gtau.export.thresholds import export_thresholds
+            from gtau.uses.runs import experiment_of as experiment_for
+
+            result = Result.load(model)
+            described = experiment_for(result, experiment)
+            runs = read_runs(described, described.validation, progress)
+            exported = export_thresholds(result, runs, out, hours, observer)
+        else:
+            exported = export_model(model, to, out, into, samples, models, seed)
     files = [str(path) for path in exported.files]
     document = {"kind": to, "files": files, "notes": list(exported.notes), "figures": dict(exported.figures)}
     _show_notes([exported.lost] if exported.lost and not json_ else [])
