@@ -108,6 +108,24 @@ def test_ur10e_gains(ur10e: Result) -> None:
     assert low < CONTROLLER[1] < high
 
 
+def test_the_page_shows_the_gains_that_are_found(orthoglide: Result, ur10e: Result) -> None:
+    rows = {
+        cells[0]: cells[1:]
+        for line in PAGE.read_text(encoding="utf-8").splitlines()
+        if line.startswith("| ")
+        for cells in [[cell.strip() for cell in line.split("|")[1:-1]]]
+    }
+    for joint, gain in ur10e.drive_gains.items():
+        found, std, verdict, *_ = rows[joint]
+        assert float(found) == pytest.approx(gain.value, rel=0.002)
+        assert float(std) == pytest.approx(gain.std, rel=0.1)
+        assert verdict == gain.verdict.outcome.value
+    for joint, gain in orthoglide.drive_gains.items():
+        _, found, std, *_ = rows[joint]
+        assert float(found) == pytest.approx(gain.value, rel=2e-4)
+        assert float(std) == pytest.approx(gain.std, rel=0.1)
+
+
 def test_two_pairs_of_one_robot_agree_within_their_intervals(ur10e: Result, folder: Path) -> None:
     """Another day and other motions: differences over their standard deviations have an rms near one."""
     text = (folder / "ur10e.yaml").read_text()
