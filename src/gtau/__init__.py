@@ -8,7 +8,7 @@ TYPE_CHECKING: bool = False  # typing's takes 5 ms to import; editors take a Fal
 if TYPE_CHECKING:
     from typing import Any
 
-    from gtau.campaign.campaign import CampaignState, campaign
+    from gtau.campaigns.campaign import CampaignState, campaign
     from gtau.errors import GtauError
     from gtau.estimation.check_logs import ExperimentCheck
     from gtau.estimation.check_logs import check_logs as check
@@ -89,7 +89,7 @@ __all__ = [
 
 _HOMES = {
     "BaseParameters": "model.base_parameters",
-    "CampaignState": "campaign.campaign",
+    "CampaignState": "campaigns.campaign",
     "Design": "excitation.design",
     "DesignProblem": "excitation.task",
     "Estimate": "estimation.results.estimate",
@@ -116,7 +116,7 @@ _HOMES = {
     "Units": "signals.reading.units",
     "Watch": "watch.watch",
     "base_parameters": "model.base_parameters",
-    "campaign": "campaign.campaign",
+    "campaign": "campaigns.campaign",
     "check": "estimation.check_logs",
     "compare": "estimation.compare",
     "excite": "excitation.design",

@@ -29,8 +29,8 @@ def campaign(
     """
     refuse_as_folder(folder)
     with progress_bar() as progress:
-        from gtau.campaign.campaign import campaign as run
-        from gtau.campaign.page import campaign_page
+        from gtau.campaigns.campaign import campaign as run
+        from gtau.campaigns.page import campaign_page
         from gtau.report.write import write_report
 
         state = run(folder, robot, payload, accuracy, progress)

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from gtau.campaign.candidates import Candidate, best, candidates, expected_width
-from gtau.campaign.decision import (
+from gtau.campaigns.candidates import Candidate, best, candidates, expected_width
+from gtau.campaigns.decision import (
     BLOCKED,
     CONFIRM,
     MODEL,
@@ -20,7 +20,7 @@ from gtau.campaign.decision import (
     refuse_to_go_on,
     write_experiment,
 )
-from gtau.campaign.folder import (
+from gtau.campaigns.folder import (
     ASIDE,
     DECISION,
     PLAYED,
@@ -34,7 +34,7 @@ from gtau.campaign.folder import (
     void,
     write_json,
 )
-from gtau.campaign.rehearsal import rehearse, write_motion
+from gtau.campaigns.rehearsal import rehearse, write_motion
 from gtau.documents.files import folder_of
 from gtau.documents.validation import FUNCTION, PATH, takes
 from gtau.errors import GtauError

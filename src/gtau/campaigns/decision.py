@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from gtau.campaign.candidates import widths
-from gtau.campaign.folder import Round
+from gtau.campaigns.candidates import widths
+from gtau.campaigns.folder import Round
 from gtau.documents.files import write_atomically
 from gtau.documents.yaml_document import yaml_text
 from gtau.errors import GtauError

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any, Literal
 
-from gtau.campaign.campaign import CampaignState
-from gtau.campaign.folder import Round
+from gtau.campaigns.campaign import CampaignState
+from gtau.campaigns.folder import Round
 from gtau.report.chart import Chart, intervals
 from gtau.report.page import Column, Kind, Page, Section, Text, joint_label, page, section, table
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from gtau.campaign.folder import MOTION, digest, scene, write_json
+from gtau.campaigns.folder import MOTION, digest, scene, write_json
 from gtau.documents.files import folder_of, write_table
 from gtau.errors import GtauError
 from gtau.excitation.design import Design, check
