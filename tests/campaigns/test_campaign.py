@@ -131,6 +131,9 @@ def test_another_robot_or_payload_than_the_folder_has_is_refused(copied: Path, t
         campaign(copied, payload=2.0)
     with pytest.raises(GtauError, match="holds no campaign; begin it with --robot and --payload"):
         campaign(tmp_path / "none")
+    with pytest.raises(GtauError, match="mass"):
+        campaign(tmp_path / "none", robot="five-bar", payload=-1.0)
+    assert not (tmp_path / "none").exists()
     done = CliRunner().invoke(app, ["campaign", str(copied), "--payload", "1", "--robot", "five-bar", "--json"])
     assert done.exit_code == 0, done.output
     assert json.loads(done.stdout)["next"] == "play"

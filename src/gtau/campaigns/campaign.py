@@ -36,7 +36,7 @@ from gtau.campaigns.folder import (
 )
 from gtau.campaigns.rehearsal import rehearse, write_motion
 from gtau.documents.files import folder_of
-from gtau.documents.validation import FUNCTION, PATH, takes
+from gtau.documents.validation import FUNCTION, NUMBER, PATH, takes
 from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
 from gtau.excitation.design import design
@@ -87,7 +87,13 @@ class CampaignState:
         }
 
 
-@takes(folder=PATH, progress=FUNCTION)
+@takes(
+    folder=PATH,
+    robot=("the name or path of a robot", (str, Path)),
+    payload=NUMBER,
+    accuracy=NUMBER,
+    progress=FUNCTION,
+)
 def campaign(
     folder: str | Path,
     robot: str | Path | None = None,

@@ -106,6 +106,7 @@ def begin(folder: Path, robot: str | Path | None, payload: float | None) -> None
         source = relpath(robot, folder) if Path(robot).is_file() else str(robot)
         runs = [{"payload": {"name": PAYLOAD, "mass": payload} if loaded else "none"} for loaded in ORDER]
         design = {"robot": source, "rate": RATE, "runs": runs}
+        validate(DesignFile, Document("campaign", design), context=folder)
         write_atomically(folder_of(folder) / DESIGN, yaml_text(design))
         return
     file = read_design_file(folder)
