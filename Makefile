@@ -5,7 +5,7 @@ TOOLS := .venv/.gtau-tools-installed
 SITE := .venv/.gtau-docs-installed
 PYTHONS := python3.13 python3.12 python3.11 python3.14 python3
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
-SUPPORTED := import ensurepip, sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 15))
+SUPPORTED := import ensurepip, sys; sys.exit(sys.version_info[:2] < (3, 11))
 
 # Where bytecode is not kept, each of the many processes that tests start compiles the package again.
 unexport PYTHONDONTWRITEBYTECODE
@@ -48,7 +48,8 @@ $(READY): pyproject.toml constraints.txt | $(BIN)/python
 
 $(TOOLS): $(READY)
 	@echo "installing what the tests need into .venv (once, a few minutes)"
-	$(INSTALL) -e '.[test,dev]'
+	$(INSTALL) 'pip>=25.1'
+	$(INSTALL) -e '.[test]' --group dev
 	@touch $@
 
 $(SITE): $(READY)
@@ -60,7 +61,7 @@ $(BIN)/python:
 	@for python in $(PYTHONS); do \
 	    if $$python -c '$(SUPPORTED)' 2>/dev/null; then exec $$python -m venv .venv; fi; \
 	done; \
-	echo "gtau needs Python 3.11 to 3.14 with venv (Debian: python3-venv); install one, or name it: make $(MAKECMDGOALS) PYTHONS=/path/to/python" >&2; \
+	echo "gtau needs Python 3.11 or later with venv (Debian: python3-venv); install one, or name it: make $(MAKECMDGOALS) PYTHONS=/path/to/python" >&2; \
 	exit 1
 
 clean:

@@ -1,4 +1,4 @@
-"""Whether intervals and verdicts hold when one thing departs from the model: logs spoilt one departure at a time.
+"""Coverage of intervals, and verdicts, with one defect at a time of logs, drives or descriptions.
 
     python benchmarks/calibration.py arm five-bar --seeds 3 --clean 20
     python benchmarks/calibration.py delta ur10e --resume --clean 8
@@ -25,7 +25,7 @@ from realism.departures import DEPARTURES, MOTIONS
 from realism.logs import make_logs
 from realism.pairs import pairs
 from realism.plants import PLANTS
-from realism.tables import page
+from realism.tables import page, write_files
 from scipy.special import stdtrit
 from threadpoolctl import threadpool_limits
 
@@ -91,7 +91,9 @@ def main() -> None:
     parser.add_argument("--motions", action="store_true", help="runs that repeat a motion, and runs that do not")
     parser.add_argument("--store", type=Path, default=Path("calibration.jsonl"))
     parser.add_argument("--resume", action="store_true", help="keep what stands in the store")
-    parser.add_argument("--page", type=Path, help="the page whose tables are replaced")
+    parser.add_argument(
+        "--page", type=Path, help="the page whose tables are replaced; the others go to the folder of its name"
+    )
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
     options = parser.parse_args()
     if not options.resume:
@@ -129,6 +131,7 @@ def main() -> None:
         print(tables)
     else:
         replace_tables(options.page, tables)
+        write_files(read(options.store), options.page.with_suffix(""))
 
 
 def said(record: dict) -> str:

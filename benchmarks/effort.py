@@ -1,7 +1,7 @@
 """What 'effort' means: logs whose torques mean something else, and whether that is named.
 
     python benchmarks/effort.py arm ur10e scara five-bar delta --seeds 3
-    python benchmarks/effort.py --measured ur10e tx40 panda airbot [--update docs/evidence/coverage.md]
+    python benchmarks/effort.py --measured ur10e tx40 panda airbot [--out docs/evidence/coverage]
 
 Robots, motions, friction and noise are those of benchmarks/false_alarms.py, logged as torques; each log is then spoilt
 in one way. "said" is what is looked for in notes, verdicts and refusals. The measured logs of the zoo are spoilt too,
@@ -23,6 +23,7 @@ import zoo
 from realism.departures import DEPARTURES
 from realism.logs import make_logs
 from realism.plants import PLANTS, Plant, of_limits
+from table import write_csv
 from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
@@ -40,7 +41,6 @@ from gtau.robots.parameter import parameter_of
 from gtau.robots.robot import INERTIAL, Joint, Limits, Mdh, Robot
 from gtau.signals.run import Run, read_run
 
-MARKS = "<!-- effort: begin -->", "<!-- effort: end -->"
 KINDS = {"position": "q", "torque": "tau"}
 SECONDS = 8.0
 GEAR = 101.0
@@ -262,9 +262,11 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=list(MEANINGS))
     parser.add_argument("--measured", nargs="+", default=[], choices=LOGS, help="the measured logs too")
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
-    parser.add_argument("--update", type=Path, metavar="PAGE")
+    parser.add_argument(
+        "--out", type=Path, metavar="FOLDER", help="where effort.csv and effort-measured.csv are written"
+    )
     options = parser.parse_args()
-    lines = [f"| effort holds | {' | '.join(options.robots)} |", "| --- |" + " --- |" * len(options.robots)]
+    tables = {"effort": [["effort holds", *options.robots]]} if options.robots else {}
     with threadpool_limits(1, "blas"):
         for name in options.only or (MEANINGS if options.robots else ()):
             meaning, cells = MEANINGS[name], []
@@ -275,18 +277,15 @@ def main() -> None:
                 wrong = "".join(f"; {word}: {count}" for word, count in sorted(others.items()))
                 cells.append((f"{right} of {len(heard)}" if meaning.said else "nothing" if not others else "") + wrong)
                 print(name, robot, cells[-1], flush=True)
-            lines.append(f"| {name} | {' | '.join(cells)} |")
+            tables["effort"].append([name, *cells])
         if options.measured:
             answers = {name: measured(name, options.data) for name in options.measured}
-            lines += ["", f"| effort holds | {' | '.join(answers)} |", "| --- |" + " --- |" * len(answers)]
-            lines += [f"| {what} | {' | '.join(each[what] for each in answers.values())} |" for what in ALTERED]
-    print("\n".join(lines))
-    if options.update:
-        page = options.update.read_text(encoding="utf-8")
-        begin, end = (page.index(mark) for mark in MARKS)
-        options.update.write_text(
-            page[:begin] + "\n".join([MARKS[0], "", *lines, "", ""]) + page[end:], encoding="utf-8"
-        )
+            rows = [[what, *(each[what] for each in answers.values())] for what in ALTERED]
+            tables["effort-measured"] = [["altered", *answers], *rows]
+    for name, lines in tables.items():
+        print("\n".join(map(" | ".join, lines)))
+        if options.out:
+            write_csv(options.out / f"{name}.csv", lines)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Thirty faults in logs and files: what `gtau identify` says of each, the largest error of a gain, and the exit code.
 
-    python benchmarks/faults.py five-bar [ur10e] [--update docs/evidence/coverage.md]
+    python benchmarks/faults.py five-bar [ur10e] [--out docs/evidence/coverage/faults.csv]
 
 The logs are those of the tutorial (simulated) and a pair measured on a UR10e; each is spoilt in one way, at the joint
 'left' or 'elbow_joint'. Errors are relative to the gains from the logs as they are. "Said" is the kind of finding that
@@ -23,9 +23,8 @@ from typing import Any
 import numpy as np
 import polars as pl
 import yaml
-from zoo import update
+from table import write_csv
 
-MARKS = "<!-- faults: begin -->", "<!-- faults: end -->"
 UR10E = "ur10e/ur-20_02_19_14harm50sec{}.csv"
 Frames = list[pl.DataFrame]
 Spoil = Callable[["Case"], None]
@@ -228,22 +227,22 @@ def rows(robot: str, data: Path) -> Iterator[tuple[str, str, str, str]]:
             code, said, gains = outcome(case.write(Path(name)))
         right = right or gains
         errors = [abs(gains[joint] / value - 1) for joint, value in right.items() if value and gains.get(joint)]
-        yield fault, str(code), f"{100 * max(errors):.2g} %" if errors else "refused", said.replace("|", "/")
+        yield fault, str(code), f"{100 * max(errors):.2g} %" if errors else "refused", said
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("robots", nargs="+", choices=CASES)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
-    parser.add_argument("--update", type=Path, help="page whose table is replaced")
+    parser.add_argument("--out", type=Path, help="CSV file")
     arguments = parser.parse_args()
-    lines = ["| robot | fault | exit code | largest error of a gain | said |", "| --- | --- | ---: | ---: | --- |"]
+    lines = [("robot", "fault", "exit code", "largest error of a gain", "said")]
     for robot in arguments.robots:
         for cells in rows(robot, arguments.data.resolve()):
-            lines.append(f"| {robot} | {' | '.join(cells)} |")
-            print(lines[-1], flush=True)
-    if arguments.update:
-        update(arguments.update, MARKS, lines)
+            lines.append((robot, *cells))
+            print(" | ".join(lines[-1]), flush=True)
+    if arguments.out:
+        write_csv(arguments.out, lines)
 
 
 if __name__ == "__main__":

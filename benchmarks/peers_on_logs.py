@@ -30,7 +30,8 @@ import every_sample
 import peers
 import rollouts
 from scipy.signal import butter, sosfiltfilt
-from zoo import ENTRIES, Entry, experiment_file, update
+from table import write_csv
+from zoo import ENTRIES, Entry, experiment_file, line, update
 
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.identify import identify
@@ -246,24 +247,38 @@ def case_of(entry: Entry, data: Path, folder: Path) -> tuple[Case, float, int]:
     return Case(entry.name, entry.robot, data, folder, result, runs, checks), seconds, lines
 
 
-def row(case: Case, tool: str, cells: Cells) -> str:
-    """One line of the table; errors are geometric means over joints and logs, then those of each joint."""
+def row(case: Case, tool: str, cells: Cells) -> list[str]:
+    """One row of the table; errors are geometric means over joints and logs, then those of each joint."""
     parts = [cells.errors, cells.errors]
     if not isinstance(cells.errors, str):
         joints = np.exp(np.mean(np.log(cells.errors), axis=0)).T  # (2, n)
-        parts = [f"**{np.exp(np.log(values).mean()):.3g}**" for values in joints]
+        parts = [f"{np.exp(np.log(values).mean()):.3g}" for values in joints]
         if joints.shape[1] > 1:
             each = (", ".join(f"{value:.3g}" for value in values) for values in joints)
             parts = [f"{mean} ({text})" for mean, text in zip(parts, each, strict=True)]
     seconds = NONE if cells.seconds is None else f"{cells.seconds:.2g}"
-    return f"| {' | '.join([case.robot, tool, *parts, cells.estimates, cells.interval, str(cells.lines), seconds])} |"
+    return [case.robot, tool, *parts, cells.estimates, cells.interval, str(cells.lines), seconds]
 
 
 HEADER = (
-    "| logs | tool | error on logs not used, all samples, % | away from reversals, % | gains and masses "
-    "| 95 % intervals | lines | s |",
-    "| --- | --- | --- | --- | --- | --- | ---: | ---: |",
+    "logs",
+    "tool",
+    "error on logs not used, all samples, %",
+    "away from reversals, %",
+    "gains and masses",
+    "95 % intervals",
+    "lines",
+    "s",
 )
+
+
+def of_page(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return the table of the page: means over the joints, of the tools that ran."""
+    head, *body = rows
+    shown = [[*cells[:2], *(cells[k].split(" (")[0] for k in (2, 3)), *cells[5:]] for cells in body if cells[7] != NONE]
+    return [line([*head[:4], *head[5:]]), line(["---"] * 7), *map(line, shown)]
+
+
 TOOLS = {"script": (by_hand, "pinocchio"), "FIGAROH": (figaroh, "figaroh"), "mujoco.sysid": (mujoco_sysid, "absl")}
 
 
@@ -276,19 +291,19 @@ def main() -> None:
     arguments = parser.parse_args()
     entries = {each.name: each for each in ENTRIES}
     entries["emps"] = Entry("emps", "EMPS, simulated", "force", "", emps)
-    lines = list(HEADER)
-    print("\n".join(lines), flush=True)
+    rows: list[Sequence[str]] = [HEADER]
     for name in arguments.only:
         with tempfile.TemporaryDirectory() as folder:
             case, seconds, written = case_of(entries[name], arguments.data.resolve(), Path(folder))
-            lines.append(row(case, "gtau", gtau(case, seconds, written)))
-            print(lines[-1], flush=True)
+            rows.append(row(case, "gtau", gtau(case, seconds, written)))
+            print(line(rows[-1]), flush=True)
             for tool, (work, package) in TOOLS.items():
                 cells = work(case) if find_spec(package) else Cells("not installed", NONE, NONE, NONE, None)
-                lines.append(row(case, tool, cells))
-                print(lines[-1], flush=True)
+                rows.append(row(case, tool, cells))
+                print(line(rows[-1]), flush=True)
     if arguments.update:
-        update(arguments.update, MARKS, lines)
+        update(arguments.update, MARKS, of_page(rows))
+        write_csv(arguments.update.with_suffix("") / "peers.csv", rows)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Simulate logs with one departure at a time and compare the errors of the gains with those of the best fixed choice.
 
     python benchmarks/preparation_study.py [--robots arm five-bar] [--rates 20 100] [--kinds "12 bits"] [--seeds 5]
-                                           [--update docs/evidence/zoo.md]
+                                           [--out docs/evidence/zoo]
 
 Two robots whose gains are known are moved free and with a known payload: a two-joint arm from point to point with
 rests, a five-bar along five sines. Positions and currents at the sampled instants are computed once for a rate; every
@@ -22,6 +22,7 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+from table import write_csv
 from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
@@ -34,7 +35,6 @@ from gtau.robots.robot import Joint, Mdh, Robot
 from gtau.signals.reading.statements import CHOSEN, PreparationSettings
 from gtau.signals.run import Run, read_run
 
-MARKS = "<!-- study: begin -->", "<!-- study: end -->"
 LIMIT = 1.2  # times the error of the best fixed choice
 GAINS = np.array([2.5, 4.0])
 CURRENT_NOISE = 0.005  # of a current's standard deviation, white
@@ -313,7 +313,7 @@ def main() -> None:
     parser.add_argument("--rates", nargs="+", type=float, default=RATES)
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
     parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--update", type=Path, metavar="PAGE", help="written after each rate")
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="of a CSV file for each robot")
     arguments = parser.parse_args()
     cells: dict[tuple[str, str], list[str]] = {each: [] for each in product(arguments.robots, arguments.kinds)}
     for k, rate in enumerate(arguments.rates, start=1):
@@ -321,29 +321,19 @@ def main() -> None:
             found = outcome(plant, kind, rate, arguments.seeds)
             print(found.line(f"{plant}, {rate:g} Hz, {kind}:"), flush=True)
             cells[plant, kind].append(found.cell)
-        if arguments.update:
-            update(arguments.update, table(cells, arguments.rates[:k]))
-    print("\n".join(table(cells, arguments.rates)))
+        for name, rows in tables(cells, arguments.rates[:k]).items():
+            if arguments.out:
+                write_csv(arguments.out / f"preparation-{name}.csv", rows)
+            if k == len(arguments.rates):
+                print(f"\n{name}", *map(" | ".join, rows), sep="\n")
 
 
-def table(cells: Mapping[tuple[str, str], Sequence[str]], rates: Sequence[float]) -> list[str]:
-    """Lines of a table for each robot, of the rates that are done."""
-    lines: list[str] = []
-    for plant in dict.fromkeys(plant for plant, _ in cells):
-        lines += [
-            "",
-            f"| {plant} | {' | '.join(f'{rate:g} Hz' for rate in rates)} |",
-            "| --- |" + " ---: |" * len(rates),
-        ]
-        lines += [f"| {kind} | {' | '.join(row)} |" for (of, kind), row in cells.items() if of == plant]
-    return lines
-
-
-def update(path: Path, lines: Sequence[str]) -> None:
-    """Put lines between the marks of a page."""
-    page = path.read_text(encoding="utf-8")
-    begin, end = (page.index(mark) for mark in MARKS)
-    path.write_text(page[:begin] + "\n".join([MARKS[0], *lines, "", ""]) + page[end:], encoding="utf-8")
+def tables(cells: Mapping[tuple[str, str], Sequence[str]], rates: Sequence[float]) -> dict[str, list[list[str]]]:
+    """Return a table for each robot, of the rates that are done."""
+    made = {plant: [["kind", *(f"{rate:g} Hz" for rate in rates)]] for plant, _ in cells}
+    for (plant, kind), row in cells.items():
+        made[plant].append([kind, *row])
+    return made
 
 
 if __name__ == "__main__":

@@ -1,9 +1,11 @@
-"""Rows of the benchmarks' table, and what all of them need: motions, clocks, and checks before anything is timed."""
+"""Rows of the benchmarks' table, and what all of them need: motions, clocks, checks before timing, CSV files."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import csv
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from time import process_time
 
 import numpy as np
@@ -65,3 +67,10 @@ def check(what: str, ours: np.ndarray, theirs: np.ndarray, tolerance: float = 1e
     error = np.abs(ours - theirs).max() / np.abs(theirs).max()
     if not error < tolerance:
         raise SystemExit(f"{what}: results differ by {error:.1e} of the largest")
+
+
+def write_csv(path: Path, lines: Sequence[Sequence[str]]) -> None:
+    """Write a table."""
+    path.parent.mkdir(exist_ok=True)
+    with path.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows(lines)

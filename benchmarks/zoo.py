@@ -4,7 +4,7 @@
 
 The logs lie beside the checkout (``../shared/data``, or ``--data``); each folder has a README with source, columns and
 references. Nothing is set by hand: where logs cannot give what is asked, the row shows the sentence that a user gets.
-``--update`` puts the table between the marks in a page.
+``--update`` puts the table between the marks in a page, and all columns into logs.csv in the folder of its name.
 """
 
 # ruff: noqa: E501 (rows of a table)
@@ -13,12 +13,13 @@ from __future__ import annotations
 import argparse
 import re
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
+from table import write_csv
 
 from gtau.errors import GtauError
 from gtau.estimation.experiment_runs import read_runs
@@ -49,15 +50,15 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", metavar="NAME", choices=[each.name for each in ENTRIES])
     parser.add_argument("--update", type=Path, metavar="PAGE")
     arguments = parser.parse_args()
-    lines = list(HEADER)
-    print("\n".join(lines), flush=True)
+    rows: list[Sequence[str]] = [HEADER]
     for entry in ENTRIES:
         if arguments.only and entry.name not in arguments.only:
             continue
-        lines.append(row(entry, arguments.data))
-        print(lines[-1], flush=True)
+        rows.append(row(entry, arguments.data))
+        print(line(rows[-1]), flush=True)
     if arguments.update:
-        update(arguments.update, MARKS, lines)
+        update(arguments.update, MARKS, of_page(rows))
+        write_csv(arguments.update.with_suffix("") / "logs.csv", rows)
 
 
 def update(path: Path, marks: tuple[str, str], lines: list[str]) -> None:
@@ -69,13 +70,30 @@ def update(path: Path, marks: tuple[str, str], lines: list[str]) -> None:
 
 
 HEADER = (
-    "| robot | logs | identified | error on logs not used, % of rms | published, or weighed | what gtau says | s |",
-    "| --- | --- | --- | --- | --- | --- | ---: |",
+    "robot",
+    "logs",
+    "identified",
+    "error on logs not used, % of rms",
+    "published, or weighed",
+    "what gtau says",
+    "s",
 )
+SHOWN = 0, 2, 3, 4  # of these, on the page; the rest in logs.csv beside it
 
 
-def row(entry: Entry, data: Path) -> str:
-    """One line of the table."""
+def line(cells: Sequence[str]) -> str:
+    """Write a row of a table as Markdown."""
+    return f"| {' | '.join(cells)} |"
+
+
+def of_page(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return the table of the page."""
+    head, *body = ([cells[k] for k in SHOWN] for cells in rows)
+    return [line(head), line(["---"] * len(head)), *map(line, body)]
+
+
+def row(entry: Entry, data: Path) -> list[str]:
+    """One row of the table."""
     begin = perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "experiment.yaml"
@@ -85,17 +103,15 @@ def row(entry: Entry, data: Path) -> str:
             found, errors, rates = run(experiment)
         except GtauError as error:
             sentence = re.sub(r"\S*/", "", str(error))
-            return f"| {entry.robot} | | {entry.identified} | | {entry.reference} | refused: {sentence} | |"
+            return [entry.robot, "", entry.identified, "", entry.reference, f"refused: {sentence}", ""]
     preparation = found.preparation
     logs = (
         f"{len(experiment.runs)} + {len(experiment.validation)}, {' / '.join(sorted({f'{rate:.4g}' for rate in rates}))} "
         f"Hz; {preparation.bandwidth:.2g} Hz, {'no filter' if preparation.cutoff is None else f'{preparation.cutoff:.2g} Hz'}"
         f", 1 in {preparation.decimator.factor}"
     )
-    return (
-        f"| {entry.robot} | {logs} | {entry.identified}{numbers(found)} | {errors} | {entry.reference} | {said(found)} "
-        f"| {perf_counter() - begin:.0f} |"
-    )
+    identified, seconds = f"{entry.identified}{numbers(found)}", f"{perf_counter() - begin:.0f}"
+    return [entry.robot, logs, identified, errors, entry.reference, said(found), seconds]
 
 
 def run(experiment: Experiment) -> tuple[Result, str, list[float]]:

@@ -13,7 +13,8 @@ from gtau.cli.commands import app
 PAGE = Path(__file__).parent / "lookup" / "commands.md"
 HEAD = """# Commands
 
-This page is made by `python docs/make_commands.py` from the help of the commands, which `gtau COMMAND --help` prints.
+The help that `gtau COMMAND --help` prints. This page is generated from the source by `python docs/make_commands.py`.
+Commands with `--json` print one JSON document instead of tables.
 
 | command | what it does |
 | --- | --- |
@@ -49,7 +50,7 @@ def page() -> str:
         records: dict[bool, list[tuple[str, str]]] = {True: [], False: []}
         for parameter in command.get_params(inner):
             record = parameter.get_help_record(inner)
-            if record and "--help" not in record[0]:
+            if record and record[0] not in ("--help", "--json"):
                 records[parameter.param_type_name == "argument"].append(record)
         usage = " ".join(["gtau", name, *command.collect_usage_pieces(inner)])
         text += f"| [`{name}`](#{name}) | {command.get_short_help_str(100)} |\n"

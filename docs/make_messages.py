@@ -1,15 +1,13 @@
-"""Write ``lookup/messages.md``: every finding by its name, with an example and its remedy; and every refusal.
+"""Write ``lookup/messages.md``: every finding by its name, with an example and its remedy.
 
-The words are those of the code: examples of findings are those that ``tests/estimation/test_sentences.py`` asserts, and
-refusals are the texts with which ``GtauError`` is raised.
+The words are those of the code, and the examples those that ``tests/estimation/test_sentences.py`` asserts.
 """
 
 from __future__ import annotations
 
-import ast
 import re
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from runpy import run_path
 
@@ -20,41 +18,35 @@ from gtau.findings.words import templates
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "lookup" / "messages.md"
 EXAMPLES = ROOT / "tests" / "estimation" / "test_sentences.py"
-TITLES = {
-    "cli": "Commands",
-    "documents": "Files in general",
-    "robots": "Robot files",
-    "signals": "Logs and experiment files",
-    "estimation": "Identification and weighing",
-    "excitation": "Design of motions",
-    "export": "Exports",
-    "simulation": "Simulation",
-    "fleet": "Fleets",
-    "report": "Reports and figures",
-    "model": "Models and poses",
-    "errors": "Missing packages",
-    "demo": "Tutorial",
-}
-ERRORS = {"GtauError", "UnknownName", "unreadable", "WorkerDied", "ValueError"}  # the last in checks of files
 HEAD = """# Messages
 
-This page is made by `python docs/make_messages.py` from the words of the code.
+Every finding that can appear in a summary, a report or `gtau check`, with its remedy. This page is generated from the
+source by `python docs/make_messages.py`; joints and numbers are examples, and long messages are cut.
 
-- [Verdicts](#verdicts): findings against an estimate
-- [Notes](#notes): findings beside the verdicts
-- [Causes](#causes): what the model may lack, or the description may have wrong
-- [Refusals](#refusals): input that gtau does not take
+- [Verdicts](#verdicts): findings that lower a verdict
+- [Notes](#notes): other findings
+- [Causes](#causes): effects that the model may lack, and errors that the description may have
 
-The names are those of `kind` in `model.json` and of `finding.kind` in Python; numbers and joints are examples.
+The first column is the `kind` in `model.json` and `finding.kind` in Python. An error, which ends a command with exit
+code 2, is one sentence that states the problem, its place and the remedy; it is not listed here.
 """
 
 
 def examples() -> dict[str, list[Finding]]:
     """Return examples of findings by kind."""
-    found: dict[str, list[Finding]] = defaultdict(list)
+    made: dict[str, list[Finding]] = defaultdict(list)
     for finding, *_ in run_path(str(EXAMPLES))["SENTENCES"]:
-        found[finding.kind].append(finding)
-    return found
+        made[finding.kind].append(finding)
+    return made
+
+
+LONGEST = 18  # words of an example
+
+
+def shortened(text: str) -> str:
+    """Cut a long example."""
+    words = text.split()
+    return " ".join([*words[: LONGEST - 1], "…"]) if len(words) > LONGEST else text
 
 
 def cell(text: str) -> str:
@@ -63,60 +55,29 @@ def cell(text: str) -> str:
     return re.sub(r"([|<*_\[\]])", r"\\\1", text)
 
 
-def table(kinds: Sequence[str], found: Mapping[str, list[Finding]], outcome: bool) -> str:
+def table(kinds: Sequence[str], made: Mapping[str, list[Finding]]) -> str:
     """Return a table of findings."""
-    lines = ["| name |" + " verdict |" * outcome + " message | what to do |", "| --- |" + " --- |" * (2 + outcome)]
+    lines = ["| name | message | what to do |", "| --- | --- | --- |"]
     for kind in kinds:
-        first = found[kind][0]
-        middle = f"{OUTCOMES[kind].value} | " if outcome else ""
-        lines.append(f"| {kind} | {middle}{cell(first.what)} | {cell(first.action)} |")
+        first = made[kind][0]
+        lines.append(f"| {kind} | {cell(shortened(first.what))} | {cell(first.action)} |")
     return "\n".join(lines) + "\n"
-
-
-def refusals() -> dict[str, list[str]]:
-    """Return the texts of refusals, by the folder of the package; what they fill in as dots."""
-    found: dict[str, set[str]] = defaultdict(set)
-    source = ROOT / "src" / "gtau"
-    for path in sorted(source.rglob("*.py")):
-        folder = path.relative_to(source).parts[0].removesuffix(".py")
-        found[folder].update(texts(ast.parse(path.read_text(encoding="utf-8"))))
-    return {folder: sorted(each) for folder, each in found.items() if each}
-
-
-def texts(tree: ast.AST) -> Iterator[str]:
-    """Iterate over the sentences with which errors are made."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in ERRORS and node.args:
-            text = " ".join(written(node.args[0]).split())
-            if len(re.sub(r"\W|…", "", text)) > 12:
-                yield text
-
-
-def written(node: ast.AST) -> str:
-    """Write a text as it stands in the code."""
-    if isinstance(node, ast.Constant) and isinstance(node.value, str):
-        return node.value
-    if isinstance(node, ast.JoinedStr):
-        return "".join(map(written, node.values))
-    if isinstance(node, ast.BinOp):
-        return written(node.left) + written(node.right)
-    return "…"
 
 
 def page() -> str:
     """Return the page."""
-    found = examples()
+    made = examples()
     words = templates()
     notes = [kind for kind in [*words["verdicts"], *words["notes"], *words["logs"]] if kind not in OUTCOMES]
-    text = HEAD + "\n## Verdicts\n\n" + table(list(OUTCOMES), found, True)
-    text += "\n## Notes\n\n" + table(notes, found, False)
-    text += "\n## Causes\n\nVerdicts and notes name them with their size and what to do.\n\n"
-    text += table(list(words["causes"]), found, False) + "\n## Refusals\n\n"
-    text += "A refusal is one sentence: what is wrong, where, and what to do. Dots stand for names and numbers.\n"
-    for folder, sentences in sorted(refusals().items()):
-        text += f"\n### {TITLES.get(folder, folder.capitalize())}\n\n"
-        text += "".join(f"- {cell(each)}\n" for each in sentences)
-    return text
+    text = HEAD + "\n## Verdicts\n"
+    for outcome in dict.fromkeys(OUTCOMES.values()):
+        text += f"\n### {outcome.value.capitalize()}\n\n"
+        text += table([kind for kind, each in OUTCOMES.items() if each is outcome], made)
+    text += "\n## Notes\n\n" + table([kind for kind in notes if made[kind][0].action], made)
+    text += "\nFor information, without a remedy: " + ", ".join(k for k in notes if not made[k][0].action) + ".\n"
+    text += "\n## Causes\n\nVerdicts and notes name these with their size and a remedy.\n\n"
+    rows = (f"| {kind} | {cell(made[kind][0].action)} |\n" for kind in words["causes"])
+    return text + "| name | what to do |\n| --- | --- |\n" + "".join(rows)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from importlib import import_module
-from inspect import getdoc
+from inspect import getdoc, isfunction, signature
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +59,18 @@ def read_docstring(app: Sphinx, what: str, name: str, obj: Any, options: Any, li
     what = "method" if what == "property" else what
     found = NumpyDocstring(lines, NUMPY_STYLE, app, what, name, obj, options).lines()
     lines[:] = [line.replace(" -- ", " – ") for line in found]
+
+
+def show_defaults(app: Sphinx, what: str, name: str, obj: Any, options: Any, text: str, returns: str) -> Any:
+    """Show the number or text that a constant stands for as a default, and no internal function."""
+    if not text or not callable(obj):
+        return None
+    for each in signature(obj).parameters.values():
+        if isinstance(each.default, (int, float, str)):
+            text = re.sub(rf"\b{each.name}=[A-Z_.]*[A-Z]{{2}}[A-Z_]*\b", f"{each.name}={each.default!r}", text)
+        elif isfunction(each.default):
+            text = text.replace(f"{each.name}={each.default.__name__}", f"{each.name}=...")
+    return text, returns
 
 
 def keep_names_without_page(app: Sphinx, env: Any, node: Any, content: Any) -> Any:
@@ -123,6 +135,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     """Connect the additions."""
     app.connect("source-read", add_menu)
     app.connect("autodoc-process-docstring", read_docstring)
+    app.connect("autodoc-process-signature", show_defaults)
     app.connect("missing-reference", keep_names_without_page)
     app.connect("build-finished", write_llms)
     app.add_html_math_renderer("mathml", (inline_formula, None), (displayed_formula, None))

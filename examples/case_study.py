@@ -93,14 +93,12 @@ INTRODUCTION = """\
 # The Orthoglide case study
 
 Section 5 of Briot and Gautier, "Global identification of joint drive gains and dynamic parameters of parallel
-robots", repeated on a robot with known true values. A simulated plant replaces the machine: forward dynamics with
-friction in all 15 joints, force ripple, encoder and current resolution, noise, and currents held for a millisecond.
-The estimator sees only its logs. The plant's main parameters are those of the paper's Table 3, so the tables can be
-compared directly. We chose what the paper does not state: the distribution of mass among the bodies, small frictions
-and the trajectories.
+robots", repeated on a simulated robot: forward dynamics with friction in all 15 joints, force ripple, encoder and
+current resolution, noise, and currents held for a millisecond. The estimator sees only its logs. The main parameters
+are those of the paper's Table 3; the distribution of mass, small frictions and trajectories are ours, as the paper
+does not state them.
 
-`python examples/case_study.py docs` makes this page. `gtau demo --out demo` identifies the same robot from shorter
-logs and weighs a payload with it.
+`python examples/case_study.py docs` makes this page. `gtau demo --out demo` does the same with shorter logs.
 
 ![The robot at home](../images/case-study-robot.png)
 
@@ -108,47 +106,31 @@ logs and weighs a payload with it.
 
 ![Positions, velocities and accelerations](../images/case-study-trajectory.png)
 
-Four runs of 20 s identify the robot, two without and two with a payload of 1.983 kg. Half of them are sums of sines,
-half are point-to-point moves within the joint limits.
+Four runs of 20 s, two without and two with a payload of 1.983 kg: sums of sines, and point-to-point moves.
 """
 TABLE_3_NOTES = """\
-The differences, point by point:
-
-- **Gains.** Ours match the plant to some hundredths of a per cent. The paper's 0.39 % can only be verified by weighing.
-  Our standard deviations are smaller because a simulated robot has no elasticity, backlash or warm-up. They come from a
-  block jackknife, which remains valid for autocorrelated residuals; the paper's formula (39) does not.
-- **Axes** (`m_11R` to `fs_13`, `m_PR`). They agree because the plant has the paper's values.
-- **`mx_21`, `off_21R`, `off_23R`, `fv_21R`, `fv_33R`, the passive frictions.** The paper keeps values such as `fv_33R
-  = -5.57`, a propelling friction, opposite to `fv_21R = 5.57`: at the ratio 10, kept parameters absorb the effects of
-  cancelled ones. Our plant has small passive frictions, equal in the three legs, and the identification recovers them.
-- **The set.** Ours is selected by the Bayesian information criterion. Kept parameters absorb the effects of
-  cancelled ones, so the standard deviations listed are those with all parameters. Above 100 %, only a sum with
-  cancelled parameters is identifiable, although the torque needs the term. The paper's rule (`--ratio 10`) sets
-  cancelled parameters to zero and compares each one with the most accurate; with our smaller standard deviations it
-  would cancel even `m_PR`, and `m_11R` would absorb its kilogram.
+- **Gains** match the plant to some hundredths of a per cent. Standard deviations are smaller than the paper's because a
+  simulated robot has no elasticity, backlash or warm-up. They come from a block jackknife, which remains valid for
+  autocorrelated residuals; the paper's formula (39) does not.
+- **Passive frictions, `mx_21`, `off_21R`, `off_23R`.** The paper keeps values such as `fv_33R = -5.57`, a friction that
+  adds energy, opposite to `fv_21R = 5.57`: kept parameters absorb the effects of cancelled ones. Our plant has small
+  passive frictions, and the identification recovers them.
+- **The set** is selected by the Bayesian information criterion. Above 100 %, only a sum with cancelled parameters is
+  identifiable. The paper's rule (`--ratio 10`) would cancel even `m_PR` here.
 """
 PAYLOAD_NOTES = """\
 With the manufacturer's gains the payload comes out too light by the same factor as the gains, as in the paper's case
-1. With the identified gains its mass is correct. The standard deviations are smaller than the paper's 0.02 kg, again
-because the simulated robot is ideal in other respects.
+1. With the identified gains its mass is correct.
 """
 TABLE_4_NOTES = """\
-The differences, point by point:
-
-- **Simple and advanced PID.** The errors have the paper's size: a PID with three poles at 100 rad/s lags by about
-  `3 qdd / w^2`, and velocity feedforward leaves only the error due to jerk. On trajectory 2 the paper's errors are
-  twice ours, so its trajectory, which is not published, accelerates about twice as much.
-- **Computed torque.** Our errors are some micrometres, the paper's 60 to 150, so computed torque improves on the
-  simple PID by a factor of hundreds instead of 30. The model does not explain the paper's remaining error: a velocity
-  measured 1 ms later than the one fed forward would alone cause `3 w (1 ms) qdd / (3 w^2)`, 70 micrometres rms here.
-  Our derivative acts on the error, with both parts filtered alike, and the plant is rigid. The remaining error comes
+- **Simple and advanced PID** have errors of the paper's size. On trajectory 2 the paper's are twice ours, so its
+  trajectory, which is not published, accelerates about twice as much.
+- **Computed torque.** Our errors are some micrometres, the paper's 60 to 150, which the model does not explain: a
+  velocity measured 1 ms later than the one fed forward would alone cause 70 micrometres rms here. What remains comes
   from the half-sample delay of held currents, ripple, and friction at reversals.
-- **Joint 3 on trajectory 1.** The vertical axis hardly moves, so the model has little to predict: the improvement
-  over the PID is smallest here, as in the paper.
-- **Manufacturer's or identified gains.** No relevant difference, as in the paper: each model was identified with its
-  own gains, so the current references are nearly equal; only the payload's nominal mass is converted wrongly.
-- **25 % error on the gains.** The payload then enters a fifth too small. The errors grow visibly, and relatively
-  more than in the paper, whose larger remaining error hides them.
+- **Manufacturer's or identified gains** make no relevant difference, as in the paper: each model was identified with
+  its own gains.
+- **25 % error on the gains.** The payload then enters a fifth too small, and the errors grow visibly.
 """
 
 

@@ -297,7 +297,7 @@ DEPARTURES: dict[str, Departure] = {
     "base tilted by 3 degrees": tilted(3.0),
     "a link 1 % longer": Departure(robot=lambda robot: stretched(robot, 1.01), wrong=True),
     "payload declared 30 mm off-centre": Departure(centre_off=0.03, wrong=True),
-    "mass of the payload said 5 % too large": Departure(mass=1.05, wrong=True, invisible=SCALE),
+    "payload mass declared 5 % too high": Departure(mass=1.05, wrong=True, invisible=SCALE),
 }
 
 

@@ -1,11 +1,13 @@
-"""The tables of docs/evidence/coverage.md from the store of experiments."""
+"""The tables of docs/evidence/coverage.md, and the CSV files beside it, from the store of experiments."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+from table import write_csv
 
 from gtau.estimation.diagnostics.verdict import Outcome
 from realism.departures import DEPARTURES, MOTIONS
@@ -13,8 +15,7 @@ from realism.plants import PLANTS
 
 ACCURACY = 0.03
 NONE = "none"
-COLUMNS = "worst error, % | rms z | 95 % intervals that hold | good | good and off | contradictory | not identifiable"
-RULE = " | ".join(7 * ["---:"])
+COLUMNS = ("worst error, %", "rms z", "intervals with the truth", "good", "wrong good", "contradictory")
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,12 +38,12 @@ class Gains:
         """Good, and off by more than the accuracy."""
         return self.good & (np.abs(self.error) > ACCURACY)
 
-    def row(self) -> str:
+    def row(self) -> list[str]:
+        """Cells of COLUMNS."""
+        shown = [""] * 3
         if len(self.error):
-            believed = f"{100 * np.abs(self.error).max():.2g} | {rms(self.z):.2f} | {count(self.holds)}"
-        else:
-            believed = "| | "
-        return f"{believed} | {self.good.sum()} | {self.silent.sum()} | {self.contradictory} | {self.lost}"
+            shown = [f"{100 * np.abs(self.error).max():.2g}", f"{rms(self.z):.2f}", count(self.holds)]
+        return [*shown, *(str(number) for number in (self.good.sum(), self.silent.sum(), self.contradictory))]
 
 
 def pooled(records: Sequence[dict]) -> Gains:
@@ -77,18 +78,27 @@ def count(hits: np.ndarray) -> str:
 
 
 def page(records: Sequence[dict]) -> str:
-    """All tables, as Markdown."""
+    """Return the goals and one table, as Markdown."""
     real = [record for record in records if record["departure"] not in DEPARTURES | MOTIONS]
     moved = [record for record in records if record["departure"] in MOTIONS]
     made = [record for record in records if record["departure"] in DEPARTURES]
     parts = [goals(made, real)] if made else []
     if made:
-        parts += [by_departure(made), missed(made), by_robot(made)]
-    if real:
-        parts.append(of_pairs(real))
+        parts.append(by_departure(made))
     if moved:
         parts.append(of_motions(moved))
     return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def write_files(records: Sequence[dict], folder: Path) -> None:
+    """Write what the page leaves out: every robot and defect, missed intervals and refusals, and pairs of logs."""
+    made = [record for record in records if record["departure"] in DEPARTURES]
+    real = [record for record in records if record["departure"] not in DEPARTURES | MOTIONS]
+    folder.mkdir(exist_ok=True)
+    tables = {"defects-by-robot": by_robot(made), "missed": missed(made), "pairs": of_pairs(real)}
+    for name, lines in tables.items():
+        if len(lines) > 1:
+            write_csv(folder / f"{name}.csv", lines)
 
 
 def _where(records: Sequence[dict], keep) -> Gains:
@@ -96,77 +106,71 @@ def _where(records: Sequence[dict], keep) -> Gains:
 
 
 def goals(made: Sequence[dict], real: Sequence[dict]) -> str:
+    """Return the headline: all rows count; "visible in the data" leaves out what no data show."""
     clean = _where(made, lambda _, name: name == NONE)
     both = made, [record for record in made if not DEPARTURES[record["departure"]].invisible]
     logs, shown = (_where(each, lambda departure, name: name != NONE and not departure.wrong) for each in both)
     wrong, shown_wrong = (_where(each, lambda departure, _: departure.wrong) for each in both)
     every, seen = (_where(each, lambda _, name: name != NONE) for each in both)
-    lines = ["| what | goal | measured |", "| --- | --- | --- |"]
+    lines = ["| what | goal | all | visible in the data |", "| --- | --- | --- | --- |"]
     if len(clean.z):
         lines += [
-            f"| nothing departs: intervals of the random part hold | 93 to 97 % | {share(clean.random_holds)}, "
-            f"{count(clean.random_holds)} |",
-            f"| the same, of both parts | | {share(clean.holds)}, rms z {rms(clean.z):.2f} |",
-            f"| the same, contradictory gains | none | {clean.contradictory} |",
+            f"| no defects: random-error intervals contain the truth | 93 to 97 % | {hits(clean.random_holds)} | |",
+            f"| no defects: full intervals contain the truth | | {hits(clean.holds)}, rms z {rms(clean.z):.2f} | |",
+            f"| no defects: contradictory gains | none | {clean.contradictory} | |",
         ]
     if len(logs.z):
         lines += [
-            f"| logs or drives depart: intervals hold | at least 90 % | {share(logs.holds)}, {count(logs.holds)}, "
-            f"rms z {rms(logs.z):.2f} |",
-            f"| the same, without what no data show | | {share(shown.holds)}, {count(shown.holds)}, "
-            f"rms z {rms(shown.z):.2f} |",
-            f"| the same, contradictory gains | none | {logs.contradictory} |",
+            f"| faulty logs or drives: intervals contain the truth | at least 90 % | {hits(logs.holds)}, "
+            f"rms z {rms(logs.z):.2f} | {hits(shown.holds)}, rms z {rms(shown.z):.2f} |",
+            f"| faulty logs or drives: contradictory gains | none | {logs.contradictory} | {shown.contradictory} |",
         ]
     if len(wrong.z):
-        lines += [
-            f"| a description is wrong: intervals hold | | {share(wrong.holds)}, {count(wrong.holds)} |",
-            f"| the same, without what no data show | | {share(shown_wrong.holds)}, {count(shown_wrong.holds)} |",
-        ]
+        lines.append(
+            f"| wrong description: intervals contain the truth | | {hits(wrong.holds)} | {hits(shown_wrong.holds)} |"
+        )
     if len(every.z):
-        lines += [
-            f"| good and off by more than 3 % | | {share(every.silent)}, {count(every.silent)} |",
-            f"| the same, without what no data show | under 2 % | {share(seen.silent)}, {count(seen.silent)} |",
-        ]
+        lines.append(
+            f"| wrong 'good' verdicts (error above 3 %) | under 2 % where visible | {hits(every.silent)} | "
+            f"{hits(seen.silent)} |"
+        )
     if real:
         pairs, alarms = pooled(real), [_alarms(record) for record in real]
         lines += [
-            f"| pairs of logs: contradictory gains | none | {sum(alarms)} |",
-            f"| pairs of logs: rms z of the differences | 0.8 to 1.2 | {rms(pairs.z):.2f} of all {len(pairs.z)}, "
-            f"UR10e {rms(pooled(real[:1]).z):.2f} |",
+            f"| pairs of measured logs: contradictory gains | none | {sum(alarms)} | |",
+            f"| pairs of measured logs: rms z of the differences | 0.8 to 1.2 | {rms(pairs.z):.2f} of all "
+            f"{len(pairs.z)}, UR10e {rms(pooled(real[:1]).z):.2f} | |",
         ]
     return "\n".join(lines)
+
+
+def hits(of: np.ndarray) -> str:
+    return f"{share(of)}, {count(of)}"
 
 
 def by_departure(made: Sequence[dict]) -> str:
     """One row a departure, all robots together."""
-    lines = [f"| departure | {COLUMNS} | refused |", f"| --- | {RULE} | ---: |"]
+    shown = [0, 1, 2, 4]  # of COLUMNS; all of them are in the file by robot
+    heads = [COLUMNS[k] for k in shown]
+    lines = [f"| defect | {' | '.join(heads)} |", f"| --- | {' | '.join(len(shown) * ['---:'])} |"]
     for name in DEPARTURES:
         mine = [record for record in made if record["departure"] == name]
         if mine:
-            refused = sum(bool(record["refusal"]) for record in mine)
-            lines.append(f"| {name} | {pooled(mine).row()} | {refused or ''} |")
+            row = pooled(mine).row()
+            lines.append(f"| {name} | {' | '.join(row[k] for k in shown)} |")
     return "\n".join(lines)
 
 
-def missed(made: Sequence[dict]) -> str:
-    """Which gains the intervals miss, which are good and off, what was refused, and what no data show."""
-    lines = []
+def missed(made: Sequence[dict]) -> list[list[str]]:
+    """List missed intervals, wrong 'good' verdicts and refusals."""
+    lines = [["experiment", "defect", "joint", "error, %", "outcome", "refusal"]]
     for name, departure in DEPARTURES.items():
         for record in made:
             if record["departure"] == name and not departure.invisible:
-                which = f"| {record['robot']} {record['seed']} | {name}"
-                lines += [f"{which} | refused: {record['refusal']} | | |"] if record["refusal"] else []
-                lines += [f"{which} | {_miss(gain)} |" for gain in record["gains"] if _is_missed(gain)]
-    table = [
-        "Gains whose interval does not hold the truth or that are good and off, and what was refused:",
-        "",
-        "| experiment | departure | joint | off by, % | outcome |",
-        "| --- | --- | --- | ---: | --- |",
-        *lines,
-        "",
-    ]
-    invisible = [f"- {name}: {each.invisible}." for name, each in DEPARTURES.items() if each.invisible]
-    return "\n".join([*(table if lines else []), "What no data show:", "", *invisible])
+                which = [f"{record['robot']} {record['seed']}", name]
+                lines += [[*which, "", "", "refused", record["refusal"]]] if record["refusal"] else []
+                lines += [[*which, *_miss(gain), ""] for gain in record["gains"] if _is_missed(gain)]
+    return lines
 
 
 def _off(gain: dict) -> float:
@@ -179,28 +183,24 @@ def _is_missed(gain: dict) -> bool:
     return silent or (believed and not gain["low"] < gain["truth"] < gain["high"])
 
 
-def _miss(gain: dict) -> str:
+def _miss(gain: dict) -> list[str]:
     half = 50 * (gain["high"] - gain["low"]) / abs(gain["value"])
-    return f"{gain['joint']} | {100 * _off(gain):.2g} ± {half:.2g} | {gain['outcome']}"
+    return [gain["joint"], f"{100 * _off(gain):.2g} ± {half:.2g}", gain["outcome"]]
 
 
-def by_robot(made: Sequence[dict]) -> str:
-    """One row a robot, and all rows in a fold."""
-    robots = [robot for robot in PLANTS if any(record["robot"] == robot for record in made)]
-    lines = [f"| robot | experiments | processor s each | {COLUMNS} |", f"| --- | ---: | ---: | {RULE} |"]
-    for robot in robots:
-        mine = [record for record in made if record["robot"] == robot]
-        seen = [record for record in mine if not DEPARTURES[record["departure"]].invisible]
-        seconds = np.median([record["seconds"] for record in mine])
-        lines.append(f"| {robot} | {len(mine)} | {seconds:.1f} | {pooled(seen).row()} |")
-    lines += ["", "<details><summary>Every robot and departure</summary>", ""]
-    lines += [f"| robot | departure | {COLUMNS} |", f"| --- | --- | {RULE} |"]
-    for robot in robots:
+def by_robot(made: Sequence[dict]) -> list[list[str]]:
+    """One row a robot and departure; intervals as two numbers."""
+    worst, z, holds, *rest = COLUMNS
+    lines = [["robot", "defect", worst, z, holds, "intervals", *rest, "not identifiable"]]
+    for robot in PLANTS:
         for name in DEPARTURES:
             mine = [record for record in made if (record["robot"], record["departure"]) == (robot, name)]
             if mine:
-                lines.append(f"| {robot} | {name} | {pooled(mine).row()} |")
-    return "\n".join([*lines, "", "</details>"])
+                gains = pooled(mine)
+                error, spread, _, *counts = gains.row()
+                held = [str(gains.holds.sum()), str(len(gains.holds))]
+                lines.append([robot, name, error, spread, *held, *counts, str(gains.lost)])
+    return lines
 
 
 def _alarms(record: dict) -> int:
@@ -235,12 +235,11 @@ def of_motions(moved: Sequence[dict]) -> str:
     return "\n".join(lines)
 
 
-def of_pairs(real: Sequence[dict]) -> str:
-    lines = ["| logs | differences of the gains, % | z | rms z | contradictory |", "| --- | --- | --- | ---: | ---: |"]
+def of_pairs(real: Sequence[dict]) -> list[list[str]]:
+    lines = [["logs", "differences of the gains, %", "z", "rms z", "contradictory"]]
     for record in real:
-        found = pooled([record])
-        lines.append(
-            f"| {record['departure']} | {', '.join(f'{100 * each:+.2g}' for each in found.error)} | "
-            f"{', '.join(f'{each:+.1f}' for each in found.z)} | {rms(found.z):.2f} | {_alarms(record)} |"
-        )
-    return "\n".join(lines)
+        gains = pooled([record])
+        differences = ", ".join(f"{100 * error:+.2g}" for error in gains.error)
+        z = ", ".join(f"{value:+.1f}" for value in gains.z)
+        lines.append([record["departure"], differences, z, f"{rms(gains.z):.2f}", str(_alarms(record))])
+    return lines

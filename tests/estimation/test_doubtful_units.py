@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from five_bar_logs import Plant
+from five_bar_logs import STEEL, Plant
 
+from gtau.estimation.check_logs import check_logs
 from gtau.estimation.diagnostics.unit_checks import doubtful_currents, doubtful_payloads
+from gtau.estimation.identify import identify
 from gtau.findings import FindingKind as F
 from gtau.findings import Severity
 from gtau.model.home import load_robot
@@ -39,6 +41,15 @@ def test_doubtful_sizes_are_worth_mending(
     (note,) = doubtful_currents([replace(run, command=run.command * factors)])
     assert (note.kind, set(note.joints), note.topic, note.severity) == (kind, joints, F.UNIT, Severity.WARNING)
     assert note.subject == subject or kind == F.LARGE_CURRENT
+
+
+@pytest.mark.parametrize(("mass", "kinds"), [(STEEL["m"], []), (1e3 * STEEL["m"], [F.EFFORT])])
+def test_check_doubts_the_units_that_identify_doubts(run: Run, mass: float, kinds: list[F]) -> None:
+    loaded = replace(Plant(noise=0.01).run("loaded", 10.0, STEEL, seed=2), payload=Payload(name="steel", mass=mass))
+    robot = load_robot("five-bar")
+    of_check = [note.kind for note in check_logs(robot, [run, loaded]).notes if F(note.kind).outcome]
+    verdicts = [gain.verdict for gain in identify(robot, [run, loaded]).drive_gains.values()]
+    assert of_check == kinds == list({verdict.finding.kind for verdict in verdicts if verdict.finding})
 
 
 def test_a_payload_in_grams_is_asked_about() -> None:

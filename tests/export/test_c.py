@@ -140,9 +140,9 @@ def test_example_and_cmake_file_work(tmp_path: Path) -> None:
         subprocess.run(command, check=True, capture_output=True)
     text = subprocess.check_output([tmp_path / "build" / "five_bar_example"], text=True)
     lines = text.splitlines()
-    assert lines[0] == "t,vleft,vright,uleft,uright"
+    assert lines[0] == "t,vleft,vright,uleft,uright,cleft,cright"
     table = np.array([[float(entry) for entry in line.split(",")] for line in lines[1:]])
-    assert table.shape == (1000, 5)
+    assert table.shape == (1000, 7)
     model = identified(model_of(robot))
     t = table[:, :1]
     w = 2 * np.pi
@@ -154,7 +154,12 @@ def test_example_and_cmake_file_work(tmp_path: Path) -> None:
     )
     expected = torques(model, *path) / model.gains
     moving = np.abs(np.sin(w * t[:, 0])) > 1e-6  # at rest the sign of a velocity is chance
-    np.testing.assert_allclose(table[moving, 1:], np.tile(expected[moving], 2), rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(table[moving, 1:5], np.tile(expected[moving], 2), rtol=1e-6, atol=1e-6)
+    c = Compiled(model_of(robot), tmp_path)
+    q, qd, qdd = (signal[137] for signal in path)
+    c("start", q)
+    torque = c("gravity", model.values, size=2) + c("friction", qd, qdd, model.values, size=2)
+    np.testing.assert_allclose(table[137, 5:], torque / model.gains, rtol=1e-6)
 
 
 class Replay:

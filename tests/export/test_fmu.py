@@ -72,6 +72,14 @@ def test_fmpy_runs_the_model(robot: Robot, tmp_path: Path) -> None:
     assert all(np.isfinite(found[name]).all() for name in outputs)
 
 
+def test_a_payload_that_does_not_exist_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (path,) = export(model_of(load_robot("five-bar")), tmp_path).files
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        fmpy.simulate_fmu(str(path), stop_time=1e-3, step_size=1e-3, start_values={"payload": 7})
+    captured = capfd.readouterr()
+    assert "payload is 7; choose from 0 (none), 1 (tool 2)" in captured.out + captured.err
+
+
 def test_a_joint_that_moves_at_the_start_slides(tmp_path: Path) -> None:
     robot = load_robot("five-bar")
     result = preslid(model_of(robot, terms=False))

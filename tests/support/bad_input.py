@@ -400,6 +400,12 @@ MODELS = [
         _model(lambda text: text.replace('"value": ', '"value": NaN, "old": ', 1)),
         WEIGH,
     ),
+    Case(
+        "a size beyond all robots in a model",
+        "model.json is damaged (1e300 is out of range)",
+        _model(lambda text: text.replace('"std": ', '"std": 1e300, "old": ', 1)),
+        WEIGH,
+    ),
     Case("deep JSON", "model.json is not a JSON file", _model(lambda text: "[" * 100000), VALIDATE),
     Case(
         "of tomorrow",
@@ -478,7 +484,7 @@ MODELS = [
         "nothing to compare with",
         "the runs cannot separate the payload from the robot itself",
         experiment((f"  - {{{FREE}}}\n", ""), (LOADED + "}\nval", ", payload: {name: lead}}\nval")),
-        WEIGH,
+        (*WEIGH, "--gains", "prior"),
     ),
     Case(
         "weighing without prior gains",

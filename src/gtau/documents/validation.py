@@ -13,7 +13,7 @@ from pathlib import Path
 from textwrap import shorten
 from typing import TYPE_CHECKING, Annotated, Any, ParamSpec, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from gtau.documents.yaml_document import Document, KeyPath
 from gtau.errors import GtauError
@@ -25,7 +25,17 @@ Model = TypeVar("Model", bound=BaseModel)
 P = ParamSpec("P")
 R = TypeVar("R")
 LONGEST_NAME = 100  # characters: longer ones fit no table, and with a suffix no file name
-Positive = Annotated[FiniteFloat, Field(gt=0)]
+LARGEST = 1e30  # of a number, and of its inverse: products of larger ones overflow, and no robot has such sizes
+
+
+def _sized(number: float) -> float:
+    if number and not 1 / LARGEST < abs(number) < LARGEST:
+        raise ValueError(f"{number:g} is out of range; write a size between {1 / LARGEST:g} and {LARGEST:g}")
+    return number
+
+
+Number = Annotated[FiniteFloat, AfterValidator(_sized)]
+Positive = Annotated[Number, Field(gt=0)]
 
 
 class Keys(BaseModel):

@@ -13,12 +13,15 @@ import numpy as np
 from gtau import display
 from gtau.documents.validation import FUNCTION, NUMBER, TEXT, takes
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.examine import Examination, estimates_of
 from gtau.estimation.diagnostics.log_checks import command_lag, doubtful_commands, require_payload_excitation
-from gtau.estimation.diagnostics.unit_checks import doubtful_currents, doubtful_payloads
+from gtau.estimation.diagnostics.unit_checks import doubtful_currents, doubtful_payloads, units_and_signs
+from gtau.estimation.estimators.least_squares import fit_by
+from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.experiment_runs import Subject, describe, geometry_of, options_of, read_runs
 from gtau.estimation.preconditions import estimator_for, plan, reduced, require_inputs
 from gtau.estimation.regression.assembly import FEWEST_ROWS
-from gtau.estimation.regression.dataset import Dataset, model_of, robot_notes
+from gtau.estimation.regression.dataset import Dataset, System, model_of, robot_notes
 from gtau.estimation.regression.plausibility import prepare_runs
 from gtau.estimation.regression.rows import instants
 from gtau.estimation.results.conclusions import near_singularities, not_separated
@@ -192,8 +195,9 @@ def check_logs(
     for_use = [log for log in checked if not log.validation]
     notes += few_rows(for_use)
     if not any(note.severity == Severity.ERROR for note in notes):
-        subject = replace(subject, runs=[log.run for log in for_use])
-        notes += _together(subject, reduced(subject, estimator_for(options, used), progress, preparation))
+        subject, known = replace(subject, runs=[log.run for log in for_use]), {note.kind for note in notes}
+        together = _together(subject, reduced(subject, estimator_for(options, used), progress, preparation))
+        notes += [note for note in together if F(note.kind).outcome is None or note.kind not in known]
     return ExperimentCheck(robot, preparation, tuple(checked), tuple(notes), geometry)
 
 
@@ -241,7 +245,7 @@ def few_rows(logs: Sequence[LogCheck]) -> Iterator[Finding]:
 
 
 def _together(subject: Subject, dataset: Dataset) -> list[Finding]:
-    """List findings that need all runs: the scale of the gains, the payload's effect, inseparable parameters."""
+    """List findings that need all runs: the scale of the gains, units, the payload's effect, inseparable parameters."""
     system = dataset.system()
     notes, planned = [*command_lag(dataset, system), *not_separated(system.unexcited)], None
     payloads = [run.payload for run in dataset.runs if run.payload is not None]
@@ -256,7 +260,16 @@ def _together(subject: Subject, dataset: Dataset) -> list[Finding]:
     if planned is not None and planned[1] is None:  # gains that are estimated
         with _noted(notes, F.MODEL):
             require_payload_excitation(system)
+    if planned is not None:
+        with suppress(GtauError):  # of equations that only the friction selected for them can solve
+            notes += _units(subject, system, planned[1])
     return notes
+
+
+def _units(subject: Subject, system: System, gains: np.ndarray | None) -> Iterator[Finding]:
+    """Find units and signs that ``identify`` would doubt, by gains (n,) or a first estimate of them."""
+    fit = fit_by(ml_or_wls(gains), system, gains is None)
+    return units_and_signs(fit, estimates_of(fit, Examination(), correlated=False), subject.options.gains, None)
 
 
 def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, validation: bool) -> LogCheck:

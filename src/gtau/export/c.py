@@ -61,7 +61,7 @@ def _fields(model: Identified) -> dict[str, Any]:
         "velocities": velocities,
         "following": 3.0 / BANDWIDTH * velocities,
         "bandwidth": BANDWIDTH,
-        "csv_head": ",".join(["t", *(f"{kind}{in_c(joint)}" for kind in "vu" for joint in model.joints)]),
+        "csv_head": ",".join(["t", *(f"{kind}{in_c(joint)}" for kind in "vuc" for joint in model.joints)]),
     }
 
 

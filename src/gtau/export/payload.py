@@ -1,7 +1,7 @@
 """Payloads in the formats of controllers: URScript, Franka's JSON, KRL, RAPID, and a ROS message.
 
 Every format describes the same body: mass in kg, centre of mass, inertia about it, in the requested frame.
-Mass and centre are rounded as they are shown; an inertia keeps its digits, so that the body can exist.
+Numbers have the digits that their intervals allow; what was not measured is rounded too, so that zeros are zeros.
 """
 
 from __future__ import annotations
@@ -70,12 +70,28 @@ def export_payload(payload: PayloadBody, kind: str, out: str | Path) -> Exported
     )
 
 
+TENSOR = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
+FINE = 1e-6, 1e-4  # half an interval of what has none: of a centre, m; of an inertia over the largest of its tensor
+FINER = (1.0, 1e-1, 1e-2, 1e-3)  # of these widths, where a body cannot have the rounded inertia
+
+
 def _shown(payload: PayloadBody, rigid: RigidBody) -> RigidBody:
-    """Round mass and centre of a body to the digits of their intervals."""
-    halves = [payload.parameters[key].half_interval() for key in ("m", "cx", "cy", "cz")]
-    values = [rigid.mass, *map(float, rigid.center)]
-    mass, *center = (float(to_width(x, half)) if half else x for x, half in zip(values, halves, strict=True))
-    return RigidBody(mass, np.array(center), rigid.inertia)
+    """Round a body to the digits of its intervals, its inertia to one that a body can have."""
+
+    def rounded(values: np.ndarray, keys: Sequence[str], without: float, share: float = 1.0) -> list[float]:
+        halves = [payload.parameters[key].half_interval() or without for key in keys]
+        return [float(to_width(x, share * half)) + 0.0 for x, half in zip(values.tolist(), halves, strict=True)]
+
+    half, entries = payload.parameters["m"].half_interval(), rigid.inertia[np.triu_indices(3)]
+    inertia = rigid.inertia
+    for share in FINER:
+        xx, xy, xz, yy, yz, zz = rounded(entries, TENSOR, FINE[1] * float(np.abs(entries).max()), share)
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        least, middle, largest = np.linalg.eigvalsh(inertia)
+        if least > 0 and least + middle >= largest:
+            break
+    mass = float(to_width(rigid.mass, half)) if half else rigid.mass
+    return RigidBody(mass, np.array(rounded(rigid.center, ("cx", "cy", "cz"), FINE[0])), inertia)
 
 
 def refuse_unnamed(kind: str, frame: str, links: Sequence[str]) -> None:
@@ -132,8 +148,8 @@ def _kuka(name: str, body: RigidBody, head: str) -> Mapping[str, str]:
     https://infosys.beckhoff.com/content/1033/tf5120/13081587595.html (KRC_WriteLoadData)
     """
     moments, axes = body.principal
-    roll, pitch, yaw = np.degrees(angles_of(axes))
-    frame = _fields("XYZABC", [*_millimetres(body), yaw, pitch, roll])
+    roll, pitch, yaw = np.round(np.degrees(angles_of(axes)), 6)
+    frame = _fields("XYZABC", [*(1e3 * body.center), yaw, pitch, roll])
     line = f"LOAD_DATA[1]={{M {_number(body.mass)},CM {{{frame}}},J {{{_fields('XYZ', moments)}}}}}"
     return {f"{name}.dat": f"; {head}\n{line}\n"}
 
@@ -148,8 +164,8 @@ def _abb(name: str, body: RigidBody, head: str) -> Mapping[str, str]:
     from scipy.spatial.transform import Rotation
 
     moments, axes = body.principal
-    x, y, z, w = Rotation.from_matrix(axes).as_quat(canonical=True)
-    record = f"[{_number(body.mass)},[{_listed(_millimetres(body))}],[{_listed([w, x, y, z])}],{_listed(moments)}]"
+    x, y, z, w = np.round(Rotation.from_matrix(axes).as_quat(canonical=True), 9)
+    record = f"[{_number(body.mass)},[{_listed(1e3 * body.center)}],[{_listed([w, x, y, z])}],{_listed(moments)}]"
     name = name[:27]  # RAPID's names have 32 characters at most
     return {f"{name}.mod": f"MODULE {name}_load\n  ! {head}\n  PERS loaddata {name}:={record};\nENDMODULE\n"}
 
@@ -178,12 +194,8 @@ WRITERS: Mapping[str, tuple[Callable[[str, RigidBody, str], Mapping[str, str]], 
 """How each kind is written, and in which frame it is expected."""
 
 
-def _millimetres(body: RigidBody) -> np.ndarray:
-    return np.round(1e3 * body.center, 12)
-
-
 def _number(value: float) -> str:
-    return str(np.format_float_positional(value, trim="0"))  # not every controller reads exponents
+    return str(np.format_float_positional(np.round(value, 12) + 0.0, trim="0"))  # not every controller reads exponents
 
 
 def _listed(values: np.ndarray | list[float]) -> str:

@@ -22,6 +22,7 @@ from gtau.report.logs import logs_section, seconds
 from gtau.report.motion import motion_section
 from gtau.report.page import Column, Kind, Page, Section, Text, page, section, table_of
 from gtau.report.torques import REVERSALS, bands_section, errors_table, stretch_chart, torques_section
+from gtau.uses.weigh import FRICTION_CHANGE
 
 CAUTION = (
     "A small error does not validate the gains: they scale both sides. Weigh a known payload ('gtau payload') for that."
@@ -140,6 +141,11 @@ def weighing_page(
         said.append(
             f"the intervals exclude the uncertainty of {excluded}: an error of 1 % in all gains is 1 % of a mass; "
             "write it as 'prior_gains: {joint: {value: 2.4, std: 0.1}}'"
+        )
+    if any(payload.weighed and payload.weighed.by_model for payload in payloads):
+        said.append(
+            "no run shows the robot with another load, so the model is the reference, with friction that may have "
+            f"changed by {100 * FRICTION_CHANGE:.0f} %; a log of the same motion without payload narrows the interval"
         )
     given = "the logged torques taken as true, whose scale was not tested" if torques else "these gains assumed exact"
     words = masses_words(payloads, f"with {given}, " if exact else "")

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
 from gtau.documents.files import MODEL, refuse_other_kind, system_refusals, write_atomically
-from gtau.documents.validation import validate
+from gtau.documents.validation import LARGEST, validate
 from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError
 from gtau.estimation.friction.law import SHAPES
@@ -54,6 +53,8 @@ def load(path: str | Path) -> Result:
     with system_refusals(path, "give the model.json that 'gtau identify' wrote"):
         try:
             document = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse, parse_float=_finite)
+        except OverflowError as size:
+            raise _damaged(path, f"{size} is out of range") from None
         except (ValueError, RecursionError):
             raise GtauError(f"{path} is not a JSON file; give the model.json that 'gtau identify' wrote.") from None
     if not isinstance(document, dict) or "schema" not in document:
@@ -67,7 +68,7 @@ def load(path: str | Path) -> Result:
         document = _one_friction(document)
     result = validate(ModelDocument, Document(path, document)).made(path)
     for problem in _problems(result):
-        raise GtauError(f"{path} is damaged ({problem}); write it again with 'gtau identify'.")
+        raise _damaged(path, problem)
     return result
 
 
@@ -92,12 +93,18 @@ def _one_friction(document: dict[str, Any]) -> dict[str, Any]:
     return document | {"parameters": kept, "friction": [*predicted.values(), *shapes], "equation_friction": equations}
 
 
+def _damaged(path: Path, problem: str) -> GtauError:
+    return GtauError(f"{path} is damaged ({problem}); write it again with 'gtau identify'.")
+
+
 def _refuse(constant: str) -> float:
     raise ValueError(f"{constant} is not a JSON number")
 
 
 def _finite(text: str) -> float:
-    return float(text) if isfinite(float(text)) else _refuse(text)
+    if not abs(number := float(text)) < LARGEST:
+        raise OverflowError(text)
+    return number
 
 
 def _problems(result: Result) -> Iterator[str]:

@@ -102,7 +102,7 @@ def minus(words: str) -> str:
 def _robot(robot: Robot) -> str:
     from gtau.report.robot_figure import sketch_of
 
-    return svg_of_sketch(sketch_of(robot))
+    return svg_of_sketch(sketch_of(robot), f"robot {robot.name} at home")
 
 
 def _style() -> str:

@@ -107,8 +107,8 @@ def svg_of(panel: Panel, alone: bool, title: str = "") -> str:
     )
 
 
-def svg_of_sketch(sketch: Sketch) -> str:
-    """Draw a sketch."""
+def svg_of_sketch(sketch: Sketch, title: str) -> str:
+    """Draw a sketch; ``title`` says what it shows to those who do not see it."""
     (left, _), top = sketch.corner, sketch.corner[1] + sketch.size[1]
     drawn = []
     for item in sketch.items:
@@ -122,7 +122,8 @@ def svg_of_sketch(sketch: Sketch) -> str:
             path = _path(course, item.stroke, item.width, fill=item.fill)
             drawn.append(path.replace('"/>', f';stroke-linecap:round;opacity:{item.opacity:g}"/>'))
     return (
-        f'<svg viewBox="0 0 {sketch.size[0]:.0f} {sketch.size[1]:.0f}" stroke-linejoin="round">{"".join(drawn)}</svg>'
+        f'<svg viewBox="0 0 {sketch.size[0]:.0f} {sketch.size[1]:.0f}" role="img" aria-label="{escape(title)}" '
+        f'stroke-linejoin="round">{"".join(drawn)}</svg>'
     )
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field, FiniteFloat, field_validator, model_validator
 
-from gtau.documents.validation import MAPPING, Keys, Positive, expect, name_problem, read_group
+from gtau.documents.validation import MAPPING, Keys, Number, Positive, expect, name_problem, read_group
 from gtau.errors import GtauError
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
@@ -31,9 +31,9 @@ class Payload(Keys):
 
     name: str
     mass: Positive | None = None
-    mass_std: Annotated[FiniteFloat, Field(ge=0)] = 0.0
-    parameters: dict[str, FiniteFloat] = Field(default_factory=dict)
-    center: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
+    mass_std: Annotated[Number, Field(ge=0)] = 0.0
+    parameters: dict[str, Number] = Field(default_factory=dict)
+    center: tuple[Number, Number, Number] | None = None
 
     @field_validator("name")
     @classmethod
@@ -74,10 +74,10 @@ def as_payload(payload: Payload | Mapping[str, Any] | None) -> Payload | None:
 class Prior(Keys):
     """Prior of a standard parameter, SI units: a value with its standard deviation, or bounds."""
 
-    value: FiniteFloat | None = None
+    value: Number | None = None
     std: Positive | None = None
-    min: FiniteFloat | None = None
-    max: FiniteFloat | None = None
+    min: Number | None = None
+    max: Number | None = None
 
     @model_validator(mode="after")
     def _complete(self) -> Prior:
@@ -91,7 +91,7 @@ class Prior(Keys):
 class StatedGain(Keys):
     """Drive gain of a joint, N m/A or N/A, with its standard deviation where that is known."""
 
-    value: FiniteFloat
+    value: Number
     std: Positive | None = None
 
 
@@ -120,7 +120,7 @@ class Drive(Keys):
     standard deviation of the expected values.
     """
 
-    gear_ratio: FiniteFloat = 1.0
+    gear_ratio: Number = 1.0
     torque_constant: Positive | None = None
     efficiency: Annotated[FiniteFloat, Field(gt=0, le=1)] | None = None
     rotor_inertia: Positive | None = None
@@ -232,6 +232,27 @@ def _per_cent(value: Any) -> Any:
 
 
 Percent = Annotated[FiniteFloat, Field(gt=0), BeforeValidator(_per_cent)]
+
+
+class Tolerances(Keys):
+    """Changes since the identification that are accepted of a watched robot.
+
+    ``gain`` and ``friction`` are relative, ``load`` is in kg (2 % of ``rated_payload`` where that is given instead),
+    ``zero`` in degrees or mm, ``delay`` in s.
+    """
+
+    gain: Positive = 0.05
+    friction: Positive = 0.3
+    load: Positive | None = None
+    rated_payload: Positive | None = None
+    zero: Positive = 0.5
+    delay: Positive = 0.005
+
+    @property
+    def mass(self) -> float:
+        """Accepted undeclared load, kg."""
+        rated = None if self.rated_payload is None else 0.02 * self.rated_payload
+        return self.load or rated or 0.3
 
 
 class Requirements(Keys):

@@ -1,0 +1,51 @@
+"""Numbers on pages: they are those of the files that programs wrote."""
+
+from __future__ import annotations
+
+import csv
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+EVIDENCE = ROOT / "docs" / "evidence"
+
+
+@pytest.fixture
+def defects(monkeypatch: pytest.MonkeyPatch) -> dict:
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    from realism.departures import DEPARTURES
+
+    yield DEPARTURES
+    for name in [name for name in sys.modules if name.split(".")[0] == "realism"]:
+        del sys.modules[name]
+
+
+def test_the_headline_of_coverage_counts_every_row(defects: dict) -> None:
+    page = (EVIDENCE / "coverage.md").read_text(encoding="utf-8")
+    with (EVIDENCE / "coverage" / "defects-by-robot.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["defect"] for row in rows} == set(defects)
+
+    def hits(chosen: list[dict[str, str]], column: str = "intervals with the truth", of: str = "intervals") -> str:
+        return f"{sum(int(row[column]) for row in chosen)} of {sum(int(row[of]) for row in chosen)}"
+
+    faulty = [row for row in rows if row["defect"] != "none" and not defects[row["defect"]].wrong]
+    wrong = [row for row in rows if defects[row["defect"]].wrong]
+    named = {
+        "no defects: full intervals contain the truth": [row for row in rows if row["defect"] == "none"],
+        "faulty logs or drives: intervals contain the truth": faulty,
+        "wrong description: intervals contain the truth": wrong,
+    }
+    for words, chosen in named.items():
+        headline = re.search(rf"^\| {re.escape(words)} \|[^|]*\|([^|]*)\|", page, re.MULTILINE)
+        assert headline is not None
+        assert hits(chosen) in headline[1]
+    assert hits([*faulty, *wrong], "wrong good") in page
+    for defect in defects:  # the table of the page is the sum over the robots
+        mine = [row for row in rows if row["defect"] == defect]
+        line = re.search(rf"^\| {re.escape(defect)} \|(.*)\|$", page, re.MULTILINE)
+        assert line is not None
+        assert f"| {hits(mine)} |" in line[1], defect
