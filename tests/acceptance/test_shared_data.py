@@ -56,7 +56,7 @@ def test_orthoglide_gains(orthoglide: Result, truth: dict) -> None:
         assert estimate.value == pytest.approx(gain, rel=0.003)
         assert abs(estimate.value - gain) < 4 * estimate.std
         assert estimate.rel_std < 0.3
-        assert estimate.unit == "N/A"
+        assert estimate.unit == "N per A"
     assert len(orthoglide.parameters) == 61
 
 
