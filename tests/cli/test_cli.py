@@ -242,6 +242,19 @@ def test_payload(here: Path, gains: str) -> None:
     assert f"Weighed with the {gains} drive gains" in table
 
 
+def test_a_log_alone_is_weighed(here: Path) -> None:
+    def mass_of(*logs: str) -> dict:
+        (payload,) = json.loads(run("payload", "model.json", *logs, "--json").stdout)["payloads"]
+        assert (payload["name"], payload["run"]) == ("unknown", "unknown")
+        return payload["parameters"]["m"]
+
+    alone = mass_of("unknown.csv", "--out", "weighed")
+    assert abs(alone["value"] - LEAD["m"]) < 2.5 * alone["std"] < 0.1
+    assert "payload: {name: unknown}" in (here / "weighed" / "experiment.yaml").read_text()
+    beside = mass_of("unknown.csv", "free.csv", "--payload", "free.csv=0", "--out", "beside")
+    assert beside["std"] < alone["std"] / 2
+
+
 def test_a_payload_for_a_controller(here: Path) -> None:
     """A five-bar in a plane shows neither cz nor inertias but Izz; the frame is 0.1 m along its x."""
     arguments = ("payload", "model.json", "weighing.yaml", "--frame", "0.1 0 0 0 0 0", "--to", "ur", "--out", "weighed")

@@ -484,7 +484,7 @@ MODELS = [
         "nothing to compare with",
         "the runs cannot separate the payload from the robot itself",
         experiment((f"  - {{{FREE}}}\n", ""), (LOADED + "}\nval", ", payload: {name: lead}}\nval")),
-        WEIGH,
+        (*WEIGH, "--gains", "prior"),
     ),
     Case(
         "weighing without prior gains",

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from five_bar_logs import EXPERIMENT, STEEL, Plant, five_bar, write_experiment, write_log
+from five_bar_logs import CHI, EXPERIMENT, STEEL, Plant, five_bar, write_experiment, write_log
 from plausible_parameters import body_parameters, random_parameters
 
 from gtau.errors import GtauError
@@ -19,6 +19,7 @@ from gtau.estimation.results.groups import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.findings import FindingKind as F
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.progress import silent
 from gtau.report.render.terminal import plain
 from gtau.report.validation import weighing_page
 from gtau.robots.robot import Coupling, Joint, Limits, Mdh, Pose, Robot
@@ -26,7 +27,7 @@ from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload, as_payload
 from gtau.signals.run import Run
 from gtau.simulation.trajectories import envelope, sines
-from gtau.uses.weigh import exact_gains, weigh
+from gtau.uses.weigh import exact_gains, undeclared_load, weigh
 
 MASS_STD = 0.06  # 5 % of the known payload
 LEAD = {"m": 0.8, "mx": 0.1, "my": -0.05, "zz": 0.03}
@@ -68,6 +69,41 @@ def test_the_deviation_has_that_of_the_mass_behind_the_gains(model: Result, fold
     found = weighed(model, folder, HEAD + KNOWN + UNKNOWN, "identified").parameters["m"]
     assert found.value == pytest.approx(LEAD["m"], rel=0.01)
     assert found.std / found.value == pytest.approx(MASS_STD / 1.2, rel=0.1)
+
+
+def test_one_log_is_weighed_by_the_model(model: Result, folder: Path) -> None:
+    """Friction today is 15 % more; the interval has the mass behind the gains, of which gains and parameters are."""
+    more = {name: value * (1.15 if name.startswith("f") else 1.0) for name, value in CHI.items()}
+    run = replace(Plant(noise=0.01, chi=more).run("today", payload=LEAD, seed=5), payload=Payload(name="lead"))
+    (found,) = weigh(model, five_bar().robot, [run])
+    mass = found.parameters["m"]
+    low, high = mass.interval()
+    assert low < LEAD["m"] < high
+    assert 0.04 < mass.std / LEAD["m"] < 0.08
+    assert found.weighed is not None
+    assert found.weighed.by_model
+    said = " ".join(plain(weighing_page(model, [found], "identified")).split())
+    assert "the model is the reference, with friction that may have changed by 20 %" in said
+    (beside,) = weigh(model, five_bar().robot, [run, Plant(noise=0.01, chi=more).run("free", seed=6)])
+    assert not beside.weighed.by_model
+
+
+@pytest.mark.parametrize(
+    ("carried", "declared", "more"), [(LEAD, None, 0.8), (STEEL, STEEL["m"], None), (None, None, None)]
+)
+def test_an_undeclared_load_of_a_validation_run_is_named(
+    model: Result, carried: dict[str, float] | None, declared: float | None, more: float | None
+) -> None:
+    run = Plant(noise=0.01).run("check", payload=carried, seed=7)
+    run = replace(run, payload=Payload(name="steel", mass=declared) if declared else None)
+    found = undeclared_load(model, run, model.validate(run), silent)
+    if more is None:
+        assert found is None
+        return
+    assert found is not None
+    (body,) = found.causes[0].values["bodies"]
+    assert abs(body["more"] - more) < body["half"] < 0.1
+    assert f"an undeclared body of {body['more']:.4f} kg" in str(found)
 
 
 def with_prior_gains(model: Result, folder: Path, left: object, right: object) -> Estimate:

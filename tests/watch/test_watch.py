@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import sqlite3
+import time
+from contextlib import closing
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -16,8 +21,10 @@ from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
-from gtau.report.watch import verdict_text
+from gtau.report.watch import alarm_words, state_of, verdict_text
+from gtau.signals.reading.statements import Tolerances
 from gtau.signals.run import Run
+from gtau.watch import history
 from gtau.watch.statistics import LogStatistics, statistics_of
 from gtau.watch.watch import Watch
 
@@ -63,8 +70,12 @@ def healthy(model: Result) -> list[LogStatistics]:
 def watched(model: Result, logs: list[LogStatistics], out: Path | None = None) -> Watch:
     watch = Watch(model, out, baseline=HEALTHY)
     for k, log in enumerate(logs):
-        watch.update_statistics(log, f"digest {k}", "2026-01-01")
+        watch.update_statistics(log, f"digest {k}", f"2026-01-{k + 1:02d}")
     return watch
+
+
+def days_of(model: Result, first: int, count: int, **change: float) -> list[LogStatistics]:
+    return [statistics_of(model, day(k, **change)) for k in range(first, first + count)]
 
 
 def test_statistics_are_the_changes_that_were_made(model: Result) -> None:
@@ -82,129 +93,279 @@ def test_statistics_are_the_changes_that_were_made(model: Result) -> None:
     ):
         assert moved(statistics_of(model, day(0, **change)), name) == pytest.approx(wanted, abs=tolerance), name
     late = replace(day(0), command=np.roll(day(0).command, 2, axis=0))  # by 4 ms: v(t - d) is that of later
-    assert moved(statistics_of(model, late), "delay_left") == pytest.approx(-0.004, abs=4e-4)
+    assert moved(statistics_of(model, late), "delay_left") == pytest.approx(0.004, abs=4e-4)
 
 
 @pytest.mark.parametrize(
-    ("change", "kind", "joint", "size", "tolerance"),
+    ("change", "alarm", "kind", "joint", "size", "tolerance"),
     [
-        ({"gain": 0.95}, "gain", "left", -0.05, 0.01),
-        ({"friction": 1.5}, "friction", "right", 0.35, 0.06),
-        ({"payload": 0.2}, "load", "", 0.24, 0.05),
-        ({"zero": 2.0}, "zero", "left", -2.0, 0.2),
+        ({"gain": 0.97}, "change", "gain", "left", -0.03, 0.01),
+        ({"gain": 0.90}, "tolerance", "gain", "left", -0.10, 0.01),
+        ({"friction": 1.5}, "tolerance", "friction", "right", 0.35, 0.06),
+        ({"payload": 0.4}, "tolerance", "load", "", 0.48, 0.05),
+        ({"zero": 2.0}, "tolerance", "zero", "left", -2.0, 0.2),
     ],
 )
 def test_a_fault_is_found_and_named(
-    model: Result, healthy: list[LogStatistics], change: dict, kind: str, joint: str, size: float, tolerance: float
+    model: Result, healthy: list, change: dict, alarm: str, kind: str, joint: str, size: float, tolerance: float
 ) -> None:
     watch = watched(model, healthy)
     assert watch.alarm is None
-    for k in range(100, 104):
-        status = watch.update_statistics(statistics_of(model, day(k, **change)), f"{k}", "2026-02-01")
-    assert not status.healthy
+    for k, log in enumerate(days_of(model, 100, 4, **change)):
+        status = watch.update_statistics(log, f"{k}", f"2026-01-{16 + k}")
+        assert not status.healthy or k < 2  # at the third log at the latest
     best = status.entry.alarm.explanations[0]
-    assert (best.kind, best.joint) == (kind, joint)
+    assert (status.entry.alarm.kind, best.kind, best.joint) == (alarm, kind, joint)
     if kind != "load" or best.unit == "kg":
         assert best.size == pytest.approx(size, abs=tolerance)
         assert abs(best.size - size) < 3 * best.half
     assert status.entry.alarm.since == "day 100"
 
 
-def test_contacts_and_clocks_are_named(model: Result, healthy: list[LogStatistics]) -> None:
+def test_what_was_wrong_from_the_first_log_is_beyond_tolerance(model: Result) -> None:
+    watch = Watch(model, baseline=HEALTHY)
+    for k, log in enumerate(days_of(model, 0, 4, gain=0.9, payload=0.4)):
+        watch.update_statistics(log, f"{k}", f"2026-01-{k + 1:02d}")
+    assert (watch.phase, watch.alarm.kind, watch.alarm.since) == ("baseline", "tolerance", "day 0")
+    (cause,) = watch.alarm.explanations
+    parts = {part.kind: part for part in (cause, cause.and_also)}
+    assert parts["gain"].size == pytest.approx(-0.10, abs=0.01)
+    assert parts["load"].size == pytest.approx(0.48, abs=0.05)
+    wide = Watch(model, baseline=HEALTHY, tolerances=Tolerances(gain=0.2, zero=10.0, delay=0.1))
+    for k, log in enumerate(days_of(model, 0, 4, gain=0.93)):
+        assert wide.update_statistics(log, f"{k}", f"2026-01-{k + 1:02d}").healthy
+
+
+def test_contacts_and_lags_are_named(model: Result, healthy: list[LogStatistics]) -> None:
     def bumped(k: int) -> Run:
         current = day(k).command.copy()
         current[1000 + 200 * (k % 7) :][:250, 0] += 0.5  # A, for half a second
         return replace(day(k), command=current)
 
-    def late(k: int) -> Run:
-        return replace(day(k), command=np.roll(day(k).command, 2, axis=0))
+    def late(k: int, samples: int = 2) -> Run:
+        return replace(day(k), command=np.roll(day(k).command, samples, axis=0))
 
     for make, kind, joint in ((bumped, "contact", "left"), (late, "clock", "")):
         watch = watched(model, healthy)
         for k in range(100, 103):
-            status = watch.update_statistics(statistics_of(model, make(k)), f"{k}", "2026-02-01")
+            status = watch.update_statistics(statistics_of(model, make(k)), f"{k}", f"2026-02-{k - 99:02d}")
         (named,) = status.entry.alarm.explanations
         assert (named.kind, named.joint) == (kind, joint)
-    assert named.size == pytest.approx(-0.004, abs=3e-4)
+    assert named.size == pytest.approx(0.004, abs=3e-4)
+    assert "lag of all currents +4" in alarm_words(status.entry.alarm)[0]
+    watch = watched(model, healthy)
+    for k in range(100, 103):
+        watch.update_statistics(statistics_of(model, late(k, 10)), f"{k}", f"2026-02-{k - 99:02d}")
+    assert watch.alarm.explanations[0].kind == "clock"  # 20 ms, of which a part is seen
 
 
-def test_a_log_outside_the_bands_is_not_called_unchanged(model: Result, healthy: list[LogStatistics]) -> None:
-    watch = Watch(model, baseline=4)
-    logs = [*healthy[:5], statistics_of(model, day(50, payload=0.05))]
-    said = []
-    for k, log in enumerate(logs):
-        status = watch.update_statistics(log, f"digest {k}", "2026-01-01")
-        said.append(verdict_text(watch, status.entry))
-        assert status.healthy
-    assert said[4].words == "No change since the baseline, 5 logs."
-    low, high = watch.baseline.bands()
-    outside = sum(
-        not low[watch.names.index(name)] <= value <= high[watch.names.index(name)]
-        for name, value in status.entry.values.items()
-    )
-    assert said[5].words.startswith(f"No alarm yet: {outside} of {len(status.entry.values)} charts of the last log are")
-    assert said[5].style == "neutral"
+def test_an_odd_log_is_set_aside_until_the_next_agrees(model: Result, healthy: list[LogStatistics]) -> None:
+    wrong = statistics_of(model, replace(day(50), command=1000 * day(50).command))  # in mA
+    for place in (0, 2, 6):
+        watch = watched(model, [*healthy[:place], wrong])
+        assert watch.alarm.kind == "log"
+        assert watch.count == place
+        if place:
+            assert [(cause.kind, cause.joint) for cause in watch.alarm.explanations] == [("units", "")]
+        watch.update_statistics(healthy[place], "next", "2026-02-01")
+        assert watch.alarm is None
+        assert watch.count == place + 1
+    heavy = days_of(model, 60, 3, payload=2.0)
+    watch = watched(model, [*healthy, heavy[0]])
+    head, points = alarm_words(watch.alarm)
+    assert "is odd by itself and set aside" in head
+    assert "load +2.4" in head
+    assert points[0].startswith("Repeat it")
+    watch.update_statistics(heavy[1], "next", "2026-01-17")
+    assert watch.alarm.kind == "change"
+    watch.update_statistics(heavy[2], "third", "2026-01-18")
+    assert (watch.alarm.kind, watch.alarm.since) == ("tolerance", "day 60")
 
 
-def test_a_history_goes_on_after_a_kill_with_the_same_numbers(
-    model: Result, healthy: list[LogStatistics], tmp_path: Path
-) -> None:
-    whole = watched(model, healthy, tmp_path / "whole")
-    for k, log in enumerate(healthy):
-        Watch(model, tmp_path / "parts", baseline=HEALTHY).update_statistics(log, f"digest {k}", "2026-01-01")
-    expected = (tmp_path / "whole" / "history.jsonl").read_text()
-    path = tmp_path / "parts" / "history.jsonl"
-    assert path.read_text() == expected
-    lines = expected.splitlines(keepends=True)
-    path.write_text("".join(lines[:-1]) + lines[-1][:200])  # killed while the last line was written
-    again = Watch(model, tmp_path / "parts", baseline=HEALTHY)
-    assert again.count == whole.count - 1
-    assert f"digest {len(healthy) - 1}" not in again.seen
-    again.update_statistics(healthy[-1], f"digest {len(healthy) - 1}", "2026-01-01")
-    assert path.read_text() == expected
+def test_an_alarm_ends(model: Result, healthy: list[LogStatistics]) -> None:
+    def add(watch: Watch, logs: list[LogStatistics], first: int) -> None:
+        for k, log in enumerate(logs):
+            watch.update_statistics(log, f"{first}.{k}", f"2026-03-{first + k:02d}")
+
+    faulty, later = days_of(model, 100, 3, gain=0.9), days_of(model, 200, 9)
+    watch = watched(model, healthy)
+    add(watch, faulty, 1)
+    assert watch.alarm is not None
+    watch.acknowledge("new motor")
+    assert watch.alarm is None
+    add(watch, days_of(model, 110, 3, gain=0.9), 4)
+    assert watch.alarm is None  # the new reference
+    watch.undo("day 100")
+    assert watch.alarm.since == "day 100"
+    add(watch, later, 7)  # the motor is repaired
+    assert watch.alarm is None
+    assert [event.kind for event in watch.events] == ["acknowledge", "undone", "repaired"]
+    assert "no change since the baseline" in verdict_text(watch).words
+    watch.forget("day 203")
+    count = watch.count
+    watch.undo("day 203")
+    assert watch.count == count + 1
+    for call, sentence in (
+        (lambda: watch.forget("day 999"), "holds no log 'day 999'"),
+        (lambda: watch.acknowledge("why"), "there is no alarm to acknowledge"),
+        (lambda: watch.undo("day 999"), "nothing was done about 'day 999'"),
+    ):
+        with pytest.raises(GtauError, match=sentence):
+            call()
+
+
+def rows(folder: Path) -> list[tuple]:
+    with closing(sqlite3.connect(folder / "history.db")) as database:
+        return database.execute("SELECT log, date, numbers, alarm FROM logs ORDER BY id").fetchall()
+
+
+def test_kills_and_two_writers_lose_nothing(model: Result, healthy: list[LogStatistics], tmp_path: Path) -> None:
+    watched(model, healthy, tmp_path / "one")
+
+    def work() -> None:
+        watch = Watch(model, tmp_path / "many", baseline=HEALTHY)
+        for k, log in enumerate(healthy):
+            watch.update_statistics(log, f"digest {k}", f"2026-01-{k + 1:02d}")
+
+    rng = np.random.default_rng(2)
+    for _ in range(15):  # the benchmark ends a hundred
+        children = []
+        for _ in range(2):
+            if not (child := os.fork()):
+                work()
+                os._exit(0)
+            children.append(child)
+        time.sleep(float(rng.uniform(0.01, 0.3)))
+        for child in children:
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+    work()
+    assert rows(tmp_path / "many") == rows(tmp_path / "one")
+
+
+def test_logs_of_other_dates_and_copies(model: Result, tmp_path: Path) -> None:
+    watch = Watch(model, tmp_path)
+    for k in (3, 1, 2):
+        watch.update(day(k), date=f"2026-01-0{k}")
+    assert watch.view.table.logs == ("day 1", "day 2", "day 3")
+    assert watch.update(replace(day(2), name="copy"), "another file", "2026-01-09").copied
+    assert watch.seen("another file")
+    assert len(rows(tmp_path)) == 3
 
 
 def test_histories_are_refused_where_they_do_not_suit(model: Result, healthy: list, tmp_path: Path) -> None:
     watched(model, healthy[:2], tmp_path)
+    assert Watch(model, tmp_path).settings.baseline == HEALTHY  # it stands in the history
     with pytest.raises(GtauError, match="begun with --baseline 10, not 12"):
         Watch(model, tmp_path, baseline=12)
     with pytest.raises(GtauError, match="at least 4 healthy logs"):
         Watch(model, baseline=2)
-    path = tmp_path / "history.jsonl"
-    path.write_text(path.read_text().replace('"phase"', '"phases"', 1))
-    with pytest.raises(GtauError, match="line 2 is damaged"):
-        Watch(model, tmp_path, baseline=HEALTHY)
     with pytest.raises(GtauError, match="holds torques"):
         Watch(model).update(replace(day(0), kind="torque"))
+    other = tmp_path / "other"
+    other.mkdir()
+    for content, sentence in ((b"", "is empty"), (b"t,q1,q2\n" * 1000, "cannot be used")):
+        (other / "history.db").write_bytes(content)
+        with pytest.raises(GtauError, match=sentence):
+            Watch(model, other)
+        assert (other / "history.db").read_bytes() == content
+    (other / "history.db").unlink()
+    with closing(sqlite3.connect(other / "history.db")) as foreign:
+        foreign.execute("CREATE TABLE other (x)")
+    with pytest.raises(GtauError, match="is not a history of gtau"):
+        Watch(model, other)
+
+
+def test_a_history_of_lines_is_read_once(model: Result, healthy: list[LogStatistics], tmp_path: Path) -> None:
+    head = {"schema_": "gtau-watch/1", "model": Watch(model).settings.model, "robot": "five-bar", "baseline": 4}
+    head |= {"false_alarms": 1.0, "robots": 1, "logs_per_year": 365.0}
+    lines = [json.dumps(head)]
+    for k, log in enumerate(healthy[:6]):
+        names = [chart.name for chart in log.charts]
+        line = {"log": log.name, "digest": f"{k}", "date": f"2026-01-0{k + 1}"}
+        line |= {"values": dict(zip(names, log.values, strict=True)), "std": dict(zip(names, log.std, strict=True))}
+        lines.append(json.dumps({**line, "uneven": dict(zip(log.joints, log.uneven, strict=True))}))
+    path = tmp_path / "history.jsonl"
+    path.write_text("\n".join([*lines[:3], lines[3][:40] + lines[4], *lines[5:], ""]))  # two lines are glued
+    with pytest.raises(GtauError, match=r"history.jsonl, line 4 is damaged"):
+        Watch(model, tmp_path)
+    path.write_bytes(b"\xff\xfe\n")
+    with pytest.raises(GtauError, match=r"history.jsonl, line 1 is damaged"):
+        Watch(model, tmp_path)
+    assert list(tmp_path.iterdir()) == [path]
+    path.write_text("\n".join(lines) + "\n" + lines[1][:40])  # torn
+    watch = Watch(model, tmp_path)
+    assert (watch.count, watch.settings.baseline, watch.events[0].kind) == (6, 4, "torn")
+    at = watch.settings.charts.index("delay_left")
+    assert watch.view.table.values[0, at] == -healthy[0].values[at]  # it was the lead
+    path.unlink()
+    assert Watch(model, tmp_path).count == 6
+
+
+def test_years_of_blocks_are_condensed(model: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    watch = Watch(model, tmp_path)
+    width = 2 * (len(watch.charts) + 2)
+    database, rng = watch._database, np.random.default_rng(1)
+    with history.writing(database):
+        for k in range(6000):
+            history.add_row(
+                database, [f"{k:064x}"], f"block {k}", f"2026-01-{1 + k // 1000:02d}T00:00:00", rng.normal(size=width)
+            )
+        assert history.condense(database)
+    again = Watch(model, tmp_path)
+    table = again.view.table
+    assert len(table.ids) == 4000 + 2
+    assert table.counts[:2].tolist() == [1000, 1000]
+    assert np.abs(table.values[:2]).max() < 0.2  # means of a thousand
+    assert again.seen(f"{17:064x}")
 
 
 def test_the_command(folder: Path, tmp_path: Path) -> None:
     def call(*words: str):
-        experiment, out = str(folder / "experiment.yaml"), str(tmp_path / "history")
-        common = ["--experiment", experiment, "--out", out, "--baseline", "4"]
+        experiment, out = str(folder / "experiment.yaml"), str(tmp_path / "fleet" / "SN1")
+        common = ["--experiment", experiment, "--out", out]
         return CliRunner().invoke(app, ["watch", str(folder / "model.json"), *words, *common])
 
     logs = [
         write_log(tmp_path / f"day_2026-01-{k + 1:02d}.csv", day(k, **({"payload": 1.0} if k == 6 else {})))
         for k in range(8)
     ]
-    first = call(*map(str, logs[:6]), "--json")
-    assert first.exit_code == 0, first.output
+    empty = tmp_path / "day_2026-01-03b.csv"
+    empty.write_text("")
+    first = call(*map(str, [*logs[5::-1], empty]), "--json", "--baseline", "4")  # in any order
+    assert first.exit_code == 3, first.output
     lines = [json.loads(line) for line in first.stdout.splitlines()]
+    assert [line["log"][-2:] for line in lines] == ["01", "02", "03", "3b", "04", "05", "06"]
+    assert "empty" in lines.pop(3)["skipped"]
     assert [line["phase"] for line in lines] == ["baseline"] * 4 + ["watching"] * 2
     assert lines[3]["date"] == "2026-01-04"
+    empty.write_text(logs[0].read_text().replace("\n", "\n\n", 1))  # a copy with a blank line
+    assert call(str(empty)).exit_code == 0
     faulty = call(*map(str, logs[:7]))  # those that were seen are skipped
     assert faulty.exit_code == 3, faulty.output
     words = " ".join(faulty.stdout.split())
     assert "load" in words
     assert "not a safety function" in words
+    fleet = CliRunner().invoke(app, ["watch", str(tmp_path / "fleet"), "--json"])
+    assert fleet.exit_code == 3
+    (robot,) = json.loads(fleet.stdout)
+    assert (robot["robot"], robot["state"], robot["since"]) == ("SN1", "check", "2026-01-07")
     assert call().exit_code == 2
-    report = (tmp_path / "history" / "report.html").read_text()
+    report = (tmp_path / "fleet" / "SN1" / "report.html").read_text()
     assert "not a safety function" in report
+    assert len(report) < 2e6
     assert call(str(logs[6]), "--json").stdout == ""
+    forgotten = call("--forget", logs[6].stem)
+    assert forgotten.exit_code == 0, forgotten.output
+    assert call("--undo", logs[6].stem).exit_code == 3
     after = call(str(logs[7]), "--reset", "2026-01-08")
     assert after.exit_code == 0, after.output
     assert "1 of 4 healthy logs" in after.stdout
     later = write_log(tmp_path / "day_2026-01-09.csv", day(9))
     assert "2 of 4 healthy logs" in call(str(later), "--reset", "2026-01-08").stdout  # the same maintenance
     assert "write it as 2026-03-28" in call(str(later), "--reset", "March").stderr
+
+
+def test_a_worn_drive_is_replaced(model: Result, healthy: list[LogStatistics]) -> None:
+    watch = watched(model, [*healthy, *days_of(model, 100, 3, gain=0.9)])
+    assert state_of(watch.alarm, watch.events, True) == "replace"

@@ -211,23 +211,26 @@ def experiment_of(
     kind: Commands | None,
     preset: str | None,
     folder: Path,
+    weigh: bool = False,
 ) -> tuple[Path, tuple[Finding, ...]]:
     """Take an experiment file as it is; draft one from logs to ``folder``, with a note on every guess in it.
+
+    Logs without a stated payload carry none, or one to ``weigh``.
 
     Raises GtauError where experiment files are mixed with logs, or the logs cannot be drafted without a question.
     """
     stated = {"robot": robot, "payload": payloads, "kind": kind, "preset": preset}
-    if len(sources) == 1 and not _is_log(sources[0]):
+    if len(sources) == 1 and not is_log(sources[0]):
         if given := [f"--{name}" for name, value in stated.items() if value]:
             raise GtauError(f"{given[0]} is for logs; an experiment file states this itself, so omit it.")
         return sources[0], ()
     if others := [source for source in sources if source.suffix in (".yaml", ".yml") or kind_of(source) == EXPERIMENT]:
         raise GtauError(f"{others[0]} is an experiment file; give either it or logs.")
-    from gtau.signals.reading.drafting import draft_logs, guesses, with_sensors, write_draft
+    from gtau.signals.reading.drafting import draft_logs, guesses, to_weigh, with_sensors, write_draft
 
     masses = _masses(payloads or [])
     drafted = draft_logs(sources, robot, masses=masses, kind=None if kind is None else kind.value, preset=preset)
-    draft = with_sensors(drafted)
+    draft = to_weigh(drafted) if weigh else with_sensors(drafted)
     if "file" not in draft.robot:
         raise GtauError(
             f"{sources[0]} does not name its robot; give it by --robot ROBOT, a catalog name (gtau robot) or the path "
@@ -255,7 +258,8 @@ def said_if_refused(guesses: tuple[Finding, ...]) -> Iterator[None]:
         raise
 
 
-def _is_log(path: Path) -> bool:
+def is_log(path: Path) -> bool:
+    """Return whether a path is that of a log, by its ending or content."""
     from gtau.signals.reading.logs import is_log_folder, reader_of
 
     return reader_of(path.suffix.lower()) is not None or (

@@ -25,13 +25,15 @@ from gtau.cli.console import (
     refusing,
     seconds,
 )
-from gtau.documents.files import folder_of, refuse_as_folder
+from gtau.cli.logs import Commands, Sources, experiment_of, is_log, said_if_refused
+from gtau.documents.files import folder_of, refuse_as_folder, write_atomically
 from gtau.errors import GtauError, missing_extra
 
 if TYPE_CHECKING:
     from gtau.estimation.results.groups import PayloadBody, PayloadEstimate
     from gtau.estimation.results.result import Result
     from gtau.export.exported import Exported
+    from gtau.findings import Finding
     from gtau.robots.robot import Placement
 
 CONTROLLERS = "ur, franka, kuka, abb, ros"  # those of export.payload, which --help need not import
@@ -62,16 +64,16 @@ def validate(
         from gtau.report.evidence import predicted, settings_of
         from gtau.report.validation import validation_document, validation_page, validation_report, write_torques
         from gtau.report.write import inputs_of, write_report
-        from gtau.uses.runs import experiment_of
+        from gtau.uses.runs import experiment_of as experiment_for
 
         result = Result.load(model)
-        described = experiment_of(result, experiment)
+        described = experiment_for(result, experiment)
         if not described.validation:
             raise GtauError(f"{experiment} has no validation runs; list them under 'validation'.")
         runs = []
         for k, run in enumerate(read := read_runs(described, described.validation, progress)):
             progress("predicting torques", k, len(read))
-            runs.append(predicted(result, run, longest=None))
+            runs.append(predicted(result, run, longest=None, progress=progress))
     written: list[Path] = []
     notes = without_temperature(result, described.signals)
     if out is not None:
@@ -82,6 +84,12 @@ def validate(
     answer(json_, lambda: validation_document(runs), lambda: validation_page(result, runs, notes), written)
 
 
+RobotToWeigh = Annotated[
+    str | None, option("ROBOT", "With logs: file of the robot, whose links --frame names; default: the model's robot.")
+]
+PayloadsBeside = Annotated[
+    list[str] | None, option("LOG=KG", "With logs: a payload that is known (kg, 0 for none). Repeatable.", "--payload")
+]
 WeighingGains = Annotated[Gains, option("identified|prior", "The model's gains, or the file's prior_gains.")]
 PayloadFrame = Annotated[
     str,
@@ -98,16 +106,21 @@ WeighingFolder = Annotated[Path | None, option("DIR", "Folder for report.html an
 @refusing
 def payload(
     model: ModelFile,
-    experiment: ExperimentFile,
+    sources: Sources,
+    robot: RobotToWeigh = None,
+    payloads: PayloadsBeside = None,
     gains: WeighingGains = Gains.identified,
     frame: PayloadFrame = "",
     to: Controller = None,
     out: WeighingFolder = None,
     json_: Json = False,
 ) -> None:
-    """Weigh unknown payloads from loaded runs and a run without payload.
+    """Weigh unknown payloads from loaded logs, best beside a log without payload.
 
     Reports mass, centre of mass and inertia about it, of a physically possible body, with 95 % intervals.
+
+    Given logs instead of EXPERIMENT.yaml, each carries an unknown payload unless --payload says otherwise; the draft
+    is DIR/experiment.yaml, or payload/experiment.yaml.
 
     The exit code is 3 if a mass is negative, or the model's gains contradict its own logs.
     """
@@ -124,12 +137,16 @@ def payload(
         from gtau.signals.reading.experiment import read_experiment
         from gtau.uses.weigh import exact_gains, weigh
 
-        result, described = Result.load(model), read_experiment(experiment)
+        result = Result.load(model)
+        experiment, guessed = _drafted(result, sources, robot, payloads, out or Path("payload"))
+        described = read_experiment(experiment)
         file = described.robot if isinstance(described.robot, str) else described.robot.file
         if to is not None:
             _refuse_controller(to, frame, result, file)
-        weighed = weigh(result, experiment, gains=gains.value, progress=progress)
+        with said_if_refused(guessed):
+            weighed = weigh(result, experiment, gains=gains.value, progress=progress)
     bodies, notes = _bodies(weighed, frame, file, needed=bool(frame or to))
+    notes += [f"{guess.what}; {guess.action}".removesuffix("; ") for guess in guessed]
     written: list[Path] = []
     exact = exact_gains(result, described, gains.value)
     if out is not None:
@@ -153,6 +170,19 @@ def payload(
     doubted = gains == Gains.identified and not exact and not result.believable
     if doubted or Outcome.CONTRADICTORY in {payload.verdict.outcome for payload in weighed}:
         raise typer.Exit(3)  # so that a script does not go on with such a mass
+
+
+def _drafted(
+    result: Result, sources: list[Path], robot: str | None, payloads: list[str] | None, folder: Path
+) -> tuple[Path, tuple[Finding, ...]]:
+    """Take an experiment file; or draft one from logs, of the model's robot and kind of commands unless given."""
+    from gtau.robots.readers.native_text import native_text
+
+    if not is_log(sources[0]) or robot is not None:
+        return experiment_of(sources, robot, payloads, None, None, folder, weigh=True)
+    file = folder_of(folder) / "robot.yaml"
+    write_atomically(file, native_text(result.robot))
+    return experiment_of(sources, str(file), payloads, Commands(result.kind), None, folder, weigh=True)
 
 
 def _bodies(

@@ -12,7 +12,7 @@ from gtau.estimation.results.conclusions import headline as headline_of_model
 from gtau.estimation.results.groups import PayloadBody, PayloadEstimate
 from gtau.estimation.results.model_document import torque_error
 from gtau.estimation.results.result import Result
-from gtau.findings import Finding
+from gtau.findings import Finding, FindingKind
 from gtau.findings.words import to_width
 from gtau.report.chart import Chart
 from gtau.report.check import unique_names
@@ -22,9 +22,11 @@ from gtau.report.logs import logs_section, seconds
 from gtau.report.motion import motion_section
 from gtau.report.page import Column, Kind, Page, Section, Text, page, section, table_of
 from gtau.report.torques import REVERSALS, bands_section, errors_table, stretch_chart, torques_section
+from gtau.uses.weigh import FRICTION_CHANGE
 
 CAUTION = (
-    "A small error does not validate the gains: they scale both sides. Weigh a known payload ('gtau payload') for that."
+    "A small error does not validate the gains: they scale both sides. Next: weigh a known load, which does (gtau "
+    "payload model.json LOG); then export the model (gtau export), or watch the robot with it (gtau watch)."
 )
 SHOWN = 10.0  # s of a run in its figure
 
@@ -41,8 +43,10 @@ def validation_document(runs: Sequence[RunEvidence]) -> dict[str, Any]:
 
 def validation_page(result: Result, runs: Sequence[RunEvidence], notes: Sequence[Finding] = ()) -> Page:
     """Show the torque errors of each run; ``notes`` say what all predictions take for granted."""
-    said = [f"run '{run.run.name}': {note}" for run in runs for note in run.notes]
-    verdict = Text(headline(result, runs), (*said, *map(str, notes), CAUTION), "neutral")
+    noted = [(run.run.name, note, FindingKind(note.kind).outcome is not None) for run in runs for note in run.notes]
+    said = [str(note) if decisive else f"run '{name}': {note}" for name, note, decisive in noted]
+    doubted = any(decisive for *_, decisive in noted)
+    verdict = Text(headline(result, runs), (*said, *map(str, notes), CAUTION), "bad" if doubted else "neutral")
     return page(
         f"Validation of {result.robot.name}",
         section("Verdict", verdict, id="verdict"),
@@ -140,6 +144,11 @@ def weighing_page(
         said.append(
             f"the intervals exclude the uncertainty of {excluded}: an error of 1 % in all gains is 1 % of a mass; "
             "write it as 'prior_gains: {joint: {value: 2.4, std: 0.1}}'"
+        )
+    if any(payload.weighed and payload.weighed.by_model for payload in payloads):
+        said.append(
+            "no run shows the robot with another load, so the model is the reference, with friction that may have "
+            f"changed by {100 * FRICTION_CHANGE:.0f} %; a log of the same motion without payload narrows the interval"
         )
     given = "the logged torques taken as true, whose scale was not tested" if torques else "these gains assumed exact"
     words = masses_words(payloads, f"with {given}, " if exact else "")

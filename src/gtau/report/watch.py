@@ -1,17 +1,24 @@
-"""Show a watched robot: the table on the screen, and the report with the history of each joint."""
+"""Show watched robots: the table on the screen, the report with dated trends, and one page for a fleet."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gtau.estimation.results.estimate import Estimate
+from gtau.documents.files import in_order
+from gtau.errors import GtauError
 from gtau.report.chart import Axis, Chart, Panel, Rule, Series
 from gtau.report.page import Column, Kind, Page, Table, Text, page, section, table
-from gtau.watch.state import Alarm, Entry, Explained
-from gtau.watch.watch import Status, Watch
+from gtau.watch.alarms import std_of_model
+from gtau.watch.history import HISTORY, Alarm, Event, Explained, summary_of
+from gtau.watch.quantities import Quantity
+from gtau.watch.table import beyond, week_of
+from gtau.watch.visible import visible_changes
+from gtau.watch.watch import Watch
 
 SAFETY = (
     "This is not a safety function: it detects wear and mistakes between logs and protects nobody. Keep the robot's "
@@ -21,195 +28,285 @@ CHANGES = {
     "gain": ("drive gain", "check motor, belt and gear, then identify the robot again"),
     "load": ("load", "compare the mounted load with the payload set in the controller, and weigh it by 'gtau payload'"),
     "friction": ("friction", "check temperature, lubrication, brake and gear"),
+    "warming": ("friction of all joints", "check the temperature of robot and hall"),
     "zero": ("encoder zero", "check the encoder's zero against its mark, and the coupling"),
-    "delay": ("delay of the current", "check the current logging and its filters"),
-    "clock": ("clock of the log", "check the time stamps of the log"),
+    "delay": ("lag of the current", "check the current logging and its filters"),
+    "clock": ("lag of all currents", "check the time stamps of the log"),
+    "units": ("scale of the current", "check units, signs and order of the columns of the log"),
     "contact": ("contact", "check for cables and obstacles that touch the robot, and run the motion again"),
 }
 """Kinds of changes, their words and remedies."""
+REPLACED = ("gain", "friction")  # causes in drives, which are repaired or replaced where they are beyond tolerance
 KINDS = {
-    "m": "payload, mass",
-    "mx": "payload, first moment x",
-    "my": "payload, first moment y",
-    "mz": "payload, first moment z",
-    "gain": "drive gain, relative",
-    "zero": "encoder zero",
-    "delay": "delay",
-    "fv": "viscous friction",
-    "fs": "Coulomb friction",
-    "rms": "residual, logarithm",
+    "m": ("load, mass", "kg", 1.0),
+    "mx": ("load, first moment x", "kg m", 1.0),
+    "my": ("load, first moment y", "kg m", 1.0),
+    "mz": ("load, first moment z", "kg m", 1.0),
+    "gain": ("drive gain", "%", 100.0),
+    "friction": ("friction", "%", 100.0),
+    "zero": ("encoder zero", "", 1.0),
+    "delay": ("lag of the current", "ms", 1000.0),
+    "rms": ("residual, logarithm", "1", 1.0),
 }
-STRONGEST = 12  # charts on a terminal
-HEALTHY = 0.95  # probability of the bands of :meth:`Baseline.bands`
-BY_CHANCE = 1e-3  # of as many charts outside their bands, independent ones; the words are a hint, not an alarm
+"""Watched quantities: words, the unit in which they are shown, and its factor."""
+DRAWN = 400  # points of a panel, beyond which days are averaged
+SPREAD = 4.0  # tolerances, or healthy ranges, that a panel shows at least
+EVENTS = {
+    "reset": "a new baseline begins",
+    "acknowledge": "acknowledged: the new reference",
+    "forget": "forgotten",
+    "repaired": "repaired: inside for a week",
+    "refused": "set aside",
+    "undone": "undone",
+    "torn": "its last line was torn and is left out",
+}
 
 
 def explained_words(explained: Explained) -> str:
-    """Describe an explanation, with its interval."""
+    """Describe a cause, with its interval."""
     kind, quantity, size, half = explained.kind, explained.quantity, explained.size, explained.half
     joint = f" of {explained.joint}" if explained.joint else ""
     if kind == "contact":
         return f"contact{joint} (residual {size:.3g} times less even than in any healthy log)"
-    if kind == "gain":
+    if kind in ("gain", "warming"):
         words = f"{100 * size:+.2g} ± {100 * half:.2g} %"
     elif kind in ("delay", "clock"):
         words = f"{1000 * size:+.3g} ± {1000 * half:.2g} ms"
+    elif kind == "units":
+        words = f"{size:.3g} times"
     else:
         words = f"{size:+.3g} ± {half:.2g} {explained.unit}"
     more = "" if explained.relative is None else f", {100 * explained.relative:+.0f} % of the model's"
-    which = {"fv": "viscous ", "fs": "Coulomb "}.get(quantity, "")
+    which = {"fv": "viscous ", "fs": "Coulomb "}.get(quantity, "") if kind == "friction" else ""
     part = f" (first moment {quantity[1]})" if quantity in ("mx", "my", "mz") else ""
-    return f"{which}{CHANGES[kind][0]}{joint}{part} {words}{more}"
+    second = "" if explained.and_also is None else f" and {explained_words(explained.and_also)}"
+    joint = joint or (" of all drives" if kind in ("gain", "units") else "")
+    return f"{which}{CHANGES[kind][0]}{joint}{part} {words}{more}{second}"
 
 
 def alarm_words(alarm: Alarm) -> tuple[str, tuple[str, ...]]:
     """Describe the change, its beginning, and what to do."""
-    span = alarm.since
-    if alarm.earliest != alarm.latest:
-        span += f" (between {alarm.earliest} and {alarm.latest})"
-    if not alarm.explanations:
-        return (
-            f"The robot has changed since {span}; no single explanation fits.",
-            (f"Largest changes: {', '.join(alarm.charts)}.", "Identify the robot again and compare both models."),
-        )
     said = [explained_words(explained) for explained in alarm.explanations]
-    several = "; these explanations cannot be distinguished" if len(said) > 1 else ""
-    head = f"The robot has changed since {span}{several}: {'; or '.join(said)}."
-    remedies = dict.fromkeys(CHANGES[explained.kind][1] for explained in alarm.explanations)
-    points = [f"{remedy[0].upper()}{remedy[1:]}." for remedy in remedies]
-    if len(said) > 1:
-        points.append("A reference motion from 'gtau excite' distinguishes more causes than this motion.")
-    points.append("After maintenance start a new baseline by --reset DATE.")
-    return head, tuple(points)
+    listed = ", ".join(alarm.charts[:5])
+    causes = "; or ".join(said) or "no cause fits"
+    several = " (these causes cannot be distinguished)" if len(said) > 1 else ""
+    if alarm.kind == "log":
+        return (
+            f"Log {alarm.since} is odd by itself and set aside ({listed}): {causes}{several}.",
+            ("Repeat it; if the next log agrees, both count.", *_remedies(alarm)),
+        )
+    span = alarm.since if alarm.earliest == alarm.latest else f"{alarm.since}, {alarm.earliest} to {alarm.latest}"
+    what = "is beyond its tolerances" if alarm.kind == "tolerance" else "has changed"
+    return (
+        f"The robot {what} since {alarm.date[:10]} ({span}): {causes}{several}.",
+        (
+            f"Quantities: {listed}.",
+            *_remedies(alarm),
+            "Once it is explained, accept it by --acknowledge NOTE; after maintenance begin anew by --reset DATE.",
+        ),
+    )
 
 
-def verdict_text(watch: Watch, entry: Entry | None) -> Text:
+def _remedies(alarm: Alarm) -> list[str]:
+    """List what to do about the causes."""
+    causes = [cause for explained in alarm.explanations for cause in (explained, explained.and_also) if cause]
+    remedies = dict.fromkeys(CHANGES[cause.kind][1] for cause in causes)
+    if not causes:
+        return ["Identify the robot again and compare both models."]
+    return [f"{remedy[0].upper()}{remedy[1:]}." for remedy in remedies]
+
+
+def state_of(alarm: Alarm | None, events: Iterable[Event], complete: bool) -> str:
+    """State a robot in one word; ``complete`` is whether its baseline is."""
+    if alarm is None:
+        refused = any(event.kind == "refused" for event in events)
+        return "check" if refused else "OK" if complete else "baseline"
+    worn = alarm.explanations and alarm.explanations[0].kind in REPLACED and alarm.explanations[0].joint
+    return "replace" if alarm.kind == "tolerance" and worn else "check"
+
+
+def verdict_text(watch: Watch) -> Text:
     """State whether the robot is the one that was identified."""
     rate = watch.settings
+    fleet = f"{rate.robots} robots send" if rate.robots > 1 else "the robot sends"
     promise = (
-        f"False alarms: at most {rate.false_alarms:g} a year among {rate.robots} robot"
-        f"{'s' * (rate.robots != 1)} with {rate.logs_per_year:g} logs a year each."
+        f"False alarms of changes: on average once in {1 / rate.false_alarms:.3g} years if {fleet} "
+        f"{rate.logs_per_year:g} logs a year and healthy logs scatter as an autoregression of correlation up to 0.98 "
+        "beside white noise; the evidence page says what was measured for other kinds of scatter."
     )
     if watch.alarm is not None:
         head, points = alarm_words(watch.alarm)
         return Text(head, (*points, promise, SAFETY), "bad")
-    if entry is None or "baseline" in (watch.phase, entry.phase):
-        missing = max(rate.baseline - watch.count, 0)
-        more = f"{missing} more are needed." if missing else "the next log is compared with it."
-        words = f"Baseline of {watch.count} of {rate.baseline} healthy logs; {more}"
+    if watch.phase == "baseline":
+        words = f"Within tolerance of the model. Baseline: {watch.count} of {rate.baseline} healthy logs."
+        words = words if watch.count >= 3 else f"Baseline of {watch.count} of {rate.baseline} healthy logs."
         return Text(words, (promise, SAFETY), "neutral")
-    outside = _outside(watch, entry)
-    if not outside:
-        return Text(f"No change since the baseline, {watch.count} logs.", (promise, SAFETY), "good")
-    words = (
-        f"No alarm yet: {len(outside)} of {len(entry.values)} charts of the last log are outside their healthy range, "
-        f"{outside[0]} the furthest. At this rate of false alarms that is not enough evidence; record another log."
+    return Text(
+        f"Within tolerance of the model, and no change since the baseline, {watch.count} logs.",
+        (promise, SAFETY),
+        "good",
     )
-    return Text(words, (promise, SAFETY), "neutral")
 
 
-def _outside(watch: Watch, entry: Entry) -> list[str]:
-    """List the charts of a log outside their healthy 95 % bands, the furthest first; none if chance explains them."""
-    from scipy.stats import binom
-
-    low, high = watch.baseline.bands(HEALTHY)
-    distances = {
-        name: abs(entry.values[name] - mean) / width
-        for name, mean, width in zip(watch.names, watch.baseline.mean, high - low, strict=True)
-        if name in entry.values and np.isfinite(width)
-    }
-    outside = sorted((name for name in distances if distances[name] > 0.5), key=lambda name: -distances[name])
-    return outside if binom.sf(len(outside) - 1, len(distances), 1 - HEALTHY) < BY_CHANCE else []
-
-
-def watch_page(watch: Watch, last: Status | None, count: int | None = STRONGEST) -> Page:
-    """Show the state after the last log: verdict and one table of the ``count`` charts that changed most, or of all."""
-    entry = watch.recent[-1] if watch.recent else None
+def watch_page(watch: Watch, visible: bool = True) -> Page:
+    """Show the state after the last log: verdict, and each quantity against its tolerance."""
+    last = watch.entry if watch.events or len(watch.view.table.ids) else None
     return page(
         f"Watching {watch.model.robot.name}",
-        section("Verdict", verdict_text(watch, entry), id="verdict"),
-        None if last is None else section("Charts", *_charts(watch, last, count), id="charts"),
-        lead=[] if entry is None else [f"Last log {entry.log} of {entry.date}."],
+        section("Verdict", verdict_text(watch), id="verdict"),
+        section("Quantities", *_quantities(watch, visible), id="quantities") if len(watch.view.table.ids) else None,
+        lead=[] if last is None else [f"Last log {last.log} of {last.date}."],
     )
 
 
-def _charts(watch: Watch, last: Status, count: int | None) -> Iterator[Table | Text]:
-    """Tabulate charts, explain the columns, and say what the motion does not show."""
-    low, high = last.baseline.bands(HEALTHY)
-    columns = (
-        Column("chart", Kind.NAME),
-        Column("this log", Kind.SPREAD, 3),
-        Column("healthy, 95 %", Kind.INTERVAL),
-        Column("e", Kind.NUMBER, decimals=1, most=1e6),
-        Column("CUSUM", Kind.NUMBER, decimals=2),
-    )
+def _shown(quantity: Quantity) -> tuple[str, str, float]:
+    """Give label, unit and factor in which a quantity is shown."""
+    words, unit, factor = KINDS[quantity.kind]
+    joint = f" of {quantity.joint}" if quantity.joint else ""
+    return f"{words}{joint}", unit or quantity.unit, factor
+
+
+def _quantities(watch: Watch, visible: bool) -> Iterator[Table | Text]:
+    """Tabulate the last week of each quantity against its tolerance, and the smallest visible change."""
+    view = watch.view
+    week = week_of(view, std_of_model(watch.model, view))
+    far, faint = beyond(view, week), set()
+    hidden: list[str] = []
     rows: list[tuple[Any, ...]] = []
-    faint = set()
-    for k in sorted(range(len(last.charts)), key=lambda k: -last.evidences[k].log_e)[:count]:
-        chart = last.charts[k]
-        value = last.entry.values.get(chart.name)
-        if value is None:
+    changes = visible_changes(watch) if visible else np.full((len(view.names), 2), np.nan)
+    for k in sorted(range(len(view.names)), key=lambda k: (not far[k], k)):
+        label, unit, factor = _shown(view.quantities[k])
+        if not np.isfinite(view.values[:, k]).any():
+            hidden.append(label)
             continue
-        band = (float(low[k]), float(high[k])) if np.isfinite(low[k]) else None
-        strength = float(np.exp(min(last.evidences[k].log_e, 30.0)))
-        if band is not None and band[0] <= value <= band[1] and strength < 10:
+        mean, half = factor * (week.mean[k] - view.reference[k]), factor * week.half[k]
+        limit = None if np.isinf(view.tolerance[k]) else factor * float(view.tolerance[k])
+        spread = (float(mean), float(half)) if np.isfinite(mean) else None
+        if not far[k]:
             faint.add(len(rows))
-        name = chart.name if chart.kind == "rms" or chart.unit == "1" else f"{chart.name}, {chart.unit}"
-        rows.append((name, (value, _half(last.entry, chart.name)), band, strength, float(last.cusums[k])))
-    yield table(columns, rows, name="charts", faint=frozenset(faint))
-    listed = ""
-    if count is not None and len(last.charts) > count:
-        listed = f"The {count} of {len(last.charts)} charts that changed most; all are in report.html. "
-    yield Text(
-        f"{listed}This log: value ± half a 95 % interval. e: e-detector; an alarm is raised if its mean over all "
-        f"charts reaches {watch.limit:g}. CUSUM: over its limit for the same rate of false alarms."
+        smallest = [float(factor * change) if np.isfinite(change) else None for change in changes[k]]
+        rows.append((label, unit, spread, limit, *smallest))
+    columns = (
+        Column("quantity"),
+        Column("unit"),
+        Column("last week", Kind.SPREAD, 3),
+        Column("tolerance", Kind.NUMBER, 3),
+        Column("visible in a week", Kind.NUMBER, 2, missing="no"),
+        Column("in a month", Kind.NUMBER, 2, missing="no"),
     )
-    if hidden := ", ".join(last.entry.not_shown):
+    yield table(columns, rows, name="quantities", faint=frozenset(faint))
+    yield Text(
+        "Changes since the identification, or since they were acknowledged: mean of the last week ± half its 95 % "
+        "interval. Beyond tolerance: the whole interval is outside. Visible: the smallest sudden change that would be "
+        "found within a week and within a month of such logs."
+    )
+    if hidden:
         remedy = "A reference motion from 'gtau excite' shows them."
-        yield Text(f"Not shown by this motion: {hidden}. {remedy}", style="soft")
+        yield Text(f"Not visible with this motion: {', '.join(hidden)}. {remedy}", style="soft")
 
 
-def watch_report(watch: Watch, last: Status | None, entries: Sequence[Entry]) -> Page:
-    """Add the history of each joint, with the bands of the baseline, and the events."""
-    short = watch_page(watch, last, None)
-    bands = dict(zip(watch.names, zip(*watch.baseline.bands(HEALTHY), strict=True), strict=True))
-    alarms = [k for k, entry in enumerate(entries) if entry.alarm and (k == 0 or entries[k - 1].alarm is None)]
-    resets = [k for k, entry in enumerate(entries) if entry.begins]
-    rules = (*(Rule(x=k, label="reset") for k in resets), *(Rule(x=k, label="alarm") for k in alarms))
-    events = []
-    for k, entry in enumerate(entries):
-        if k in resets:
-            events.append((entry.date, entry.log, "a new baseline begins"))
-        if k in alarms and entry.alarm is not None:
-            events.append((entry.date, entry.log, alarm_words(entry.alarm)[0]))
+def watch_report(watch: Watch) -> Page:
+    """Add the history of each quantity with its tolerance, and the events."""
+    short, view = watch_page(watch), watch.view
     columns = (Column("date"), Column("log", Kind.NAME), Column("event"))
-    sections = [section("Events", table(columns, events), id="events")] if events else []
-    groups: dict[str, list[str]] = {}
-    for name in watch.names:
-        groups.setdefault(name.partition("_")[2], []).append(name)
-    for joint, names in groups.items():
-        names.sort(key=lambda name: list(KINDS).index(name.partition("_")[0]))
-        shown = [name for name in names if any(name in entry.values for entry in entries)]
-        panels = tuple(_history(name, entries, bands[name], rules) for name in shown)
-        title = "payload" if joint == "load" else f"Joint {joint}"
-        sections += [section(title, Chart(panels, columns=2))] if panels else []
+    events = [(event.date, event.subject, _event_words(event)) for event in watch.events]
+    if watch.alarm is not None:
+        events.append((watch.alarm.date, watch.alarm.since, alarm_words(watch.alarm)[0]))
+    sections = [section("Events", table(columns, sorted(events)), id="events")] if events else []
+    groups: dict[str, list[int]] = {}
+    for k, quantity in enumerate(view.quantities):
+        if np.isfinite(view.table.values).any() and np.isfinite(view.values[:, k]).any():
+            groups.setdefault(quantity.joint, []).append(k)
+    for joint, quantities in groups.items():
+        panels = tuple(_history(watch, k) for k in quantities)
+        sections.append(section(f"Joint {joint}" if joint else "Load", Chart(panels, columns=2)))
     return Page(short.title, (*short.sections, *sections), short.lead)
 
 
-def _half(entry: Entry, name: str) -> float:
-    """Compute half the 95 % interval of a chart's value."""
-    return Estimate(name, entry.values[name], entry.std[name], "").half_interval() or 0.0
+def _event_words(event: Event) -> str:
+    note = f": {event.note}" if event.note else ""
+    return f"{EVENTS[event.kind]}{note}{' (undone)' if event.undone else ''}"
 
 
-def _history(name: str, entries: Sequence[Entry], band: tuple[float, float], rules: tuple[Rule, ...]) -> Panel:
-    """Draw a chart from log to log, with 95 % intervals, in its healthy band."""
-    logs = [(k, entry.values[name], _half(entry, name)) for k, entry in enumerate(entries) if name in entry.values]
-    x, y, half = np.array(logs, dtype=float).reshape(-1, 3).T
+def _history(watch: Watch, k: int) -> Panel:
+    """Draw a quantity over the dates of its logs within its tolerance; an outlier does not set the scale."""
+    view = watch.view
+    label, unit, factor = _shown(view.quantities[k])
+    there = np.isfinite(view.values[:, k])
+    days, y = view.table.days[there], factor * view.values[there, k]
+    if len(days) > DRAWN:
+        days, at = np.unique(np.floor(days), return_inverse=True)
+        y = np.bincount(at, y) / np.bincount(at)
+    dates = _dates(days)
+    middle, tolerance = factor * float(view.reference[k]), factor * float(view.tolerance[k])
+    spread = float(np.percentile(np.abs(y - middle), 90))
+    reach = max(1.3 * tolerance if np.isfinite(tolerance) else 0.0, SPREAD * spread, 1e-9)
+    outside = np.abs(y - middle) > reach
+    drawn = np.clip(y, middle - reach, middle + reach)
+    series = [Series("", days[~outside], drawn[~outside], "predicted", "disc")]
+    if outside.any():
+        series.append(Series("outside the panel", days[outside], drawn[outside], "measured", "diamond"))
+    since = watch.alarm is not None and view.names[k] in watch.alarm.charts
+    began = float(np.datetime64((watch.alarm.date if since and watch.alarm else "1970-01-01")[:10], "s").astype(float))
     return Panel(
-        Axis("log"),
-        Axis(KINDS[name.partition("_")[0]]),
-        (Series("", x, y, "predicted", "disc", half=half, upright=True),),
-        rules=rules,
-        band=band if np.isfinite(band[0]) else None,
+        Axis("date", names=dates),
+        Axis(f"{label}, {unit}", limits=(middle - reach, middle + reach)),
+        tuple(series),
+        rules=(Rule(x=began / 86400, label="alarm"),) if since else (),
+        band=(middle - tolerance, middle + tolerance) if np.isfinite(tolerance) else None,
         height=1.2,
+    )
+
+
+def _dates(days: np.ndarray) -> Mapping[float, str]:
+    """Name up to four dates along an axis."""
+    ticks = np.unique(np.linspace(np.floor(days.min()), np.floor(days.max()), 4).round())
+    return {float(day): str(np.datetime64(int(day), "D")) for day in ticks}
+
+
+@dataclass(frozen=True)
+class RobotLine:
+    """A robot on the page of a fleet."""
+
+    robot: str
+    type: str
+    state: str
+    what: str
+    since: str
+    last: str
+
+
+def fleet_lines(folder: Path) -> list[RobotLine]:
+    """Sum up each history in the folders of a folder in a line; each is named as its robot; raises GtauError."""
+    robots = in_order(path.parent for path in folder.glob(f"*/{HISTORY}"))
+    if not robots:
+        raise GtauError(f"no folder in {folder} holds a history; give a folder of folders given as --out.")
+    lines = []
+    for robot in robots:
+        settings, events, count, last = summary_of(robot)
+        alarm = Alarm.model_validate_json(last.alarm) if last is not None and last.alarm else None
+        causes = what = ""
+        if alarm is not None:
+            causes = "; or ".join(map(explained_words, alarm.explanations))
+            what = causes or f"no cause fits ({', '.join(alarm.charts[:3])})"
+        elif refused := [event.subject for event in events if event.kind == "refused"]:
+            what = f"logs set aside: {', '.join(refused[:3])}"
+        state, since = state_of(alarm, events, count >= settings.baseline), alarm.date[:10] if alarm else ""
+        lines.append(RobotLine(robot.name, settings.robot, state, what, since, "" if last is None else last.date[:10]))
+    return lines
+
+
+def fleet_page(lines: Iterable[RobotLine]) -> Page:
+    """List the robots of a fleet, those to look after first."""
+    order = ["replace", "check", "baseline", "OK"]
+    rows: list[Any] = sorted(lines, key=lambda line: (order.index(line.state), line.since, line.robot))
+    columns = ("robot", "type", "state", "what", "since", "last log")
+    cells = [(line.robot, line.type, line.state, line.what, line.since, line.last) for line in rows]
+    waiting = sum(line.state in order[:2] for line in rows)
+    words = f"{waiting} of {len(rows)} robots need attention." if waiting else f"All {len(rows)} robots are OK."
+    verdict = Text(words, (SAFETY,), "bad" if waiting else "good")
+    return page(
+        "Watching a fleet",
+        section("Verdict", verdict, id="verdict"),
+        section("Robots", table([Column(title) for title in columns], cells, name="robots"), id="robots"),
     )

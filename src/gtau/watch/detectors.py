@@ -1,214 +1,186 @@
-"""Sequential detection of a change of one chart, with a stated time between false alarms.
+"""Sequential detection of a change of each chart, with a stated time between false alarms.
 
-A chart is a quantity from log to log, ``x_i = mu + sigma sqrt(w_i) u_i``, with unknown mu and sigma; ``w_i``
-is the relative variance due to the motion of log i, and u is Gaussian with the correlation ``memory``
-between one log and the next, as friction follows the weather. From log j on the mean may have moved by ``delta sigma``.
-For each j the likelihood ratio of all logs so far, with the scale-invariant priors on mu and sigma (the right Haar
-measure) and ``delta`` Gaussian with the standard deviation ``KAPPA``, has a closed form (the Bayes factor of the t-test
-of Goenen et al., The American Statistician 59, 2005):
+A chart is a quantity from log to log, ``x = mu + sigma u`` with unknown mu and sigma. Healthy days correlate, nobody
+knows how much: u is a Gaussian autoregression of correlation rho from log to log beside white noise, whose share of the
+variance is c and whose variance in a log is ``w`` relative to that of the median log (the block jackknife's). ``GRID``
+lists the pairs (rho, c). From log j on the mean may have moved by ``delta sigma``, ``delta`` being Gaussian of standard
+deviation ``KAPPA``. With the right Haar priors on mu and sigma the density of the logs at a node g of the grid is
 
-    Lambda_j = (1 + r k^2)^(-1/2) [S0 / (S0 - b^2 r k^2 / (1 + r k^2))]^((n - 1) / 2),
+    p_0g = |V|^(-1/2) (h' V^-1 h)^(-1/2) S0^(-(n - 1) / 2),
+    p_jg = p_0g (1 + r k^2)^(-1/2) [S0 / (S0 - b^2 r k^2 / (1 + r k^2))]^((n - 1) / 2)
 
-with S0 the squares about the mean, b^2 those that the step at j explains and r its information. Its distribution
-without a change depends neither on mu nor on sigma, so Lambda_j is a martingale that begins with 1 at log j: an
-e-process that is valid for a baseline of few logs, whose mean and scale are not known. Their sum over all j is an
-e-detector of the kind Shiryaev-Roberts (Shin, Ramdas and Rinaldo, E-detectors, arXiv:2203.03532, definition 2.2):
-``E[M_T] <= E[T]`` for every stopping time T, so that an alarm at ``M >= A`` comes after at least A logs on average, and
-so does one of the mean of several charts' detectors, however these depend on each other.
+without a change and with one at j, where S0 are the squares about the mean, b^2 r those that the step explains and r
+its information. By universal inference (Wasserman, Ramdas and Balakrishnan, PNAS 117, 2020)
 
-A classic CUSUM accompanies it, of the normal scores of recursive residuals, which are independent and standard normal
-without a change (Quesenberry, Journal of Quality Technology 23, 1991), with the limit by Siegmund's formula.
+    E_j = mean_g p_jg / max_g p_0g
 
-Healthy days differ by more than the interval of one day's log, so the bands of a chart come from the scatter between
-the logs of its baseline.
+has at most the expectation 1 at whichever node the truth is, as the denominator is at least the true density. The sum
+over all j is an e-detector of the kind Shiryaev-Roberts (Shin, Ramdas and Rinaldo, arXiv:2203.03532). Each chart is
+compared with a limit of its own, the number of charts times that of the robot: no filtration is shared, so that no
+adjuster between filtrations is needed, and by the union bound the robot's alarms are no more frequent than stated.
+
+Two guards only delay alarms: the last two logs must both be nearer to the changed mean than to the healthy one, and
+a log that is far off alone (``isolated``) counts as missing until the next one confirms it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
-from scipy.special import ndtri, stdtr
+from scipy.special import logsumexp, stdtrit
 
 FEWEST = 4  # logs of a baseline: mean, scale and two degrees of freedom
-MEMORY = 0.7  # correlation from log to log of a healthy robot; a smaller one makes alarms rarer
-OF_FRICTION = 0.9  # the same for friction and residuals, which follow weather and seasons
+GRID = ((0.0, 1.0), *product((0.5, 0.8, 0.9, 0.95, 0.98), (0.0, 0.4, 0.8)))
 KAPPA = 4.0  # standard deviation of a change, in those between logs
-WINDOW = 400  # logs at which a change may have begun; older ones are condensed
-REFERENCE = 0.5  # of the CUSUM, in standard deviations: half the change that it finds soonest
-OVERSHOOT = 1.166  # 2 * 0.583, by which Siegmund's formula allows for discrete time
+WINDOW = 400  # last logs that are compared
+RARE = 1e-6  # probability beyond which a log is far off, by Student's t
 
 
 @dataclass(frozen=True, eq=False)
-class Baseline:
-    """Healthy logs: ``mean`` and ``std`` (k,) between logs, of ``count`` (k,) each; NaN where there are too few."""
+class Evidence:
+    """Evidence of a change of each of k charts over n logs.
 
-    mean: np.ndarray
-    std: np.ndarray
-    count: np.ndarray
-
-    def bands(self, probability: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the prediction interval of one more healthy log at this probability, (k,) each, by Student's t."""
-        from scipy.stats import t
-
-        factor = t.ppf((1 + probability) / 2, np.maximum(self.count - 1, 1))
-        half = factor * np.sqrt(1 + 1 / np.maximum(self.count, 1)) * self.std
-        return self.mean - half, self.mean + half
-
-
-def baseline_of(values: np.ndarray) -> Baseline:
-    """Compute the baseline of healthy logs, ``values`` (logs, k), NaN where a chart is not observable in a log."""
-    there = np.isfinite(values)
-    count = there.sum(axis=0)
-    filled = np.where(there, values, 0.0)
-    mean = filled.sum(axis=0) / np.maximum(count, 1)
-    squares = np.sum(np.where(there, values - mean, 0.0) ** 2, axis=0)
-    std = np.sqrt(squares / np.maximum(count - 1, 1))
-    return Baseline(np.where(count > 0, mean, np.nan), np.where(count > 1, std, np.nan), count)
-
-
-@dataclass(frozen=True, eq=False)
-class Chart:
-    """A chart: its last logs, and sums over those before them.
-
-    ``x`` and ``w`` (m,) are values and relative variances of the last logs, after ``count`` others with the ``sums`` of
-    products of whitened constants h and values y, hh, hy and yy; ``before`` are value and weight of the last of these.
-    ``cusum`` are the upper and the lower sum, and ``learning`` how many of the first logs are the baseline. Of a chart
-    that is ``rising`` only growth counts: a decreasing residual is not a fault. ``memory`` is the
-    correlation from log to log of a healthy robot.
+    ``log_e`` (k,) is the logarithm of the e-detector, ``start`` (k,) the likeliest first log of a change, ``earliest``
+    and ``latest`` its 95 % interval, ``confirmed`` (k,) whether the last two logs are both nearer to the changed mean.
     """
 
-    learning: int
-    rising: bool = False
-    memory: float = MEMORY
-    x: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    w: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    count: int = 0
-    sums: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    before: tuple[float, float] | None = None
-    cusum: tuple[float, float] = (0.0, 0.0)
-
-    @property
-    def total(self) -> int:
-        """Number of logs."""
-        return self.count + len(self.x)
-
-    def summed(self, h: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:
-        """Add the products of further whitened constants and values (m,) to the sums."""
-        hh, hy, yy = self.sums
-        return hh + float(h @ h), hy + float(h @ y), yy + float(y @ y)
+    log_e: np.ndarray
+    start: np.ndarray
+    earliest: np.ndarray
+    latest: np.ndarray
+    confirmed: np.ndarray
 
 
-@dataclass(frozen=True)
-class Evidence:
-    """Logarithm of a chart's e-detector, and the likeliest first log of the change with its interval."""
+def evidence(values: np.ndarray, variances: np.ndarray, learning: int, rising: np.ndarray | None = None) -> Evidence:
+    """Compute the e-detectors of charts; see the head of this module.
 
-    log_e: float = -np.inf
-    start: int | None = None
-    earliest: int | None = None
-    latest: int | None = None
-
-
-def add(chart: Chart, x: float, weight: float = 1.0) -> Chart:
-    """Add a log to a chart."""
-    added = replace(chart, x=np.append(chart.x, x), w=np.append(chart.w, weight))
-    if added.total > max(chart.learning, 2):
-        h, y = _whitened(added)
-        hh, hy, yy = chart.summed(h[:-1], y[:-1])
-        freedom = added.total - 2
-        scale = np.sqrt(max((yy - hy**2 / hh) / freedom, 1e-300) * (1 + h[-1] ** 2 / hh))
-        score = float(np.clip(ndtri(stdtr(freedom, (y[-1] - h[-1] * hy / hh) / scale)), -8.0, 8.0))
-        up, down = chart.cusum
-        down = 0.0 if chart.rising else max(down - score - REFERENCE, 0.0)
-        added = replace(added, cusum=(max(up + score - REFERENCE, 0.0), down))
-    return _condensed(added) if len(added.x) > max(WINDOW, chart.learning) + WINDOW // 4 else added
-
-
-def evidence(chart: Chart) -> Evidence:
-    """Compute the e-detector of a chart; see the head of this module."""
-    first = max(chart.learning - chart.count, 0)
-    n, m = chart.total, len(chart.x)
-    if m <= first or n < 4:
-        return Evidence()
-    h, y = _whitened(chart)
-    hh, hy, yy = chart.summed(h, y)
-    S0 = yy - hy**2 / hh
-    if 1e-12 * yy >= S0 or S0 <= 0:
-        return Evidence()  # a chart that never moves has no scale
-    # a step at j is the constant's own column from j + 1 on, and the whole of it, unlagged, at j
-    begin = 1 / np.sqrt(chart.w * (1 - chart.memory**2))
-    begin[0] = begin[0] if chart.count else h[0]
-
-    def from_each(product: np.ndarray, first_term: np.ndarray) -> np.ndarray:
-        after = np.append(np.cumsum(product[::-1])[::-1][1:], 0.0)
-        return np.asarray(first_term + after)
-
-    cc, ch, cy = from_each(h * h, begin**2), from_each(h * h, begin * h), from_each(h * y, begin * y)
-    r = np.maximum(cc - ch**2 / hh, 0.0)[first:]
-    b2 = np.divide((cy - ch * hy / hh)[first:] ** 2, r, out=np.zeros_like(r), where=r > 0)
-    shrink = r * KAPPA**2 / (1 + r * KAPPA**2)
-    unexplained = np.maximum(S0 - b2 * shrink, 1e-12 * S0)
-    ratios = -0.5 * np.log1p(r * KAPPA**2) + (n - 1) / 2 * np.log(S0 / unexplained)
-    if chart.rising:  # omitting decreases makes the sum smaller, so the bound still holds
-        ratios = np.where((cy - ch * hy / hh)[first:] > 0, ratios, -np.inf)
-    top = float(ratios.max())
-    if not np.isfinite(top):
-        return Evidence()
-    shares = np.exp(ratios - top)
-    along = np.cumsum(shares) / shares.sum()
-    offset = chart.count + first
-    return Evidence(
-        top + float(np.log(shares.sum())),
-        offset + int(np.argmax(ratios)),
-        offset + int(np.searchsorted(along, 0.025)),
-        offset + min(int(np.searchsorted(along, 0.975)), len(along) - 1),
-    )
+    Parameters
+    ----------
+    values, variances : ndarray
+        Logs by charts (n, k), oldest first, NaN where a log does not show a chart, and their variances by the
+        jackknife.
+    learning : int
+        Number of logs of a chart before which no change begins.
+    rising : ndarray, optional
+        Mask (k,) of the charts of which only growth counts, such as residuals.
+    """
+    x = np.where(isolated(values), np.nan, values)
+    n, k = x.shape
+    shown = np.isfinite(x)
+    count = shown.sum(axis=0)
+    safe = np.maximum(count, 1)
+    mean = np.where(shown, x, 0.0).sum(axis=0) / safe
+    y = np.where(shown, x - mean, 0.0)
+    scale = np.sqrt(np.sum(y**2, axis=0) / safe)
+    moving = (scale > 1e-12 * np.abs(mean)) & (scale > 0)
+    y = y / np.where(moving, scale, 1.0)
+    log_p0, ratios, up = _densities(y, _weights(variances, shown), shown)
+    if rising is not None:  # omitting decreases makes the sum smaller, so the bound still holds
+        ratios = np.where(up | ~rising, ratios, -np.inf)
+    ratios = logsumexp(ratios + log_p0, axis=1) - np.log(len(GRID)) - log_p0.max(axis=0)  # (n, k)
+    begins = shown & (np.cumsum(shown, axis=0) > learning) & moving & (count >= FEWEST)
+    ratios = np.where(begins, ratios, -np.inf)
+    log_e = logsumexp(ratios, axis=0) if n else np.full(k, -np.inf)
+    share = np.exp(ratios - np.where(np.isfinite(log_e), log_e, 0.0))
+    along = np.cumsum(share, axis=0)
+    start = np.argmax(share, axis=0) if n else np.zeros(k, dtype=int)
+    earliest, latest = (np.argmax(along >= edge, axis=0) if n else start for edge in (0.025, 0.975))
+    return Evidence(log_e, start, earliest, np.maximum(latest, start), _confirmed(x, start))
 
 
-def combined(log_e: np.ndarray) -> float:
-    """Take the logarithm of the mean of several charts' e-detectors (k,), which is one itself."""
-    if not len(log_e) or not np.isfinite(log_e).any():
-        return -np.inf
-    top = float(np.max(log_e))
-    return top + float(np.log(np.mean(np.exp(log_e - top))))
+def isolated(values: np.ndarray) -> np.ndarray:
+    """Find values (n, k) that are far off alone: those of the logs before and after are not, on the same side."""
+    return alone(np.where(far_off(values), np.sign(values - median(values)), 0.0))
 
 
-def run_length(limit: float, shift: float = 0.0) -> float:
-    """Compute the average run length of a one-sided CUSUM of normal scores of mean ``shift``, by Siegmund's formula."""
-    drift, height = shift - REFERENCE, limit + OVERSHOOT
-    if abs(drift) < 1e-9:
-        return height**2
-    return float((np.exp(-2 * drift * height) + 2 * drift * height - 1) / (2 * drift**2))
+def far_off(values: np.ndarray) -> np.ndarray:
+    """Find values (n, k) that are further from the median than scatter explains."""
+    middle, count = median(values), np.isfinite(values).sum(axis=0)
+    spread = 1.4826 * median(np.abs(values - middle))
+    distant = np.abs(values - middle) > stdtrit(np.maximum(count - 1, 1), 1 - RARE) * spread
+    return np.asarray(distant & (count >= FEWEST))
 
 
-def cusum_limit(logs: float) -> float:
-    """Find the limit of a two-sided CUSUM for a given average number of logs between false alarms."""
-    from scipy.optimize import brentq
-
-    return float(brentq(lambda limit: run_length(limit) / 2 - logs, 0.0, 60.0))
-
-
-def _whitened(chart: Chart) -> tuple[np.ndarray, np.ndarray]:
-    """Compute constants h and values y (m,) of the last logs with independent errors of equal variance."""
-    before, weights, memory = chart.before, 1 / np.sqrt(chart.w), chart.memory
-    rows = np.stack([weights, chart.x * weights])
-    last = np.array([[1.0], [before[0]]]) / np.sqrt(before[1]) if before else np.zeros((2, 1))
-    h, y = (rows - memory * np.hstack([last, rows[:, :-1]])) / np.sqrt(1 - memory**2)
-    if before is None:
-        h[0], y[0] = rows[:, 0]
-    return h, y
+def alone(side: np.ndarray) -> np.ndarray:
+    """Find the logs (n, k) whose ``side`` (-1, 0 or 1) is not 0, nor that of the log before or after."""
+    none = np.zeros((1, side.shape[1]))
+    before, after = np.vstack([none, side[:-1]]), np.vstack([side[1:], none])
+    return np.asarray((side != 0) & (side != before) & (side != after))
 
 
-def _condensed(chart: Chart) -> Chart:
-    """Condense all but the last logs into the sums."""
-    h, y = _whitened(chart)
-    old = len(chart.x) - WINDOW
-    h, y = h[:old], y[:old]
-    return replace(
-        chart,
-        x=chart.x[old:],
-        w=chart.w[old:],
-        count=chart.count + old,
-        sums=chart.summed(h, y),
-        before=(float(chart.x[old - 1]), float(chart.w[old - 1])),
-    )
+def median(values: np.ndarray) -> np.ndarray:
+    """Take the median (k,) of the values (n, k) that are not NaN; NaN where there is none."""
+    if not len(values):
+        return np.full(values.shape[1], np.nan)
+    ranked, at = np.sort(values, axis=0), np.maximum(np.isfinite(values).sum(axis=0) - 1, 0)
+    columns = np.arange(values.shape[1])
+    return np.asarray((ranked[at // 2, columns] + ranked[(at + 1) // 2, columns]) / 2)
+
+
+def _weights(variances: np.ndarray, shown: np.ndarray) -> np.ndarray:
+    """Relate the variances (n, k) of the white noise to that of the median log; a quieter log counts as that one."""
+    known = np.where(shown & (variances > 0), variances, np.nan)
+    return np.fmax(known / median(known), 1.0)
+
+
+def _densities(y: np.ndarray, w: np.ndarray, shown: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Compute log p_0 (g, k), log p_j / p_0 (n, g, k), and whether the step at j goes up.
+
+    A Kalman filter whitens values and constant; the step at j is the constant behind it, to whose innovations the
+    prediction ``a`` from the constant before it is added, decaying as the filter forgets.
+    """
+    n, k = y.shape
+    rho, c = (np.array(part)[:, None] for part in zip(*GRID, strict=True))
+    a, state, P = (np.zeros((len(GRID), k)), np.zeros((len(GRID), k)), np.repeat(1.0 - c, k, axis=1))
+    ones, scores, precision, decay, predicted = (np.zeros((n, len(GRID), k)) for _ in range(5))
+    log_det = np.zeros((len(GRID), k))
+    for t in range(n):
+        there = shown[t]
+        F = P + c * w[t]
+        gain = np.where(there, P / F, 0.0)
+        predicted[t], ones[t], scores[t] = a, 1.0 - a, y[t] - state
+        precision[t] = there / F
+        log_det += np.where(there, np.log(F), 0.0)
+        a, state = rho * (a + gain * ones[t]), rho * (state + gain * scores[t])
+        decay[t] = rho * (1 - gain)
+        P = rho**2 * P * (1 - gain) + (1 - rho**2) * (1 - c)
+    hh, hy = _from_each(ones**2 * precision), _from_each(ones * scores * precision)
+    B, C, E = (np.zeros_like(a) for _ in range(3))
+    r, b = np.zeros_like(ones), np.zeros_like(ones)
+    for t in range(n - 1, -1, -1):
+        B = ones[t] * precision[t] + decay[t] * B
+        C = precision[t] + decay[t] ** 2 * C
+        E = scores[t] * precision[t] + decay[t] * E
+        a = predicted[t]
+        ch = hh[t] + a * B
+        r[t] = ch + a * B + a**2 * C - ch**2 / np.maximum(hh[0], 1e-300)
+        b[t] = hy[t] + a * E - ch * hy[0] / np.maximum(hh[0], 1e-300)
+    freedom = np.maximum(shown.sum(axis=0) - 1, 1)
+    S0 = np.maximum((scores**2 * precision).sum(axis=0) - hy[0] ** 2 / np.maximum(hh[0], 1e-300), 1e-12)
+    r = np.maximum(r, 0.0)
+    explained = b**2 * KAPPA**2 / (1 + r * KAPPA**2)
+    ratios = -0.5 * np.log1p(r * KAPPA**2) - freedom / 2 * np.log1p(-np.minimum(explained / S0, 1 - 1e-12))
+    log_p0 = -0.5 * (log_det + np.log(np.maximum(hh[0], 1e-300)) + freedom * np.log(S0))
+    return log_p0, ratios, b > 0
+
+
+def _from_each(products: np.ndarray) -> np.ndarray:
+    """Sum from each log to the last (n, ...)."""
+    return np.asarray(np.cumsum(products[::-1], axis=0)[::-1])
+
+
+def _confirmed(x: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Return whether the last two logs of each chart are both nearer to the mean after ``start`` than before."""
+    after = np.arange(len(x))[:, None] >= start
+    healthy, changed = (_mean(np.where(part, x, np.nan)) for part in (~after, after))
+    position = (x - healthy) / np.where(changed != healthy, changed - healthy, np.inf)
+    newest = np.isfinite(x) & (np.cumsum(np.isfinite(x)[::-1], axis=0)[::-1] <= 2)
+    agreeing = newest & after & (position > 0.5)
+    return np.asarray(agreeing.sum(axis=0) == 2)
+
+
+def _mean(x: np.ndarray) -> np.ndarray:
+    there = np.isfinite(x)
+    return np.asarray(np.where(there, x, 0.0).sum(axis=0) / np.maximum(there.sum(axis=0), 1))

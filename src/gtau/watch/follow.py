@@ -2,24 +2,29 @@
 
 Each block goes through the batch pipeline as a log of its own, so that its numbers are those of finished logs; they
 come as soon as the block is whole. Blocks are recognised by their content: after an end at any moment, following the
-same folder or file again goes on behind the last block of the history.
+same folder or file again goes on behind the last block of the history. A log that is rotated, cut or replaced is
+followed from its beginning.
 """
 
 from __future__ import annotations
 
 import hashlib
+import os
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import BinaryIO
 
 from gtau.errors import GtauError
 from gtau.signals.reading.logs import find_columns
 from gtau.signals.run import Run
-from gtau.watch.state import date_of, digest_of, logs_of
-from gtau.watch.watch import Status, Watch, now
+from gtau.watch.logs import date_of, digest_of, logs_of, now
+from gtau.watch.quantities import TooShort
+from gtau.watch.watch import Status, Watch
 
 SETTLED = 1.0  # s without changes after which a log of a folder counts as finished
 POLL = 0.5  # s between polls
@@ -32,10 +37,23 @@ Read = Callable[[Path], Run]
 
 @dataclass(frozen=True)
 class Skipped:
-    """A block without information, such as that of a robot at rest, and the reason."""
+    """A log that is set aside, or a block without information, such as that of a robot at rest, and the reason."""
 
     log: str
     why: str
+
+
+def take(watch: Watch, log: Path, read: Read) -> Status | Skipped | None:
+    """Add a finished log; one that cannot be read is set aside with the reason. None for one that was added before."""
+    try:
+        digest = digest_of(log)
+        if watch.seen(digest):
+            return None
+        status = watch.update(replace(read(log), name=log.stem), digest, date_of(log))
+    except GtauError as refusal:
+        watch.set_aside(log.stem, str(refusal))
+        return Skipped(log.stem, str(refusal))
+    return Skipped(log.stem, "its samples are those of another log") if status.copied else status
 
 
 def follow(
@@ -58,13 +76,14 @@ def _folder(watch: Watch, folder: Path, read: Read, ended: Callable[[], bool]) -
     while True:
         idle = True
         for log in logs_of([folder]) if any(folder.iterdir()) else []:
-            stamp = (log.stat().st_size, log.stat().st_mtime)
-            if done.get(log) == stamp or time.time() - stamp[1] < SETTLED:
-                idle = idle and done.get(log) == stamp
-                continue
-            idle, done[log] = False, stamp
-            if (digest := digest_of(log)) not in watch.seen:
-                yield _update(watch, log, read, digest, log.stem, date_of(log))
+            with suppress(FileNotFoundError):  # rotated away meanwhile
+                stamp = (log.stat().st_size, log.stat().st_mtime)
+                if done.get(log) == stamp or time.time() - stamp[1] < SETTLED:
+                    idle = idle and done.get(log) == stamp
+                    continue
+                idle, done[log] = False, stamp
+                if (status := take(watch, log, read)) is not None:
+                    yield status
         if idle:
             if ended():
                 return
@@ -74,47 +93,63 @@ def _folder(watch: Watch, folder: Path, read: Read, ended: Callable[[], bool]) -
 def _growing(
     watch: Watch, log: Path, read: Read, seconds: float, ended: Callable[[], bool]
 ) -> Iterator[Status | Skipped]:
-    while _lines_of(log) < HEADED:
-        if ended():
-            return
-        time.sleep(POLL)
-    with TemporaryDirectory() as temporary, log.open("rb") as file:
-        head = b"".join(islice(file, (find_columns(log).first_line or 1) - 1))
-        part = Path(temporary) / f"{log.stem}{log.suffix or '.csv'}"
-        lines: list[bytes] = []
-        torn, wanted, number = b"", 0, 0
-        while True:
-            if log.stat().st_size < file.tell():
-                raise GtauError(f"{log} has become shorter while it was followed; start following the new log.")
-            chunk = file.read(CHUNK)
-            *whole_lines, torn = (torn + chunk).split(b"\n")
-            lines += whole_lines
-            if not wanted and len(lines) >= FIRST_LINES:
-                part.write_bytes(head + _text(lines[:FIRST_LINES]))
-                wanted = max(round(read(part).rate * seconds), FIRST_LINES)
-            while wanted and len(lines) >= wanted:
-                block, number = _text(lines[:wanted]), number + 1
-                del lines[:wanted]
-                digest = hashlib.sha256(block).hexdigest()
-                if digest not in watch.seen:
+    """Follow a log, and what takes its place when it is rotated."""
+    number = 0
+    while True:
+        while not log.exists() or _lines_of(log) < HEADED:
+            if ended():
+                return
+            time.sleep(POLL)
+        with TemporaryDirectory() as temporary, log.open("rb") as file:
+            head = b"".join(islice(file, (find_columns(log).first_line or 1) - 1))
+            part = Path(temporary) / f"{log.stem}{log.suffix or '.csv'}"
+            lines: list[bytes] = []
+            torn, wanted = b"", 0
+            while True:
+                chunk = file.read(CHUNK)
+                *complete, torn = (torn + chunk).split(b"\n")
+                lines += complete
+                if not wanted and len(lines) >= FIRST_LINES:
+                    part.write_bytes(head + _text(lines[:FIRST_LINES]))
+                    wanted = max(round(read(part).rate * seconds), FIRST_LINES)
+                while wanted and len(lines) >= wanted:
+                    block, number = _text(lines[:wanted]), number + 1
+                    del lines[:wanted]
                     part.write_bytes(head + block)
-                    yield _update(watch, part, read, digest, f"{log.stem} block {number}", now())
-            if not chunk:
-                if ended():
-                    return
-                time.sleep(POLL)
+                    if (status := _block(watch, part, read, block, f"{log.stem} block {number}")) is not None:
+                        yield status
+                if not chunk:
+                    if _replaced(log, file):
+                        break
+                    if ended():
+                        return
+                    time.sleep(POLL)
+
+
+def _block(watch: Watch, part: Path, read: Read, block: bytes, name: str) -> Status | Skipped | None:
+    """Add a block; raises GtauError where no block of this length can be used."""
+    digest = hashlib.sha256(block).hexdigest()
+    if watch.seen(digest):
+        return None
+    try:
+        return watch.update(replace(read(part), name=name), digest, now())
+    except TooShort as refusal:
+        raise GtauError(f"blocks are too short: {refusal}") from None
+    except GtauError as refusal:
+        return Skipped(name, str(refusal))
+
+
+def _replaced(log: Path, file: BinaryIO) -> bool:
+    """Return whether a log is no longer the file that is read, or has been cut."""
+    try:
+        state, opened = log.stat(), os.fstat(file.fileno())
+    except FileNotFoundError:
+        return True
+    return (state.st_ino, state.st_dev) != (opened.st_ino, opened.st_dev) or state.st_size < file.tell()
 
 
 def _text(lines: list[bytes]) -> bytes:
     return b"\n".join(lines) + b"\n"
-
-
-def _update(watch: Watch, log: Path, read: Read, digest: str, name: str, date: str) -> Status | Skipped:
-    try:
-        return watch.update(replace(read(log), name=name), digest, date)
-    except GtauError as refusal:
-        watch.seen.add(digest)
-        return Skipped(name, str(refusal))
 
 
 def _lines_of(log: Path) -> int:

@@ -10,7 +10,7 @@ kind    change                                       column
 load    mass, first moments, inertia on the tool     those of the payload (eq. 18)
 gain    drive gain, at fixed inertia                 ``-tau_model``
 zero    encoder zero                                 ``d tau / d q``
-delay   delay of the current                         ``g v'``
+delay   lag of the current behind the position       ``-g v'``
 fv, fs  viscous and Coulomb friction                 ``qd``, ``sign(qd)``
 off     offset of the current                        1
 ======  ===========================================  ==============================
@@ -44,6 +44,10 @@ FEWEST_ROWS = 50  # of a joint in a log, as in an identification
 ZERO_UNITS = {"revolute": ("deg", np.pi / 180), "prismatic": ("mm", 1e-3)}
 
 
+class TooShort(GtauError):
+    """Error raised for a log that is too short, however the robot moves in it."""
+
+
 @dataclass(frozen=True)
 class Quantity:
     """A watched quantity: its kind (that of a payload's parameter for the load), joint and unit."""
@@ -68,8 +72,8 @@ class NormalEquations:
     """Normal equations of a log, ``A^T A`` with ``A = [columns | y]``, rows divided by the model's own residual.
 
     ``G`` (blocks, n, p + 1, p + 1) of the equations of each joint in each block that the jackknife leaves out;
-    ``rows`` (blocks, n) behind them; ``tau`` (n,) rms torque of each joint, and ``sigma`` (n,) the residual by which
-    its rows are divided, N m or N.
+    ``rows`` (blocks, n) behind them; ``tau`` (n,) rms torque of each joint, ``sigma`` (n,) the residual by which its
+    rows are divided, N m or N, and ``speed`` (n,) its mean absolute velocity.
     """
 
     quantities: tuple[Quantity, ...]
@@ -77,6 +81,7 @@ class NormalEquations:
     rows: np.ndarray
     tau: np.ndarray
     sigma: np.ndarray
+    speed: np.ndarray
 
     @property
     def friction(self) -> list[int]:
@@ -90,10 +95,8 @@ class NormalEquations:
 
     @property
     def charts(self) -> list[int]:
-        """Columns of the charts: inertia of the load and offsets are estimated with the others."""
-        of_load = ("m", "mx", "my", "mz")
-        charted = [quantity.joint or quantity.kind in of_load for quantity in self.quantities]
-        return [k for k, chart in enumerate(charted) if chart and self.quantities[k].kind != "off"]
+        """Columns of the charts."""
+        return [k for k, quantity in enumerate(self.quantities) if _charted(quantity)]
 
 
 def quantities_of(model: Result, of_load: Iterable[str]) -> tuple[Quantity, ...]:
@@ -111,6 +114,17 @@ def quantities_of(model: Result, of_load: Iterable[str]) -> tuple[Quantity, ...]
             if Parameter(kind, joint) in model.base.standard
         ),
     )
+
+
+def charts_of(model: Result) -> tuple[Quantity, ...]:
+    """List the charts of a model: inertia of the load and offsets are estimated with the others."""
+    (payload,) = payload_columns(model.idm, model.base, [Payload(name="load")])
+    quantities = quantities_of(model, [name.kind for name in payload.unknown])
+    return tuple(quantity for quantity in quantities if _charted(quantity))
+
+
+def _charted(quantity: Quantity) -> bool:
+    return quantity.kind in ("m", "mx", "my", "mz") if not quantity.joint else quantity.kind != "off"
 
 
 def normal_equations(model: Result, run: Run) -> NormalEquations:
@@ -135,8 +149,15 @@ def normal_equations(model: Result, run: Run) -> NormalEquations:
     quantities, sigma = quantities_of(model, [name.kind for name in payload.unknown]), _sigma(model)
     p = len(quantities)
     G, rows = np.zeros((BLOCKS, n, p + 1, p + 1)), np.zeros((BLOCKS, n), dtype=int)
-    power = np.zeros(n)
+    power, way = np.zeros(n), np.zeros(n)
     blocks = block_of(block_edges(prepared), decimator.outputs(len(prepared)))
+    if len(blocks) < FEWEST_ROWS:
+        least = run.time[-1] - run.time[0]
+        least *= FEWEST_ROWS / max(len(blocks), 1)
+        raise TooShort(
+            f"run '{run.name}' gives {len(blocks)} rows a joint at the rate of the identification, {FEWEST_ROWS} are "
+            f"needed; give at least {np.ceil(least):.0f} s of motion."
+        )
     regressor = idm.columns(base.standard)
     for part in stream_rows(idm, regressor, prepared, decimator, load, friction=friction):
         A, tau = _columns(model, part, load, payload.columns, quantities, run.name)
@@ -145,13 +166,15 @@ def normal_equations(model: Result, run: Run) -> NormalEquations:
             add_products(G[:, j], A[j, kept] / sigma[j], block)
             np.add.at(rows[:, j], block, 1)
             power[j] += float(np.sum(tau[j, kept] ** 2))
+            way[j] += float(np.sum(np.abs(part.motion.yd[idm.layout.actuated[j], kept])))
     count = rows.sum(axis=0)
     if not (count >= FEWEST_ROWS).any():
         raise GtauError(
             f"run '{run.name}' has at most {count.max()} usable rows a joint, away from its reversals and gaps; give a "
             "longer log."
         )
-    return NormalEquations(quantities, G, rows, np.sqrt(power / np.maximum(count, 1)), sigma)
+    count = np.maximum(count, 1)
+    return NormalEquations(quantities, G, rows, np.sqrt(power / count), sigma, way / count)
 
 
 def _sigma(model: Result) -> np.ndarray:
@@ -186,7 +209,7 @@ def _columns(
             case "gain":
                 A[j, :, k] = -tau[j]
             case "delay":
-                A[j, :, k] = rate[j]
+                A[j, :, k] = -rate[j]
             case "zero":
                 A[:, :, k] = zeros[j]
             case _:

@@ -36,7 +36,8 @@ class LogStatistics:
     columns; ``formula`` (k, k) the covariance for independent residuals of unit variance, which has the full rank that
     the jackknife lacks. ``uneven`` (n,) is the largest rms residual of a block over the median one, of each joint:
     contacts are brief. ``information`` (p, p): the squared residual, friction free, that changes x of the quantities
-    add is ``x^T information x``. ``rows`` (n,) counts those of each joint.
+    add is ``x^T information x``. ``rows`` (n,) counts those of each joint, ``speed`` (n,) its mean absolute velocity,
+    and ``payload`` is the mass that the log is stated to carry, kg.
     """
 
     name: str
@@ -49,6 +50,8 @@ class LogStatistics:
     uneven: np.ndarray
     information: np.ndarray
     rows: np.ndarray
+    speed: np.ndarray
+    payload: float = 0.0
 
     @property
     def std(self) -> np.ndarray:
@@ -64,11 +67,6 @@ class LogStatistics:
     def shown(self) -> np.ndarray:
         """Mask (k,) of the charts that are observable in this motion."""
         return np.isfinite(self.values)
-
-    @property
-    def not_shown(self) -> tuple[str, ...]:
-        """Names of the charts that are not observable in this motion."""
-        return tuple(chart.name for chart, there in zip(self.charts, self.shown, strict=True) if not there)
 
 
 def statistics_of(model: Result, run: Run) -> LogStatistics:
@@ -106,6 +104,8 @@ def statistics_of(model: Result, run: Run) -> LogStatistics:
         uneven,
         _beside_friction(total, normal),
         normal.rows.sum(axis=0),
+        normal.speed,
+        0.0 if run.payload is None else run.payload.mass or model.payload(run.payload.name)["m"],
     )
 
 

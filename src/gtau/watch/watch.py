@@ -1,53 +1,63 @@
-"""Watch a robot: update its charts log by log, and raise an alarm."""
+"""Watch a robot: judge it log by log against its model and its own past; the history is the only state."""
 
 from __future__ import annotations
 
 import hashlib
-from collections import deque
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, FiniteFloat
 
 from gtau.documents.files import folder_of
 from gtau.documents.validation import NUMBER, TEXT, WHOLE, takes
-from gtau.errors import GtauError
+from gtau.errors import GtauError, UnknownName
 from gtau.estimation.results.model_file import to_document
 from gtau.estimation.results.result import Result
 from gtau.model.interpreter.program import single_threaded_blas
-from gtau.robots.robot import PLAIN_FRICTION
+from gtau.robots.parameter import torque_unit
+from gtau.signals.reading.statements import Tolerances
 from gtau.signals.run import Run
-from gtau.watch.alarms import alarm_of
-from gtau.watch.detectors import (
-    FEWEST,
-    MEMORY,
-    OF_FRICTION,
-    WINDOW,
-    Baseline,
-    Chart,
-    Evidence,
-    add,
-    baseline_of,
-    combined,
-    cusum_limit,
-    evidence,
-)
-from gtau.watch.quantities import Quantity
-from gtau.watch.state import Alarm, Entry, Settings, append, open_history, reset_date
+from gtau.watch import history
+from gtau.watch.alarms import evidence_of, judge, means_of
+from gtau.watch.detectors import FEWEST
+from gtau.watch.history import Alarm, Event, Row, Settings
+from gtau.watch.logs import checked_date, now, run_digest
+from gtau.watch.quantities import Quantity, charts_of
 from gtau.watch.statistics import RESIDUAL, LogStatistics, statistics_of
+from gtau.watch.table import View, table_of, view_of
+
+DONE = ("acknowledge", "forget", "reset")  # events that can be undone
+OPTIONS = {"false_alarms": "--false-alarms-per-year"}  # of settings whose option has another name
+
+
+class Entry(BaseModel):
+    """A log: estimates and standard deviations by chart, unevenness by joint, and the state after it.
+
+    ``log_e`` is the logarithm of the largest e-detector over the number of quantities, that of ``leading``.
+    """
+
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+    log: str
+    date: str
+    phase: Literal["baseline", "watching", "aside"]
+    values: dict[str, FiniteFloat]
+    std: dict[str, FiniteFloat]
+    uneven: dict[str, FiniteFloat]
+    not_shown: tuple[str, ...]
+    log_e: FiniteFloat | None = None
+    leading: str = ""
+    alarm: Alarm | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Status:
-    """Entry in the history, charts (k,) with baseline and evidence, and the larger CUSUM of each over its limit."""
+    """The last log of the history, and whether the log given was in it already (``copied``)."""
 
     entry: Entry
-    charts: tuple[Quantity, ...]
-    baseline: Baseline
-    evidences: tuple[Evidence, ...]
-    cusums: np.ndarray
+    copied: bool = False
 
     @property
     def healthy(self) -> bool:
@@ -56,7 +66,7 @@ class Status:
 
 
 class Watch:
-    """Watch a robot: feed it finished logs, oldest first, and it reports whether the robot has changed.
+    """Watch a robot: feed it finished logs, and it reports whether the robot has changed.
 
     This is not a safety function: it detects wear and mistakes between logs and protects nobody.
 
@@ -66,14 +76,17 @@ class Watch:
         From :func:`gtau.identify` or :meth:`gtau.Result.load`.
     out : path, optional
         Folder of the history, continued if it exists; in memory if omitted.
-    baseline : int
-        Number of healthy logs that form the baseline.
-    false_alarms_per_year : float
-        False alarms of the whole fleet per year.
-    robots : int
-        Number of robots in the fleet.
-    logs_per_year : float
-        Logs of each robot per year.
+    baseline : int, optional
+        Number of healthy logs that form the baseline, 10 if omitted. This and the following stand in the history and
+        need not be repeated.
+    false_alarms_per_year : float, optional
+        False alarms of the whole fleet per year, 1 if omitted.
+    robots : int, optional
+        Number of robots in the fleet, 1 if omitted.
+    logs_per_year : float, optional
+        Logs of each robot per year, 365 if omitted.
+    tolerances : Tolerances, optional
+        Those of an experiment file.
 
     Raises
     ------
@@ -92,47 +105,60 @@ class Watch:
         self,
         model: Result,
         out: str | Path | None = None,
-        baseline: int = 10,
-        false_alarms_per_year: float = 1.0,
-        robots: int = 1,
-        logs_per_year: float = 365.0,
+        baseline: int | None = None,
+        false_alarms_per_year: float | None = None,
+        robots: int | None = None,
+        logs_per_year: float | None = None,
+        tolerances: Tolerances | None = None,
     ):
-        if baseline < FEWEST:
+        if baseline is not None and baseline < FEWEST:
             raise GtauError(f"a baseline of {baseline} logs is too short; use at least {FEWEST} healthy logs.")
-        if not (false_alarms_per_year > 0 and robots >= 1 and logs_per_year > 0):
+        numbers = {"false_alarms": false_alarms_per_year, "robots": robots, "logs_per_year": logs_per_year}
+        if any(number is not None and not number > 0 for number in numbers.values()):
             raise GtauError("false alarms per year, robots and logs per year are positive numbers; correct them.")
         self.model = model
-        self.settings = Settings(
-            model=model_digest(model),
-            robot=model.robot.name,
-            baseline=baseline,
-            false_alarms=false_alarms_per_year,
-            robots=robots,
-            logs_per_year=logs_per_year,
-        )
         self.folder = None if out is None else folder_of(out)
-        self.seen: set[str] = set()
-        self.began = self.maintained = ""  # dates of the last maintenance, and of one still without a log
-        self.alarm: Alarm | None = None
-        self._clear()
-        for entry in () if self.folder is None else open_history(self.folder, self.settings):
-            self._take(entry)
+        self.charts: tuple[Quantity, ...] = (
+            *charts_of(model),
+            *(Quantity(RESIDUAL, joint, torque_unit(model.robot, joint)) for joint in model.robot.actuated),
+        )
+        given: dict[str, Any] = {"baseline": baseline, **numbers}
+        given = {name: value for name, value in given.items() if value is not None}
+        names = tuple(chart.name for chart in self.charts)
+        begun = Settings(model=model_digest(model), robot=model.robot.name, charts=names, **given)
+        self._database = history.open_history(self.folder, begun)
+        self.settings = history.settings_of(self._database)
+        _require_same(self.settings, begun, given, self.folder)
+        if tolerances is not None and (wanted := tolerances.model_dump()) != self.settings.tolerances:
+            self.settings = self.settings.model_copy(update={"tolerances": wanted})
+            with history.writing(self._database):
+                history.save_settings(self._database, self.settings)
+        self._rows: list[Row] = []
+        self._read()
 
-    def _clear(self) -> None:
-        """Begin a baseline."""
-        self.names: tuple[str, ...] = ()
-        self.charts: dict[str, Chart] = {}
-        self.reference: dict[str, float] = {}  # variance by the formula of the first log in which a chart is observable
-        self.first: list[dict[str, float]] = []  # values of the baseline
-        self.recent: deque[Entry] = deque(maxlen=WINDOW)
-        self.count = 0
-        self.uneven: dict[str, float] = {}
-        self.alarm = None
+    def _read(self, whole: bool = False) -> None:
+        """Take the logs that this or another program has added to the history, or all of them again."""
+        known = [] if whole else self._rows
+        newest = max((row.id for row in known), default=-1)
+        self._rows = [*known, *history.rows_after(self._database, newest)]
+        self.events: list[Event] = history.events_of(self._database)
+        self.view = self._viewed(self._rows)
+        text = max(self._rows, key=lambda row: row.id).alarm if self._rows else ""
+        self.alarm = Alarm.model_validate_json(text) if text else None
+
+    def _viewed(self, rows: list[Row]) -> View:
+        table = table_of(rows, len(self.charts), len(self.model.robot.actuated))
+        return view_of(self.model, self.charts, table, self.events, Tolerances.model_validate(self.settings.tolerances))
 
     @property
     def limit(self) -> float:
-        """Limit of the mean e-detector: the average number of logs between false alarms of this robot."""
+        """Average number of logs between false alarms of this robot."""
         return self.settings.limit
+
+    @property
+    def count(self) -> int:
+        """Number of logs since the last maintenance that are not set aside."""
+        return self.view.baseline
 
     @property
     def phase(self) -> Literal["baseline", "watching"]:
@@ -140,38 +166,24 @@ class Watch:
         return "baseline" if self.count < self.settings.baseline else "watching"
 
     @property
-    def baseline(self) -> Baseline:
-        """Healthy mean and scatter of the charts in ``names``."""
-        table = [[values.get(name, np.nan) for name in self.names] for values in self.first]
-        return baseline_of(np.reshape(np.array(table, dtype=float), (len(table), len(self.names))))
+    def refused(self) -> list[Event]:
+        """Logs that could not be read."""
+        return [event for event in self.events if event.kind == "refused"]
 
-    @takes(date=TEXT)
-    def reset(self, date: str) -> None:
-        """Begin a new baseline with the first further log from a date on, as after maintenance; once for each date.
-
-        Parameters
-        ----------
-        date : str
-            Such as ``2026-03-28``, or with a time, ISO 8601.
-
-        Raises
-        ------
-        GtauError
-            It is not a date.
-        """
-        date = reset_date(date)
-        self.maintained = date if date > self.began else ""
+    def seen(self, digest: str) -> bool:
+        """Return whether a log of this digest is in the history."""
+        return history.is_seen(self._database, digest)
 
     @single_threaded_blas()
     def update(self, run: Run, digest: str = "", date: str = "") -> Status:
-        """Add a finished log.
+        """Add a finished log; one whose samples are in the history is not added again.
 
         Parameters
         ----------
         run : Run
             From :func:`gtau.read_run`. Its payload, if any, is part of what is expected.
         digest : str
-            Identifies the log; that of its samples if omitted.
+            Identifies the log, beside its samples.
         date : str
             Time of recording, ISO 8601; now if omitted.
 
@@ -185,74 +197,163 @@ class Watch:
         GtauError
             If the log does not fit the model; the history is then unchanged.
         """
-        return self.update_statistics(statistics_of(self.model, run), digest or run_digest(run), date or now())
+        samples = run_digest(run)
+        if self.seen(samples):
+            with history.writing(self._database):
+                history.see(self._database, digest or samples)
+                history.forgive(self._database, run.name)
+            self._read()
+            return Status(self.entry, copied=True)
+        return self._add(statistics_of(self.model, run), [samples, *([digest] if digest else [])], date or now())
 
     def update_statistics(self, log: LogStatistics, digest: str, date: str) -> Status:
         """Add the statistics of a log, as :meth:`update` does."""
-        begins = bool(self.maintained) and date >= self.maintained
-        names, shown = [chart.name for chart in log.charts], np.flatnonzero(log.shown)
-        values, std, formula = (
-            {names[k]: float(column[k]) for k in shown}
-            for column in (log.values, log.std, np.sqrt(np.diag(log.formula)))
+        return self._add(log, [digest], date)
+
+    def _add(self, log: LogStatistics, digests: list[str], date: str) -> Status:
+        numbers = np.concatenate([log.values, log.std, log.uneven, log.speed])
+        with history.writing(self._database):
+            self._read()
+            if any(map(self.seen, digests)):
+                return Status(self.entry, copied=True)
+            row = history.add_row(self._database, digests, log.name, date, numbers)
+            view = self._viewed([*self._rows, row])
+            place = int(np.flatnonzero(view.table.ids == row.id)[0])
+            judgement = judge(self.model, self.settings, view, log, place, self.alarm)
+            if judgement.repaired is not None and self.alarm is not None:
+                first = int(view.table.ids[_place(view, self.alarm)])
+                details = {"first": first, "inside": judgement.repaired}
+                history.add_event(self._database, date, "repaired", ", ".join(self.alarm.charts), details=details)
+            history.set_alarm(self._database, row.id, judgement.alarm)
+            history.forgive(self._database, log.name)
+            condensed = history.condense(self._database)
+        self._read(whole=condensed)
+        return Status(self.entry.model_copy(update={"log_e": judgement.log_e, "leading": judgement.leading}))
+
+    @property
+    def entry(self) -> Entry:
+        """The log that was added last."""
+        row = max(self._rows, key=lambda row: row.id)
+        table, place = self.view.table, int(np.flatnonzero(self.view.table.ids == row.id)[0])
+        names = [chart.name for chart in self.charts]
+        values, std = (
+            {name: float(value) for name, value in zip(names, part[place], strict=True) if np.isfinite(value)}
+            for part in (table.values, table.std)
         )
-        entry = Entry(
-            log=log.name,
-            digest=digest,
-            date=date,
-            begins=self.maintained if begins else "",
-            values=values,
-            std=std,
-            formula=formula,
-            uneven=dict(zip(log.joints, map(float, log.uneven), strict=True)),
-            not_shown=log.not_shown,
-            phase="baseline" if begins else self.phase,
-        )
-        self._take(entry)
-        evidences = {name: evidence(chart) for name, chart in self.charts.items()}
-        limit = cusum_limit(self.limit * max(len(self.charts), 1))
-        cusums = np.array([max(chart.cusum) / limit for chart in self.charts.values()])
-        if entry.phase == "watching":
-            log_e = combined(np.array([chart.log_e for chart in evidences.values()]))
-            if log_e >= np.log(self.limit):
-                self.alarm = alarm_of(self.model, list(self.recent), self.charts, evidences, log, self.uneven)
-            state = {
-                "log_e": log_e if np.isfinite(log_e) else None,
-                "cusum": float(cusums.max(initial=0.0)),
-                "leading": max(evidences, key=lambda name: evidences[name].log_e, default=""),
+        phase = "baseline" if self.count <= self.settings.baseline else "watching"
+        return Entry.model_validate(
+            {
+                "log": row.log,
+                "date": row.date,
+                "phase": "aside" if self.view.odd[place].any() else phase,
+                "values": values,
+                "std": std,
+                "uneven": dict(zip(self.model.robot.actuated, table.uneven[place].tolist(), strict=True)),
+                "not_shown": tuple(name for name in names if name not in values),
                 "alarm": self.alarm,
             }
-            self.recent[-1] = entry = entry.model_copy(update=state)
-        if self.folder is not None:
-            append(self.folder, entry)
-        charts = {chart.name: chart for chart in log.charts}
-        listed = tuple(charts[name] for name in self.names if name in charts)
-        return Status(entry, listed, self.baseline, tuple(evidences.values()), cusums)
+        )
 
-    def _take(self, entry: Entry) -> None:
-        """Add an entry to the charts."""
-        if entry.begins:
-            self._clear()
-            self.began, self.maintained = entry.begins, ""
-        for name, value in entry.values.items():
-            variance = entry.formula[name] ** 2
-            known = self.reference.setdefault(name, variance)
-            chart = self.charts.get(name) or _begun(name, self.settings.baseline)
-            self.charts[name] = add(chart, value, max(1.0, variance / known if known > 0 else 1.0))
-        if self.phase == "baseline":
-            self.first.append(dict(entry.values))
-            for joint, uneven in entry.uneven.items():
-                self.uneven[joint] = max(self.uneven.get(joint, 1.0), uneven)
-        self.names = tuple(self.charts)
-        self.recent.append(entry)
-        self.seen.add(entry.digest)
-        self.count += 1
-        self.alarm = entry.alarm or self.alarm
+    def set_aside(self, log: str, why: str) -> None:
+        """Note a log that cannot be read, until it can."""
+        with history.writing(self._database):
+            history.forgive(self._database, log)
+            history.add_event(self._database, now(), "refused", log, why)
+        self._read()
+
+    @takes(date=TEXT)
+    def reset(self, date: str) -> None:
+        """Begin a new baseline with the first log from a date on, as after maintenance; once for each date.
+
+        Parameters
+        ----------
+        date : str
+            Such as ``2026-03-28``, or with a time, ISO 8601.
+
+        Raises
+        ------
+        GtauError
+            It is not a date.
+        """
+        date = checked_date(date)
+        if not any(event.kind == "reset" and event.subject == date for event in self.events):
+            begun = any(date <= row.date for row in self._rows)
+            self._do("reset", date, "", {}, None if begun else self.alarm)
+
+    @takes(note=TEXT)
+    def acknowledge(self, note: str) -> None:
+        """End an alarm: what has changed is accepted as the new reference; raises GtauError without an alarm."""
+        if self.alarm is None or self.alarm.kind == "log":
+            advice = "" if self.alarm is None else f"; forget the log '{self.alarm.since}' instead"
+            raise GtauError(f"there is no alarm to acknowledge{advice or '; watch further logs first'}.")
+        place = _place(self.view, self.alarm)
+        moved, _ = evidence_of(self.view, self.settings)
+        means = means_of(self.view.counted[place:])
+        accepted = {
+            name: float(mean)
+            for name, mean, log_e in zip(self.view.names, means, moved.log_e, strict=True)
+            if np.isfinite(mean) and (name in self.alarm.charts or log_e > 0)
+        }
+        details = {"first": int(self.view.table.ids[place]), "changed": accepted}
+        self._do("acknowledge", self.alarm.since, note, details, None)
+
+    @takes(log=TEXT)
+    def forget(self, log: str) -> None:
+        """Leave out a log that was not of this robot or of this state; raises GtauError where there is none."""
+        names = self.view.table.logs
+        if log not in names:
+            some = ", ".join(names[-3:]) or "none yet"
+            raise UnknownName(f"the history holds no log '{log}'; give one of its names, such as {some}.")
+        self._do("forget", log, "", {}, None)
+
+    @takes(subject=TEXT)
+    def undo(self, subject: str) -> None:
+        """Undo what was last done about a log (forgotten, or first of an acknowledged alarm) or a date of maintenance.
+
+        Raises GtauError where nothing was.
+        """
+        events = [
+            event for event in self.events if event.subject == subject and event.kind in DONE and not event.undone
+        ]
+        if not events:
+            raise UnknownName(f"nothing was done about '{subject}'; give a log or a date of the report's events.")
+        alarm = events[-1].details["alarm"]
+        with history.writing(self._database):
+            history.undo(self._database, events[-1].id, now())
+            restored = None if alarm is None else Alarm.model_validate_json(alarm)
+            history.set_alarm(self._database, max(row.id for row in self._rows), restored)
+        self._read(whole=True)
+
+    def _do(self, kind: str, subject: str, note: str, details: dict[str, Any], alarm: Alarm | None) -> None:
+        """Note an event, and the alarm that remains after it."""
+        before = None if self.alarm is None else self.alarm.model_dump_json()
+        with history.writing(self._database):
+            history.add_event(self._database, now(), kind, subject, note, {**details, "alarm": before})
+            if self._rows:
+                history.set_alarm(self._database, max(row.id for row in self._rows), alarm)
+        self._read(whole=True)
 
 
-def _begun(name: str, baseline: int) -> Chart:
-    """Begin the chart of this name."""
-    kind = name.partition("_")[0]
-    return Chart(baseline, kind == RESIDUAL, OF_FRICTION if kind in (*PLAIN_FRICTION, RESIDUAL) else MEMORY)
+def _place(view: View, alarm: Alarm) -> int:
+    """Find the row of the first log of an alarm."""
+    names = list(zip(view.table.logs, view.table.dates, strict=True))
+    return names.index((alarm.since, alarm.date)) if (alarm.since, alarm.date) in names else 0
+
+
+def _require_same(known: Settings, begun: Settings, given: dict[str, Any], folder: Path | None) -> None:
+    """Refuse the history of another model, or other settings than those it was begun with."""
+    if known.model != begun.model:
+        raise GtauError(
+            f"{folder} holds the history of another model (of robot '{known.robot}'); give that model, or another "
+            "--out."
+        )
+    for name, value in given.items():
+        option = OPTIONS.get(name, f"--{name.replace('_', '-')}")
+        if (before := getattr(known, name)) != value:
+            raise GtauError(
+                f"{folder} was begun with {option} {before:g}, not {value:g}: another value would change what its "
+                "alarms mean; leave the option out, or give another --out."
+            )
 
 
 def model_digest(model: Result) -> str:
@@ -260,16 +361,3 @@ def model_digest(model: Result) -> str:
     document = to_document(model)
     known = {key: document[key] for key in ("robot_file", "drive_gains", "parameters") if key in document}
     return hashlib.sha256(repr(known).encode()).hexdigest()
-
-
-def run_digest(run: Run) -> str:
-    """Compute the SHA-256 of the samples of a run."""
-    digest = hashlib.sha256()
-    for samples in (run.time, run.position, run.command):
-        digest.update(np.ascontiguousarray(samples).tobytes())
-    return digest.hexdigest()
-
-
-def now() -> str:
-    """Return the time, ISO 8601, in seconds."""
-    return datetime.now(UTC).isoformat(timespec="seconds")

@@ -30,6 +30,7 @@ from gtau.estimation.regression.column_blocks import (
 from gtau.estimation.regression.factors import KNOWN, Factors, reduce_rows
 from gtau.estimation.regression.plausibility import check_wrenches, prepare_runs, sensors_of
 from gtau.estimation.regression.problem import Problem
+from gtau.estimation.regression.reference import Reference
 from gtau.estimation.regression.rows import Rows, stream_rows
 from gtau.estimation.regression.run_blocks import BLOCKS, PreparedRuns, Windows, block_of
 from gtau.findings import Finding
@@ -68,7 +69,8 @@ class Dataset:
     """All runs of an experiment, read and reduced, with the priors, before any estimation.
 
     ``priors`` are those of standard or base parameters, by name; with the inertias of the robot's file among them,
-    ``prior_inertias`` is their relative standard deviation, else 0.
+    ``prior_inertias`` is their relative standard deviation, else 0. ``reference`` is a model of the same robot whose
+    parameters count as known with their covariance.
     """
 
     model: InverseDynamics
@@ -78,6 +80,7 @@ class Dataset:
     factors: tuple[Factors, ...] = ()
     priors: Mapping[str, Prior] = field(default_factory=dict)
     prior_inertias: float = 0.0
+    reference: Reference | None = None
 
     @property
     def robot(self) -> Robot:
@@ -140,6 +143,8 @@ class Dataset:
         warm = None if self.temperatures is None else self.temperatures.of_blocks
         plain = assemble_problem(effects, channels, self.factors, slowest, warm, self.prepared.places[0].tolist())
         known = known_equations(self.base, self.model.parameter_names, plain.parameters, self.priors)
+        if self.reference is not None:
+            known = np.vstack([known, self.reference.among(plain.parameters)])
         problem = replace(plain, known=known, wrenches=tuple(given), factored=plain.triangles)
         return System(self, problem.without(unexcited(problem)), problem, effects, of_payloads, terms)
 

@@ -41,7 +41,7 @@ class Weighed:
 
     ``sums @ chi`` (k, 10) are ``values`` with ``covariance``, ``exact @ chi`` (r, 10) are ``stated`` by the user.
     ``freedom`` are the degrees of freedom behind the covariance, None for very many; ``reach`` is the longest placement
-    of the robot, m.
+    of the robot, m; ``by_model`` says that no other load was logged, so that the model's parameters are the reference.
     """
 
     body: str
@@ -52,6 +52,7 @@ class Weighed:
     stated: np.ndarray
     freedom: float | None
     reach: float
+    by_model: bool = False
 
 
 @dataclass(frozen=True, eq=False)

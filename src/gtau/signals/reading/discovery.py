@@ -53,10 +53,10 @@ class Draft:
 
     ``logs`` are one file or two of each run; ``signals``, ``units`` and ``robot`` are as under these keys of the file,
     but ``robot`` has no ``file`` where it is unknown, and a rate is None. ``masses`` (kg) of payloads by log come from
-    the names of the files where they are not ``stated``. ``beside`` are columns that are not used, some by joint:
-    ``temperature``, ``torques`` that may be of sensors, a ``pose``, the ``motion`` of a base, ``wrenches``, and
-    ``others`` that might be meant instead, torques that are ``still``. ``urdf`` is the text of the robot's file where a
-    bag holds it.
+    the names of the files where they are not ``stated``; NaN is to be weighed. ``beside`` are columns that are not
+    used, some by joint: ``temperature``, ``torques`` that may be of sensors, a ``pose``, the ``motion`` of a base,
+    ``wrenches``, and ``others`` that might be meant instead, torques that are ``still``. ``urdf`` is the text of the
+    robot's file where a bag holds it.
     """
 
     logs: tuple[tuple[Path, ...], ...]

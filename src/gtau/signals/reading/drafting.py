@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from math import isfinite, nan
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal
@@ -103,6 +104,12 @@ def with_masses(draft: Draft, masses: Mapping[Path, float]) -> Draft:
     return replace(draft, masses=kept, stated=stated)
 
 
+def to_weigh(draft: Draft) -> Draft:
+    """Return the draft with an unknown payload, of mass NaN, for every log that neither option nor name says one of."""
+    unknown = (run[0] for run in draft.logs if run[0] not in draft.stated.union(draft.masses))
+    return replace(draft, masses={**draft.masses, **dict.fromkeys(unknown, nan)})
+
+
 def write_draft(draft: Draft, file: Path) -> list[Path]:
     """Write the experiment file of a draft, and the robot file from a bag, replacing those of earlier drafts.
 
@@ -183,8 +190,9 @@ def draft_text(draft: Draft, folder: Path) -> str:
         log = _flow(paths[0] if len(paths) == 1 else paths)
         payload = []
         if (mass := draft.masses.get(run[0])) is not None:
-            entry = _flow({"name": f"load_{1000 * mass:.0f}g", "mass": mass})
-            doubt = "" if run[0] in draft.stated else f"{CHECK}kg, from the file name"
+            known = isfinite(mass)
+            entry = _flow({"name": f"load_{1000 * mass:.0f}g", "mass": mass} if known else {"name": run[0].stem})
+            doubt = "" if run[0] in draft.stated else f"{CHECK}kg, from the file name" if known else "to be weighed"
             payload = [_line(f"    payload: {entry}", doubt)]
         for episode in find_columns(run[0]).episodes or (None,):
             numbered = [] if episode is None else [f"    episode: {episode}"]
@@ -265,7 +273,7 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
     advice = UNSURE | {"kind": f"if they are {other}s, correct it by --kind {other}"}
     notes = [(assumed[key], advice[key]) for key in draft.open if key in assumed]
     named = [run[0] for run in draft.logs if run[0] not in draft.stated]
-    if loads := [f"{path.name} {draft.masses[path]:g} kg" for path in named if path in draft.masses]:
+    if loads := [f"{path.name} {mass:g} kg" for path in named if isfinite(mass := draft.masses.get(path, nan))]:
         notes.append((f"payload masses come from the file names: {', '.join(loads)}", STATE))
     if empty := [path.name for path in named if path not in draft.masses]:
         notes.append((f"no payload is assumed for {', '.join(empty)}, without a mass in the name", STATE))

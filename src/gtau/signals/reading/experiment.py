@@ -26,6 +26,7 @@ from gtau.signals.reading.statements import (
     Prior,
     Requirements,
     StatedGain,
+    Tolerances,
     check_drives,
 )
 from gtau.signals.reading.units import Units, is_angle
@@ -37,7 +38,8 @@ class Experiment(Keys):
     ``robot`` is a file or a name of the catalog, or a group that says also how its base stands and which joints move.
     ``priors`` are those of standard parameters, by name, ``drives`` the data sheets of motors and gears,
     by joint, ``prior_inertias`` the relative standard deviation with which the inertias of the robot's file are priors,
-    ``preparation`` what is set of it by hand, and ``require`` what the result is to meet.
+    ``preparation`` what is set of it by hand, ``require`` what the result is to meet, and ``tolerances`` what a
+    watched robot may change.
     """
 
     robot: AnySource
@@ -49,6 +51,7 @@ class Experiment(Keys):
     drives: dict[str, Drive] = Field(default_factory=dict)
     preparation: PreparationSettings = CHOSEN
     require: Requirements = Requirements()
+    tolerances: Tolerances = Tolerances()
     runs: tuple[LoggedRun, ...] = Field(min_length=1)
     validation: tuple[LoggedRun, ...] = ()
 
@@ -105,7 +108,7 @@ class Experiment(Keys):
             raise ValueError(f"joint '{missing[0]}' has no gain; give one for every joint or for none")
         zero = [joint for joint, gain in gains.items() if gain.value == 0]
         if zero:
-            raise ValueError(f"the gain of joint '{zero[0]}' is zero; write the N m/A (or N/A) of its drive")
+            raise ValueError(f"the gain of joint '{zero[0]}' is zero; write the N m/A (or N per A) of its drive")
         return gains
 
     @field_validator("drives")
@@ -136,7 +139,7 @@ class Experiment(Keys):
 
     @property
     def expected_gains(self) -> dict[str, float]:
-        """Values of these gains, N m/A or N/A, of torques 1."""
+        """Values of these gains, N m/A or N per A, of torques 1."""
         return {joint: gain.value for joint, gain in self.stated_gains.items()}
 
     @property

@@ -89,7 +89,7 @@ class Prior(Keys):
 
 
 class StatedGain(Keys):
-    """Drive gain of a joint, N m/A or N/A, with its standard deviation where that is known."""
+    """Drive gain of a joint, N m/A or N per A, with its standard deviation where that is known."""
 
     value: Number
     std: Positive | None = None
@@ -143,7 +143,7 @@ class Drive(Keys):
 
     @property
     def gain(self) -> tuple[float, float] | None:
-        """Gain expected at the joint, N m/A or N/A, and its standard deviation."""
+        """Gain expected at the joint, N m/A or N per A, and its standard deviation."""
         if self.torque_constant is None:
             return None
         spread = 0.0 if self.efficiency else EFFICIENCY_STD / EFFICIENCY
@@ -232,6 +232,27 @@ def _per_cent(value: Any) -> Any:
 
 
 Percent = Annotated[FiniteFloat, Field(gt=0), BeforeValidator(_per_cent)]
+
+
+class Tolerances(Keys):
+    """Changes since the identification that are accepted of a watched robot.
+
+    ``gain`` and ``friction`` are relative, ``load`` is in kg (2 % of ``rated_payload`` where that is given instead),
+    ``zero`` in degrees or mm, ``delay`` in s.
+    """
+
+    gain: Positive = 0.05
+    friction: Positive = 0.3
+    load: Positive | None = None
+    rated_payload: Positive | None = None
+    zero: Positive = 0.5
+    delay: Positive = 0.005
+
+    @property
+    def mass(self) -> float:
+        """Accepted undeclared load, kg."""
+        rated = None if self.rated_payload is None else 0.02 * self.rated_payload
+        return self.load or rated or 0.3
 
 
 class Requirements(Keys):
