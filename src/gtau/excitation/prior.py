@@ -77,13 +77,15 @@ class KnownGain:
 class Prior:
     """Base parameters ``chi`` (n_b,), gains, and standard deviations ``sigma`` (n,) of a sample of each current, A.
 
-    Limits of torque hold for the base parameters ``cautious`` (n_b,).
+    Limits of torque hold for the base parameters ``cautious`` (n_b,). ``covariance`` is that of an earlier result to
+    which a motion is to add, with the names of its rows.
     """
 
     chi: np.ndarray
     known: tuple[KnownGain, ...]
     sigma: np.ndarray
     cautious: np.ndarray
+    covariance: tuple[tuple[Parameter, ...], np.ndarray] | None = None
 
     @property
     def gains(self) -> np.ndarray:

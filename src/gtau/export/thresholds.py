@@ -111,8 +111,8 @@ def export_thresholds(
     files = written(out, {"thresholds.json": json.dumps(document, indent=1, allow_nan=False) + "\n"})
     note = (
         f"thresholds for one false alarm of the robot in {hours:g} h, from {total:.3g} s without contact: with those "
-        f"of the others the logs have {alarms} alarms where {CHECKS:.0f} are expected, so all are raised by a factor of "
-        f"{factor:.2f}; times longer than the logs are extrapolated"
+        f"of the others the logs have {alarms} alarms where {CHECKS:.0f} are expected, so all are raised by a factor "
+        f"of {factor:.2f}; times longer than the logs are extrapolated"
     )
     return Exported(files, (note,), {"factor": factor})
 
