@@ -260,7 +260,12 @@ def next_task(file: DesignFile, result: Result, model: Path) -> DesignProblem:
 
 def _told(result: Result) -> tuple[tuple[Parameter, ...], np.ndarray]:
     """Covariance of what later rounds share with a result, with the random part of the gains alone."""
-    kept = [k for k, name in enumerate(result.covariance_names) if name.kind in INERTIAL or name.kind == "gain"]
+    bodies = result.robot.bodies  # a payload may be mounted otherwise in each round, and friction drifts
+    kept = [
+        k
+        for k, name in enumerate(result.covariance_names)
+        if name.kind == "gain" or (name.kind in INERTIAL and name.body in bodies)
+    ]
     names = tuple(result.covariance_names[k] for k in kept)
     part = np.ones(len(kept))
     for k, name in enumerate(names):
