@@ -18,6 +18,7 @@ from gtau.campaigns.decision import (
     decide,
     identified,
     refuse_to_go_on,
+    slower,
     write_experiment,
 )
 from gtau.campaigns.folder import (
@@ -205,6 +206,7 @@ def _judge(place: Path, accuracy: float, file: DesignFile, used: list[Round], pr
                 "next": next_one,
                 "gains": decision.gains,
                 "candidates": list(decision.candidates),
+                "notes": list(decision.notes),
                 "inputs": inputs,
             },
         )
@@ -227,7 +229,7 @@ def _decided(place: Path, accuracy: float, file: DesignFile, used: list[Round], 
     alone = None
     if last.motion["purpose"] == "confirm":
         alone = identified(write_experiment(last.folder / "alone.yaml", file, used[-1:]), accuracy, progress)
-    decision = decide(result, accuracy, used, alone)
+    decision = replace(decide(result, accuracy, used, alone), notes=slower(result, used))
     if not decision.goes_on:
         return decision
     model = last.folder / MODEL_FILE
