@@ -184,6 +184,13 @@ def test_example_of_the_docs(tmp_path: Path) -> None:
     assert_closed_at_home(robot)
 
 
+def test_the_five_bar_of_the_docs(tmp_path: Path) -> None:
+    docs = Path(__file__).parents[2] / "docs" / "do" / "describe-robot.md"
+    robot = read(docs.read_text(encoding="utf-8").split("```yaml\n")[1].split("```")[0], tmp_path)
+    assert robot.actuated == ("left", "right")
+    assert_closed_at_home(robot)
+
+
 def test_names_stay_as_written(tmp_path: Path) -> None:
     text = "robot: 007\njoints:\n"
     antecedent = "ground"
