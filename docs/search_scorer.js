@@ -4,7 +4,7 @@ var Scorer = {
     const [docname, title, anchor, description, score] = result;
     const shelves = [["do/", 40], ["start/", 30], ["lookup/robots/", 10], ["lookup/api/", -30], ["evidence/", -10]];
     const bonus = shelves.find(([shelf]) => docname.startsWith(shelf));
-    return score + (bonus ? bonus[1] : 0);
+    return score + (bonus ? bonus[1] : 0) - 0.1 * title.length; /* of titles alike, the shorter */
   },
   objNameMatch: 11,
   objPartialMatch: 6,

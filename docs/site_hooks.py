@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from importlib import import_module
-from inspect import getdoc, isfunction, signature
+from inspect import getdoc, isfunction, unwrap
 from pathlib import Path
 from typing import Any
 
@@ -63,13 +63,16 @@ def read_docstring(app: Sphinx, what: str, name: str, obj: Any, options: Any, li
 
 def show_defaults(app: Sphinx, what: str, name: str, obj: Any, options: Any, text: str, returns: str) -> Any:
     """Show the number or text that a constant stands for as a default, and no internal function."""
-    if not text or not callable(obj):
+    function = unwrap(obj) if text else None
+    if not isfunction(function):
         return None
-    for each in signature(obj).parameters.values():
-        if isinstance(each.default, (int, float, str)):
-            text = re.sub(rf"\b{each.name}=[A-Z_.]*[A-Z]{{2}}[A-Z_]*\b", f"{each.name}={each.default!r}", text)
-        elif isfunction(each.default):
-            text = text.replace(f"{each.name}={each.default.__name__}", f"{each.name}=...")
+    names, values = function.__code__.co_varnames[: function.__code__.co_argcount], function.__defaults__ or ()
+    defaults = dict(zip(names[len(names) - len(values) :], values, strict=True)) | (function.__kwdefaults__ or {})
+    for parameter, value in defaults.items():  # autodoc replaces those of the signature by their words in the source
+        if isinstance(value, (int, float, str)):
+            text = re.sub(rf"\b{parameter}=[A-Z_.]*[A-Z]{{2}}[A-Z_]*\b", f"{parameter}={value!r}", text)
+        elif isfunction(value):
+            text = text.replace(f"{parameter}={value.__name__}", f"{parameter}=...")
     return text, returns
 
 
