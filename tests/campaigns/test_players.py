@@ -137,9 +137,8 @@ def test_a_round_that_the_controller_stretched_is_noted(motion: contract.Motion)
     played = Played(schema="gtau-played/1", hash="h", end="completed", runs=(PlayedRun(name="run1", log="l"),))
     this = Round(motion.folder, motion.file, played, "")
     for stretch, noted in ((1.0, ()), (2.0, ("is used as such",))):
-        time = np.concatenate(
-            [np.arange(50) / RATE, 1 + stretch * motion.time, 1 + stretch * SECONDS + 0.02 + np.arange(50)]
-        )
+        after = 1 + stretch * SECONDS + 0.02 + np.arange(50)
+        time = np.concatenate([np.arange(50) / RATE, 1 + stretch * motion.time, after])
         q = np.concatenate([np.zeros((50, 2)), motion.q, np.zeros((50, 2))])
         notes = slower(SimpleNamespace(data=(SimpleNamespace(time=time, position=q),)), [this])
         assert len(notes) == len(noted)
