@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,10 +41,12 @@ def judge(
         week = np.ptp(days) >= WEEK or (np.ptp(days) < 1 and len(back) >= WEEKLY)
         return Judgement(None, int(view.table.ids[back[0]])) if week else Judgement(previous)
     changed, span = _changes(settings, view)
-    far = np.flatnonzero(beyond(view, week_of(view, std_of_model(model, view), span[0])))
+    week = week_of(view, std_of_model(model, view), span[0])
+    far = np.flatnonzero(beyond(view, week))
+    twice = beyond(replace(view, tolerance=2 * view.tolerance), week)  # where no cause fits, it may be the motion
     if len(far):
         alarm = _alarm("tolerance", model, view, log, far, (_run_beyond(view, far),) * 3, tolerances)
-        if not alarm.explanations or any(_is_beyond(view, cause) for cause in alarm.explanations):
+        if any(_is_beyond(view, cause) for cause in alarm.explanations) or (not alarm.explanations and twice.any()):
             return Judgement(_since(alarm, previous))
     if len(changed):
         alarm = _alarm("change", model, view, log, changed, span, tolerances)
@@ -62,9 +64,13 @@ def _since(alarm: Alarm, previous: Alarm | None) -> Alarm:
 def _is_beyond(view: View, cause: Explained) -> bool:
     """Return whether a cause, or that beside it, is beyond its tolerance: one quantity alone may follow another."""
     kind = {"load": cause.quantity, "clock": "delay", "warming": "friction"}.get(cause.kind, cause.kind)
-    of_kind = [view.tolerance[k] for k, quantity in enumerate(view.quantities) if quantity.kind == kind]
+    limits = [
+        view.tolerance[k]
+        for k, quantity in enumerate(view.quantities)
+        if quantity.kind == kind and cause.joint in ("", quantity.joint)
+    ]
     size = cause.size if cause.relative is None else cause.relative
-    far = cause.kind == "units" or any(abs(size) > tolerance for tolerance in of_kind)
+    far = cause.kind == "units" or abs(size) > min(limits, default=np.inf)
     return far or (cause.and_also is not None and _is_beyond(view, cause.and_also))
 
 

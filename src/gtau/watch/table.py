@@ -108,6 +108,8 @@ def view_of(
     )
     limits = {"m": tolerances.mass, **tolerances.model_dump(include={"gain", "friction", "zero", "delay"})}
     tolerance = np.array([limits.get(quantity.kind, np.inf) for quantity in quantities])
+    vague = median(std) > np.maximum(tolerance, np.abs(median(values)) / ODD)
+    tolerance[vague] = np.inf  # one log does not determine these, and errors of the model exceed them
     reference, names = np.zeros(len(quantities)), [quantity.name for quantity in quantities]
     for event in events:
         details = event.details or {}
