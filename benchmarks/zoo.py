@@ -318,7 +318,7 @@ def aliengo(data: Path, folder: Path) -> str:
 
 G105, G205 = ", payload: {name: 105 g%s}", ", payload: {name: 205 g%s}"
 ENTRIES = (
-    Entry("orthoglide", "Orthoglide, simulated elsewhere", "gains, N/A", "true 2170, 2100, 2070", orthoglide),
+    Entry("orthoglide", "Orthoglide, simulated elsewhere", "gains, N per A", "true 2170, 2100, 2070", orthoglide),
     Entry("ur10e", "UR10e", "gains, N m/A", "controller 11.98, 11.98, 9.84, 10.76, 10.76, -", ur10e),
     Entry("tx40", "Stäubli TX40", "torques of the motors", "6.7, 6.4, 10.8, 9.4, 30, 22 % (WLS, last third)", tx40),
     Entry("panda", "Franka Panda, polled", "link torques", "8.7, 1.4, 3.7, 1.2, 6.8, 3.4, 19.6 % (WLS behind 10 Hz)", panda),

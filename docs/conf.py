@@ -42,6 +42,7 @@ html_theme = "pydata_sphinx_theme"
 html_title = "gtau"
 html_static_path = ["_static"]
 html_css_files = ["gtau.css"]
+html_search_scorer = str(DOCS / "search_scorer.js")
 html_math_renderer = "mathml"
 html_show_sourcelink = False
 html_copy_source = True  # llms.txt lists the pages as they are written

@@ -40,7 +40,7 @@ def examples() -> dict[str, list[Finding]]:
     return made
 
 
-LONGEST = 18  # words of an example
+LONGEST = 12  # words of an example
 
 
 def shortened(text: str) -> str:
@@ -55,13 +55,12 @@ def cell(text: str) -> str:
     return re.sub(r"([|<*_\[\]])", r"\\\1", text)
 
 
-def table(kinds: Sequence[str], made: Mapping[str, list[Finding]], outcome: bool) -> str:
+def table(kinds: Sequence[str], made: Mapping[str, list[Finding]]) -> str:
     """Return a table of findings."""
-    lines = ["| name |" + " verdict |" * outcome + " message | what to do |", "| --- |" + " --- |" * (2 + outcome)]
+    lines = ["| name | message | what to do |", "| --- | --- | --- |"]
     for kind in kinds:
         first = made[kind][0]
-        middle = f"{OUTCOMES[kind].value} | " if outcome else ""
-        lines.append(f"| {kind} | {middle}{cell(shortened(first.what))} | {cell(first.action)} |")
+        lines.append(f"| {kind} | {cell(shortened(first.what))} | {cell(first.action)} |")
     return "\n".join(lines) + "\n"
 
 
@@ -70,8 +69,11 @@ def page() -> str:
     made = examples()
     words = templates()
     notes = [kind for kind in [*words["verdicts"], *words["notes"], *words["logs"]] if kind not in OUTCOMES]
-    text = HEAD + "\n## Verdicts\n\n" + table(list(OUTCOMES), made, True)
-    text += "\n## Notes\n\n" + table([kind for kind in notes if made[kind][0].action], made, False)
+    text = HEAD + "\n## Verdicts\n"
+    for outcome in dict.fromkeys(OUTCOMES.values()):
+        text += f"\n### {outcome.value.capitalize()}\n\n"
+        text += table([kind for kind, each in OUTCOMES.items() if each is outcome], made)
+    text += "\n## Notes\n\n" + table([kind for kind in notes if made[kind][0].action], made)
     text += "\nFor information, without a remedy: " + ", ".join(k for k in notes if not made[k][0].action) + ".\n"
     text += "\n## Causes\n\nVerdicts and notes name these with their size and a remedy.\n\n"
     rows = (f"| {kind} | {cell(made[kind][0].action)} |\n" for kind in words["causes"])

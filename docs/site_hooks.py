@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from importlib import import_module
-from inspect import getdoc
+from inspect import getdoc, isfunction, unwrap
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +59,21 @@ def read_docstring(app: Sphinx, what: str, name: str, obj: Any, options: Any, li
     what = "method" if what == "property" else what
     found = NumpyDocstring(lines, NUMPY_STYLE, app, what, name, obj, options).lines()
     lines[:] = [line.replace(" -- ", " – ") for line in found]
+
+
+def show_defaults(app: Sphinx, what: str, name: str, obj: Any, options: Any, text: str, returns: str) -> Any:
+    """Show the number or text that a constant stands for as a default, and no internal function."""
+    function = unwrap(obj) if text else None
+    if not isfunction(function):
+        return None
+    names, values = function.__code__.co_varnames[: function.__code__.co_argcount], function.__defaults__ or ()
+    defaults = dict(zip(names[len(names) - len(values) :], values, strict=True)) | (function.__kwdefaults__ or {})
+    for parameter, value in defaults.items():  # autodoc replaces those of the signature by their words in the source
+        if isinstance(value, (int, float, str)):
+            text = re.sub(rf"\b{parameter}=[A-Z_.]*[A-Z]{{2}}[A-Z_]*\b", f"{parameter}={value!r}", text)
+        elif isfunction(value):
+            text = text.replace(f"{parameter}={value.__name__}", f"{parameter}=...")
+    return text, returns
 
 
 def keep_names_without_page(app: Sphinx, env: Any, node: Any, content: Any) -> Any:
@@ -123,6 +138,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     """Connect the additions."""
     app.connect("source-read", add_menu)
     app.connect("autodoc-process-docstring", read_docstring)
+    app.connect("autodoc-process-signature", show_defaults)
     app.connect("missing-reference", keep_names_without_page)
     app.connect("build-finished", write_llms)
     app.add_html_math_renderer("mathml", (inline_formula, None), (displayed_formula, None))

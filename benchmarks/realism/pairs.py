@@ -36,7 +36,7 @@ def pairs(data: Path) -> Iterator[Pair]:
     halves = [_orthoglide(data, (k, k + 2)) for k in (1, 2)]
     yield Pair("Orthoglide, halves of the runs", *(half.drive_gains for half in halves))
     truth = json.loads((data / "orthoglide_sim" / "truth.json").read_text(encoding="utf-8"))["drive_gains"]
-    known = {joint: Estimate(joint, gain, 0.0, "N/A") for joint, gain in zip(ORTHOGLIDE, truth, strict=True)}
+    known = {joint: Estimate(joint, gain, 0.0, "N per A") for joint, gain in zip(ORTHOGLIDE, truth, strict=True)}
     yield Pair("Orthoglide, truth", _orthoglide(data, (1, 2, 3, 4)).drive_gains, known)
     yield Pair("dVRK, 105 g and 205 g", *(_dvrk(data, grams).drive_gains for grams in (105, 205)))
 

@@ -8,6 +8,7 @@ TYPE_CHECKING: bool = False  # typing's takes 5 ms to import; editors take a Fal
 if TYPE_CHECKING:
     from typing import Any
 
+    from gtau.campaigns.campaign import CampaignState, campaign
     from gtau.errors import GtauError
     from gtau.estimation.check_logs import ExperimentCheck
     from gtau.estimation.check_logs import check_logs as check
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = [
     "BaseParameters",
+    "CampaignState",
     "Design",
     "DesignProblem",
     "Estimate",
@@ -69,6 +71,7 @@ __all__ = [
     "Units",
     "Watch",
     "base_parameters",
+    "campaign",
     "check",
     "compare",
     "excite",
@@ -86,6 +89,7 @@ __all__ = [
 
 _HOMES = {
     "BaseParameters": "model.base_parameters",
+    "CampaignState": "campaigns.campaign",
     "Design": "excitation.design",
     "DesignProblem": "excitation.task",
     "Estimate": "estimation.results.estimate",
@@ -112,6 +116,7 @@ _HOMES = {
     "Units": "signals.reading.units",
     "Watch": "watch.watch",
     "base_parameters": "model.base_parameters",
+    "campaign": "campaigns.campaign",
     "check": "estimation.check_logs",
     "compare": "estimation.compare",
     "excite": "excitation.design",

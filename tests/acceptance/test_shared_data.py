@@ -12,8 +12,11 @@ import pytest
 from models_to_export import of_equations
 
 from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
+from gtau.findings import FindingKind as F
+from gtau.model.home import load_robot
 from gtau.report.uncertainty import PAPER
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import read_run
@@ -56,7 +59,7 @@ def test_orthoglide_gains(orthoglide: Result, truth: dict) -> None:
         assert estimate.value == pytest.approx(gain, rel=0.003)
         assert abs(estimate.value - gain) < 4 * estimate.std
         assert estimate.rel_std < 0.3
-        assert estimate.unit == "N/A"
+        assert estimate.unit == "N per A"
     assert len(orthoglide.parameters) == 61
 
 
@@ -106,6 +109,37 @@ def test_ur10e_gains(ur10e: Result) -> None:
     assert gains[2].verdict.outcome == Outcome.GOOD
     low, high = gains[1].interval()
     assert low < CONTROLLER[1] < high
+
+
+def test_the_page_shows_the_gains_that_are_found(orthoglide: Result, ur10e: Result) -> None:
+    rows = {
+        cells[0]: cells[1:]
+        for line in PAGE.read_text(encoding="utf-8").splitlines()
+        if line.startswith("| ")
+        for cells in [[cell.strip() for cell in line.split("|")[1:-1]]]
+    }
+    for joint, gain in ur10e.drive_gains.items():
+        found, std, verdict, *_ = rows[joint]
+        assert float(found) == pytest.approx(gain.value, rel=0.002)
+        assert float(std) == pytest.approx(gain.std, rel=0.1)
+        assert verdict == gain.verdict.outcome.value
+    for joint, gain in orthoglide.drive_gains.items():
+        _, found, std, *_ = rows[joint]
+        assert float(found) == pytest.approx(gain.value, rel=2e-4)
+        assert float(std) == pytest.approx(gain.std, rel=0.1)
+
+
+def test_a_current_halved_in_one_run_of_a_ur10e_is_named(folder: Path) -> None:
+    """With all friction terms its likelihood has no maximum; with those that the data support it has one."""
+    experiment = read_experiment(folder / "ur10e.yaml")
+    free, loaded = read_runs(experiment, experiment.runs)
+    command = np.array(loaded.command)
+    command[:, 2] /= 2  # the elbow's
+    elbow = list(identify(load_robot(experiment.robot), [free, replace(loaded, command=command)]).drive_gains.values())[
+        2
+    ]
+    assert elbow.verdict.outcome is Outcome.CONTRADICTORY
+    assert elbow.verdict.finding.causes[0].kind is F.GAIN_CHANGE
 
 
 def test_two_pairs_of_one_robot_agree_within_their_intervals(ur10e: Result, folder: Path) -> None:

@@ -46,6 +46,7 @@ def calls() -> list[tuple[Callable, dict[str, Any], str]]:
         "read_experiment": {"path": "nowhere.yaml"},
         "read_design": {"path": "nowhere.yaml"},
         "excite": {"task": None},
+        "campaign": {"folder": "nowhere"},
         "load_robot": {"source": "five-bar"},
         "base_parameters": {"idm": model},
         "InverseDynamics": {"robot": robot},

@@ -105,12 +105,12 @@ def test_a_comparison_is_data() -> None:
         Row("iv", refusal="no motion can be simulated"),
     )
     names = ("a", "a_joint_with_a_long_name", "c")
-    page = comparison_page(EstimatorComparison(names, rows, ("N/A",) * 3, "arm"))
+    page = comparison_page(EstimatorComparison(names, rows, ("N per A",) * 3, "arm"))
     found = page.sections[1].items[0]
     assert [column.title for column in found.columns[4:]] == [
-        "joint a, N/A",
-        "a_joint_with_a_long_name, N/A",
-        "joint c, N/A",
+        "joint a, N per A",
+        "a_joint_with_a_long_name, N per A",
+        "joint c, N per A",
     ]
     assert [row[:2] for row in found.rows] == [("ml", "good"), ("wls", "given"), ("iv", "refused")]
     assert found.rows[0][4:] == ((20009.0, 14.0), (149920.0, 330.0), (1.5, 0.2))

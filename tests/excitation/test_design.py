@@ -165,7 +165,7 @@ def test_the_design_criterion_agrees_with_the_forecast(found: Design) -> None:
     gains = [unknowns.names.index(f"gain_{joint}") for joint in found.task.model.actuated]
     R = information(evaluate(found.task, found.x, design_grid(found.task)))
     expected = np.array([each.relative for each in forecast(found.task, found.x).gains]) / 100
-    std = np.linalg.norm(root_covariance(R, unknowns.precision), axis=1) / unknowns.scale
+    std = np.linalg.norm(root_covariance(R, unknowns.known), axis=1) / unknowns.scale
     assert std[gains] == pytest.approx(expected, rel=0.3)
 
 

@@ -177,7 +177,7 @@ def test_a_figure_leaves_the_users_settings_alone_and_is_the_same_each_time(tmp_
     try:
         for k in range(2):
             matplotlib.rcParams["lines.linewidth"] = 1.0 + k
-            figure = figure_of(gains_chart({"11": Estimate("11", 2100.0, 1.0, "N/A")}))
+            figure = figure_of(gains_chart({"11": Estimate("11", 2100.0, 1.0, "N per A")}))
             save_figure(figure, tmp_path / f"{k}.png")
         assert matplotlib.rcParams["font.size"] == 20
     finally:

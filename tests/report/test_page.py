@@ -15,7 +15,8 @@ from gtau.model.home import load_robot
 from gtau.report.chart import MINUS, Axis, Chart, Panel, Rule, Series, colour, envelope, intervals
 from gtau.report.page import Column, Facts, Kind, Page, Text, page, section, table
 from gtau.report.render.charts import figure_of, palette
-from gtau.report.render.html import arrays_for, frame, html, minus, spec_of
+from gtau.report.render.html import arrays_for, frame, html, spec_of
+from gtau.report.render.html import words as in_html
 from gtau.report.render.svg import svg_of
 from gtau.report.render.terminal import plain
 from gtau.report.torques import stretches
@@ -137,10 +138,11 @@ def test_findings_are_listed_by_severity() -> None:
 # HTML
 
 
-def test_signs_of_numbers_are_minus_signs_and_hyphens_stay() -> None:
-    assert minus("-1 to -0.5 (-3), run-2, a-1/-5, --json, 2e-5") == (
+def test_texts_have_signs_of_numbers_and_names_that_break() -> None:
+    assert in_html("-1 to -0.5 (-3), run-2, a-1/-5, --json, 2e-5") == (
         f"{MINUS}1 to {MINUS}0.5 ({MINUS}3), run-2, a-1/-5, --json, 2e{MINUS}5"
     )
+    assert in_html("wrist_3 <b> +-3 %") == "wrist_<wbr>3 &lt;b&gt; \N{PLUS-MINUS SIGN}3\N{NO-BREAK SPACE}%"
 
 
 def test_html_escapes_everything_and_loads_nothing(whole: Page) -> None:

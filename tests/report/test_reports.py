@@ -36,8 +36,8 @@ COMMANDS = {
     "excite": "excite design.yaml --out excite --starts 1",
 }
 SECTIONS = {
-    "identify": "verdict gains payloads torques residuals parameters friction correlation singular-values robot "
-    "logs alternatives notes provenance",
+    "identify": "verdict gains notes torques payloads residuals parameters friction correlation singular-values robot "
+    "logs alternatives provenance",
     "validate": "verdict torques gains robot logs provenance",
     "payload": "verdict masses controller payloads gains robot provenance",
     "compare": "verdict estimators gains provenance",

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
 from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 import pytest
+from c_code import GCC
 from typer.testing import CliRunner
 
 from gtau.cli.commands import app
@@ -18,7 +20,8 @@ from gtau.signals.reading.logs import read_log
 from gtau.simulation.simulation_file import read_simulation
 
 SOURCE = Path(str(files("gtau.demo") / "tutorial_logs"))
-PAGE = Path(__file__).parents[2] / "docs" / "start" / "tutorial.md"
+DOCS = Path(__file__).parents[2] / "docs"
+PAGE = DOCS / "start" / "tutorial.md"
 
 
 def gtau(*arguments: str) -> str:
@@ -66,7 +69,7 @@ def test_the_page_followed_literally(tmp_path: Path, page: str, monkeypatch: pyt
                     for each in line.split()[1:]
                     for found in (sorted(path.name for path in Path().glob(each)) if "*" in each else [each])
                 ]
-                gtau(*arguments)
+                printed_as_shown(gtau(*arguments), page)
                 ran += 1
     assert ran >= 6
     truth = {joint: drive.gain for joint, drive in read_simulation(SOURCE / "simulation.yaml").drives.items()}
@@ -78,6 +81,56 @@ def test_the_page_followed_literally(tmp_path: Path, page: str, monkeypatch: pyt
         assert float(printed[1]) == pytest.approx(gain["value"], abs=gain["std"])
         assert float(printed[1]) == pytest.approx(truth[gain["joint"]], abs=float(printed[2]))
     assert Path("result/report.html").stat().st_size > 10_000
+    thresholds_as_shown()
+    if GCC:
+        compensation_in_c_as_shown()
+
+
+def printed_as_shown(output: str, page: str) -> None:
+    """Numbers of lines of the page that the command prints, by the words before them: within 3 %."""
+    numbers = re.compile(r"-?\d+(?:\.\d+)?")
+
+    def words(line: str) -> str:
+        return " ".join(numbers.sub("#", line).split())
+
+    def values(line: str) -> list[float]:
+        return [float(number) for number in numbers.findall(line)]
+
+    for line in re.findall(r"^    (\S.*\d.*)$", page, re.MULTILINE):
+        alike = [values(other) for other in output.splitlines() if words(other) == words(line)]
+        close = [values(line) == pytest.approx(each, rel=0.03, abs=0.011) for each in alike]
+        assert any(close) or not close, (line, alike)
+
+
+def thresholds_as_shown() -> None:
+    """Commands and script of the section on collisions."""
+    text = (DOCS / "do" / "external-wrench.md").read_text(encoding="utf-8").split("## Collision thresholds")[1]
+    (command,) = re.findall(r"^\$ gtau (use .*)$", text, re.MULTILINE)
+    gtau(*command.split())
+    (script,) = re.findall(r"^```python\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+    exec(script, {})
+
+
+def compensation_in_c_as_shown() -> None:
+    """The whole program of the page on exports, for the tutorial's model."""
+    text = (DOCS / "do" / "export-model.md").read_text(encoding="utf-8")
+    program = next(
+        block for block in re.findall(r"^```c\n(.*?)^```$", text, re.DOTALL | re.MULTILINE) if "main" in block
+    )
+    gtau("export", "result/model.json", "--to", "c", "--out", "model_c")
+    Path("model_c/compensate.c").write_text(program)
+    command = [GCC, "-std=c99", "-Wall", "-Wextra", "-Werror", "-O2", "compensate.c", "five_bar.c", "-lm", "-o", "made"]
+    subprocess.run(command, cwd="model_c", check=True)
+    printed = subprocess.run(["./made"], cwd="model_c", check=True, capture_output=True, text=True).stdout.strip()
+    shown = re.search(r"/\* (-?[\d.]+ A, -?[\d.]+ A) \*/", program)
+    assert shown is not None
+    assert printed == shown[1]
+
+
+def test_other_numbers_than_those_shown_are_found() -> None:
+    printed_as_shown("scale 2.61 of 3", "text\n    scale 2.613 of 3\n")
+    with pytest.raises(AssertionError, match=r"scale 2\.9"):
+        printed_as_shown("scale 2.61 of 3", "text\n    scale 2.9 of 3\n")
 
 
 def test_no_log_of_another_content_is_replaced(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from gtau import __version__
+from gtau.cli.campaign import campaign
 from gtau.cli.identification import compare, fleet, identify
 from gtau.cli.logs import check, init
 from gtau.cli.models import export, payload, use, validate
@@ -57,6 +58,7 @@ COMMANDS: dict[str, dict[Callable[..., None], str]] = {
         identify: "Identify drive gains and dynamic parameters.",
         compare: "Identify with every estimator, and compare.",
         fleet: "Identify many robots; mark outliers among them.",
+        campaign: "From no log to trusted gains, motion after motion.",
     },
     "Use": {
         validate: "Compare measured and predicted torques on other runs.",

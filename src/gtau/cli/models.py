@@ -65,7 +65,6 @@ def validate(
         from gtau.report.validation import validation_document, validation_page, validation_report, write_torques
         from gtau.report.write import inputs_of, write_report
         from gtau.uses.runs import experiment_of as experiment_for
-        from gtau.uses.weigh import undeclared_load
 
         result = Result.load(model)
         described = experiment_for(result, experiment)
@@ -74,9 +73,7 @@ def validate(
         runs = []
         for k, run in enumerate(read := read_runs(described, described.validation, progress)):
             progress("predicting torques", k, len(read))
-            evidence = predicted(result, run, longest=None)
-            load = undeclared_load(result, run, evidence.errors, progress)
-            runs.append(replace(evidence, notes=(*evidence.notes, *((load,) if load else ()))))
+            runs.append(predicted(result, run, longest=None, progress=progress))
     written: list[Path] = []
     notes = without_temperature(result, described.signals)
     if out is not None:

@@ -15,8 +15,8 @@ from gtau.documents.yaml_document import yaml_text
 FILES = Path(__file__).with_name("orthoglide_files")
 """Experiment files and a design file, beside this module."""
 
-DRIVE_GAINS = {"11": 2170.0, "12": 2100.0, "13": 2070.0}  # N/A, Table 3
-PRIOR_GAINS = {"11": 2001.0, "12": 2001.0, "13": 2001.0}  # N/A, the manufacturer's 637 pi
+DRIVE_GAINS = {"11": 2170.0, "12": 2100.0, "13": 2070.0}  # N per A, Table 3
+PRIOR_GAINS = {"11": 2001.0, "12": 2001.0, "13": 2001.0}  # N per A, the manufacturer's 637 pi
 PAYLOAD_MASS = 1.983  # kg, the known payload
 SECOND_PAYLOAD_MASS = 1.136  # kg, the one to be weighed
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 from gtau.demo.orthoglide import (
@@ -28,6 +29,7 @@ from gtau.report.chart import Chart, intervals
 from gtau.report.page import Column, Facts, Kind, Page, Text, joint_label, page, section, table
 from gtau.report.render.charts import save
 from gtau.report.render.terminal import plain
+from gtau.report.write import write_identification
 from gtau.simulation.closed_loop import write_log
 from gtau.simulation.experiment_files import make_run
 from gtau.simulation.simulation_file import read_simulation
@@ -41,7 +43,8 @@ COMMANDS = (
     "gtau payload model.json second_payload.yaml --gains identified",
 )
 CONTENT = {
-    "README.txt": "this text and the whole result",
+    "report.html": "the identification: open it in a browser",
+    "README.txt": "this text",
     "simulation.yaml": "the robot that was simulated",
     "experiment.yaml": "the input; copy it for your own robot",
     "second_payload.yaml": "the same, for weighing",
@@ -57,9 +60,11 @@ def demo(out: Path, progress: Progress, duration: float = 10.0) -> tuple[dict[st
 
     Returns true values, estimates and files as a JSON document, and the same as a page. Raises GtauError.
     """
+    begun = monotonic()
     make_experiment(out, duration, progress)
     result = identify(out / "experiment.yaml", progress=progress)
     result.save(out / "model.json")
+    write_identification(result, out / "experiment.yaml", out, monotonic() - begun, progress)
     weighings = {}
     for case in CASES:
         (payload,) = weigh(result, out / "second_payload.yaml", gains=case, progress=progress)
@@ -74,8 +79,7 @@ def demo(out: Path, progress: Progress, duration: float = 10.0) -> tuple[dict[st
         "commands": list(COMMANDS),
     }
     shown = report(document)
-    readme = f"{plain(shown)}\n\n\nThe whole result, as gtau identify prints it\n\n{result.summary()}\n"
-    write_atomically(out / "README.txt", readme)
+    write_atomically(out / "README.txt", f"{plain(shown)}\n")
     return document, shown
 
 
@@ -145,7 +149,7 @@ def report(document: Mapping[str, Any]) -> Page:
     )
     number = partial(Column, kind=Kind.NUMBER)
     error = number("error, %", decimals=2)
-    true, prior = number("true, N/A", decimals=0), number("manufacturer", decimals=0)
+    true, prior = number("true, N per A", decimals=0), number("manufacturer", decimals=0)
     columns = (Column("joint"), true, prior, error, number("identified", decimals=1), number("std", decimals=1), error)
     keys = ("joint", "true", "prior", "prior_error", "value", "std", "error")
     gains = table(columns, [tuple(gain[key] for key in keys) for gain in document["drive_gains"]])

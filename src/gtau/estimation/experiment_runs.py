@@ -54,7 +54,7 @@ class Options:
 
     @property
     def gains(self) -> dict[str, float]:
-        """Values of the prior gains, N m/A or N/A, by joint."""
+        """Values of the prior gains, N m/A or N per A, by joint."""
         return {joint: stated.value for joint, stated in (self.prior_gains or {}).items()}
 
 
@@ -164,7 +164,7 @@ def _as_gains(gains: Mapping[str, float | Mapping[str, float]]) -> dict[str, Sta
             gain, std = group.value, group.std
         expect(f"the {name}", gain, NUMBER)
         if not isfinite(gain) or gain == 0:
-            raise GtauError(f"the {name} is {gain:g}; give its N m/A (or N/A).")
+            raise GtauError(f"the {name} is {gain:g}; give its N m/A (or N per A).")
         stated[str(joint)] = StatedGain(value=float(gain), std=std)
     return stated
 

@@ -80,7 +80,7 @@ def identify(
         torques and nothing tests their scale; with ``as_paper`` the paper's total least squares ("tls"), "wls" of
         torques.
     prior_gains : mapping, optional
-        Joint to gain, N m/A or N/A, of torques the factor that makes them true; the experiment file's if left out.
+        Joint to gain, N m/A or N per A, of torques the factor that makes them true; the experiment file's if left out.
     ratio : float, optional
         The paper's r_sigma for the essential parameters; if left out, the Bayesian information criterion decides
         which base parameters are cancelled.

@@ -175,7 +175,7 @@ def weak_unknowns(design: Design, expected: Forecast) -> tuple[Weak, ...]:
 
 
 def _relative(task: DesignProblem, R: np.ndarray) -> np.ndarray:
-    return np.asarray(np.linalg.norm(root_covariance(R, task.information.precision), axis=1) / task.information.scale)
+    return np.asarray(np.linalg.norm(root_covariance(R, task.information.known), axis=1) / task.information.scale)
 
 
 def _alone(task: DesignProblem, middle: np.ndarray, j: int, span: float, speed: float) -> np.ndarray | None:

@@ -111,6 +111,7 @@ class Information:
     without delays. ``load`` and ``smooth`` (runs, n_b) are prior values of the base columns, with payload, and those
     without Coulomb friction; ``cautious`` (runs, n_b) those for which limits hold; ``gains`` and ``sigma`` (n,) the
     prior gains and standard deviations of a current's sample, A. ``rate`` are samples a second, over all repetitions.
+    ``earlier`` (., P) is a factor of the information of earlier experiments.
     """
 
     names: tuple[Parameter, ...]
@@ -122,11 +123,12 @@ class Information:
     gains: np.ndarray
     sigma: np.ndarray
     rate: float
+    earlier: np.ndarray
 
     @property
-    def precision(self) -> np.ndarray:
-        """Precision (P,) of the vague prior."""
-        return np.asarray((VAGUE * self.scale) ** -2.0)
+    def known(self) -> np.ndarray:
+        """Factor (., P) of the information beforehand: of a vague prior, and what earlier experiments told."""
+        return np.concatenate([np.diag(1 / (VAGUE * self.scale)), self.earlier])
 
     def jacobians(self, W: np.ndarray, run: int, step: float) -> np.ndarray:
         """Turn columns W (n, N, n_b) on a periodic grid into rows (n, N, P) of a run."""
@@ -172,7 +174,25 @@ def information_of(
         maps[:, j, :, names.theta] = -M[..., MODEL] / gains[j]
         maps[:, j, :, names.gains.start + j] = load / gains[j]
     scale = np.concatenate([_scales(problem.parameters, theta, payloads), np.ones(n), np.full(n, 1e-2)])
-    return Information(names, scale, maps, load, smooth, modelled(M, heavy), gains, prior.sigma, rate)
+    return Information(
+        names, scale, maps, load, smooth, modelled(M, heavy), gains, prior.sigma, rate, _earlier(names, prior)
+    )
+
+
+def _earlier(names: Sequence[Parameter], prior: Prior) -> np.ndarray:
+    """Factor (., P) of the information of an earlier result about what it shares with this experiment."""
+    if prior.covariance is None:
+        return np.zeros((0, len(names)))
+    shared, C = prior.covariance
+    kept = [name for name in shared if name in names]
+    gains = dict(zip((name for name in names if name.kind == "gain"), prior.gains, strict=True))
+    size = np.array([gains.get(name, 1.0) for name in kept])  # gains are relative here
+    part = C[np.ix_(*[[shared.index(name) for name in kept]] * 2)] / np.outer(size, size)
+    scale = np.sqrt(np.diag(part))
+    values, axes = np.linalg.eigh(part / np.outer(scale, scale))
+    root = np.zeros((len(kept), len(names)))
+    root[:, [names.index(name) for name in kept]] = (axes / np.sqrt(np.maximum(values, 1e-12))).T / scale
+    return root
 
 
 def _values(names: Sequence[str], base: BaseParameters, chi: np.ndarray) -> np.ndarray:
@@ -199,7 +219,7 @@ def criterion(name: str, unknowns: Information) -> Criterion:
     if name == "condition":
         return condition
     if name == "logdet":
-        return lambda R: logdet(R, unknowns.precision)
+        return lambda R: logdet(R, unknowns.known)
     names = unknowns.names
     estimated = np.array([unknown.kind != "delay" and unknown.run is None for unknown in names])
     if name == "trace":
@@ -216,28 +236,28 @@ def criterion(name: str, unknowns: Information) -> Criterion:
             raise GtauError(f"there is no criterion or parameter '{unknown}'; {advice}")
         chosen = np.isin(names, wanted)
     weight = chosen / unknowns.scale**2 / chosen.sum()
-    return lambda R: weighted_trace(R, unknowns.precision, weight)
+    return lambda R: weighted_trace(R, unknowns.known, weight)
 
 
-def root_covariance(R: np.ndarray, precision: np.ndarray) -> np.ndarray:
-    """Compute ``H`` (P, P) with ``H H^T`` the covariance, from the information's factor and the prior's precision."""
-    stacked = np.concatenate([R, np.diag(np.sqrt(precision))])
+def root_covariance(R: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Compute ``H`` (P, P) with ``H H^T`` the covariance, from factors of the information and of that beforehand."""
+    stacked = np.concatenate([R, known])
     size = np.linalg.norm(stacked, axis=0)
     return np.asarray(np.linalg.inv(triangle(stacked / size)) / size[:, None])
 
 
-def weighted_trace(R: np.ndarray, precision: np.ndarray, weight: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+def weighted_trace(R: np.ndarray, known: np.ndarray, weight: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """Evaluate ``log sqrt(sum(weight * diag(C)))``, C the covariance."""
-    H = root_covariance(R, precision)
+    H = root_covariance(R, known)
     chosen = np.flatnonzero(weight)
     mean = float(weight @ np.sum(H**2, axis=1))
     return np.log(mean) / 2, H @ H[chosen].T, -weight[chosen] / (2 * mean)
 
 
-def logdet(R: np.ndarray, precision: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+def logdet(R: np.ndarray, known: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """Evaluate ``log det(C)^(1 / 2P)``, C the covariance."""
-    H = root_covariance(R, precision)
-    P = len(precision)
+    H = root_covariance(R, known)
+    P = known.shape[1]
     return float(np.linalg.slogdet(H)[1] / P), H, np.full(P, -1 / (2 * P))
 
 

@@ -56,7 +56,7 @@ class DesignPrior(Keys):
 
 @dataclass(frozen=True)
 class KnownGain:
-    """A gain known beforehand, N m/A or N/A, its 95 % ``interval``, and its ``source``: of a result the verdict."""
+    """A gain known beforehand, N m/A or N per A, its 95 % ``interval``, and its ``source``: of a result the verdict."""
 
     value: float
     interval: tuple[float, float]
@@ -77,13 +77,15 @@ class KnownGain:
 class Prior:
     """Base parameters ``chi`` (n_b,), gains, and standard deviations ``sigma`` (n,) of a sample of each current, A.
 
-    Limits of torque hold for the base parameters ``cautious`` (n_b,).
+    Limits of torque hold for the base parameters ``cautious`` (n_b,). ``covariance`` is that of an earlier result to
+    which a motion is to add, with the names of its rows.
     """
 
     chi: np.ndarray
     known: tuple[KnownGain, ...]
     sigma: np.ndarray
     cautious: np.ndarray
+    covariance: tuple[tuple[Parameter, ...], np.ndarray] | None = None
 
     @property
     def gains(self) -> np.ndarray:
@@ -217,7 +219,7 @@ def prior_of(
         gains = [entry.gains.get(joint, 1.0) for joint in model.actuated]
         known = tuple(KnownGain(gain, (gain, gain), "assumed" if missing else "given") for gain in gains)
         if missing:
-            assumed["gains"] = "gains: 1 N m/A or N/A in every joint; currents are then torques"
+            assumed["gains"] = "gains: 1 N m/A or N per A in every joint; currents are then torques"
         sigma = rough_noise(model, base, chi) / np.abs(gains)
         if len(entry.noise) < len(gains):
             assumed["noise"] = "noise of the currents: white, 0.5 % of the largest current, a sample"

@@ -88,4 +88,4 @@ def _charts(comparison: EstimatorComparison, prior: Mapping[str, float]) -> list
 
 
 def _units(comparison: EstimatorComparison) -> tuple[str, ...]:
-    return comparison.units or ("N m/A or N/A",) * len(comparison.joints)
+    return comparison.units or ("N m/A or N per A",) * len(comparison.joints)

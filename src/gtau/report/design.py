@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,6 +33,9 @@ from gtau.report.page import (
 from gtau.robots.parameter import Parameter
 from gtau.signals.reading.statements import Payload
 
+if TYPE_CHECKING:
+    import polars as pl
+
 ORDERS = (("position", ""), ("velocity", "/s"), ("acceleration", "/s²"))
 DIGITS = 9
 MOST = 1000  # %, of an assumed value, that are worth printing
@@ -47,18 +50,22 @@ def file_stems(task: DesignProblem) -> tuple[str, ...]:
 
 def write_trajectories(design: Design, folder: Path) -> tuple[Path, ...]:
     """Write each motion as CSV at the controller's rate, atomically: ``t``, then q, qd, qdd and each joint's name."""
-    import polars as pl
-
     paths = tuple(folder / f"{stem}.csv" for stem in file_stems(design.task))
     for path, (time, joints) in zip(paths, sampled_motions(design.task, design.x), strict=True):
-        columns = {"t": np.round(time, DIGITS)}
-        for kind, rows in zip(("q", "qd", "qdd"), joints, strict=False):
-            columns |= {
-                Parameter(kind, joint): np.round(row, DIGITS)
-                for joint, row in zip(design.task.model.actuated, rows, strict=True)
-            }
-        write_table(pl.DataFrame(columns), path)
+        write_table(trajectory_table(design.task, time, joints), path)
     return paths
+
+
+def trajectory_table(task: DesignProblem, time: np.ndarray, joints: np.ndarray) -> pl.DataFrame:
+    """Tabulate a run: ``t`` (N,), then q, qd and qdd of ``joints`` (3 or more, n, N), each with its joint's name."""
+    import polars as pl
+
+    columns = {"t": np.round(time, DIGITS)}
+    for kind, rows in zip(("q", "qd", "qdd"), joints, strict=False):
+        columns |= {
+            Parameter(kind, joint): np.round(row, DIGITS) for joint, row in zip(task.model.actuated, rows, strict=True)
+        }
+    return pl.DataFrame(columns)
 
 
 def design_document(outlook: Outlook) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from gtau.progress import Progress, silent
 from gtau.signals.preparation.prepared_run import Preparation
 from gtau.signals.run import Run
 from gtau.uses.prediction import predict
+from gtau.uses.weigh import undeclared_load
 
 LONGEST = 300_000  # samples of a run that are predicted; of a longer one its beginning
 
@@ -41,7 +42,7 @@ class RunEvidence:
     cut : bool
         Whether the run is longer than what is shown.
     notes : tuple of Finding
-        What the prediction assumes.
+        A load at the tool that the run does not declare, and what the prediction assumes.
     """
 
     run: Run
@@ -79,20 +80,26 @@ def gather(
     for k, (run, used) in enumerate(listed):
         progress("report", k, len(listed))
         try:
-            gathered.append(predicted(result, run, used))
+            gathered.append(predicted(result, run, used, progress=progress))
         except GtauError as refusal:
             gathered.append(RunEvidence(run, used, refusal=str(refusal)))
     progress("report", len(listed), len(listed))
     return tuple(gathered)
 
 
-def predicted(result: Result, run: Run, used: bool = False, longest: int | None = LONGEST) -> RunEvidence:
-    """Predict a run, or its beginning; raises GtauError where it does not suit the model."""
+def predicted(
+    result: Result, run: Run, used: bool = False, longest: int | None = LONGEST, progress: Progress = silent
+) -> RunEvidence:
+    """Predict a run, or its beginning, and find a load that it does not declare.
+
+    Raises GtauError where it does not suit the model.
+    """
     cut = longest is not None and len(run.time) > longest
     prediction = predict(result, _beginning(run, longest or 0) if cut else run)
     errors = torque_errors(prediction, result.robot, result.preparation.bandwidth)
     all_samples = prediction if longest is None else None
-    notes = tuple(_unknown_payload(result, run))
+    load = None if used or cut else undeclared_load(result, run, errors, progress)
+    notes = (*((load,) if load else ()), *_unknown_payload(result, run))
     return RunEvidence(run, used, prediction.rows, all_samples, errors, cut=cut, notes=notes)
 
 

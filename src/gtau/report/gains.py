@@ -33,7 +33,7 @@ def gains_section(
         "Torque scale" if of_torques else "Drive gains",
         gains_table(result, prior),
         Text(words, style="soft") if _estimated(result) else None,
-        reasons_table(result),
+        reasons_table(result, charts),
         _scale_text(result, short) if _estimated(result) else None,
         whole_mass_text(result),
         gains_chart(result.drive_gains, prior) if charts else None,
@@ -76,16 +76,16 @@ def _estimated(result: Result) -> bool:
     return any(gain.std is not None for gain in result.drive_gains.values())
 
 
-def reasons_table(result: Result) -> Table | None:
-    """Tabulate why gains are not good, and what to do; None if all are good."""
-    listed = table_of(
-        reasons(result),
+def reasons_table(result: Result, beside_actions: bool = False) -> Table | None:
+    """Tabulate why gains are not good, and what to do unless that stands beside; None if all are good."""
+    columns: list[ColumnOf] = [
         (Column("joint"), lambda reason: ", ".join(map(joint_label, reason.joints))),
         (Column("verdict", Kind.BADGE), "outcome.value"),
         (Column("reason", Kind.SENTENCE), "why"),
-        (Column("action", Kind.SENTENCE), "action"),
-        listed=True,
-    )
+    ]
+    if not beside_actions:
+        columns.append((Column("action", Kind.SENTENCE), "action"))
+    listed = table_of(reasons(result), *columns, listed=True)
     return listed if listed.rows else None
 
 
@@ -140,7 +140,7 @@ def whole_mass_text(result: Result) -> Text | None:
 def _scale_text(result: Result, short: bool) -> Text | None:
     """Describe what the scale of all gains rests on, or of each where they differ; None where they were given."""
     if short:
-        sources = _all_sources(result)
+        sources = all_sources(result)
         return Text(f"scale: from {sources}") if sources else None
     known = {payload.name: payload.parameters["m"].value for payload in result.payloads if "m" in payload.known}
     names = {sensor.source: f"the {sensor.source}" for sensor in result.sensors}
@@ -162,7 +162,7 @@ def _sources(scale: Mapping[str, float], names: Mapping[str, str]) -> str:
     return ", ".join(f"{names.get(source, source)} ({100 * share:.0f} %)" for source, share in listed)
 
 
-def _all_sources(result: Result) -> str:
+def all_sources(result: Result) -> str:
     """List all sources of the scale, those on which most gains rest first; sensors of a kind together, by joint."""
     totals: Counter[str] = Counter()
     for shares in result.scale.values():

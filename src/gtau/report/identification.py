@@ -4,18 +4,28 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.estimators.registry import estimator_of
-from gtau.estimation.results.conclusions import VISIBLE, findings, headline, missed, remarks, required
+from gtau.estimation.results.conclusions import VISIBLE, findings, headline, missed, reasons, remarks, required
+from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.result import Result
-from gtau.findings import FindingKind
+from gtau.findings import FindingKind as F
+from gtau.findings.words import percent_text
 from gtau.report.evidence import RunEvidence, preparation_words, worst_joint
 from gtau.report.findings import findings_section, same_in_several
-from gtau.report.gains import GOOD_OUTCOMES, gains_section, masses_table, payloads_section, unknown_payloads
+from gtau.report.gains import (
+    GOOD_OUTCOMES,
+    all_sources,
+    gains_section,
+    masses_table,
+    payloads_section,
+    unknown_payloads,
+)
 from gtau.report.logs import logs_section
 from gtau.report.motion import geometry_section, motion_section, singularities_section
 from gtau.report.page import Column, Facts, Kind, Page, Section, Text, page, section, table_of
@@ -32,8 +42,8 @@ LISTED = 12
 
 def summary_page(result: Result) -> Page:
     """Show verdict, drive gains, payloads, fit and the most important notes on one screen."""
-    notes = [note for note in findings(result) if note.kind != FindingKind.DRAFT]
-    guessed = [note for note in result.notes if note.kind == FindingKind.DRAFT]
+    notes = [note for note in findings(result) if note.kind != F.DRAFT]
+    guessed = [note for note in result.notes if note.kind == F.DRAFT]
     assumed = tuple("; ".join(filter(None, (note.what, note.action))) for note in guessed)
     more = len(same_in_several(notes)) - NOTES
     rest = "parameters and the fit of each joint: --verbose, or model.json."
@@ -50,6 +60,7 @@ def summary_page(result: Result) -> Page:
         if guessed
         else None,
         section("", Text(f"{more} more note{'s' * (more > 1)}, all {rest}" if more > 0 else f"All {rest}")),
+        section("", Text("", tuple(next_steps(result)))),
     )
 
 
@@ -77,15 +88,11 @@ def full_page(result: Result) -> Page:
 
 
 def report_page(result: Result, runs: Sequence[RunEvidence], prior: Mapping[str, float]) -> Page:
-    """Show all that an identification found, beside the runs it came from and those kept for validation."""
-    return page(
-        f"Identification of {result.robot.name}",
-        verdict_section(result, runs),
-        requirements_section(result),
-        gains_section(result, prior),
-        _sensors_section(result),
-        payloads_section(unknown_payloads(result)),
-        torques_section(result, runs),
+    """Show all that an identification found, beside the runs it came from and those kept for validation.
+
+    First what decides whether to trust it and what to do next; the rest is folded.
+    """
+    details = (
         residuals_section(result, runs),
         parameters_section(result),
         friction_section(result, runs),
@@ -97,29 +104,80 @@ def report_page(result: Result, runs: Sequence[RunEvidence], prior: Mapping[str,
         _consistency_section(result.consistency),
         logs_section([run.run for run in runs], result.robot, result.preparation),
         alternatives_section(result),
+    )
+    return page(
+        f"Identification of {result.robot.name}",
+        verdict_section(result, runs),
+        requirements_section(result),
+        gains_section(result, prior, short=True),
+        _sensors_section(result),
         findings_section(findings(result)),
+        torques_section(result, runs),
+        payloads_section(unknown_payloads(result)),
+        *(replace(part, folded=True) for part in details if part is not None),
         lead=[f"Estimator: {estimator_of(result.method).description}. Runs: {', '.join(result.runs)}."],
     )
 
 
 def verdict_section(result: Result, runs: Sequence[RunEvidence] = ()) -> Section:
-    """Show the verdict in words, with the key figures."""
+    """Show the verdict with what to do about it, and the key figures."""
     outcomes = Counter(gain.verdict.outcome for gain in result.drive_gains.values())
     style = "good" if set(outcomes) <= set(GOOD_OUTCOMES) else "weak"
     if outcomes[Outcome.NOT_IDENTIFIABLE] or not result.believable or missed(result):
         style = "bad"
-    said = tuple(map(str, remarks(result)))
-    words = (headline(result), said) if style == "good" else (counts(result), (headline(result), *said))
-    condition = result.statistics.get("condition_number")
-    facts = {
-        "robot": result.robot.name,
-        "estimator": result.method,
-        "runs used": str(len(result.runs)),
-        **_worst_errors(result, runs),
-        "condition number of the observation matrix": None if condition is None else f"{condition:.3g}",
+    decisive = [str(note) for note in remarks(result) if F(note.kind).outcome]
+    decisive += [str(note) for run in runs for note in run.notes if F(note.kind).outcome]
+    head = (headline(result),) if style == "bad" else ()
+    said = (*head, *decisive, *actions(result), *next_steps(result, runs))
+    words = headline(result) if style == "good" else counts(result)
+    return section("Verdict", Text(words, said, style), _tiles(result, runs), id="verdict")  # type: ignore[arg-type]
+
+
+def actions(result: Result) -> list[str]:
+    """Say what to do about gains that are not good, the worst and the widest interval first."""
+    gains, accuracy = result.drive_gains, 100 * result.statistics.get("accuracy", 0.0)
+    said = []
+    for reason in reasons(result):
+        widths = {joint: gains[joint].half_width for joint in reason.joints}
+        names = [f"{joint} (+-{percent_text(half, accuracy)} %)" if half else joint for joint, half in widths.items()]
+        said.append(f"{', '.join(names)}, {reason.outcome.value}: {reason.action}")
+    return said
+
+
+def next_steps(result: Result, runs: Sequence[RunEvidence] = ()) -> list[str]:
+    """Say what to do next with a result that is believed."""
+    if not result.believable:
+        return []
+    if not all(gain.verdict.outcome in GOOD_OUTCOMES for gain in result.drive_gains.values()):
+        first = "Next: plan a motion that narrows these intervals (gtau excite design.yaml), and log it"
+    elif all(run.used for run in runs):
+        first = "Next: predict a log that was not used (gtau validate model.json experiment.yaml)"
+    else:
+        first = "Next: weigh a known load, which tests the scale as no residual does (gtau payload model.json LOG)"
+    return [first, "Then export the model (gtau export), or watch the robot with it (gtau watch)"]
+
+
+def _tiles(result: Result, runs: Sequence[RunEvidence]) -> Facts:
+    """List the key figures, six at most."""
+    widths = {joint: gain.half_width for joint, gain in result.drive_gains.items() if gain.half_width}
+    widest = max(widths, key=lambda joint: widths[joint], default="")
+    errors = [error for run in runs if not run.used for error in run.errors]
+    shares = determination([run for run in runs if run.used])
+    least = min(shares, key=lambda joint: shares[joint], default="")
+    named = {
+        "widest 95 % interval of a gain": f"+-{percent_text(widths[widest])} % ({widest})" if widest else None,
+        "largest torque residual of the rows used": _largest(result.residuals),
+        "largest torque error of a validation run, in band": _largest(errors),
+        "smallest R² of a joint": f"{shares[least]:.4f} ({least})" if least else None,
+        "scale from": all_sources(result) or None,
         "base parameters": f"{len(result.essential)} of {len(result.parameters)} essential",
     }
-    return section("Verdict", Text(*words, style), Facts(facts), id="verdict")  # type: ignore[arg-type]
+    return Facts(named)
+
+
+def _largest(errors: Sequence[TorqueError]) -> str | None:
+    worst = worst_joint(errors)
+    return None if worst is None else f"{worst.relative:.2f} % ({worst.joint})"
 
 
 def counts(result: Result) -> str:
@@ -131,21 +189,6 @@ def counts(result: Result) -> str:
     required = f" {missing} of {len(result.requirements)} requirements missed." if missing else ""
     total, what = len(result.drive_gains), "torque scales" if result.kind == "torque" else "drive gains"
     return f"{count} of {total} {what} {'is' if count == 1 else 'are'} {first.value}{more}.{required}"
-
-
-def _worst_errors(result: Result, runs: Sequence[RunEvidence]) -> dict[str, str]:
-    """List the largest rms torque residual of the fit and error of a validation run, and the smallest R²."""
-    worst = {}
-    if residual := worst_joint(result.residuals):
-        more = "" if residual.relative_all is None else f", {residual.relative_all:.2f} % over all samples"
-        worst["largest torque residual of the rows used"] = f"{residual.relative:.2f} %{more} ({residual.joint})"
-    if error := worst_joint([error for run in runs if not run.used for error in run.errors]):
-        more = f" in band away from reversals, {error.relative_raw:.2f} % of the raw torque"
-        worst["largest torque error of a validation run"] = f"{error.relative:.2f} %{more} ({error.joint})"
-    if shares := determination([run for run in runs if run.used]):
-        joint = min(shares, key=lambda name: shares[name])
-        worst["smallest R² of a joint"] = f"{shares[joint]:.4f} ({joint})"
-    return worst
 
 
 def _settings(result: Result) -> Facts:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import cos, floor, log10, radians, sin
 from typing import TYPE_CHECKING, Any
@@ -29,6 +30,7 @@ DRIVEN, PASSIVE = (8.2, RED), (6.1, "page")  # size and colour of marks
 OUTLINES = {"disc": (24, 0.0, 0.5), "square": (4, 0.5, 0.71), "diamond": (4, 0.0, 0.71), "hexagon": (6, 0.0, 0.5)}
 """Corners of marks, by how much of one they are turned, and their radius, as a share of the size."""
 COILS = 8  # turns of a spring
+PARALLEL = 1e-6  # of a cosine
 FLAT = 0.05  # a robot thinner than this share of its size is looked at from the front
 
 
@@ -254,7 +256,7 @@ def scene_of(robot: Robot) -> Scene:
     ends = [attached(end, frames)[1] for end in robot.ends]
     drawn = (*(line for _, line in lines), *(rail for _, rail in rails))
     points = np.vstack([*drawn, *feet, *ends, *(frame[1] for frame in frames.values())])
-    view = view_plane(np.ptp(points, axis=0))
+    view = view_plane(np.ptp(points, axis=0), normal_of(joints, frames))
     span = np.maximum(np.ptp(points @ view.T, axis=0), 1e-9)
     size = float(span.max()) if span.max() > 1e-9 else 1.0
     scale = float(min((WIDTH - 2 * MARGIN) / (1.2 * size), TALLEST / span[1]))
@@ -271,14 +273,34 @@ def upright_rotation(gravity: np.ndarray) -> np.ndarray:
     return np.array([x, np.cross(up, x), up])
 
 
-def view_plane(extent: np.ndarray) -> np.ndarray:
-    """Choose the plane of the page, to the right and up, (2, 3), for a robot of that extent (3,)."""
+def view_plane(extent: np.ndarray, normal: np.ndarray | None = None) -> np.ndarray:
+    """Choose the plane of the page, to the right and up, (2, 3), for a robot of that extent (3,).
+
+    A planar robot is drawn in its plane, with that ``normal`` (3,).
+    """
+    if normal is not None:
+        level = np.cross([0.0, 0.0, 1.0], normal)
+        right = level / np.linalg.norm(level) if np.linalg.norm(level) > 1e-6 else np.array([1.0, 0.0, 0.0])
+        right = right if right[np.argmax(np.abs(right))] > 0 else -right
+        up = np.cross(normal, right)
+        return np.array([right, up if up[np.argmax(np.abs(up))] > 0 else -up])
     elevation, azimuth = 24.0, -58.0
     thin = int(np.argmin(extent))
     if extent[thin] < FLAT * extent.max():
         elevation, azimuth = ((18.0, -20.0), (18.0, -72.0), (62.0, -72.0))[thin]
     e, a = radians(elevation), radians(azimuth)
     return np.array([[-sin(a), cos(a), 0.0], [-cos(a) * sin(e), -sin(a) * sin(e), cos(e)]])
+
+
+def normal_of(joints: Sequence[Joint], frames: Mapping[str, Frame]) -> np.ndarray | None:
+    """Find the axis (3,) about which all joints of a planar robot turn, and across which they slide; else None."""
+    axes = {joint: frames[joint.name][0] @ np.array(joint.axis) for joint in joints}
+    turns = [axis for joint, axis in axes.items() if joint.turns]
+    if len(turns) < 2:
+        return None
+    across = [abs(axis @ turns[0]) for joint, axis in axes.items() if not joint.turns]
+    parallel = all(abs(axis @ turns[0]) > 1 - PARALLEL for axis in turns)
+    return turns[0] if parallel and all(cosine < PARALLEL for cosine in across) else None
 
 
 def link_lines(robot: Robot, joints: list[Joint], frames: dict[str, Frame]) -> list[tuple[str, np.ndarray]]:

@@ -124,7 +124,7 @@ def torques_section(result: Result, runs: Sequence[RunEvidence]) -> Section | No
     """Show measured and predicted torques of every joint along every run, used and not used."""
     if not runs:
         return None
-    parts, opened = [], {True: False, False: False}
+    parts, shown_first = [], min(runs, key=lambda run: (run.prediction is None, run.used))
     for run in runs:
         title = f"{run.run.name} ({'used' if run.used else 'validation, not used'}; {payload_words(run.run)})"
         if run.prediction is None:
@@ -133,8 +133,7 @@ def torques_section(result: Result, runs: Sequence[RunEvidence]) -> Section | No
         cut = f"Only the first {run.time[-1]:.4g} s of this long run are shown."
         shown = Text(cut, style="soft") if run.cut else None
         chart = torques_chart(run.prediction, units_of(result, run.prediction), run.run.kind, run.time, run.errors)
-        parts.append(section(title, shown, chart, folded=opened[run.used]))
-        opened[run.used] = True
+        parts.append(section(title, shown, chart, folded=run is not shown_first))
     words = (
         "A small residual does not validate the gains, because they scale both sides. In the shaded intervals "
         "friction changes its sign or samples are missing; the identification of gains and inertia excludes them."
@@ -187,7 +186,7 @@ def torques_chart(
             words += f", {error.relative_raw:.2f} % raw" if error.relative_raw is not None else ""
         measured, predicted = prediction.measured[:, j], prediction.predicted[:, j]
         masked = stretches(time, ~prediction.keep[:, j])
-        both = (Series(label, time, measured, "measured", width=2.6), Series("predicted", time, predicted, width=1.2))
+        both = (Series(label, time, measured, "measured", width=5.0), Series("predicted", time, predicted, width=1.2))
         axis = Axis(f"{'force' if unit == 'N' else 'torque'}, {unit}")
         panels.append(Panel(TIME, axis, both, words, shaded=masked))
         residual = Series("residual", time, measured - predicted, "residual", width=1.0)

@@ -12,7 +12,7 @@ from gtau.estimation.results.conclusions import headline as headline_of_model
 from gtau.estimation.results.groups import PayloadBody, PayloadEstimate
 from gtau.estimation.results.model_document import torque_error
 from gtau.estimation.results.result import Result
-from gtau.findings import Finding
+from gtau.findings import Finding, FindingKind
 from gtau.findings.words import to_width
 from gtau.report.chart import Chart
 from gtau.report.check import unique_names
@@ -25,7 +25,8 @@ from gtau.report.torques import REVERSALS, bands_section, errors_table, stretch_
 from gtau.uses.weigh import FRICTION_CHANGE
 
 CAUTION = (
-    "A small error does not validate the gains: they scale both sides. Weigh a known payload ('gtau payload') for that."
+    "A small error does not validate the gains: they scale both sides. Next: weigh a known load, which does (gtau "
+    "payload model.json LOG); then export the model (gtau export), or watch the robot with it (gtau watch)."
 )
 SHOWN = 10.0  # s of a run in its figure
 
@@ -42,8 +43,10 @@ def validation_document(runs: Sequence[RunEvidence]) -> dict[str, Any]:
 
 def validation_page(result: Result, runs: Sequence[RunEvidence], notes: Sequence[Finding] = ()) -> Page:
     """Show the torque errors of each run; ``notes`` say what all predictions take for granted."""
-    said = [f"run '{run.run.name}': {note}" for run in runs for note in run.notes]
-    verdict = Text(headline(result, runs), (*said, *map(str, notes), CAUTION), "neutral")
+    noted = [(run.run.name, note, FindingKind(note.kind).outcome is not None) for run in runs for note in run.notes]
+    said = [str(note) if decisive else f"run '{name}': {note}" for name, note, decisive in noted]
+    doubted = any(decisive for *_, decisive in noted)
+    verdict = Text(headline(result, runs), (*said, *map(str, notes), CAUTION), "bad" if doubted else "neutral")
     return page(
         f"Validation of {result.robot.name}",
         section("Verdict", verdict, id="verdict"),

@@ -81,6 +81,7 @@ def stamped(
         section("Settings", Facts(settings)) if settings else None,
         section(listed, files, folded=len(inputs) > LISTED) if inputs else None,
         id="provenance",
+        folded=True,
     )
     lead = (*page.lead, f"Made on {made} by gtau {packages['gtau']}.")
     return replace(page, sections=(*page.sections, provenance), lead=lead)

@@ -87,8 +87,8 @@ def torque_unit(robot: Robot, joint: str) -> str:
 
 
 def gain_unit(robot: Robot, joint: str, kind: str) -> str:
-    """Return the unit of a gain: N m/A or N/A of a ``current``; 1 of torques, the true one over the one reported."""
-    return f"{torque_unit(robot, joint)}/A" if kind == "current" else "1"
+    """Return the unit of a gain: N m/A or N per A of a ``current``; 1 of torques, true over reported."""
+    return {"N m": "N m/A", "N": "N per A"}[torque_unit(robot, joint)] if kind == "current" else "1"  # N/A is no unit
 
 
 @dataclass(frozen=True, eq=False)

@@ -72,16 +72,16 @@ def pid(
 
 def _not_zero(gain: float) -> float:
     if gain == 0:
-        raise ValueError("a drive with a gain of 0 gives no torque; write its N m/A (or N/A)")
+        raise ValueError("a drive with a gain of 0 gives no torque; write its N m/A (or N per A)")
     return gain
 
 
 class JointHardware(Keys):
     """Drive and sensors of a joint.
 
-    The drive holds the current of a controller's sample and turns it into force: ``gain`` in N m/A or N/A; currents are
-    limited to ``current_limit`` A. A ripple of amplitude ``ripple`` (N m or N) repeats every ``ripple_period`` (rad or
-    m). Positions are delayed ``delay`` s and rounded to ``position_quantum``, rad or m. The logged current has white
+    The drive holds the current of a controller's sample and turns it into force: ``gain`` in N m/A or N per A; currents
+    are limited to ``current_limit`` A. A ripple of amplitude ``ripple`` (N m or N) repeats every ``ripple_period`` (rad
+    or m). Positions are delayed ``delay`` s and rounded to ``position_quantum``, rad or m. The logged current has white
     noise of the rms ``current_noise`` and is rounded to ``current_quantum``, both in A.
     """
 

@@ -49,7 +49,7 @@ class Identified:
     """Model from which torques are computed: its identification, and the robot's ``name`` as an identifier of C.
 
     ``parameters`` are the base ones, those of friction as the model predicts it, then the friction terms f3, fb and fl;
-    ``payloads`` the values of all (n_p,) with each payload, by name. ``gains`` (n,) are N m/A or N/A, torque scales
+    ``payloads`` the values of all (n_p,) with each payload, by name. ``gains`` (n,) are N m/A or N per A, torque scales
     where the logs hold torques; ``units`` of the actuated joints ``N m`` or ``N``.
     """
 

@@ -65,8 +65,8 @@ def weigh(
     gains : {"identified", "prior"}
         The model's gains, or the prior ones (the paper's cases 2 and 1).
     prior_gains : mapping, optional
-        Joint to gain, N m/A or N/A, or to a mapping with its standard deviation such as ``{"value": 2.4, "std": 0.1}``;
-        the experiment file's if left out.
+        Joint to gain, N m/A or N per A, or to a mapping with its standard deviation such as
+        ``{"value": 2.4, "std": 0.1}``; the experiment file's if left out.
     progress : callable, optional
         Called as the work goes on.
 

@@ -76,7 +76,7 @@ def diagnose(
 ) -> tuple[Finding, ...]:
     """Collect what speaks against the estimates of a fit, and what the user should know beside that.
 
-    ``payloads`` are verdicts on known payloads by name, ``prior_gains`` those expected, N m/A or N/A, by joint.
+    ``payloads`` are verdicts on known payloads by name, ``prior_gains`` those expected, N m/A or N per A, by joint.
     ``accuracy`` is half the relative width of the 95 % interval up to which a gain is good, and ``audit`` what the data
     say of the inertias of the robot's file.
     """

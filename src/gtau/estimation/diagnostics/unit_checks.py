@@ -49,7 +49,7 @@ def units_and_signs(
 ) -> Iterator[Finding]:
     """Find gains, given or estimated, that only a wrong unit or sign explains.
 
-    Prior gains (N m/A or N/A, by joint) settle the size of a gain that is estimated.
+    Prior gains (N m/A or N per A, by joint) settle the size of a gain that is estimated.
     """
     dataset, apart = fit.dataset, []
     settled = set(prior_gains) if fit.free_gains else set()
@@ -74,7 +74,7 @@ def units_and_signs(
 
 
 def _unlike_priors(fit: Fit, known: Mapping[str, float], priors: Mapping[str, float]) -> Iterator[Finding]:
-    """Find gains more than a factor of two from their prior (by joint, N m/A or N/A), or of another sign.
+    """Find gains more than a factor of two from their prior (by joint, N m/A or N per A), or of another sign.
 
     Without a prior they are positive.
     """

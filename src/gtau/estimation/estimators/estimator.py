@@ -22,7 +22,7 @@ class Solution:
     Attributes
     ----------
     unknowns, values : Unknowns, ndarray
-        Estimates (k,) of parameters (SI units), gains (N m/A or N/A, 1 of torque sensors) and delays (s).
+        Estimates (k,) of parameters (SI units), gains (N m/A or N per A, 1 of torque sensors) and delays (s).
     sigma : ndarray
         Standard deviation of each channel's residual, (c,), A, of torque sensors N m or N.
     covariance : ndarray
@@ -136,7 +136,7 @@ class Estimator:
         Whether it estimates the gains or takes them.
     solver : callable
         Maps the gains (n,), None if they are to be estimated, to the function that solves a problem: for friction
-        selection and sensitivities. N m/A or N/A, for torques the ratio of true to logged ones.
+        selection and sensitivities. N m/A or N per A, for torques the ratio of true to logged ones.
     fit : callable
         Fits a system, with gains or without, and reports its progress. Raises GtauError where the data do not suit the
         method.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -30,7 +30,6 @@ from gtau.estimation.regression.column_blocks import (
 from gtau.estimation.regression.factors import KNOWN, Factors, reduce_rows
 from gtau.estimation.regression.plausibility import check_wrenches, prepare_runs, sensors_of
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.reference import Reference
 from gtau.estimation.regression.rows import Rows, stream_rows
 from gtau.estimation.regression.run_blocks import BLOCKS, PreparedRuns, Windows, block_of
 from gtau.findings import Finding
@@ -45,6 +44,9 @@ from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.preparation.prepared_run import Preparation, PreparedRun, SampleWindow
 from gtau.signals.reading.statements import Payload, Prior
 from gtau.signals.run import Run
+
+if TYPE_CHECKING:
+    from gtau.estimation.regression.reference import Reference
 
 
 def model_of(robot: Robot) -> InverseDynamics:

@@ -13,6 +13,7 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup, escape
 
 from gtau.report.chart import MINUS, Chart, Panel, envelope
 from gtau.report.page import BADGES, NUMERIC, Column, Item, Kind, Page, Section
@@ -82,7 +83,7 @@ def _environment() -> Any:
         loader=FunctionLoader(load), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.globals.update(numeric=NUMERIC, badges=BADGES, svg=svg_of, robot=_robot)
-    environment.filters.update(cell=_cell, key=Column.sort_key, sentence=sentence, minus=minus)
+    environment.filters.update(cell=_cell, key=Column.sort_key, sentence=sentence, words=words)
     environment.tests.update(kind=lambda item, name: type(item).__name__ == name)
     return environment
 
@@ -94,9 +95,10 @@ def _cell(column: Column, cell: Any) -> str:
     return text.replace(" - ", f" {MINUS} ") if column.kind == Kind.NAME else text
 
 
-def minus(words: str) -> str:
-    """Write the hyphens that stand for the sign of a number as minus signs."""
-    return re.sub(r"(?<![^\s(,])-(?=\d)|(?<=\d[eE])-(?=\d)", MINUS, words)
+def words(text: str) -> Markup:
+    """Write a text with signs of numbers, spaces before per cent that are not broken, and names that are, at ``_``."""
+    signed = re.sub(r"(?<![^\s(,])-(?=\d)|(?<=\d[eE])-(?=\d)", MINUS, text.replace("+-", "\N{PLUS-MINUS SIGN}"))
+    return Markup(str(escape(signed)).replace(" %", "\N{NO-BREAK SPACE}%").replace("_", "_<wbr>"))
 
 
 def _robot(robot: Robot) -> str:

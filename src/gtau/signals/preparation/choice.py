@@ -18,7 +18,7 @@ from gtau.signals.storage import spans
 # Decimation widens what is left out around a reversal by two rows. Models of UR10e, TX40, xMate7 and xMate3 predict the
 # same rows better by 2 to 7 % of the error where nine tenths of the samples are kept; but rows then hold more of the
 # noise of the torques (the Panda's errors rise from 2.0 to 2.3 %, geometric mean), and the standard deviations of the
-# Orthoglide's gains from 1.3 to 2.8 N/A.
+# Orthoglide's gains from 1.3 to 2.8 N per A.
 KEPT = 0.85
 FEWEST_ROWS = 200  # of a joint, in all runs together, that decimation leaves if the logs have them
 PARTS = 8  # parts of a long run that are evaluated for that

@@ -108,7 +108,7 @@ class Experiment(Keys):
             raise ValueError(f"joint '{missing[0]}' has no gain; give one for every joint or for none")
         zero = [joint for joint, gain in gains.items() if gain.value == 0]
         if zero:
-            raise ValueError(f"the gain of joint '{zero[0]}' is zero; write the N m/A (or N/A) of its drive")
+            raise ValueError(f"the gain of joint '{zero[0]}' is zero; write the N m/A (or N per A) of its drive")
         return gains
 
     @field_validator("drives")
@@ -139,7 +139,7 @@ class Experiment(Keys):
 
     @property
     def expected_gains(self) -> dict[str, float]:
-        """Values of these gains, N m/A or N/A, of torques 1."""
+        """Values of these gains, N m/A or N per A, of torques 1."""
         return {joint: gain.value for joint, gain in self.stated_gains.items()}
 
     @property

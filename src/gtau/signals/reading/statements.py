@@ -89,7 +89,7 @@ class Prior(Keys):
 
 
 class StatedGain(Keys):
-    """Drive gain of a joint, N m/A or N/A, with its standard deviation where that is known."""
+    """Drive gain of a joint, N m/A or N per A, with its standard deviation where that is known."""
 
     value: Number
     std: Positive | None = None
@@ -143,7 +143,7 @@ class Drive(Keys):
 
     @property
     def gain(self) -> tuple[float, float] | None:
-        """Gain expected at the joint, N m/A or N/A, and its standard deviation."""
+        """Gain expected at the joint, N m/A or N per A, and its standard deviation."""
         if self.torque_constant is None:
             return None
         spread = 0.0 if self.efficiency else EFFICIENCY_STD / EFFICIENCY

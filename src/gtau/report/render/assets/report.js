@@ -141,6 +141,11 @@
     });
   }
 
+  // ---- a link to a folded section unfolds it
+  const reveal = () => document.querySelector(`${location.hash || "#none"} > details`)?.setAttribute("open", "");
+  addEventListener("hashchange", reveal);
+  reveal();
+
   // ---- paper: everything is drawn and opened
   const beforePaper = () => {
     document.querySelectorAll("details").forEach((each) => { each.dataset.was = each.open; each.open = true; });

@@ -1,0 +1,95 @@
+"""The contract of players: read and check a round's motion, and write what was played (docs/lookup/players.md)."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import os
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+APPROACH = 3.0  # s, from where the robot stands to where the motion starts
+AHEAD = 1.0  # s, of the first samples that a dry run holds before it moves
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A round's motion: ``time`` (N,), ``q``, ``qd`` and ``qdd`` (N, n) of ``joints``, and motion.json (``file``)."""
+
+    folder: Path
+    file: dict
+    time: np.ndarray
+    q: np.ndarray
+    qd: np.ndarray
+    qdd: np.ndarray
+
+    @property
+    def joints(self) -> list[str]:
+        """Names of the joints, in order."""
+        return [joint["name"] for joint in self.file["joints"]]
+
+    def limits(self, key: str) -> np.ndarray:
+        """Return a number of every joint (n,): ``start``, ``start_tolerance`` or ``tracking_tolerance``, rad or m."""
+        return np.array([joint[key] for joint in self.file["joints"]])
+
+    def slower(self, speed: float) -> Motion:
+        """Return the same path at a fraction of the speed."""
+        return Motion(self.folder, self.file, self.time / speed, self.q, self.qd * speed, self.qdd * speed**2)
+
+    def at(self, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Position, velocity and acceleration (n,) at an instant."""
+        return tuple(
+            np.array([np.interp(time, self.time, column) for column in rows.T]) for rows in (self.q, self.qd, self.qdd)
+        )
+
+    def refuse_start(self, q: np.ndarray) -> None:
+        """Refuse to move from positions (n,) other than those in which the motion begins."""
+        for joint, here in zip(self.file["joints"], q, strict=True):
+            if abs(here - joint["start"]) > joint["start_tolerance"]:
+                sys.exit(f"joint '{joint['name']}' stands at {here:.4g}, the motion starts at {joint['start']:.4g}.")
+
+    def strayed(self, q: np.ndarray, wanted: np.ndarray) -> str:
+        """Say which joint is further from where it should be than allowed, empty if none is."""
+        for joint, error in zip(self.file["joints"], np.abs(q - wanted), strict=True):
+            if error > joint["tracking_tolerance"]:
+                return f"tracking error of joint '{joint['name']}': {error:.3g} {joint['unit']}"
+        return ""
+
+
+def read_motion(folder: str | Path) -> Motion:
+    """Read a round's motion; end the program where its rehearsal is void, because a file changed since."""
+    folder = Path(folder)
+    file = json.loads((folder / "motion.json").read_text())
+    for name, digest in file["files"].items():
+        path = folder / name
+        if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+            sys.exit(f"{path} has changed, so the rehearsal is void; run 'gtau campaign {folder.parent}' again.")
+    with (folder / "motion.csv").open() as lines:
+        header = next(csv.reader(lines))
+        columns = dict(zip(header, np.loadtxt(lines, delimiter=",").T, strict=True))
+    names = [joint["name"] for joint in file["joints"]]
+    tables = (np.array([columns[f"{kind}_{name}"] for name in names]).T for kind in ("q", "qd", "qdd"))
+    return Motion(folder, file, columns["t"], *tables)
+
+
+def write_log(motion: Motion, run: str, time: np.ndarray, q: np.ndarray, current: np.ndarray) -> str:
+    """Write a run's log: ``t``, ``q_<joint>`` and ``i_<joint>``; return its path in the round's folder."""
+    path = motion.folder / "logs" / f"{run}.csv"
+    path.parent.mkdir(exist_ok=True)
+    header = ",".join(["t", *(f"q_{name}" for name in motion.joints), *(f"i_{name}" for name in motion.joints)])
+    beside = path.with_suffix(".part")
+    np.savetxt(beside, np.column_stack([time, q, current]), "%.9g", ",", header=header, comments="")
+    os.replace(beside, path)
+    return f"logs/{run}.csv"
+
+
+def write_played(motion: Motion, runs: list[dict], speed: float, end: str, signals: dict | None = None) -> None:
+    """Write played.json: the motion by its hash, its runs with their logs, the speed, and how it ended."""
+    played = {"schema": "gtau-played/1", "hash": motion.file["hash"], "speed": speed, "end": end, "runs": runs}
+    beside = motion.folder / "played.part"
+    beside.write_text(json.dumps(played | ({"signals": signals} if signals else {}), indent=1) + "\n")
+    os.replace(beside, motion.folder / "played.json")

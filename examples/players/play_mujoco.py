@@ -1,0 +1,134 @@
+"""Play a round's motion on a robot in MuJoCo that nobody identified.
+
+    python play_mujoco.py camp/01 [--speed 0.1] [--robot camp/mujoco.yaml]
+
+``mujoco.yaml`` names an MJCF file, whose joints have friction and armature of their own, and says what no log shows:
+
+    model: arm.xml
+    bandwidth: 60                       # rad/s, of the controller
+    drives: {shoulder: {gain: 2.7, delay: 0.001, noise: 0.01, quantum: 1e-5}}   # N m/A, s, A, rad
+    payloads: {disc: {body: wrist, mass: 2.0, center: [0.05, 0, 0.03]}}
+
+At a reduced speed nothing is written: that is the dry run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import yaml
+from contract import AHEAD, Motion, read_motion, write_log, write_played
+
+STEP = 2.5e-4  # s
+HELD = 0.02  # s between two inertia matrices of the controller
+ZERO = {"delay": 0.0, "noise": 0.0, "quantum": 0.0, "zero": 0.0, "saturation": 0.0, "unsigned": False}
+
+
+class Machine:
+    """A robot with one payload, or none, under a PID controller with the robot's own inertia matrix."""
+
+    def __init__(self, file: Path, joints: list[str], payload: str | None):
+        truth = yaml.safe_load(file.read_text())
+        spec = mujoco.MjSpec.from_file(str(file.parent / truth["model"]))
+        if payload is not None:
+            load = truth["payloads"][payload]
+            size = load["mass"] * 0.05**2 * np.ones(3) * 0.4  # a ball
+            spec.body(load["body"]).add_body(
+                name=f"payload {payload}", pos=load["center"], mass=load["mass"], inertia=size, explicitinertial=True
+            )
+        drives = {str(name): ZERO | drive for name, drive in truth["drives"].items()}
+        self.model, self.drives = spec.compile(), [drives[name] for name in joints]
+        self.model.opt.timestep = STEP
+        self.bandwidth, self.at = truth.get("bandwidth", 60.0), truth.get("at", {})
+        self.data = mujoco.MjData(self.model)
+        if self.model.nkey:  # a pose in which loops are closed
+            mujoco.mj_resetDataKeyframe(self.model, self.data, 0)
+        places = [self.model.joint(name) for name in joints]
+        self.q, self.v = (np.array([getattr(joint, key)[0] for joint in places]) for key in ("qposadr", "dofadr"))
+        self.free = spec.compile()  # without friction, for the controller
+        self.free.dof_frictionloss[:] = 0.0
+        self.trial = mujoco.MjData(self.free)
+
+    def column(self, key: str) -> np.ndarray:
+        """Return a number of every drive (n,)."""
+        return np.array([drive[key] for drive in self.drives], dtype=float)
+
+    def inertia(self) -> np.ndarray:
+        """Inertia matrix (n, n) of the motors, loops included: the inverse of what unit torques accelerate."""
+        pushed = []
+        for push in (None, *range(len(self.v))):
+            self.trial.qpos, self.trial.qvel = self.data.qpos, 0.0
+            self.trial.qfrc_applied = 0.0
+            if push is not None:
+                self.trial.qfrc_applied[self.v[push]] = 1.0
+            mujoco.mj_forward(self.free, self.trial)
+            pushed.append(self.trial.qacc[self.v].copy())
+        return np.linalg.inv(np.array(pushed[1:]) - pushed[0])
+
+    def play(self, motion: Motion, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray, str]:
+        """Follow the motion; return time, positions and currents as logged, and how it ended."""
+        gain, zero, quantum, bend = map(self.column, ("gain", "zero", "quantum", "saturation"))
+        if not self.model.neq:
+            self.data.qpos[self.q] = [self.at.get(joint["name"], joint["start"]) for joint in motion.file["joints"]]
+        mujoco.mj_forward(self.model, self.data)
+        motion.refuse_start(self.data.qpos[self.q] + zero)
+        rate = motion.file["rate"]
+        steps = max(1, round(1 / rate / STEP))
+        self.model.opt.timestep = 1 / rate / steps
+        kp, ki, kd = 3 * self.bandwidth**2, self.bandwidth**3, 3 * self.bandwidth
+        integral, inertia, rows, end = np.zeros(len(gain)), np.eye(len(gain)), [], "completed"
+        late = np.round(self.column("delay") * rate * steps).astype(int)
+        past = [self.data.qpos[self.q].copy()] * (late.max() + 1)
+        for k in range(round((motion.time[-1] + AHEAD) * rate) + 1):
+            q, qd, qdd = motion.at(k / rate - AHEAD)
+            here = self.data.qpos[self.q] + zero
+            if k % max(1, round(HELD * rate)) == 0:
+                inertia = self.inertia()
+            if end := motion.strayed(here, q):
+                break
+            e, ed = q - here, qd - self.data.qvel[self.v]
+            integral += ki * e / rate
+            current = inertia @ (qdd + kp * e + kd * ed + integral) / gain
+            seen = np.array([past[d][j] for j, d in enumerate(late)]) + zero
+            rows.append((k / rate, seen, current))
+            self.data.qfrc_applied[self.v] = gain * current * (1 - bend * np.abs(current))
+            for _ in range(steps):
+                mujoco.mj_step(self.model, self.data)
+                past = [self.data.qpos[self.q].copy(), *past[:-1]]
+        time, seen, current = (np.array(column) for column in zip(*rows, strict=True))
+        logged = current + self.column("noise") * rng.standard_normal(current.shape)
+        logged = np.where(self.column("unsigned") > 0, np.abs(logged), logged)
+        rounding = np.where(quantum > 0, quantum, 1.0)
+        return time, np.where(quantum > 0, np.round(seen / rounding) * rounding, seen), logged, end or "completed"
+
+
+def main() -> None:
+    """Play all runs of a round."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("round", type=Path)
+    parser.add_argument("--speed", type=float, default=1.0)
+    parser.add_argument("--robot", type=Path)
+    parser.add_argument("--seed", type=int, default=0)
+    asked = parser.parse_args()
+    motion = read_motion(asked.round)
+    file, runs, end = asked.robot or asked.round.parent / "mujoco.yaml", [], "completed"
+    rng = np.random.default_rng([asked.seed, int(asked.round.resolve().name)])
+    for run in motion.file["runs"]:
+        machine = Machine(file, motion.joints, (run["payload"] or {}).get("name"))
+        time, q, current, end = machine.play(motion.slower(asked.speed), rng)
+        print(f"{run['name']}: {end}")
+        if asked.speed == 1.0:
+            runs.append({"name": run["name"], "log": write_log(motion, run["name"], time, q, current), "end": end})
+        if end != "completed":
+            break
+    if asked.speed == 1.0:
+        write_played(motion, runs, asked.speed, end)
+    sys.exit(0 if end == "completed" else 1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,270 @@
+"""One call of a campaign: read the folder, judge what was played, and design what to play next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gtau.campaigns.candidates import Candidate, best, candidates, expected_width
+from gtau.campaigns.decision import (
+    BLOCKED,
+    CONFIRM,
+    MODEL,
+    Decision,
+    decide,
+    identified,
+    refuse_to_go_on,
+    write_experiment,
+)
+from gtau.campaigns.folder import (
+    ASIDE,
+    DECISION,
+    PLAYED,
+    SETTINGS,
+    Round,
+    digest,
+    read_design_file,
+    read_rounds,
+    read_settings,
+    scene,
+    void,
+    write_json,
+)
+from gtau.campaigns.rehearsal import rehearse, write_motion
+from gtau.documents.files import folder_of
+from gtau.documents.validation import FUNCTION, NUMBER, PATH, takes
+from gtau.errors import GtauError
+from gtau.estimation.results.result import Result
+from gtau.excitation.design import design
+from gtau.excitation.design_file import DesignFile, make_task
+from gtau.excitation.prior import DesignPrior
+from gtau.excitation.task import DesignProblem
+from gtau.progress import Progress, silent
+from gtau.robots.parameter import Parameter
+from gtau.robots.robot import INERTIAL
+
+PLAY, MODEL_FILE = "play", "model.json"
+STARTS = 2  # searches for a motion
+
+
+@dataclass(frozen=True)
+class CampaignState:
+    """The state of a campaign: what to do next, its rounds, and the decision after the last that was played.
+
+    ``next`` is ``play``, ``done``, ``stopped`` or ``blocked``, and ``say`` says it in a sentence.
+    """
+
+    folder: Path
+    accuracy: float
+    next: str
+    say: str
+    rounds: tuple[Round, ...]
+    decision: Mapping[str, Any] | None
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """The state as a JSON document."""
+        return {
+            "schema": "gtau-campaign/1",
+            "next": self.next,
+            "say": self.say,
+            "accuracy": self.accuracy,
+            "rounds": [
+                {
+                    "round": this.folder.name,
+                    "purpose": this.motion["purpose"],
+                    "rehearsal": this.motion["rehearsal"],
+                    "played": None if this.played is None else {"end": this.played.end, "speed": this.played.speed},
+                    "set_aside": this.aside or None,
+                    "decision": dict(this.decision) if this.decision else None,
+                }
+                for this in self.rounds
+            ],
+        }
+
+
+@takes(
+    folder=PATH,
+    robot=("the name or path of a robot", (str, Path)),
+    payload=NUMBER,
+    accuracy=NUMBER,
+    progress=FUNCTION,
+)
+def campaign(
+    folder: str | Path,
+    robot: str | Path | None = None,
+    payload: float | None = None,
+    accuracy: float | None = None,
+    progress: Progress = silent,
+) -> CampaignState:
+    """Identify what was played, and decide: done, the next motion, or why another motion cannot help.
+
+    The folder is the only state: the same call again does nothing again, and one that was interrupted is made up for.
+
+    Parameters
+    ----------
+    folder : path
+        Of the campaign; it holds ``design.yaml`` as of ``gtau excite``, or gets one.
+    robot : path or str, optional
+        Robot file or name of the catalog, of a new campaign.
+    payload : float, optional
+        Mass of the payload, kg, of a new campaign.
+    accuracy : float, optional
+        Half the 95 % interval of every gain that is wanted, per cent; 3 if it was never given.
+    progress : callable, optional
+        Called as the work goes on.
+
+    Returns
+    -------
+    CampaignState
+        What to do next, with all rounds.
+
+    Raises
+    ------
+    GtauError
+        If a file is wrong, or no motion is within the limits.
+    """
+    folder = Path(folder)
+    settings = read_settings(folder, robot, payload, accuracy)
+    file, rounds = read_design_file(folder), read_rounds(folder)
+    used = [this for this in rounds if this.played is not None and not this.aside]
+    waiting = rounds[-1] if rounds and rounds[-1].played is None and not rounds[-1].aside else None
+    if waiting is not None and not void(waiting) and _current(folder, file, waiting, used):
+        return _to_play(folder, settings.accuracy, rounds)
+    if problem := next(filter(None, map(_unusable, used)), ""):
+        return CampaignState(folder, settings.accuracy, BLOCKED, problem, tuple(rounds), None)
+    place = folder / f"{1 + max((this.number for this in rounds if this.played is not None), default=0):02d}"
+    if used:
+        return _judge(place, settings.accuracy, file, used, progress)
+    found = design(make_task(file)[0], starts=STARTS, seed=int(place.name), progress=progress)
+    rehearsal = rehearse(found, file, None, progress)
+    write_motion(folder_of(place), file, found, rehearsal, {"purpose": "first", "after": ""})
+    return _to_play(folder, settings.accuracy, read_rounds(folder))
+
+
+def _to_play(folder: Path, accuracy: float, rounds: list[Round]) -> CampaignState:
+    last = rounds[-1]
+    before = [this.decision for this in rounds[:-1] if this.decision]
+    why = f" ({before[-1]['say']})" if before else ""
+    speed = last.motion["rehearsal"]["tool_speed"]
+    say = (
+        f"play {last.folder}{why}: first at a tenth of its speed (tool up to {speed['tenth']:.2g} m/s), then in full "
+        f"({speed['full']:.2g} m/s)"
+    )
+    return CampaignState(folder, accuracy, PLAY, say, tuple(rounds), before[-1] if before else None)
+
+
+def _unusable(last: Round) -> str:
+    """Say why the logs of a round that was played cannot be used, empty if they can."""
+    assert last.played is not None
+    if last.played.hash != last.motion["hash"]:
+        return f"{last.folder} was played with another motion than it holds; play it again, or set it aside ({ASIDE})"
+    if not last.complete:
+        return (
+            f"{last.folder} was not played to its end ({last.played.end}); remove {PLAYED} and play it again, or set "
+            f"it aside with a reason ({ASIDE})"
+        )
+    missing = [run["name"] for run in last.motion["runs"] if run["name"] not in {r.name for r in last.played.runs}]
+    missing += [run.log for run in last.played.runs if not (last.folder / run.log).exists()]
+    return f"{last.folder} lacks {', '.join(missing)}; play it again, or set it aside ({ASIDE})" if missing else ""
+
+
+def _inputs(folder: Path, file: DesignFile, used: list[Round]) -> dict[str, str]:
+    """Hash all that a decision rests on."""
+    logs = [this.folder / run.log for this in used if this.played for run in this.played.runs]
+    return digest([folder / SETTINGS, *scene(folder, file), *(this.folder / PLAYED for this in used), *logs], folder)
+
+
+def _current(folder: Path, file: DesignFile, waiting: Round, used: list[Round]) -> bool:
+    """Whether a motion that waits was designed after the decision that now stands."""
+    if not used:
+        return bool(waiting.motion["purpose"] == "first")
+    decision, after = used[-1].decision, used[-1].folder.name
+    return (
+        decision is not None and decision["inputs"] == _inputs(folder, file, used) and waiting.motion["after"] == after
+    )
+
+
+def _judge(place: Path, accuracy: float, file: DesignFile, used: list[Round], progress: Progress) -> CampaignState:
+    """Decide from the rounds used, and write the next motion at ``place`` before the decision that asks for it."""
+    folder, last = place.parent, used[-1]
+    known, inputs = last.decision, _inputs(folder, file, used)
+    if known is None or known["inputs"] != inputs or known["next"] is not None:
+        decision = _decided(place, accuracy, file, used, progress)
+        next_one = place.name if decision.goes_on else None
+        write_json(
+            last.folder / DECISION,
+            {
+                "schema": "gtau-decision/1",
+                "kind": decision.kind,
+                "say": decision.say,
+                "next": next_one,
+                "gains": decision.gains,
+                "candidates": list(decision.candidates),
+                "inputs": inputs,
+            },
+        )
+        if decision.goes_on:
+            return _to_play(folder, accuracy, read_rounds(folder))
+    rounds = read_rounds(folder)
+    known = last.decision
+    assert known is not None
+    kind = known["kind"]
+    return CampaignState(folder, accuracy, kind, f"{kind}: {known['say']}", tuple(rounds), known)
+
+
+def _decided(place: Path, accuracy: float, file: DesignFile, used: list[Round], progress: Progress) -> Decision:
+    """Identify, decide, and where it goes on write the next motion at ``place``."""
+    last = used[-1]
+    result = identified(write_experiment(last.folder / "experiment.yaml", file, used), accuracy, progress)
+    if isinstance(result, Decision):
+        return result
+    result.save(last.folder / MODEL_FILE)
+    alone = None
+    if last.motion["purpose"] == "confirm":
+        alone = identified(write_experiment(last.folder / "alone.yaml", file, used[-1:]), accuracy, progress)
+    decision = decide(result, accuracy, used, alone)
+    if not decision.goes_on:
+        return decision
+    model = last.folder / MODEL_FILE
+    task = next_task(file, result, model)
+    found = design(task, starts=STARTS, seed=int(place.name), progress=progress)
+    if decision.kind != CONFIRM:
+        offered = list(candidates(found)) if decision.kind == MODEL else [Candidate("as designed", found)]
+
+        def width_of(candidate: Candidate) -> float:
+            progress(f"rehearsing {candidate.label}", offered.index(candidate), len(offered))
+            return expected_width(candidate, result, accuracy / 100, last.number)
+
+        chosen, widths = best(offered, width_of)
+        found, decision = chosen.design, refuse_to_go_on(result, decision, widths)
+    if decision.goes_on:
+        trusted = model if task.prior.covariance is not None else None
+        purpose = {"purpose": decision.kind, "after": last.folder.name}
+        write_motion(folder_of(place), file, found, rehearse(found, file, trusted, progress), purpose)
+    return decision
+
+
+def next_task(file: DesignFile, result: Result, model: Path) -> DesignProblem:
+    """Make the task of the next motion, on top of what is known, or that of the file where no gain can be trusted."""
+    try:
+        task, _ = make_task(file.model_copy(update={"prior": DesignPrior(model=model)}))
+    except GtauError:  # a gain that may be zero, or is not identifiable
+        return make_task(file)[0]
+    return replace(task, prior=replace(task.prior, covariance=_told(result)))
+
+
+def _told(result: Result) -> tuple[tuple[Parameter, ...], np.ndarray]:
+    """Covariance of what later rounds share with a result, with the random part of the gains alone."""
+    kept = [k for k, name in enumerate(result.covariance_names) if name.kind in INERTIAL or name.kind == "gain"]
+    names = tuple(result.covariance_names[k] for k in kept)
+    part = np.ones(len(kept))
+    for k, name in enumerate(names):
+        gain = result.drive_gains.get(name.body) if name.kind == "gain" else None
+        if gain is not None and gain.std and gain.random_std:
+            part[k] = gain.random_std / gain.std
+    return names, result.covariance[np.ix_(kept, kept)] * np.outer(part, part)

@@ -1,0 +1,118 @@
+"""Motions for the next round, each rehearsed whole: simulated with the identified model, then identified."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.identify import identify
+from gtau.estimation.results.result import Result
+from gtau.excitation.design import Design, check
+from gtau.excitation.forecast import Outlook
+from gtau.excitation.task import DesignProblem
+from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
+from gtau.signals.run import Run
+
+SPEEDS = (0.7, 0.5)
+AMPLITUDES = (0.7, 0.5)
+HEAVIER = 2.0  # times the mass, of a payload that is not at hand
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A motion that could be played next, or with ``at_hand`` False a payload that would have to be found first."""
+
+    label: str
+    design: Design
+    at_hand: bool = True
+
+
+def candidates(design: Design) -> Iterator[Candidate]:
+    """Vary speed, amplitude, length, order of runs and payload of a design, within the limits."""
+    task, x = design.task, design.x
+    yield Candidate("as designed", design)
+    for part in SPEEDS:
+        slower = replace(task.series, base_frequency=part * task.series.base_frequency)
+        yield from _within(f"at {100 * part:g} % of the speed", design, replace(task, series=slower), x)
+    for part in AMPLITUDES:
+        smaller = x.reshape(-1, task.series.free).copy()
+        smaller[:, 1:] *= part
+        yield from _within(f"with {100 * part:g} % of the amplitude", design, task, smaller.ravel())
+    yield from _within("twice as long", design, replace(task, repetitions=2 * task.repetitions), x)
+    yield from _within("the other load first", design, replace(task, payloads=_exchanged(task.payloads)), x)
+    masses = [payload.mass for payload in task.payloads if payload is not None and payload.mass]
+    heavier = task.with_payload_mass(HEAVIER * max(masses))
+    yield from _within(f"with a payload of {HEAVIER * max(masses):g} kg", design, heavier, x, at_hand=False)
+
+
+def _exchanged(payloads: Sequence[Payload | None]) -> tuple[Payload | None, ...]:
+    """Begin and end with the payload that is in the middle."""
+    kinds = list(dict.fromkeys(payload and payload.name for payload in payloads))
+    by_name = {payload and payload.name: payload for payload in payloads}
+    return tuple(by_name[kinds[(kinds.index(payload and payload.name) + 1) % len(kinds)]] for payload in payloads)
+
+
+def _within(
+    label: str, design: Design, task: DesignProblem, x: np.ndarray, at_hand: bool = True
+) -> Iterator[Candidate]:
+    """Make a candidate if it is within all limits."""
+    try:
+        usages = check(task, x)
+    except GtauError:  # not reachable
+        return
+    if all(usage.excess <= 1 for usage in usages):
+        yield Candidate(label, replace(design, task=task, x=x, constraint_usages=usages), at_hand)
+
+
+def widths(result: Result) -> dict[str, float]:
+    """Half the 95 % interval of each gain, per cent, infinite where it is not identifiable."""
+    return {
+        joint: np.inf if gain.half_width is None or gain.value is None else gain.half_width
+        for joint, gain in result.drive_gains.items()
+    }
+
+
+def expected_width(candidate: Candidate, result: Result, accuracy: float, seed: int) -> float:
+    """Half the widest interval of a gain, per cent, after the candidate too; infinite where it cannot be identified."""
+    try:
+        runs = _simulated(candidate.design, result, np.random.default_rng(seed))
+        after = identify(result.robot, [*result.data, *runs], accuracy=accuracy)
+    except GtauError:
+        return np.inf
+    return max(widths(after).values())
+
+
+def _simulated(design: Design, result: Result, rng: np.random.Generator) -> Iterator[Run]:
+    """Make logs of a design as the identified robot with its friction would, with white noise."""
+    ((time, joints),) = Outlook(design, {}).motions
+    q, qd, qdd = (rows.T for rows in joints[:3])
+    for k, payload in enumerate(design.task.payloads):
+        current = result.currents(q, qd, qdd, _carried(payload, result))
+        current = current + design.task.prior.sigma * rng.standard_normal(current.shape)
+        yield Run(f"candidate{k + 1}", result.robot.actuated, time, q, current, payload=payload)
+
+
+def _carried(payload: Payload | None, result: Result) -> Payload | None:
+    """Give a payload the centre that was identified, at its mass."""
+    if payload is None or payload.mass is None:
+        return payload
+    known = result.payload(payload.name)
+    scale = payload.mass / known["m"] if known.get("m") else 1.0
+    moments = {kind: known[kind] * scale for kind in FIRST_MOMENTS if kind in known}
+    return payload.model_copy(update={"parameters": moments | payload.parameters})
+
+
+def best(
+    offered: Sequence[Candidate], width_of: Callable[[Candidate], float]
+) -> tuple[Candidate, list[dict[str, float | str | bool | None]]]:
+    """Find the candidate at hand with the narrowest interval, and list all."""
+    found = [(candidate, width_of(candidate)) for candidate in offered]
+    chosen, _ = min((pair for pair in found if pair[0].at_hand), key=lambda pair: pair[1])
+    listed: list[dict[str, float | str | bool | None]] = [
+        {"motion": candidate.label, "half_width": width if np.isfinite(width) else None, "at_hand": candidate.at_hand}
+        for candidate, width in found
+    ]
+    return chosen, listed

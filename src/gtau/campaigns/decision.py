@@ -1,0 +1,184 @@
+"""What a campaign decides after each round, by the part of the interval that limits the worst gain."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from os.path import relpath
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gtau.campaigns.candidates import widths
+from gtau.campaigns.folder import Round
+from gtau.documents.files import write_atomically
+from gtau.documents.yaml_document import yaml_text
+from gtau.errors import GtauError
+from gtau.estimation.identify import identify
+from gtau.estimation.results.estimate import Estimate
+from gtau.estimation.results.result import Result
+from gtau.estimation.thresholds.estimates import APART
+from gtau.excitation.design_file import DesignFile
+from gtau.findings import Outcome
+from gtau.progress import Progress
+
+ROUNDS = 5  # at which a campaign ends
+WORTH = 0.9  # of the widest interval: a motion is to bring it below this part, or the campaign ends
+RANDOM, MODEL, CONFIRM, DONE, STOPPED, BLOCKED = "random part", "model part", "confirm", "done", "stopped", "blocked"
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What limits the worst gain, and what follows: another motion to ``RANDOM``, ``MODEL`` or ``CONFIRM``, or an end.
+
+    ``say`` is a sentence with figures, ``gains`` those of all rounds by joint, ``candidates`` the motions rehearsed.
+    """
+
+    kind: str
+    say: str
+    gains: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    candidates: tuple[Mapping[str, Any], ...] = ()
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether another motion is to be played."""
+        return self.kind in (RANDOM, MODEL, CONFIRM)
+
+
+def write_experiment(path: Path, file: DesignFile, rounds: Sequence[Round]) -> Path:
+    """Write the experiment file of some rounds; payloads are those that the design file states now."""
+    loads = {load.name: load for load in file.payloads if load is not None}
+    names = [joint["name"] for joint in rounds[0].motion["joints"]]
+    signals: Mapping[str, Any] = {
+        "time": "t",
+        "position": {name: f"q_{name}" for name in names},
+        "current": {name: f"i_{name}" for name in names},
+    }
+    runs = []
+    for this in rounds:
+        assert this.played is not None
+        signals = this.played.signals or signals
+        carried = {run["name"]: run["payload"] for run in this.motion["runs"]}
+        for run in this.played.runs:
+            load = carried.get(run.name)
+            log = Path(relpath(this.folder / run.log, path.parent)).as_posix()
+            stated = {"payload": loads[load["name"]].model_dump(exclude_defaults=True)} if load else {}
+            runs.append({"log": log, **stated})
+    robot = Path(file.robot)
+    source = relpath(robot, path.parent) if robot.is_file() else file.robot
+    write_atomically(path, yaml_text({"robot": source, "signals": dict(signals), "runs": runs}))
+    return path
+
+
+def identified(path: Path, accuracy: float, progress: Progress) -> Result | Decision:
+    """Identify the rounds of an experiment file; where no result can be believed, say why and what to do."""
+    try:
+        result = identify(path, accuracy=accuracy / 100, progress=progress)
+    except GtauError as refusal:
+        return Decision(BLOCKED, f"no result: {str(refusal).rstrip('.')}")
+    outcomes = {gain.verdict.outcome for gain in result.drive_gains.values()}
+    if result.believable and Outcome.CONTRADICTORY not in outcomes:
+        return result
+    verdicts = [(joint, gain.verdict) for joint, gain in result.drive_gains.items()]
+    verdicts += [(load.name, load.verdict) for load in result.payloads]
+    verdicts += [(name, estimate.verdict) for name, estimate in result.parameters.items()]
+    name, worst = max(verdicts, key=lambda pair: list(Outcome).index(pair[1].outcome))
+    return Decision(BLOCKED, f"'{name}' is {worst.sentence}", listed(result))
+
+
+def listed(result: Result) -> dict[str, dict[str, Any]]:
+    """List gains with half their 95 % intervals and the standard deviations of both parts, per cent."""
+    return {joint: _entry(gain) for joint, gain in result.drive_gains.items()}
+
+
+def _entry(gain: Estimate) -> dict[str, Any]:
+    size = abs(gain.value or 0.0)
+
+    def relative(value: float | None) -> float | None:
+        return 100 * value / size if value is not None and size else None
+
+    return {
+        "value": gain.value,
+        "unit": gain.unit,
+        "half_width": gain.half_width,
+        "random": relative(gain.random_std),
+        "model": relative(gain.model_std),
+        "verdict": gain.verdict.outcome.value,
+        "why": gain.verdict.sentence,
+    }
+
+
+def decide(result: Result, accuracy: float, rounds: Sequence[Round], alone: Result | Decision | None) -> Decision:
+    """Decide after the last of the ``rounds``, from the result of all; ``alone`` is that of a confirming round."""
+    wide, gains = widths(result), listed(result)
+    joint = max(wide, key=lambda name: wide[name])
+    size = f"+-{wide[joint]:.3g} %" if np.isfinite(wide[joint]) else "not identifiable"
+    reached, within = wide[joint] <= accuracy, f"all gains are within {accuracy:g} % (the widest: '{joint}' {size})"
+    if reached and alone is None:
+        if len(rounds) >= ROUNDS:
+            return Decision(STOPPED, f"{within}; five rounds are over, so none is left to confirm it", gains)
+        return Decision(CONFIRM, f"{within}; one more round is to agree", gains)
+    if isinstance(alone, Decision):
+        return replace(alone, say=f"the round that was to confirm the gains has {alone.say}")
+    if alone is not None and (apart := _apart(alone, rounds)):
+        return Decision(BLOCKED, apart, gains)
+    if reached:
+        return Decision(DONE, f"{within}, and the last round agrees", gains)
+    limited = RANDOM if _random(result.drive_gains[joint]) else MODEL
+    said = f"'{joint}' is {size}, {accuracy:g} % is asked for; its {limited} is the larger one"
+    if len(rounds) >= ROUNDS:
+        return Decision(STOPPED, f"five rounds are over: {said}; {_cause(result, joint)}", gains)
+    if len(rounds) > 1 and rounds[-1].motion["purpose"] == limited == MODEL:
+        before = _widest(rounds[-2])
+        if before is not None and wide[joint] > WORTH * before:
+            return Decision(STOPPED, f"{said}, and the last round did not narrow it; {_cause(result, joint)}", gains)
+    return Decision(limited, said, gains)
+
+
+def _random(gain: Estimate) -> bool:
+    return gain.value is None or not gain.model_std or (gain.random_std or 0.0) >= gain.model_std
+
+
+def _widest(this: Round) -> float | None:
+    decision = this.decision
+    known = [gain["half_width"] for gain in decision["gains"].values()] if decision else []
+    return max(known) if known and None not in known else None
+
+
+def _cause(result: Result, joint: str) -> str:
+    """Say what may be wrong with the model of the worst gain, and what to do about it."""
+    return result.drive_gains[joint].verdict.sentence
+
+
+def _apart(alone: Result, rounds: Sequence[Round]) -> str:
+    """Say which gain of the confirming round differs from that of the rounds before, empty if none does."""
+    before = rounds[-2].decision
+    if before is None:
+        return ""
+    for joint, gain in alone.drive_gains.items():
+        known = before["gains"].get(joint, {})
+        if gain.value is None or gain.std is None or known.get("value") is None or known["half_width"] is None:
+            continue
+        std = np.hypot(gain.std, known["half_width"] / 196 * abs(known["value"]))
+        if abs(gain.value - known["value"]) > APART * std:
+            return (
+                f"the last round contradicts those before: '{joint}' {gain.value:.4g} now, {known['value']:.4g} then; "
+                "check payload, tool and temperature of the last round, or set one of the rounds aside"
+            )
+    return ""
+
+
+def refuse_to_go_on(result: Result, decision: Decision, candidates: Sequence[Mapping[str, Any]]) -> Decision:
+    """End the campaign where no motion at hand narrows the widest interval by a tenth, and say what else may."""
+    wide = widths(result)
+    joint = max(wide, key=lambda name: wide[name])
+    by_motion = {bool(at_hand): [c["half_width"] for c in candidates if c["at_hand"] is at_hand and c["half_width"]]
+                 for at_hand in (True, False)}  # fmt: skip
+    decision = replace(decision, candidates=tuple(candidates))
+    if not np.isfinite(wide[joint]) or min(by_motion[True], default=np.inf) <= WORTH * wide[joint]:
+        return decision
+    heavier = [c for c in candidates if not c["at_hand"] and c["half_width"] and c["half_width"] <= WORTH * wide[joint]]
+    instead = "".join(f", but {c['motion']} it would be +-{c['half_width']:.3g} %" for c in heavier)
+    said = f"{decision.say}; no motion narrows it by a tenth{instead}; {_cause(result, joint)}"
+    return replace(decision, kind=STOPPED, say=said)

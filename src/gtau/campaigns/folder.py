@@ -1,0 +1,183 @@
+"""The folder of a campaign, its only state: design file, settings, and rounds of motion, logs and decision."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from os.path import relpath
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import ConfigDict, Field, FiniteFloat
+
+from gtau.documents.files import folder_of, system_refusals, write_atomically
+from gtau.documents.validation import Keys, Positive, validate
+from gtau.documents.yaml_document import Document, read_yaml, yaml_text
+from gtau.errors import GtauError
+from gtau.excitation.design_file import DesignFile
+
+DESIGN, SETTINGS, MOTION, PLAYED, DECISION, ASIDE = (
+    "design.yaml",
+    "campaign.yaml",
+    "motion.json",
+    "played.json",
+    "decision.json",
+    "set-aside.txt",
+)
+RATE = 250.0  # Hz, which common controllers take
+PAYLOAD = "payload"
+ORDER = (False, True, True, False)  # of loaded runs: drift is in both loads alike, and the payload is mounted once
+
+
+class Settings(Keys):
+    """What a campaign aims at: half the 95 % interval of every gain, per cent of its value."""
+
+    accuracy: Annotated[FiniteFloat, Field(gt=0, le=50)] = 3.0
+
+
+class PlayedRun(Keys):
+    """A run as it was played: its log in the round's folder, and how it ended."""
+
+    name: str
+    log: str
+    end: str = "completed"
+
+
+class Played(Keys):
+    """What a player wrote of a round: the motion by its hash, the speed, how it ended, and columns of other logs."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+    format: str = Field(alias="schema")
+    hash: str
+    speed: Positive = 1.0
+    end: str
+    runs: tuple[PlayedRun, ...] = ()
+    signals: dict[str, Any] | None = None
+
+
+@dataclass(frozen=True)
+class Round:
+    """A round: its folder, the motion to be played, what was played, and why its logs are set aside, if they are."""
+
+    folder: Path
+    motion: Mapping[str, Any]
+    played: Played | None
+    aside: str
+
+    @property
+    def number(self) -> int:
+        """Number of the round, from 1."""
+        return int(self.folder.name)
+
+    @property
+    def complete(self) -> bool:
+        """Whether all runs were played to their end."""
+        return self.played is not None and self.played.end == "completed"
+
+    @property
+    def decision(self) -> Mapping[str, Any] | None:
+        """What was decided from this round and those before, if anything was."""
+        return _json(self.folder / DECISION)
+
+
+def read_settings(folder: Path, robot: str | Path | None, payload: float | None, accuracy: float | None) -> Settings:
+    """Read what a campaign aims at, or begin it with a robot and a payload's mass, kg."""
+    begin(folder, robot, payload)
+    path = folder / SETTINGS
+    if accuracy is not None:
+        settings = validate(Settings, Document("accuracy", {"accuracy": accuracy}))
+        write_atomically(path, yaml_text(settings.model_dump()))
+    return validate(Settings, read_yaml(path)) if path.exists() else Settings()
+
+
+def begin(folder: Path, robot: str | Path | None, payload: float | None) -> None:
+    """Write the design file of a new campaign; where there is one, refuse another robot or payload than it states."""
+    path = folder / DESIGN
+    if not path.exists():
+        if robot is None or payload is None:
+            raise GtauError(
+                f"{folder} holds no campaign; begin it with --robot and --payload (kg), or put a {DESIGN} of "
+                "'gtau excite' there."
+            )
+        source = relpath(robot, folder) if Path(robot).is_file() else str(robot)
+        runs = [{"payload": {"name": PAYLOAD, "mass": payload} if loaded else "none"} for loaded in ORDER]
+        design = {"robot": source, "rate": RATE, "runs": runs}
+        validate(DesignFile, Document("campaign", design), context=folder)
+        write_atomically(folder_of(folder) / DESIGN, yaml_text(design))
+        return
+    file = read_design_file(folder)
+    masses = {load.mass for load in file.payloads if load is not None}
+    other = robot is not None and str(robot) != file.robot and not _same(Path(robot), Path(file.robot))
+    if other or (payload is not None and payload not in masses):
+        raise GtauError(
+            f"{path} states robot {file.robot} and payloads of {', '.join(f'{mass:g}' for mass in masses if mass)} kg, "
+            "other than the command; change the file, or begin another folder."
+        )
+
+
+def _same(one: Path, other: Path) -> bool:
+    return one.exists() and other.exists() and one.samefile(other)
+
+
+def read_design_file(folder: Path) -> DesignFile:
+    """Read the design file of a campaign."""
+    return validate(DesignFile, read_yaml(folder / DESIGN), context=folder)
+
+
+def read_rounds(folder: Path) -> list[Round]:
+    """Read the rounds that have a motion; a folder without one was interrupted, and is made again."""
+    rounds = []
+    for path in sorted(path for path in folder.iterdir() if re.fullmatch(r"\d\d", path.name)):
+        motion, played, aside = _json(path / MOTION), _json(path / PLAYED), path / ASIDE
+        if motion is None:
+            continue
+        read = None if played is None else validate(Played, Document(path / PLAYED, played))
+        reason = aside.read_text(encoding="utf-8").strip() or "without a reason" if aside.exists() else ""
+        rounds.append(Round(path, motion, read, reason))
+    return rounds
+
+
+def _json(path: Path) -> Mapping[str, Any] | None:
+    if not path.exists():
+        return None
+    with system_refusals(path):
+        text = path.read_text(encoding="utf-8")
+    try:
+        content = json.loads(text)
+    except ValueError:
+        content = None
+    if not isinstance(content, dict):
+        raise GtauError(f"{path} is no JSON document; remove it, and run the command that wrote it again.")
+    return content
+
+
+def write_json(path: Path, document: Mapping[str, Any]) -> None:
+    """Write a JSON document atomically."""
+    write_atomically(path, json.dumps(document, indent=1, allow_nan=False) + "\n")
+
+
+def digest(paths: Iterable[Path], base: Path) -> dict[str, str]:
+    """Hash files (SHA-256), by their paths from ``base``; missing ones are empty."""
+    return {
+        Path(relpath(path, base)).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
+        for path in paths
+    }
+
+
+def scene(folder: Path, file: DesignFile) -> list[Path]:
+    """List the files on which a rehearsal rests beside its motion: design file, robot, meshes of shapes."""
+    shapes = {} if file.limits.shapes == "none" else file.limits.shapes
+    meshes = [shape.mesh for entries in shapes.values() for shape in entries if shape.mesh is not None]
+    robot = Path(file.robot)
+    return [folder / DESIGN, *([robot] if robot.is_file() else []), *meshes]
+
+
+def void(this: Round) -> str:
+    """Name the first file that has changed since a round's motion was rehearsed, empty if none has."""
+    files: Mapping[str, str] = this.motion["files"]
+    now = digest((this.folder / name for name in files), this.folder)
+    return next((name for name, known in files.items() if now[name] != known), "")

@@ -1,0 +1,111 @@
+"""The page of a campaign: what to do next, gains round by round with both parts of their intervals, and rehearsals."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, Literal
+
+from gtau.campaigns.campaign import CampaignState
+from gtau.campaigns.folder import Round
+from gtau.report.chart import Chart, intervals
+from gtau.report.page import Column, Kind, Page, Section, Text, joint_label, page, section, table
+
+GRADES: Mapping[str, Literal["good", "neutral", "weak", "bad"]] = {
+    "done": "good",
+    "play": "neutral",
+    "stopped": "weak",
+    "blocked": "bad",
+}
+
+
+def campaign_page(state: CampaignState) -> Page:
+    """Show the state of a campaign."""
+    style = GRADES[state.next]
+    points = tuple(f"round {this.folder.name} is set aside: {this.aside}" for this in state.rounds if this.aside)
+    verdict = Text(f"{state.say[0].upper()}{state.say[1:]}.", points, style)
+    judged = [this for this in state.rounds if this.decision and this.decision["gains"] and not this.aside]
+    last = state.rounds[-1]
+    return page(
+        f"Campaign in {state.folder}",
+        section("Next", verdict, id="next"),
+        _gains(judged),
+        _candidates(judged),
+        _rehearsals(state.rounds),
+        section("Guards of the last motion", Text("", tuple(last.motion["guards"])), id="guards"),
+    )
+
+
+def _gains(judged: list[Round]) -> Section | None:
+    """Tabulate and draw the gains of each round, from the logs of all rounds until then."""
+    if not judged:
+        return None
+    columns = (
+        Column("joint"),
+        Column("round"),
+        Column("gain", Kind.NUMBER, 5),
+        Column("unit"),
+        Column("+-95 %", Kind.NUMBER, 2),
+        Column("random", Kind.NUMBER, 2),
+        Column("model", Kind.NUMBER, 2),
+        Column("verdict", Kind.BADGE),
+    )
+    keys = ("value", "unit", "half_width", "random", "model", "verdict")
+    rows = [
+        (joint, this.folder.name, *(gain[key] for key in keys))
+        for joint in _decision(judged[-1])["gains"]
+        for this in judged
+        if (gain := _decision(this)["gains"].get(joint))
+    ]
+    words = Text("+-: half the 95 % interval; random, model: standard deviations; % of the gain", style="soft")
+    return section("Gains round by round", table(columns, rows), words, _chart(judged), id="gains")
+
+
+def _decision(this: Round) -> dict[str, Any]:
+    return dict(this.decision or {})
+
+
+def _chart(judged: list[Round]) -> Chart | None:
+    names, values, halves, inner = [], [], [], []
+    latest = _decision(judged[-1])["gains"]
+    for joint, final in latest.items():
+        for this in judged:
+            gain = _decision(this)["gains"].get(joint)
+            if gain is None or not gain["value"] or not final["value"] or gain["half_width"] is None:
+                continue
+            names.append(f"{joint_label(joint)}, round {this.number}")
+            values.append(100 * (gain["value"] / final["value"] - 1))
+            halves.append(gain["half_width"])
+            inner.append(1.96 * (gain["random"] or 0.0))
+    axis = "gain, % off that of the last round"
+    return Chart((intervals(names, values, halves, axis, inner, zero=True),)) if names else None
+
+
+def _candidates(judged: list[Round]) -> Section | None:
+    """Tabulate the motions rehearsed after the last round."""
+    offered = _decision(judged[-1])["candidates"] if judged else []
+    if not offered:
+        return None
+    columns = (Column("motion"), Column("widest interval then, +- %", Kind.NUMBER, 3), Column("payload at hand"))
+    rows = [(one["motion"], one["half_width"], "yes" if one["at_hand"] else "no") for one in offered]
+    return section("Motions rehearsed", table(columns, rows), id="candidates")
+
+
+def _rehearsals(rounds: tuple[Round, ...]) -> Section:
+    columns = (
+        Column("round"),
+        Column("for"),
+        Column("played"),
+        Column("tool, m/s", Kind.NUMBER, 2),
+        Column("at a tenth", Kind.NUMBER, 2),
+        Column("largest use of a limit, %", Kind.SHARE, decimals=0),
+        Column("of"),
+    )
+    return section("Rehearsals", table(columns, _rehearsed(rounds)), id="rehearsals")
+
+
+def _rehearsed(rounds: tuple[Round, ...]) -> Iterator[tuple[object, ...]]:
+    for this in rounds:
+        rehearsal = this.motion["rehearsal"]
+        speed, use = rehearsal["tool_speed"], rehearsal["largest_use"]
+        ended = "not yet" if this.played is None else this.played.end
+        yield this.folder.name, this.motion["purpose"], ended, speed["full"], speed["tenth"], use["used"], use["limit"]

@@ -1,0 +1,174 @@
+"""The rehearsal of a motion before a robot plays it: limits, tool speed, and a run under control in the simulator."""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gtau.campaigns.folder import MOTION, digest, scene, write_json
+from gtau.documents.files import folder_of, write_table
+from gtau.errors import GtauError
+from gtau.excitation.design import Design, check
+from gtau.excitation.design_file import DesignFile
+from gtau.excitation.forecast import Outlook
+from gtau.excitation.prior import ERROR, cautious_parameters, rough_parameters
+from gtau.progress import Progress
+from gtau.report.design import trajectory_table
+from gtau.robots.parameter import torque_unit
+from gtau.signals.reading.logs import read_log
+from gtau.signals.reading.statements import Payload
+from gtau.simulation.experiment_files import simulate_experiment
+
+REDUCED = 0.25  # m/s of the tool, which ISO 10218-2 calls reduced speed
+NEAR = {True: 0.02, False: 0.002}  # rad and m, within which the robot stands at the start
+STRAY = {True: 0.03, False: 0.003}  # rad and m, by which it may stray from the motion at least
+PART = 0.05  # and this part of the joint's range in the motion
+CSV = "motion.csv"
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """What a rehearsal found: greatest use of a limit, tool speed (m/s), and of the run under control each joint's.
+
+    ``errors`` and ``torques`` are the largest tracking errors, rad or m, and torques, N m or N, by joint.
+    """
+
+    used: float
+    limit: str
+    speed: float
+    errors: Mapping[str, float]
+    torques: Mapping[str, float]
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """The rehearsal as data; the tool's speed also at a tenth."""
+        return {
+            "largest_use": {"limit": self.limit, "used": self.used},
+            "tool_speed": {"full": self.speed, "tenth": self.speed / 10, "reduced_speed": REDUCED},
+            "tracking_errors": dict(self.errors),
+            "torques": dict(self.torques),
+        }
+
+
+def rehearse(design: Design, file: DesignFile, model: Path | None, progress: Progress) -> Rehearsal:
+    """Check every limit along the whole motion, and play it in the simulator with the heaviest payload.
+
+    The robot is the identified ``model``, or one with the inertias of the robot's file. Raises GtauError where a limit
+    is exceeded or the robot strays.
+    """
+    task = design.task
+    worst = max(check(task, design.x), key=lambda usage: usage.excess)
+    if worst.excess > 1:
+        raise GtauError(f"the motion exceeds a limit: the {worst.what} must be {worst.allowed}; widen it or redesign.")
+    errors, torques = _under_control(design, file, model, progress)
+    allowed = tolerances(design)
+    for joint, error in errors.items():
+        if error > allowed[joint]:
+            raise GtauError(
+                f"in the rehearsal joint '{joint}' strays by {error:.3g} from the motion, {allowed[joint]:.3g} is "
+                f"allowed; limit its acceleration or jerk in the design file."
+            )
+    for joint, torque in torques.items():
+        most = task.model.robot.joint(joint).limits.effort
+        if most is not None and torque > most:
+            raise GtauError(
+                f"in the rehearsal joint '{joint}' takes {torque:.3g} {torque_unit(task.model.robot, joint)}, "
+                f"{most:.3g} is allowed; limit its acceleration in the design file."
+            )
+    return Rehearsal(worst.excess, worst.what, Outlook(design, {}).tool[0], errors, torques)
+
+
+def _under_control(
+    design: Design, file: DesignFile, model: Path | None, progress: Progress
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Play the motion in the simulator: largest tracking errors and torques by joint."""
+    task = design.task
+    loads = [payload for payload in task.payloads if payload is not None]
+    heaviest = max(loads, key=lambda payload: payload.mass or 0.0)
+    ((time, joints),) = Outlook(design, {}).motions
+    with tempfile.TemporaryDirectory() as name:
+        out = Path(name)
+        write_table(trajectory_table(task, time, joints), out / CSV)
+        run = {"name": "loaded", "trajectory": {"csv": str(out / CSV)}, "payload": _known(heaviest)}
+        known = {"model": str(model)} if model else {"parameters": _stated(design, heaviest.mass or 1.0)}
+        drives = {joint: {"gain": 1.0} for joint in task.model.actuated}
+        rate = max(task.rate, 500.0)
+        simulated = {"robot": file.robot, "rate": rate, "drives": drives, "runs": [run], **known}
+        simulate_experiment(simulated, out / "logs", lambda _, done, total: progress("rehearsing", done, total))
+        columns = ("t", *(f"{kind}{joint}" for kind in "qv" for joint in task.model.actuated))
+        log = read_log(out / "logs" / "loaded.csv", columns).arrays()
+    errors, torques = {}, {}
+    for k, joint in enumerate(task.model.actuated):
+        errors[joint] = float(np.abs(log[f"q{joint}"] - np.interp(log["t"], time, joints[0, k])).max())
+        torques[joint] = float(np.abs(log[f"v{joint}"]).max())
+    return errors, torques
+
+
+def _known(payload: Payload) -> dict[str, Any]:
+    return {"name": payload.name, "mass": payload.mass, "parameters": payload.parameters}
+
+
+def _stated(design: Design, mass: float) -> dict[str, float]:
+    """Parameters of the robot before it is identified: of the file where it states them, without the margin."""
+    model, base = design.task.model, design.task.base
+    chi = cautious_parameters(model, rough_parameters(model, base, mass)[0])
+    inertias = model.robot.inertias
+    return {name: value / ERROR if name in inertias else value for name, value in chi.items()}
+
+
+def tolerances(design: Design) -> dict[str, float]:
+    """Distances that each joint may stray from the motion, rad or m."""
+    ((_, joints),) = Outlook(design, {}).motions
+    robot = design.task.model.robot
+    return {
+        name: max(PART * float(np.ptp(row)), STRAY[robot.joint(name).turns])
+        for name, row in zip(robot.actuated, joints[0], strict=True)
+    }
+
+
+def write_motion(
+    folder: Path, file: DesignFile, design: Design, rehearsal: Rehearsal, decided: Mapping[str, Any]
+) -> None:
+    """Write ``motion.csv``, then ``motion.json``, without which the round does not exist; see docs/lookup/players.md.
+
+    ``decided`` says after which decision and for what the motion was designed.
+    """
+    task, robot = design.task, design.task.model.robot
+    ((time, joints),) = Outlook(design, {}).motions
+    write_table(trajectory_table(task, time, joints), folder_of(folder) / CSV)
+    allowed = tolerances(design)
+    files = digest([folder / CSV, *scene(folder.parent, file)], folder)
+    write_json(
+        folder / MOTION,
+        {
+            "schema": "gtau-motion/1",
+            "hash": hashlib.sha256("".join(files.values()).encode()).hexdigest(),
+            "files": files,
+            "robot": robot.name,
+            "rate": task.rate,
+            "duration": float(time[-1]),
+            "joints": [
+                {
+                    "name": name,
+                    "unit": robot.joint(name).unit,
+                    "start": float(row[0]),
+                    "start_tolerance": NEAR[robot.joint(name).turns],
+                    "tracking_tolerance": allowed[name],
+                }
+                for name, row in zip(robot.actuated, joints[0], strict=True)
+            ],
+            "runs": [
+                {"name": f"run{k + 1}", "payload": None if load is None else {"name": load.name, "mass": load.mass}}
+                for k, load in enumerate(task.payloads)
+            ],
+            "guards": list(task.guards),
+            "rehearsal": rehearsal.document,
+            **decided,
+        },
+    )

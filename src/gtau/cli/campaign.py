@@ -1,0 +1,42 @@
+"""The command from no log to trusted gains: campaign."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gtau.cli.console import Json, answer, argument, option, progress_bar, refusing, seconds
+from gtau.documents.files import refuse_as_folder
+
+EXIT = {"play": 0, "done": 0, "stopped": 3, "blocked": 3}
+
+
+@refusing
+def campaign(
+    folder: Annotated[Path, argument("DIR", "Folder of the campaign, its only state.")],
+    robot: Annotated[str | None, option("ROBOT", "Robot file or catalog name, of a new campaign.")] = None,
+    payload: Annotated[float | None, option("KG", "Mass of the payload, of a new campaign.", min=0.0)] = None,
+    accuracy: Annotated[
+        float | None, option("PERCENT", "Half the 95 % interval of every gain that is wanted; 3 if never given.")
+    ] = None,
+    json_: Json = False,
+) -> None:
+    """Identify what was played, and decide: done, the next motion to play, or why another motion cannot help.
+
+    The same command again goes on from what the folder holds. The exit code is 3 where the campaign cannot go on.
+    """
+    refuse_as_folder(folder)
+    with progress_bar() as progress:
+        from gtau.campaigns.campaign import campaign as run
+        from gtau.campaigns.page import campaign_page
+        from gtau.report.write import write_report
+
+        state = run(folder, robot, payload, accuracy, progress)
+        report = write_report(campaign_page(state), folder, seconds())
+    if not json_:
+        typer.echo(f"next: {state.say}")
+    answer(json_, lambda: state.document, lambda: campaign_page(state), [report])
+    if code := EXIT[state.next]:
+        raise typer.Exit(code)

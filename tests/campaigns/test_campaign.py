@@ -1,0 +1,250 @@
+"""A campaign goes on from its folder alone, refuses what is void, and ends with gains that hold."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from mujoco_robots import write_robot
+from typer.testing import CliRunner
+
+import gtau
+from gtau.campaigns.campaign import CampaignState, campaign
+from gtau.campaigns.candidates import candidates
+from gtau.campaigns.decision import Decision, decide, refuse_to_go_on
+from gtau.campaigns.folder import Round, read_rounds
+from gtau.campaigns.page import campaign_page
+from gtau.cli.commands import app
+from gtau.errors import GtauError
+from gtau.estimation.diagnostics.verdict import Verdict
+from gtau.estimation.results.estimate import Estimate
+from gtau.excitation.design import Design
+from gtau.excitation.design_file import read_design
+from gtau.excitation.nlp import random_start
+from gtau.findings import Outcome
+from gtau.report.render.terminal import plain
+
+PLAYER = Path(__file__).parents[2] / "examples" / "players" / "play_mujoco.py"
+DESIGN = """robot: five-bar
+rate: 100
+period: 3
+harmonics: 3
+runs: [{payload: none}, {payload: {name: payload, mass: 1.0}}, {payload: {name: payload, mass: 1.0}}, {payload: none}]
+"""
+
+
+def play(folder: Path, *more: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, PLAYER, folder, *more], capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def begun(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, CampaignState, dict[str, float]]:
+    """A campaign whose first motion waits to be played, and the true gains."""
+    folder = tmp_path_factory.mktemp("campaign")
+    (folder / "design.yaml").write_text(DESIGN)
+    gains = write_robot("five-bar", folder, 1.0, 1)
+    return folder, campaign(folder, accuracy=3), gains
+
+
+@pytest.fixture
+def copied(begun: tuple[Path, CampaignState, dict[str, float]], tmp_path: Path) -> Path:
+    return Path(shutil.copytree(begun[0], tmp_path / "camp"))
+
+
+def test_the_first_call_writes_a_rehearsed_motion(begun: tuple[Path, CampaignState, dict[str, float]]) -> None:
+    folder, state, _ = begun
+    assert state.next == "play"
+    assert state.say.startswith(f"play {folder / '01'}: first at a tenth of its speed (tool up to ")
+    motion = json.loads((folder / "01" / "motion.json").read_text())
+    assert [run["payload"] and run["payload"]["name"] for run in motion["runs"]] == [None, "payload", "payload", None]
+    assert motion["rehearsal"]["largest_use"]["used"] <= 1
+    assert set(motion["files"]) == {"motion.csv", "../design.yaml"}
+    assert any(guard.startswith("jerk: not limited") for guard in motion["guards"])
+    before = (folder / "01" / "motion.json").stat().st_mtime_ns
+    assert campaign(folder).say == state.say  # and nothing is done twice
+    assert (folder / "01" / "motion.json").stat().st_mtime_ns == before
+    assert "Guards of the last motion" in plain(campaign_page(state))
+
+
+def test_a_player_refuses_a_void_motion_a_wrong_start_and_writes_nothing_when_slow(copied: Path) -> None:
+    slow = play(copied / "01", "--speed", "0.5")
+    assert slow.returncode == 0, slow.stderr
+    assert not (copied / "01" / "played.json").exists()
+    truth = (copied / "mujoco.yaml").read_text()
+    (copied / "mujoco.yaml").write_text(truth.replace("quantum: 1.0e-05", "quantum: 1.0e-05, zero: 0.5"))
+    assert "the motion starts at" in play(copied / "01").stderr
+    (copied / "mujoco.yaml").write_text(truth.replace("bandwidth: 60.0", "bandwidth: 1.0"))
+    assert play(copied / "01").returncode == 1
+    state = campaign(copied)
+    assert state.next == "blocked"
+    assert "was not played to its end (tracking error of joint" in state.say
+    with (copied / "design.yaml").open("a") as file:
+        file.write("limits: {shapes: none}\n")
+    assert "has changed, so the rehearsal is void" in play(copied / "01").stderr
+
+
+@pytest.mark.slow
+def test_a_changed_scene_makes_the_motion_anew(copied: Path) -> None:
+    before = json.loads((copied / "01" / "motion.json").read_text())["hash"]
+    with (copied / "design.yaml").open("a") as file:
+        file.write("limits: {velocity: {left: 1.0}}\n")
+    assert campaign(copied).next == "play"
+    assert json.loads((copied / "01" / "motion.json").read_text())["hash"] != before
+
+
+def cut_off(folder: Path) -> CampaignState:
+    """A campaign whose logs are too short."""
+    assert play(folder / "01").returncode == 0
+    for log in (folder / "01" / "logs").iterdir():
+        log.write_text("".join(log.read_text().splitlines(keepends=True)[:30]))
+    return campaign(folder)
+
+
+def test_logs_that_give_no_result_are_said_and_kept(copied: Path) -> None:
+    state = cut_off(copied)
+    assert state.next == "blocked"
+    assert "no result" in state.say
+    assert campaign(copied).say == state.say
+    assert len(list((copied / "01" / "logs").iterdir())) == 4
+
+
+@pytest.mark.slow
+def test_logs_may_be_set_aside(copied: Path) -> None:
+    cut_off(copied)
+    (copied / "01" / "set-aside.txt").write_text("the logger stopped\n")
+    state = campaign(copied)
+    assert state.next == "play"
+    assert [this.folder.name for this in state.rounds] == ["01", "02"]
+    assert "round 01 is set aside: the logger stopped" in plain(campaign_page(state))
+
+
+def test_another_robot_or_payload_than_the_folder_has_is_refused(copied: Path, tmp_path: Path) -> None:
+    with pytest.raises(GtauError, match="states robot five-bar and payloads of 1 kg, other than the command"):
+        campaign(copied, payload=2.0)
+    with pytest.raises(GtauError, match="holds no campaign; begin it with --robot and --payload"):
+        campaign(tmp_path / "none")
+    with pytest.raises(GtauError, match="mass"):
+        campaign(tmp_path / "none", robot="five-bar", payload=-1.0)
+    assert not (tmp_path / "none").exists()
+    done = CliRunner().invoke(app, ["campaign", str(copied), "--payload", "1", "--robot", "five-bar", "--json"])
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["next"] == "play"
+    assert gtau.campaign is campaign
+
+
+def gain(joint: str, value: float | None, random: float, model: float, outcome: Outcome = Outcome.GOOD) -> Estimate:
+    std = float(np.hypot(random, model))
+    return Estimate(joint, value, std, "N m/A", verdict=Verdict(outcome), model_std=model)
+
+
+def result_of(*gains: Estimate) -> SimpleNamespace:
+    return SimpleNamespace(drive_gains={each.name: each for each in gains})
+
+
+def round_of(purpose: str, half: float = 10.0, value: float = 1.0) -> Round:
+    known = {"gains": {"a": {"value": value, "half_width": half}}}
+    this = Round(Path("01"), {"purpose": purpose}, None, "")
+    return type("Judged", (Round,), {"decision": known})(**vars(this))
+
+
+def test_the_larger_part_of_the_worst_interval_decides() -> None:
+    first = [round_of("first")]
+    assert (
+        decide(result_of(gain("a", 1.0, 0.03, 0.01), gain("b", 1.0, 0, 0.02)), 3.0, first, None).kind == "random part"
+    )
+    limited = decide(result_of(gain("a", 1.0, 0.01, 0.03)), 3.0, first, None)
+    assert limited.kind == "model part"
+    assert "'a' is +-6.2 %, 3 % is asked for; its model part is the larger one" in limited.say
+    assert decide(result_of(gain("a", 1.0, 0.005, 0.005)), 3.0, first, None).kind == "confirm"
+    five = [round_of("random part") for _ in range(5)]
+    assert decide(result_of(gain("a", 1.0, 0.03, 0.01)), 3.0, five, None).say.startswith("five rounds are over")
+    again = [round_of("first", 6.3), round_of("model part")]
+    assert decide(result_of(gain("a", 1.0, 0.01, 0.03)), 3.0, again, None).kind == "stopped"
+
+
+def test_done_is_what_a_round_that_did_not_decide_confirms() -> None:
+    rounds = [round_of("first", 1.4), round_of("confirm")]
+    all_rounds = result_of(gain("a", 1.0, 0.005, 0.005))
+    assert decide(all_rounds, 3.0, rounds, result_of(gain("a", 1.01, 0.01, 0.01))).kind == "done"
+    apart = decide(all_rounds, 3.0, rounds, result_of(gain("a", 1.08, 0.01, 0.01)))
+    assert apart.kind == "blocked"
+    assert apart.say.startswith("the last round contradicts those before: 'a' 1.08 now, 1 then")
+
+
+def test_a_motion_that_brings_less_than_a_tenth_ends_the_campaign() -> None:
+    result = result_of(gain("a", 1.0, 0.01, 0.03))
+    decision = Decision("model part", "'a' is wide")
+    worth = [{"motion": "as designed", "half_width": 5.0, "at_hand": True}]
+    assert refuse_to_go_on(result, decision, worth).kind == "model part"
+    worthless = [{"motion": "as designed", "half_width": 6.1, "at_hand": True},
+                 {"motion": "with a payload of 2 kg", "half_width": 3.1, "at_hand": False}]  # fmt: skip
+    ended = refuse_to_go_on(result, decision, worthless)
+    assert ended.kind == "stopped"
+    assert "no motion narrows it by a tenth, but with a payload of 2 kg it would be +-3.1 %" in ended.say
+
+
+def test_candidates_are_within_the_limits_and_the_payload_is_exchanged(tmp_path: Path) -> None:
+    (tmp_path / "design.yaml").write_text(DESIGN)
+    task, _ = read_design(tmp_path / "design.yaml")
+    x = random_start(task, np.random.default_rng(0), 0.8)
+    assert x is not None
+    offered = {one.label: one for one in candidates(Design(task, "gains", x, 1.0, (), 0))}
+    assert {"as designed", "at 70 % of the speed", "with 50 % of the amplitude", "twice as long"} <= set(offered)
+    other = offered["the other load first"].design.task.payloads
+    assert [load and load.name for load in other] == ["payload", None, None, "payload"]
+    assert not offered["with a payload of 2 kg"].at_hand
+    assert offered["at 50 % of the speed"].design.task.series.period == pytest.approx(6)
+
+
+def campaigned(folder: Path, accuracy: float) -> Iterator[CampaignState]:
+    """Play and judge until the campaign ends."""
+    state = campaign(folder, accuracy=accuracy)
+    while state.next == "play":
+        yield state
+        played = play(state.rounds[-1].folder)
+        assert played.returncode == 0, played.stderr
+        state = campaign(folder)
+    yield state
+
+
+@pytest.mark.slow
+def test_a_campaign_ends_with_gains_whose_intervals_hold(
+    copied: Path, begun: tuple[Path, CampaignState, dict[str, float]]
+) -> None:
+    *_, last = campaigned(copied, 5.0)
+    assert last.next == "done", last.say
+    assert [this.motion["purpose"] for this in last.rounds][-1] == "confirm"
+    for joint, true in begun[2].items():
+        known = last.decision["gains"][joint]
+        assert known["half_width"] <= 5
+        assert abs(known["value"] / true - 1) < 1.5 * known["half_width"] / 100
+    assert replace(last, say="") == replace(campaign(copied), say="")
+
+
+@pytest.mark.slow
+def test_a_campaign_that_is_killed_at_any_moment_goes_on(copied: Path) -> None:
+    """Files appear whole or not at all, so a call that is cut off leaves what the next one makes up for."""
+    rng, folder = np.random.default_rng(0), copied
+    assert play(folder / "01").returncode == 0
+    logs = {path: path.read_bytes() for path in (folder / "01" / "logs").iterdir()}
+    command = [sys.executable, "-m", "gtau", "campaign", str(folder)]
+    for _ in range(8):
+        run = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        try:
+            run.wait(float(rng.uniform(1, 40)))
+        except subprocess.TimeoutExpired:
+            run.kill()
+            run.wait()
+        read_rounds(folder)  # nothing half written
+        assert all(path.read_bytes() == content for path, content in logs.items())
+    state = campaign(folder)
+    assert state.next in ("play", "stopped")
+    assert len(state.rounds) <= 2
