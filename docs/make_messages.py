@@ -40,7 +40,7 @@ def examples() -> dict[str, list[Finding]]:
     return made
 
 
-LONGEST = 18  # words of an example
+LONGEST = 12  # words of an example
 
 
 def shortened(text: str) -> str:

@@ -81,6 +81,7 @@ def test_the_page_followed_literally(tmp_path: Path, page: str, monkeypatch: pyt
         assert float(printed[1]) == pytest.approx(gain["value"], abs=gain["std"])
         assert float(printed[1]) == pytest.approx(truth[gain["joint"]], abs=float(printed[2]))
     assert Path("result/report.html").stat().st_size > 10_000
+    thresholds_as_shown()
     if GCC:
         compensation_in_c_as_shown()
 
@@ -99,6 +100,15 @@ def printed_as_shown(output: str, page: str) -> None:
         alike = [values(other) for other in output.splitlines() if words(other) == words(line)]
         close = [values(line) == pytest.approx(each, rel=0.03, abs=0.011) for each in alike]
         assert any(close) or not close, (line, alike)
+
+
+def thresholds_as_shown() -> None:
+    """Commands and script of the section on collisions."""
+    text = (DOCS / "do" / "external-wrench.md").read_text(encoding="utf-8").split("## Collision thresholds")[1]
+    (command,) = re.findall(r"^\$ gtau (use .*)$", text, re.MULTILINE)
+    gtau(*command.split())
+    (script,) = re.findall(r"^```python\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+    exec(script, {})
 
 
 def compensation_in_c_as_shown() -> None:

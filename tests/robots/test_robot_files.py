@@ -73,15 +73,15 @@ def test_catalog_survives_writing_and_reading(name: str, tmp_path: Path) -> None
     assert [file.name for file in tmp_path.iterdir()] == ["copy.yaml"]
 
 
-def assert_closed_at_home(robot: Robot) -> None:
+def assert_closed_at_home(robot: Robot, within: float = 1e-15) -> None:
     frames = forward(robot, {joint.name: joint.home for joint in robot.joints})
     for platform in robot.platforms:
         frames[platform.name] = platform.home.rotation, platform.home.position
     for closure in robot.closures:
         (rotation_a, a), (rotation_b, b) = (place(frames[end.body], end.placement) for end in (closure.a, closure.b))
-        np.testing.assert_allclose(a, b, atol=1e-15)
+        np.testing.assert_allclose(a, b, atol=within)
         if closure.kind == "weld":
-            np.testing.assert_allclose(rotation_a, rotation_b, atol=1e-15)
+            np.testing.assert_allclose(rotation_a, rotation_b, atol=within)
 
 
 @pytest.mark.parametrize("name", catalog_names())
@@ -182,6 +182,13 @@ def test_example_of_the_docs(tmp_path: Path) -> None:
     robot = read(docs.read_text(encoding="utf-8").split("```yaml\n")[1].split("```")[0], tmp_path)
     assert robot.actuated == ("left", "right")
     assert_closed_at_home(robot)
+
+
+def test_the_five_bar_of_the_docs(tmp_path: Path) -> None:
+    docs = Path(__file__).parents[2] / "docs" / "do" / "describe-robot.md"
+    robot = read(docs.read_text(encoding="utf-8").split("```yaml\n")[1].split("```")[0], tmp_path)
+    assert robot.actuated == ("left", "right")
+    assert_closed_at_home(robot, 1e-9)  # home is solved, from one near it
 
 
 def test_names_stay_as_written(tmp_path: Path) -> None:
