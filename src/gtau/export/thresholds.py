@@ -2,8 +2,7 @@
 
 Of each joint, and of three ranges of its speed, the lowest of which is near reversals, the residuals of logs that the
 identification did not use give a threshold: the tail of their peaks, generalized Pareto, is read at the stated rate.
-Then each log is checked with the thresholds of the others, and all are raised by the factor with which no more alarms
-come than stated: logs of other days have more friction than any one of them shows.
+Each log is then checked with the thresholds of the others, and all are raised until no more alarms come than stated.
 """
 
 from __future__ import annotations
