@@ -45,8 +45,8 @@ DRIFT = {"friction": 0.05, "gain": 0.003}  # relative standard deviations betwee
 MEMORY = 0.8  # their correlation from day to day
 HEALTHY, FAULTY = 30, 45  # days before and at most after a fault
 LOGS, FIRST = 385, 20  # of a simulated robot, of which the first are not judged
-BATCH = 25  # robots computed at once
-QUANTITIES = 20  # of a simulated robot, of which the last six are friction
+BATCH = 10  # robots computed at once, so that the arrays fit the cache
+QUANTITIES = 10  # of a simulated robot, of which the last six are friction
 STORE = Path(mkdtemp(prefix="watch-"))
 
 
@@ -97,7 +97,7 @@ def with_fault(model: Result, run: Run, fault: Fault) -> Run:
 
 def of_mass(model: Result, run: Run) -> np.ndarray:
     """Torque (N, n) of a kilogram 5 cm from the origin of the body that carries payloads."""
-    idm = model.model
+    idm = model.idm
     low = butter(4, min(4 * model.preparation.bandwidth, 0.4 * run.rate), fs=run.rate, output="sos")
     q = sosfiltfilt(low, run.position, axis=0)
     qd, _ = differentiate(q, run.rate)
@@ -159,8 +159,11 @@ def fault_row(model: Result, healthy: LogStatistics, faulty: LogStatistics, faul
             if k == HEALTHY and not seed:
                 visible = visible_words(watch, fault, joint)
             watch.update_statistics(log, f"{k}", (date(2026, 1, 1) + timedelta(k)).isoformat())
-            alarm = watch.alarm
-            if k >= HEALTHY + 2 and alarm is not None and alarm.kind != "log":
+            alarm = None if watch.alarm is None or watch.alarm.kind == "log" else watch.alarm
+            if k < HEALTHY and alarm is not None:
+                print(f"a false alarm on day {k + 1}: {alarm}")
+                break
+            if k >= HEALTHY + 1 and alarm is not None:
                 first.append(k - HEALTHY + 1)
                 kind = {"lag": "clock"}.get(fault.kind, fault.kind)
                 named += any((cause.kind, cause.joint) == (kind, joint) for cause in alarm.explanations)

@@ -147,12 +147,12 @@ def test_contacts_and_lags_are_named(model: Result, healthy: list[LogStatistics]
 
     for make, kind, joint in ((bumped, "contact", "left"), (late, "clock", "")):
         watch = watched(model, healthy)
-        for k in range(100, 103):
+        for k in range(100, 104):
             status = watch.update_statistics(statistics_of(model, make(k)), f"{k}", f"2026-02-{k - 99:02d}")
         (named,) = status.entry.alarm.explanations
         assert (named.kind, named.joint) == (kind, joint)
     assert named.size == pytest.approx(0.004, abs=3e-4)
-    assert "lag of all currents +4" in alarm_words(status.entry.alarm)[0]
+    assert "lag of all currents +3.9" in alarm_words(status.entry.alarm)[0]
     watch = watched(model, healthy)
     for k in range(100, 103):
         watch.update_statistics(statistics_of(model, late(k, 10)), f"{k}", f"2026-02-{k - 99:02d}")

@@ -22,9 +22,11 @@ from gtau.estimation.thresholds.estimates import APART
 from gtau.excitation.design_file import DesignFile
 from gtau.findings import Outcome
 from gtau.progress import Progress
+from gtau.signals.reading.logs import read_log
 
 ROUNDS = 5  # at which a campaign ends
 WORTH = 0.9  # of the widest interval: a motion is to bring it below this part, or the campaign ends
+STRETCHED = 0.9  # of its speed, below which a motion was not played as it was designed
 RANDOM, MODEL, CONFIRM, DONE, STOPPED, BLOCKED = "random part", "model part", "confirm", "done", "stopped", "blocked"
 
 
@@ -32,13 +34,15 @@ RANDOM, MODEL, CONFIRM, DONE, STOPPED, BLOCKED = "random part", "model part", "c
 class Decision:
     """What limits the worst gain, and what follows: another motion to ``RANDOM``, ``MODEL`` or ``CONFIRM``, or an end.
 
-    ``say`` is a sentence with figures, ``gains`` those of all rounds by joint, ``candidates`` the motions rehearsed.
+    ``say`` is a sentence with figures, ``gains`` those of all rounds by joint, ``candidates`` the motions rehearsed,
+    ``notes`` say which rounds were played more slowly than designed.
     """
 
     kind: str
     say: str
     gains: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     candidates: tuple[Mapping[str, Any], ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def goes_on(self) -> bool:
@@ -134,6 +138,26 @@ def decide(result: Result, accuracy: float, rounds: Sequence[Round], alone: Resu
         if before is not None and wide[joint] > WORTH * before:
             return Decision(STOPPED, f"{said}, and the last round did not narrow it; {_cause(result, joint)}", gains)
     return Decision(limited, said, gains)
+
+
+def slower(result: Result, rounds: Sequence[Round]) -> tuple[str, ...]:
+    """Note the rounds that a controller stretched; their logs are used as they were played."""
+    runs, notes = iter(result.data), []
+    for this in rounds:
+        assert this.played is not None
+        names = [f"q_{joint['name']}" for joint in this.motion["joints"]]
+        log = read_log(this.folder / "motion.csv", ("t", *names)).arrays()
+        designed = _moving(log["t"], np.column_stack([log[name] for name in names]))
+        share = designed / max(_moving(run.time, run.position) for _, run in zip(this.played.runs, runs, strict=False))
+        if share < STRETCHED:
+            notes.append(f"round {this.folder.name} was played at {100 * share:.0f} % of its speed and is used as such")
+    return tuple(notes)
+
+
+def _moving(time: np.ndarray, q: np.ndarray) -> float:
+    """Find the time, s, between leaving and reaching the ends of a motion (N, n), by a hundredth of its ranges."""
+    away = (np.abs(q - q[0]) > 0.01 * np.ptp(q, axis=0)).any(axis=1)
+    return float(np.ptp(time[away])) if away.any() else 0.0
 
 
 def _random(gain: Estimate) -> bool:

@@ -179,7 +179,7 @@ def _quantities(watch: Watch, visible: bool) -> Iterator[Table | Text]:
         if not np.isfinite(view.values[:, k]).any():
             hidden.append(label)
             continue
-        mean, half = factor * (week.mean[k] - view.reference[k]), factor * week.half[k]
+        mean, half = factor * (week[0][k] - view.reference[k]), factor * week[1][k]
         limit = None if np.isinf(view.tolerance[k]) else factor * float(view.tolerance[k])
         spread = (float(mean), float(half)) if np.isfinite(mean) else None
         if not far[k]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,12 +19,10 @@ WEEKLY = 7  # logs that count as a week where they have one date
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """The alarm after a log, None without one, from which log on the robot is repaired, and the leading evidence."""
+    """The alarm after a log, None without one, and from which log on the robot is repaired, if it is."""
 
     alarm: Alarm | None
     repaired: int | None = None
-    log_e: float | None = None
-    leading: str = ""
 
 
 def judge(
@@ -42,16 +40,18 @@ def judge(
         days = view.table.days[back]
         week = np.ptp(days) >= WEEK or (np.ptp(days) < 1 and len(back) >= WEEKLY)
         return Judgement(None, int(view.table.ids[back[0]])) if week else Judgement(previous)
-    changed, span, stated = _changes(settings, view)
-    far = np.flatnonzero(beyond(view, week_of(view, std_of_model(model, view), span[0])))
+    changed, span = _changes(settings, view)
+    week = week_of(view, std_of_model(model, view), span[0])
+    far = np.flatnonzero(beyond(view, week))
+    twice = beyond(replace(view, tolerance=2 * view.tolerance), week)  # where no cause fits, it may be the motion
     if len(far):
         alarm = _alarm("tolerance", model, view, log, far, (_run_beyond(view, far),) * 3, tolerances)
-        if not alarm.explanations or any(_is_beyond(view, cause) for cause in alarm.explanations):
-            return Judgement(_since(alarm, previous), None, *stated)
+        if any(_is_beyond(view, cause) for cause in alarm.explanations) or (not alarm.explanations and twice.any()):
+            return Judgement(_since(alarm, previous))
     if len(changed):
         alarm = _alarm("change", model, view, log, changed, span, tolerances)
-        return Judgement(_since(alarm, previous), None, *stated)
-    return Judgement(previous, None, *stated)
+        return Judgement(_since(alarm, previous))
+    return Judgement(previous)
 
 
 def _since(alarm: Alarm, previous: Alarm | None) -> Alarm:
@@ -64,27 +64,26 @@ def _since(alarm: Alarm, previous: Alarm | None) -> Alarm:
 def _is_beyond(view: View, cause: Explained) -> bool:
     """Return whether a cause, or that beside it, is beyond its tolerance: one quantity alone may follow another."""
     kind = {"load": cause.quantity, "clock": "delay", "warming": "friction"}.get(cause.kind, cause.kind)
-    of_kind = [view.tolerance[k] for k, quantity in enumerate(view.quantities) if quantity.kind == kind]
+    limits = [
+        view.tolerance[k]
+        for k, quantity in enumerate(view.quantities)
+        if quantity.kind == kind and cause.joint in ("", quantity.joint)
+    ]
     size = cause.size if cause.relative is None else cause.relative
-    far = cause.kind == "units" or any(abs(size) > tolerance for tolerance in of_kind)
+    far = cause.kind == "units" or abs(size) > min(limits, default=np.inf)
     return far or (cause.and_also is not None and _is_beyond(view, cause.and_also))
 
 
-def _changes(settings: Settings, view: View) -> tuple[np.ndarray, tuple[int, int, int], tuple[float | None, str]]:
-    """Find the quantities that have changed, the first log of the change with its interval, and what is leading."""
-    none, proof = np.zeros(0, dtype=int), None
-    if view.baseline <= settings.baseline:
-        return none, (0, 0, 0), (None, "")
-    proof, rows = evidence_of(view, settings)
-    limit, best = limit_of(settings, view), int(np.argmax(proof.log_e))
-    log_e = float(proof.log_e[best] - limit + np.log(settings.limit))
-    stated = (log_e, view.names[best]) if np.isfinite(log_e) else (None, "")
-    columns = np.flatnonzero((proof.log_e >= limit) & proof.confirmed)
-    if not len(columns):
-        return none, (0, 0, 0), stated
-    leading = columns[np.argmax(proof.log_e[columns])]
-    start, earliest, latest = (int(rows[part[leading]]) for part in (proof.start, proof.earliest, proof.latest))
-    return columns[np.argsort(-proof.log_e[columns])], (start, earliest, latest), stated
+def _changes(settings: Settings, view: View) -> tuple[np.ndarray, tuple[int, int, int]]:
+    """Find the quantities that have changed, and the first log of the leading change with its interval."""
+    if view.baseline > settings.baseline:
+        proof, rows = evidence_of(view, settings)
+        columns = np.flatnonzero((proof.log_e >= limit_of(settings, view)) & proof.confirmed)
+        if len(columns):
+            columns = columns[np.argsort(-proof.log_e[columns])]
+            start, *ends = (int(rows[part[columns[0]]]) for part in (proof.start, proof.earliest, proof.latest))
+            return columns, (start, ends[0], ends[1])
+    return np.zeros(0, dtype=int), (0, 0, 0)
 
 
 def limit_of(settings: Settings, view: View) -> float:

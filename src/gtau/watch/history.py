@@ -25,12 +25,13 @@ from gtau.errors import GtauError
 
 HISTORY, LINES = "history.db", "history.jsonl"  # LINES: of earlier versions, read once
 KEPT, SLACK = 4000, 1000  # logs kept one by one, and by how many more before they are condensed
+DIGITS = 32  # of a digest that are kept
 PATIENCE = 60.0  # s to wait for another program that writes
 APPLICATION = 0x67746175  # "gtau", of SQLite files that are histories
 TABLES = f"""
 PRAGMA application_id = {APPLICATION};
-CREATE TABLE settings (document TEXT NOT NULL);
-CREATE TABLE seen (digest BLOB PRIMARY KEY) WITHOUT ROWID;
+CREATE TABLE settings (id INTEGER PRIMARY KEY, document TEXT NOT NULL);
+CREATE TABLE seen (digest TEXT PRIMARY KEY) WITHOUT ROWID;
 CREATE TABLE logs (id INTEGER PRIMARY KEY, log TEXT, date TEXT, count INTEGER, numbers BLOB, alarm TEXT);
 CREATE TABLE events (id INTEGER PRIMARY KEY, date TEXT, kind TEXT, subject TEXT, note TEXT, details TEXT,
                      undone INTEGER DEFAULT 0);
@@ -186,7 +187,7 @@ def _take_lines(database: sqlite3.Connection, path: Path, settings: Settings) ->
                 add_event(database, entry["begins"], "reset", entry["begins"])
         if not isinstance(head, dict) or head.get("schema_") != "gtau-watch/1":
             raise ValueError("it does not begin with gtau-watch/1")
-    except (ValueError, KeyError, TypeError, AttributeError, sqlite3.IntegrityError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise GtauError(
             f"{path}, line {number} is damaged ({str(error) or 'empty'}); restore the file from a backup, or give "
             "another --out."
@@ -202,8 +203,6 @@ def _refusals(path: Path) -> Iterator[None]:
     """Turn errors of SQLite and of the system into one sentence."""
     try:
         yield
-    except sqlite3.IntegrityError:
-        raise
     except sqlite3.Error as error:
         advice = {"full": "free some space", "locked": "end the other program that writes it"}
         hint = next((what for word, what in advice.items() if word in str(error)), "restore it from a backup")
@@ -229,44 +228,20 @@ def writing(database: sqlite3.Connection) -> Iterator[None]:
 
 def settings_of(database: sqlite3.Connection) -> Settings:
     """Read the head."""
-    (document,) = database.execute("SELECT document FROM settings").fetchone()
-    return Settings.model_validate_json(document)
+    return Settings.model_validate_json(database.execute("SELECT document FROM settings").fetchone()[0])
 
 
 def save_settings(database: sqlite3.Connection, settings: Settings) -> None:
     """Write the head."""
-    database.execute("DELETE FROM settings")
-    database.execute("INSERT INTO settings VALUES (?)", (settings.model_dump_json(),))
-
-
-def is_seen(database: sqlite3.Connection, digest: str) -> bool:
-    """Return whether a log of this digest is in the history."""
-    return database.execute("SELECT 1 FROM seen WHERE digest = ?", (_short(digest),)).fetchone() is not None
-
-
-def _short(digest: str) -> bytes:
-    """Take half of a SHA-256, or any other text as it is."""
-    return bytes.fromhex(digest[:32]) if len(digest) == 64 else digest.encode()
-
-
-def see(database: sqlite3.Connection, digest: str) -> None:
-    """Note the digest of a log as seen."""
-    database.execute("INSERT OR IGNORE INTO seen VALUES (?)", (_short(digest),))
+    database.execute("INSERT OR REPLACE INTO settings VALUES (0, ?)", (settings.model_dump_json(),))
 
 
 def add_row(database: sqlite3.Connection, digests: list[str], log: str, date: str, numbers: np.ndarray) -> Row:
-    """Add a log."""
-    for digest in digests:
-        see(database, digest)
-    values = (log, date, 1, np.asarray(numbers, dtype=float).tobytes(), "")
-    done = database.execute("INSERT INTO logs (log, date, count, numbers, alarm) VALUES (?, ?, ?, ?, ?)", values)
-    return Row(int(done.lastrowid or 0), log, date, 1, np.asarray(numbers, dtype=float))
-
-
-def set_alarm(database: sqlite3.Connection, row: int, alarm: Alarm | None) -> None:
-    """Write the state after a log."""
-    text = "" if alarm is None else alarm.model_dump_json()
-    database.execute("UPDATE logs SET alarm = ? WHERE id = ?", (text, row))
+    """Add a log, which is recognised by these digests."""
+    database.executemany("INSERT OR IGNORE INTO seen VALUES (?)", [(digest[:DIGITS],) for digest in digests])
+    values = (log, date, numbers.tobytes())
+    done = database.execute("INSERT INTO logs (log, date, count, numbers, alarm) VALUES (?, ?, 1, ?, '')", values)
+    return Row(int(done.lastrowid or 0), log, date, 1, numbers)
 
 
 def rows_after(database: sqlite3.Connection, row: int) -> Iterator[Row]:
@@ -291,18 +266,6 @@ def events_of(database: sqlite3.Connection) -> list[Event]:
         Event(number, date, kind, subject, note, json.loads(details), bool(undone))
         for number, date, kind, subject, note, details, undone in found
     ]
-
-
-def undo(database: sqlite3.Connection, event: int, date: str) -> None:
-    """Undo an event, and say so."""
-    database.execute("UPDATE events SET undone = 1 WHERE id = ?", (event,))
-    values = ("SELECT ?, 'undone', subject, kind, 'null' FROM events WHERE id = ?", (date, event))
-    database.execute(f"INSERT INTO events (date, kind, subject, note, details) {values[0]}", values[1])
-
-
-def forgive(database: sqlite3.Connection, log: str) -> None:
-    """Drop the note that a log could not be read."""
-    database.execute("DELETE FROM events WHERE kind = 'refused' AND subject = ?", (log,))
 
 
 def summary_of(folder: Path) -> tuple[Settings, list[Event], int, Row | None]:

@@ -7,7 +7,7 @@ joints by one factor; their median is that factor, and what is compared from log
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -106,7 +106,10 @@ def view_of(
     values, std = (
         np.concatenate([part[0][:, columns], part[1]], axis=1) for part in ((table.values, values), (table.std, std))
     )
-    tolerance = np.array([_tolerance(quantity, tolerances) for quantity in quantities])
+    limits = {"m": tolerances.mass, **tolerances.model_dump(include={"gain", "friction", "zero", "delay"})}
+    tolerance = np.array([limits.get(quantity.kind, np.inf) for quantity in quantities])
+    vague = median(std) > np.maximum(tolerance, np.abs(median(values)) / ODD)
+    tolerance[vague] = np.inf  # one log does not determine these, and errors of the model exceed them
     reference, names = np.zeros(len(quantities)), [quantity.name for quantity in quantities]
     for event in events:
         details = event.details or {}
@@ -155,12 +158,6 @@ def _friction(model: Result, charts: Sequence[Quantity], table: Table, values: n
     return np.array(columns).T.reshape(len(values), len(columns))
 
 
-def _tolerance(quantity: Quantity, tolerances: Tolerances) -> float:
-    """Choose the tolerance of a quantity, infinite where there is none."""
-    of_kind: Mapping[str, float] = {"m": tolerances.mass, "gain": tolerances.gain, "friction": tolerances.friction}
-    return {**of_kind, "zero": tolerances.zero, "delay": tolerances.delay}.get(quantity.kind, np.inf)
-
-
 def _odd(view: View) -> np.ndarray:
     """Find the values (N, m) by which a log is odd by itself: far off both the others and what its tolerance allows.
 
@@ -183,41 +180,29 @@ def _odd(view: View) -> np.ndarray:
     return odd
 
 
-@dataclass(frozen=True, eq=False)
-class Week:
-    """Mean of the logs of the last week and half its 95 % interval (m,), NaN without enough logs; ``first`` log."""
-
-    mean: np.ndarray
-    half: np.ndarray
-    first: int
-
-
-def week_of(view: View, std_of_model: np.ndarray, since: int = 0) -> Week:
-    """Average the logs of the last week, at least the last few; its interval is that of scatter, jackknife and model.
+def week_of(view: View, std_of_model: np.ndarray, since: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Average the logs of the last week, at least the last few, and compute half the 95 % interval of the mean.
 
     ``std_of_model`` (m,) are the standard deviations of what the quantities are relative to. Only logs ``since`` a row
-    count, such as that of a change.
+    count, such as that of a change. Both are (m,), NaN without enough logs.
     """
     x, days = view.counted, view.table.days
     seen = np.isfinite(x) & (np.arange(len(x)) >= since)[:, None]
     recent = (days > days.max(initial=-np.inf) - WEEK)[:, None]
-    latest = np.cumsum(seen[::-1], axis=0)[::-1] <= FEWEST_OF_WEEK
-    part = seen & (recent | latest)
-    count = part.sum(axis=0)
-    n = np.maximum(count, 1)
+    part = seen & (recent | (np.cumsum(seen[::-1], axis=0)[::-1] <= FEWEST_OF_WEEK))
+    n = np.maximum(part.sum(axis=0), 1)
     mean = np.where(part, x, 0.0).sum(axis=0) / n
-    scatter = np.where(part, x - mean, 0.0).astype(float)
-    std = np.sqrt((scatter**2).sum(axis=0) / np.maximum(n - 1, 1))
-    friction = np.array([quantity.kind == "friction" for quantity in view.quantities])
-    jackknife = np.sqrt((np.where(part & np.isfinite(view.std), view.std, 0.0) ** 2).sum(axis=0) / n)
-    std = np.maximum(std, np.where(friction, 0.0, jackknife))
-    half = np.hypot(stdtrit(np.maximum(n - 1, 1), 0.975) * std / np.sqrt(n), 1.96 * std_of_model)
-    enough = count >= FEWEST_OF_WEEK
-    first = int(np.argmax(part.any(axis=1))) if len(part) else 0
-    return Week(np.where(enough, mean, np.nan), np.where(enough, half, np.nan), first)
+    scatter = (np.where(part, x - mean, 0.0) ** 2).sum(axis=0) / np.maximum(n - 1, 1)
+    friction = np.array([quantity.kind == "friction" for quantity in view.quantities])  # whose two parts compensate
+    jackknife = (np.where(part & ~friction, np.nan_to_num(view.std), 0.0) ** 2).sum(axis=0) / n
+    half = np.hypot(
+        stdtrit(np.maximum(n - 1, 1), 0.975) * np.sqrt(np.maximum(scatter, jackknife) / n), 1.96 * std_of_model
+    )
+    few = part.sum(axis=0) < FEWEST_OF_WEEK
+    return np.where(few, np.nan, mean), np.where(few, np.nan, half)
 
 
-def beyond(view: View, week: Week) -> np.ndarray:
-    """Find which quantities (m,) are beyond their tolerance with their whole interval."""
-    excess = np.abs(week.mean - view.reference) - np.nan_to_num(week.half, nan=np.inf)
-    return np.asarray(excess > view.tolerance)
+def beyond(view: View, week: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Find the quantities (m,) that are beyond their tolerance with their whole interval."""
+    mean, half = week
+    return np.asarray(np.abs(mean - view.reference) - half > view.tolerance)

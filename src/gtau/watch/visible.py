@@ -27,8 +27,8 @@ def visible_changes(watch: Watch) -> np.ndarray:
     if len(rows) < FEWEST:
         return np.full(smallest.shape, np.nan)
     scale = 1.4826 * median(np.abs(x - median(x)))
-    week = week_of(view, std_of_model(watch.model, view))
-    smallest[:, :] = (view.tolerance + np.nan_to_num(week.half, nan=np.inf))[:, None]
+    _, half = week_of(view, std_of_model(watch.model, view))
+    smallest[:, :] = (view.tolerance + np.nan_to_num(half, nan=np.inf))[:, None]
     limit = limit_of(settings, view)
     columns = np.flatnonzero(np.isfinite(scale) & (scale > 0))
     before = np.repeat(x[:, columns], len(SIZES), axis=1)

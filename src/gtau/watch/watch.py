@@ -33,10 +33,7 @@ OPTIONS = {"false_alarms": "--false-alarms-per-year"}  # of settings whose optio
 
 
 class Entry(BaseModel):
-    """A log: estimates and standard deviations by chart, unevenness by joint, and the state after it.
-
-    ``log_e`` is the logarithm of the largest e-detector over the number of quantities, that of ``leading``.
-    """
+    """A log: estimates and standard deviations by chart, unevenness by joint, and the state after it."""
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
@@ -47,8 +44,6 @@ class Entry(BaseModel):
     std: dict[str, FiniteFloat]
     uneven: dict[str, FiniteFloat]
     not_shown: tuple[str, ...]
-    log_e: FiniteFloat | None = None
-    leading: str = ""
     alarm: Alarm | None = None
 
 
@@ -172,7 +167,8 @@ class Watch:
 
     def seen(self, digest: str) -> bool:
         """Return whether a log of this digest is in the history."""
-        return history.is_seen(self._database, digest)
+        found = self._database.execute("SELECT 1 FROM seen WHERE digest = ?", (digest[: history.DIGITS],))
+        return found.fetchone() is not None
 
     @single_threaded_blas()
     def update(self, run: Run, digest: str = "", date: str = "") -> Status:
@@ -200,8 +196,8 @@ class Watch:
         samples = run_digest(run)
         if self.seen(samples):
             with history.writing(self._database):
-                history.see(self._database, digest or samples)
-                history.forgive(self._database, run.name)
+                self._database.execute("INSERT OR IGNORE INTO seen VALUES (?)", (digest[: history.DIGITS] or samples,))
+                self._forgive(run.name)
             self._read()
             return Status(self.entry, copied=True)
         return self._add(statistics_of(self.model, run), [samples, *([digest] if digest else [])], date or now())
@@ -224,11 +220,20 @@ class Watch:
                 first = int(view.table.ids[_place(view, self.alarm)])
                 details = {"first": first, "inside": judgement.repaired}
                 history.add_event(self._database, date, "repaired", ", ".join(self.alarm.charts), details=details)
-            history.set_alarm(self._database, row.id, judgement.alarm)
-            history.forgive(self._database, log.name)
+            self._set_alarm(judgement.alarm)
+            self._forgive(log.name)
             condensed = history.condense(self._database)
         self._read(whole=condensed)
-        return Status(self.entry.model_copy(update={"log_e": judgement.log_e, "leading": judgement.leading}))
+        return Status(self.entry)
+
+    def _set_alarm(self, alarm: Alarm | None) -> None:
+        """Write the state after the log that was added last."""
+        text = "" if alarm is None else alarm.model_dump_json()
+        self._database.execute("UPDATE logs SET alarm = ? WHERE id = (SELECT max(id) FROM logs)", (text,))
+
+    def _forgive(self, log: str) -> None:
+        """Drop the note that a log could not be read."""
+        self._database.execute("DELETE FROM events WHERE kind = 'refused' AND subject = ?", (log,))
 
     @property
     def entry(self) -> Entry:
@@ -257,7 +262,7 @@ class Watch:
     def set_aside(self, log: str, why: str) -> None:
         """Note a log that cannot be read, until it can."""
         with history.writing(self._database):
-            history.forgive(self._database, log)
+            self._forgive(log)
             history.add_event(self._database, now(), "refused", log, why)
         self._read()
 
@@ -319,9 +324,9 @@ class Watch:
             raise UnknownName(f"nothing was done about '{subject}'; give a log or a date of the report's events.")
         alarm = events[-1].details["alarm"]
         with history.writing(self._database):
-            history.undo(self._database, events[-1].id, now())
-            restored = None if alarm is None else Alarm.model_validate_json(alarm)
-            history.set_alarm(self._database, max(row.id for row in self._rows), restored)
+            self._database.execute("UPDATE events SET undone = 1 WHERE id = ?", (events[-1].id,))
+            history.add_event(self._database, now(), "undone", subject, events[-1].kind)
+            self._set_alarm(None if alarm is None else Alarm.model_validate_json(alarm))
         self._read(whole=True)
 
     def _do(self, kind: str, subject: str, note: str, details: dict[str, Any], alarm: Alarm | None) -> None:
@@ -329,8 +334,7 @@ class Watch:
         before = None if self.alarm is None else self.alarm.model_dump_json()
         with history.writing(self._database):
             history.add_event(self._database, now(), kind, subject, note, {**details, "alarm": before})
-            if self._rows:
-                history.set_alarm(self._database, max(row.id for row in self._rows), alarm)
+            self._set_alarm(alarm)
         self._read(whole=True)
 
 
