@@ -121,7 +121,7 @@ def ml_covariance(problem: Problem, theta: np.ndarray, gains: np.ndarray, sigma:
 
 WEAK = 0.3  # relative standard deviation from which an unknown counts as unidentified
 WORTH = 0.7  # a motion is named if it reduces a standard deviation below this share
-SPANS = {"over its whole range, slowly": (0.9, 0.2), "as fast as it may": (0.5, 0.9)}
+SPANS = {"over its whole range, slowly": (0.9, 0.2), "at its speed limit": (0.5, 0.9)}
 """What one joint alone does: the part of its range, and of its speed limit."""
 
 
