@@ -38,7 +38,7 @@ PLAYER = ROOT / "examples" / "players" / "play_mujoco.py"
 MASSES = {"five-bar": 1.0, "orthoglide": 2.0, "ur10e": 5.0, "panda": 2.0}
 FAULTS = {
     "saturation": {"saturation": 0.01},  # of the torque constant, per A
-    "zero": {"zero": 0.03},  # rad or m
+    "zero": {"zero": 0.015},  # rad, within the tolerance of the start
     "unsigned": {"unsigned": True},
 }
 

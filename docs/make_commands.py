@@ -15,9 +15,6 @@ HEAD = """# Commands
 
 The help that `gtau COMMAND --help` prints. This page is generated from the source by `python docs/make_commands.py`.
 Commands with `--json` print one JSON document instead of tables.
-
-| command | what it does |
-| --- | --- |
 """
 
 
@@ -42,7 +39,7 @@ def page() -> str:
     """Return the page."""
     group = typer.main.get_command(app)
     context = Context(group, info_name="gtau")
-    text, sections = HEAD, ""
+    names, sections = [], ""
     for name in group.list_commands(context):
         command = group.get_command(context, name)
         inner = Context(command, info_name=name, parent=context)
@@ -53,10 +50,10 @@ def page() -> str:
             if record and record[0] not in ("--help", "--json"):
                 records[parameter.param_type_name == "argument"].append(record)
         usage = " ".join(["gtau", name, *command.collect_usage_pieces(inner)])
-        text += f"| [`{name}`](#{name}) | {command.get_short_help_str(100)} |\n"
+        names.append(f"[{name}](#{name})")
         sections += f"\n## {name}\n\n```text\n{usage}\n```\n\n{prose(command.help.strip())}\n\n"
         sections += rows("argument", records[True]) + rows("option", records[False])
-    return (text + sections).rstrip("\n").replace("\n\n\n", "\n\n") + "\n"
+    return (f"{HEAD}\n{', '.join(names)}\n" + sections).rstrip("\n").replace("\n\n\n", "\n\n") + "\n"
 
 
 if __name__ == "__main__":

@@ -42,7 +42,8 @@ def hypotheses() -> str:
     rows = ["| alternative | what is added to each joint's equations |", "| --- | --- |"]
     for each in HYPOTHESES:
         words = " ".join((each.torques.__doc__ or "").replace("``", "`").split())
-        rows.append(f"| {each.name} | {words.removeprefix('Add ').removesuffix('.')} |")
+        words = words.removeprefix("Add ").removesuffix(".")
+        rows.append(f"| {each.name} | {words[:1].lower()}{words[1:]} |")
     return "\n".join(rows)
 
 

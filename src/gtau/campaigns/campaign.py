@@ -18,6 +18,7 @@ from gtau.campaigns.decision import (
     decide,
     identified,
     refuse_to_go_on,
+    slower,
     write_experiment,
 )
 from gtau.campaigns.folder import (
@@ -205,6 +206,7 @@ def _judge(place: Path, accuracy: float, file: DesignFile, used: list[Round], pr
                 "next": next_one,
                 "gains": decision.gains,
                 "candidates": list(decision.candidates),
+                "notes": list(decision.notes),
                 "inputs": inputs,
             },
         )
@@ -227,7 +229,7 @@ def _decided(place: Path, accuracy: float, file: DesignFile, used: list[Round], 
     alone = None
     if last.motion["purpose"] == "confirm":
         alone = identified(write_experiment(last.folder / "alone.yaml", file, used[-1:]), accuracy, progress)
-    decision = decide(result, accuracy, used, alone)
+    decision = replace(decide(result, accuracy, used, alone), notes=slower(result, used))
     if not decision.goes_on:
         return decision
     model = last.folder / MODEL_FILE
@@ -260,7 +262,12 @@ def next_task(file: DesignFile, result: Result, model: Path) -> DesignProblem:
 
 def _told(result: Result) -> tuple[tuple[Parameter, ...], np.ndarray]:
     """Covariance of what later rounds share with a result, with the random part of the gains alone."""
-    kept = [k for k, name in enumerate(result.covariance_names) if name.kind in INERTIAL or name.kind == "gain"]
+    bodies = result.robot.bodies  # a payload may be mounted otherwise in each round, and friction drifts
+    kept = [
+        k
+        for k, name in enumerate(result.covariance_names)
+        if name.kind == "gain" or (name.kind in INERTIAL and name.body in bodies)
+    ]
     names = tuple(result.covariance_names[k] for k in kept)
     part = np.ones(len(kept))
     for k, name in enumerate(names):

@@ -22,9 +22,11 @@ from gtau.estimation.thresholds.estimates import APART
 from gtau.excitation.design_file import DesignFile
 from gtau.findings import Outcome
 from gtau.progress import Progress
+from gtau.signals.reading.logs import read_log
 
 ROUNDS = 5  # at which a campaign ends
 WORTH = 0.9  # of the widest interval: a motion is to bring it below this part, or the campaign ends
+STRETCHED = 0.9  # of its speed, below which a motion was not played as it was designed
 RANDOM, MODEL, CONFIRM, DONE, STOPPED, BLOCKED = "random part", "model part", "confirm", "done", "stopped", "blocked"
 
 
@@ -32,13 +34,15 @@ RANDOM, MODEL, CONFIRM, DONE, STOPPED, BLOCKED = "random part", "model part", "c
 class Decision:
     """What limits the worst gain, and what follows: another motion to ``RANDOM``, ``MODEL`` or ``CONFIRM``, or an end.
 
-    ``say`` is a sentence with figures, ``gains`` those of all rounds by joint, ``candidates`` the motions rehearsed.
+    ``say`` is a sentence with figures, ``gains`` those of all rounds by joint, ``candidates`` the motions rehearsed,
+    ``notes`` say which rounds were played more slowly than designed.
     """
 
     kind: str
     say: str
     gains: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     candidates: tuple[Mapping[str, Any], ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def goes_on(self) -> bool:
@@ -133,7 +137,27 @@ def decide(result: Result, accuracy: float, rounds: Sequence[Round], alone: Resu
         before = _widest(rounds[-2])
         if before is not None and wide[joint] > WORTH * before:
             return Decision(STOPPED, f"{said}, and the last round did not narrow it; {_cause(result, joint)}", gains)
-    return Decision(limited, said, gains)
+    return Decision(limited, said if limited == RANDOM else f"{said}: {_cause(result, joint)}", gains)
+
+
+def slower(result: Result, rounds: Sequence[Round]) -> tuple[str, ...]:
+    """Note the rounds that a controller stretched; their logs are used as they were played."""
+    runs, notes = iter(result.data), []
+    for this in rounds:
+        assert this.played is not None
+        names = [f"q_{joint['name']}" for joint in this.motion["joints"]]
+        log = read_log(this.folder / "motion.csv", ("t", *names)).arrays()
+        designed = _moving(log["t"], np.column_stack([log[name] for name in names]))
+        share = designed / max(_moving(run.time, run.position) for _, run in zip(this.played.runs, runs, strict=False))
+        if share < STRETCHED:
+            notes.append(f"round {this.folder.name} was played at {100 * share:.0f} % of its speed and is used as such")
+    return tuple(notes)
+
+
+def _moving(time: np.ndarray, q: np.ndarray) -> float:
+    """Find the time, s, between leaving and reaching the ends of a motion (N, n), by a hundredth of its ranges."""
+    away = (np.abs(q - q[0]) > 0.01 * np.ptp(q, axis=0)).any(axis=1)
+    return float(np.ptp(time[away])) if away.any() else 0.0
 
 
 def _random(gain: Estimate) -> bool:
@@ -148,7 +172,11 @@ def _widest(this: Round) -> float | None:
 
 def _cause(result: Result, joint: str) -> str:
     """Say what may be wrong with the model of the worst gain, and what to do about it."""
-    return result.drive_gains[joint].verdict.sentence
+    verdict = result.drive_gains[joint].verdict
+    by_size = sorted(result.alternatives, key=lambda one: -one.probability * abs(one.moves.get(joint, 0.0)))
+    if by_size and verdict.finding and not verdict.finding.causes:
+        return f"the data cannot exclude {by_size[0].subject}; {by_size[0].causes[0].action}"
+    return verdict.sentence
 
 
 def _apart(alone: Result, rounds: Sequence[Round]) -> str:
@@ -180,5 +208,5 @@ def refuse_to_go_on(result: Result, decision: Decision, candidates: Sequence[Map
         return decision
     heavier = [c for c in candidates if not c["at_hand"] and c["half_width"] and c["half_width"] <= WORTH * wide[joint]]
     instead = "".join(f", but {c['motion']} it would be +-{c['half_width']:.3g} %" for c in heavier)
-    said = f"{decision.say}; no motion narrows it by a tenth{instead}; {_cause(result, joint)}"
+    said = f"no motion narrows the widest interval by a tenth{instead}: {decision.say}"
     return replace(decision, kind=STOPPED, say=said)

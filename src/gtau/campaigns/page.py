@@ -22,6 +22,7 @@ def campaign_page(state: CampaignState) -> Page:
     """Show the state of a campaign."""
     style = GRADES[state.next]
     points = tuple(f"round {this.folder.name} is set aside: {this.aside}" for this in state.rounds if this.aside)
+    points += tuple(_decision(state.rounds[-1]).get("notes", ()) if state.next != "play" else ())
     verdict = Text(f"{state.say[0].upper()}{state.say[1:]}.", points, style)
     judged = [this for this in state.rounds if this.decision and this.decision["gains"] and not this.aside]
     last = state.rounds[-1]

@@ -80,7 +80,7 @@ def init(
     ],
     robot: Annotated[str | None, option("ROBOT", "Name in the catalog, or path of a robot file.")] = None,
     base: Annotated[
-        str | None, option("fixed|ROLL,PITCH,YAW", "Fix a floating base, or turned by angles in rad.")
+        str | None, option("fixed|ROLL,PITCH,YAW", "Fix a floating base, optionally rotated by these angles (rad).")
     ] = None,
     preset: PresetOfLogs = None,
     out: Annotated[Path, option("FILE", "File to write.")] = Path("experiment.yaml"),

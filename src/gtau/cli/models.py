@@ -191,7 +191,7 @@ def _bodies(
     """Find the bodies of payloads; without the extra for it masses are weighed all the same, and a note says so."""
     if needed or find_spec("clarabel"):
         return [payload.in_frame(frame, file) for payload in weighed], []
-    return [], [str(missing_extra("what is said of the centre of mass", "clarabel", "consistency"))]
+    return [], [str(missing_extra("a centre of mass", "clarabel", "consistency"))]
 
 
 def _refuse_controller(to: str, frame: str, result: Result, file: str) -> None:

@@ -17,7 +17,7 @@ from gtau.errors import GtauError
 from gtau.excitation.clearance import Shape, capsule, hull
 from gtau.excitation.gradients import in_platform_space
 from gtau.excitation.guards import Guarded, guard
-from gtau.excitation.prior import ERROR, DesignPrior, FilePath, prior_of, stated_bodies
+from gtau.excitation.prior import ARM, ERROR, DesignPrior, FilePath, Prior, prior_of, stated_bodies
 from gtau.excitation.task import DesignProblem, MotionLimits
 from gtau.excitation.trajectory import FourierSeries
 from gtau.model.base_parameters import base_parameters
@@ -170,7 +170,7 @@ def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
     guarded = guard(model, poses, file.limits.clearance, stated, file.limits.floor, Path(file.robot))
     begin = ", ".join(f"'{name}' {pose:.4g}" for name, pose in zip(robot.actuated, rest, strict=True))
     where = (f"rest: runs begin and end at {begin}; state rest",) if file.approach else ()
-    said = (*said, *_torques(model, file, assumed), *where)
+    said = (*said, *_torques(model, file, prior, assumed), *where)
     limits = replace(limits, guarded=Guarded(guarded.clearance, (*guarded.said, *said)))
     for name, pose, (low, high) in zip(robot.actuated, rest, limits.position, strict=True):
         if file.approach and not low <= pose <= high:
@@ -191,7 +191,7 @@ def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
     return problem, assumed
 
 
-def _torques(model: InverseDynamics, file: DesignFile, assumed: Mapping[str, str]) -> Iterator[str]:
+def _torques(model: InverseDynamics, file: DesignFile, prior: Prior, assumed: Mapping[str, str]) -> Iterator[str]:
     """Say what limits of torque rest on: inertias of links, and the centre of each payload."""
     stated, state = stated_bodies(model), "state prior.parameters or prior.model"
     rods = [f"'{body}'" for body in model.robot.bodies if body not in stated and f"m_{body}" in model.parameter_names]
@@ -204,9 +204,10 @@ def _torques(model: InverseDynamics, file: DesignFile, assumed: Mapping[str, str
             f"friction and rotors guessed from the limits of effort; {state}"
         )
     loads = {payload.name: payload for payload in file.payloads if payload is not None}
-    if central := [f"'{name}'" for name, load in loads.items() if not {*FIRST_MOMENTS} & {*load.parameters}]:
-        origin = f"the origin of '{model.robot.tool}'"
-        yield f"payload: the centre of {some_of(central, 4)} is taken at {origin}; state its parameters (mx, my, mz)"
+    known = {name for name, load in loads.items() if {*FIRST_MOMENTS} & {*load.parameters}} | {*prior.centers}
+    if central := [f"'{name}'" for name in loads if name not in known]:
+        off = f"{ARM:g} m off along each axis of '{model.robot.tool}'"
+        yield f"payload: the centre of {some_of(central, 4)} is taken {off}; state its parameters (mx, my, mz)"
 
 
 def _require_actuated(file: DesignFile, robot: Robot) -> None:

@@ -85,7 +85,7 @@ def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
     slowest = 0.5 / (2 * np.pi * preparation.bandwidth)
     problem = plain_problem(task.model, task.base, factors, task.payloads, slowest)
     prior = dict(zip(task.base.names, task.prior.chi, strict=True))
-    theta = np.array([prior.get(name, 0.0) for name in problem.parameters])
+    theta = task.prior.values(problem.parameters, task.base, task.payloads, task.prior.chi)
     # a row is a mean over its filter, whose gain is one where the motion is: white noise is divided by the factor
     sigma = task.prior.sigma / np.sqrt(preparation.decimator.factor)
     std = np.sqrt(np.diag(ml_covariance(problem, theta, task.prior.gains, sigma)))
@@ -121,7 +121,7 @@ def ml_covariance(problem: Problem, theta: np.ndarray, gains: np.ndarray, sigma:
 
 WEAK = 0.3  # relative standard deviation from which an unknown counts as unidentified
 WORTH = 0.7  # a motion is named if it reduces a standard deviation below this share
-SPANS = {"over its whole range, slowly": (0.9, 0.2), "as fast as it may": (0.5, 0.9)}
+SPANS = {"over its whole range, slowly": (0.9, 0.2), "at its speed limit": (0.5, 0.9)}
 """What one joint alone does: the part of its range, and of its speed limit."""
 
 

@@ -166,7 +166,7 @@ def information_of(
     problem = plain_problem(model, base, [identity] * runs, payloads)
     names = problem.unknowns
     M = problem.blocks[:, 0, :n_b]  # (runs, n_b, parameters + 4), the same for all joints
-    theta, heavy = (_values(problem.parameters, base, chi) for chi in (prior.chi, prior.cautious))
+    theta, heavy = (prior.values(problem.parameters, base, payloads, chi) for chi in (prior.chi, prior.cautious))
     load = modelled(M, theta)
     smooth = load * np.array([not name.startswith("fs_") for name in base.names])
     maps = np.zeros((runs, n, n_b, len(names)))
@@ -193,12 +193,6 @@ def _earlier(names: Sequence[Parameter], prior: Prior) -> np.ndarray:
     root = np.zeros((len(kept), len(names)))
     root[:, [names.index(name) for name in kept]] = (axes / np.sqrt(np.maximum(values, 1e-12))).T / scale
     return root
-
-
-def _values(names: Sequence[str], base: BaseParameters, chi: np.ndarray) -> np.ndarray:
-    """Return the values of parameters by name, from base parameters ``chi`` (n_b,); others are zero."""
-    known = dict(zip(base.names, chi, strict=True))
-    return np.array([known.get(name, 0.0) for name in names])
 
 
 Criterion = Callable[[np.ndarray], tuple[float, np.ndarray, np.ndarray]]

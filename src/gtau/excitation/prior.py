@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
@@ -20,7 +20,7 @@ from gtau.model.singularities import random_motion
 from gtau.robots.geometry import massless, places_on
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import INERTIAL
-from gtau.signals.reading.statements import Payload
+from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
 
 FRICTION = 0.1  # rough Coulomb friction, and viscous friction at the speed limit, of the rms torque
 MODERATE = 0.15  # rough rms torque, of the effort limit
@@ -28,6 +28,7 @@ NOISE = 0.005  # rough noise of a current's sample, of the effort limit
 ERROR = 1.25  # by which torques of a file's inertias count: gravity of a real UR10e was 1.04 to 1.22 times its file's
 # Drives behind limits of torque, of these (80 % of the file's). Of a real UR10e's file: Coulomb friction 5 to 14 %,
 # viscous friction at the speed limit 8 to 41 %, rotors 0.009 to 0.010 kg m2 a N m.
+ARM = 0.05  # m along each axis, of a payload's centre where none is stated: on a joint's axis it would tell it nothing
 COULOMB, VISCOUS, ROTOR = 0.1, 0.3, 0.0125
 STATES = 200
 
@@ -56,11 +57,15 @@ class DesignPrior(Keys):
 
 @dataclass(frozen=True)
 class KnownGain:
-    """A gain known beforehand, N m/A or N per A, its 95 % ``interval``, and its ``source``: of a result the verdict."""
+    """A gain known beforehand, N m/A or N per A, its 95 % ``interval``, and its ``source``: of a result the verdict.
+
+    ``model`` is the part of its standard deviation that comes from what the model may lack: more motion leaves it.
+    """
 
     value: float
     interval: tuple[float, float]
     source: str
+    model: float = 0.0
 
     @property
     def least(self) -> float:
@@ -77,20 +82,32 @@ class KnownGain:
 class Prior:
     """Base parameters ``chi`` (n_b,), gains, and standard deviations ``sigma`` (n,) of a sample of each current, A.
 
-    Limits of torque hold for the base parameters ``cautious`` (n_b,). ``covariance`` is that of an earlier result to
-    which a motion is to add, with the names of its rows.
+    Limits of torque hold for the base parameters ``cautious`` (n_b,). ``centers`` (3,) are those of payloads by
+    name, m, and ``covariance`` is that of an earlier result to which a motion is to add, with the names of its rows.
     """
 
     chi: np.ndarray
     known: tuple[KnownGain, ...]
     sigma: np.ndarray
     cautious: np.ndarray
+    centers: Mapping[str, np.ndarray] = field(default_factory=dict)
     covariance: tuple[tuple[Parameter, ...], np.ndarray] | None = None
 
     @property
     def gains(self) -> np.ndarray:
         """Values of the gains (n,)."""
         return np.array([gain.value for gain in self.known])
+
+    def values(
+        self, names: Sequence[Parameter], base: BaseParameters, payloads: Sequence[Payload | None], chi: np.ndarray
+    ) -> np.ndarray:
+        """Return the values of parameters by name: base parameters ``chi`` (n_b,) and centres of payloads, or zero."""
+        known: dict[str, float] = dict(zip(base.names, chi, strict=True))
+        for run, load in enumerate(payloads):
+            if load is not None:  # whose unknown parameters have the name of the run
+                moments = (load.mass or 1.0) * self.centers.get(load.name, np.full(3, ARM))
+                known |= {Parameter(kind, f"L{run + 1}"): m for kind, m in zip(FIRST_MOMENTS, moments, strict=True)}
+        return np.array([known.get(name, 0.0) for name in names])
 
 
 def identified_gains(result: Result, file: Path) -> tuple[KnownGain, ...]:
@@ -111,8 +128,18 @@ def identified_gains(result: Result, file: Path) -> tuple[KnownGain, ...]:
                 "identify it again, or give prior.gains from the data sheets in place of prior.model."
             )
         assert gain.value is not None
-        gains.append(KnownGain(gain.value, interval, outcome.value))
+        gains.append(KnownGain(gain.value, interval, outcome.value, gain.model_std or 0.0))
     return tuple(gains)
+
+
+def identified_centers(result: Result) -> dict[str, np.ndarray]:
+    """Take the centres of payloads that an earlier result found, m by name."""
+    found = {load.name: result.payload(load.name) for load in result.payloads}
+    return {
+        name: np.array([moments[kind] / moments["m"] for kind in FIRST_MOMENTS])
+        for name, moments in found.items()
+        if moments.get("m") and {*FIRST_MOMENTS} <= {*moments}
+    }
 
 
 def given_parameters(model: InverseDynamics, base: BaseParameters, parameters: Mapping[str, float]) -> np.ndarray:
@@ -210,8 +237,9 @@ def prior_of(
         rms = np.array([error.rms for error in result.residuals])
         # white noise of the currents' samples that explains the residuals
         sigma = rms / np.abs([gain.value for gain in known]) * np.sqrt(result.preparation.decimator.factor)
-        cautious = chi
+        cautious, centers = chi, identified_centers(result)
     else:
+        centers = {}
         chi, cautious = _parameters(entry, model, base, payloads, assumed)
         missing = [joint for joint in model.actuated if joint not in entry.gains]
         if missing and entry.gains:
@@ -224,7 +252,7 @@ def prior_of(
         if len(entry.noise) < len(gains):
             assumed["noise"] = "noise of the currents: white, 0.5 % of the largest current, a sample"
     sigma = np.array([entry.noise.get(joint, rough) for joint, rough in zip(model.actuated, sigma, strict=True)])
-    return Prior(chi, known, sigma, cautious)
+    return Prior(chi, known, sigma, cautious, centers)
 
 
 def _parameters(

@@ -220,7 +220,8 @@ class FrictionLaw:
         listed = ", ".join(f"{joint} {self.logged(joint)}" for joint in self.logged_speeds)
         return (
             f"Friction is identified up to the fastest logged speeds ({listed}). Beyond it is extrapolated: along its "
-            "slope there, or constant where that is negative. It never propels: terms that would are scaled down."
+            "slope there, or constant where that is negative. Friction never adds energy: terms that would are scaled "
+            "down."
         )
 
     def straight(self, values: Mapping[str, float], joint: str) -> tuple[float, float]:

@@ -1,0 +1,145 @@
+"""Players keep the contract with stubs of the interfaces that they drive."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+sys.path.append(str(Path(__file__).parents[2] / "examples" / "players"))
+import contract
+import play_lerobot
+import play_ros2
+import play_ur
+
+RATE, SECONDS = 50, 4.0
+
+
+@pytest.fixture
+def motion(tmp_path: Path) -> contract.Motion:
+    """A motion of two joints, there and back."""
+    time = np.arange(round(RATE * SECONDS) + 1) / RATE
+    w = 2 * np.pi / SECONDS
+    q = np.outer(1 - np.cos(w * time), [0.2, -0.1])
+    qd, qdd = np.outer(w * np.sin(w * time), [0.2, -0.1]), np.outer(w**2 * np.cos(w * time), [0.2, -0.1])
+    header = "t,q_a,q_b,qd_a,qd_b,qdd_a,qdd_b"
+    np.savetxt(tmp_path / "motion.csv", np.column_stack([time, q, qd, qdd]), delimiter=",", header=header, comments="")
+    joint = {"unit": "rad", "start": 0.0, "start_tolerance": 0.02, "tracking_tolerance": 0.05}
+    runs = [{"name": "run1", "payload": None}]
+    file = {"rate": RATE, "hash": "h", "files": {}, "runs": runs, "joints": [{"name": n, **joint} for n in "ab"]}
+    (tmp_path / "motion.json").write_text(json.dumps(file))
+    return contract.read_motion(tmp_path)
+
+
+class Follower:
+    """A robot that is where it was last told to be, but for ``behind``."""
+
+    def __init__(self, behind: float = 0.0, scaling: float = 1.0):
+        self.behind, self.scaling, self.q, self.now = behind, scaling, [0.0, 0.0], 0.0
+
+    def servoJ(self, q: list[float], *_: float) -> None:
+        self.q = [value + self.behind for value in q]
+        self.now += 1 / RATE
+
+    def moveJ(self, q: list[float], speed: float) -> None:
+        assert 0 < speed < 0.1
+        self.q = q
+
+    def __getattr__(self, name: str) -> Any:
+        answers = {
+            "getActualQ": self.q,
+            "getActualCurrent": [1.0, 2.0],
+            "getTimestamp": self.now,
+            "getSpeedScaling": self.scaling,
+            "isProtectiveStopped": False,
+        }
+        return lambda *_: answers.get(name)
+
+
+def test_ur_follows_stretches_and_stops(motion: contract.Motion) -> None:
+    robot = Follower()
+    time, q, current, end = play_ur.play_run(motion, robot, robot, lambda: False)
+    assert end == "completed"
+    assert q[:200] == pytest.approx(motion.q[:200], abs=1e-6)
+    assert current[0].tolist() == [1.0, 2.0]
+    slow = Follower(scaling=0.5)
+    assert play_ur.play_run(motion, slow, slow, lambda: False)[0][-1] == pytest.approx(2 * time[-1], rel=0.02)
+    astray = Follower(behind=0.2)
+    assert play_ur.play_run(motion, astray, astray, lambda: False)[3].startswith("tracking error of joint 'a': 0.2")
+    assert play_ur.play_run(motion, robot, robot, lambda: True)[3] == "stopped by the operator"
+    robot.q = [0.5, 0.0]
+    with pytest.raises(SystemExit, match=r"joint 'a' stands at 0\.5, the motion starts at 0"):
+        play_ur.play_run(motion, robot, robot, lambda: False)
+
+
+def test_lerobot_works_in_degrees_and_logs_amperes(motion: contract.Motion) -> None:
+    clock, place = [0.0], {"a.pos": 0.0, "b.pos": 0.0}
+
+    def wait(span: float) -> None:
+        clock[0] += span
+
+    bus = SimpleNamespace(sync_read=lambda register: {"a": 100, "b": -200})
+    robot = SimpleNamespace(bus=bus, get_observation=lambda: place, send_action=place.update)
+    _, q, current, end = play_lerobot.play_run(motion, robot, lambda: clock[0], wait)
+    assert end == "completed"
+    assert np.abs(q).max(axis=0) == pytest.approx([0.4, 0.2], abs=1e-3)
+    assert current[0] == pytest.approx([0.65, -1.3])
+
+
+def test_ros2_sends_all_samples_with_tolerances_and_ends_the_recording(motion: contract.Motion) -> None:
+    made = SimpleNamespace(
+        FollowJointTrajectory=SimpleNamespace(
+            Goal=lambda: SimpleNamespace(trajectory=SimpleNamespace(joint_names=[], points=[]), path_tolerance=[])
+        ),
+        JointTrajectoryPoint=SimpleNamespace, Duration=SimpleNamespace, JointTolerance=SimpleNamespace,
+    )  # fmt: skip
+    goal = play_ros2.goal(motion.slower(0.5), made)
+    assert goal.trajectory.joint_names == ["a", "b"]
+    last = goal.trajectory.points[-1].time_from_start
+    assert last.sec + 1e-9 * last.nanosec == pytest.approx(2 * SECONDS)
+    assert [tolerance.position for tolerance in goal.path_tolerance] == [0.05, 0.05]
+    ended: list[str] = []
+    recording = SimpleNamespace(terminate=lambda: ended.append("terminated"), wait=lambda: None)
+    robot = SimpleNamespace(positions=lambda joints: [0.0, 0.0], record=lambda folder: recording)
+    robot.follow = lambda motion: "stopped: path tolerance violated"
+    assert play_ros2.play_run(motion, "run1", robot)["end"] == "stopped: path tolerance violated"
+    assert ended == ["terminated"]
+    assert play_ros2.signals(motion)["current"] == {"a": "/joint_states.effort.a", "b": "/joint_states.effort.b"}
+
+
+def test_what_was_played_is_written_whole(motion: contract.Motion) -> None:
+    log = contract.write_log(motion, "run1", motion.time, motion.q, motion.q)
+    contract.write_played(motion, [{"name": "run1", "log": log, "end": "completed"}], 1.0, "completed")
+    played = json.loads((motion.folder / "played.json").read_text())
+    assert (played["hash"], played["runs"][0]["log"]) == ("h", "logs/run1.csv")
+    assert (motion.folder / log).read_text().startswith("t,q_a,q_b,i_a,i_b\n")
+    assert not list(motion.folder.rglob("*.part"))
+
+
+def test_players_name_their_options() -> None:
+    folder = Path(play_ur.__file__).parent
+    for name in ("play_ur.py", "play_ros2.py", "play_lerobot.py", "play_mujoco.py"):
+        done = subprocess.run([sys.executable, folder / name, "--help"], capture_output=True, text=True, check=True)
+        assert "--speed" in done.stdout
+
+
+def test_a_round_that_the_controller_stretched_is_noted(motion: contract.Motion) -> None:
+    """The hold before and behind the motion does not count."""
+    from gtau.campaigns.decision import slower
+    from gtau.campaigns.folder import Played, PlayedRun, Round
+
+    played = Played(schema="gtau-played/1", hash="h", end="completed", runs=(PlayedRun(name="run1", log="l"),))
+    this = Round(motion.folder, motion.file, played, "")
+    for stretch, noted in ((1.0, ()), (2.0, ("is used as such",))):
+        after = 1 + stretch * SECONDS + 0.02 + np.arange(50)
+        time = np.concatenate([np.arange(50) / RATE, 1 + stretch * motion.time, after])
+        q = np.concatenate([np.zeros((50, 2)), motion.q, np.zeros((50, 2))])
+        notes = slower(SimpleNamespace(data=(SimpleNamespace(time=time, position=q),)), [this])
+        assert len(notes) == len(noted)
+        assert all("was played at 50 % of its speed" in note for note in notes)
