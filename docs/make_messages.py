@@ -64,6 +64,12 @@ def table(kinds: Sequence[str], made: Mapping[str, list[Finding]]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def remedies(kinds: Sequence[str], made: Mapping[str, list[Finding]]) -> str:
+    """Return a table of names with remedies."""
+    rows = (f"| {kind} | {cell(made[kind][0].action)} |\n" for kind in kinds)
+    return "| name | what to do |\n| --- | --- |\n" + "".join(rows)
+
+
 def page() -> str:
     """Return the page."""
     made = examples()
@@ -73,11 +79,10 @@ def page() -> str:
     for outcome in dict.fromkeys(OUTCOMES.values()):
         text += f"\n### {outcome.value.capitalize()}\n\n"
         text += table([kind for kind, each in OUTCOMES.items() if each is outcome], made)
-    text += "\n## Notes\n\n" + table([kind for kind in notes if made[kind][0].action], made)
+    text += "\n## Notes\n\n" + remedies([kind for kind in notes if made[kind][0].action], made)
     text += "\nFor information, without a remedy: " + ", ".join(k for k in notes if not made[k][0].action) + ".\n"
     text += "\n## Causes\n\nVerdicts and notes name these with their size and a remedy.\n\n"
-    rows = (f"| {kind} | {cell(made[kind][0].action)} |\n" for kind in words["causes"])
-    return text + "| name | what to do |\n| --- | --- |\n" + "".join(rows)
+    return text + remedies(list(words["causes"]), made)
 
 
 if __name__ == "__main__":

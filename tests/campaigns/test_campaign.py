@@ -24,12 +24,13 @@ from gtau.campaigns.folder import Round, read_rounds
 from gtau.campaigns.page import campaign_page
 from gtau.cli.commands import app
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.verdict import Verdict
 from gtau.estimation.results.estimate import Estimate
 from gtau.excitation.design import Design
 from gtau.excitation.design_file import read_design
 from gtau.excitation.nlp import random_start
-from gtau.findings import Outcome
+from gtau.findings import Finding, Outcome
 from gtau.report.render.terminal import plain
 
 PLAYER = Path(__file__).parents[2] / "examples" / "players" / "play_mujoco.py"
@@ -168,6 +169,23 @@ def test_the_larger_part_of_the_worst_interval_decides() -> None:
     assert decide(result_of(gain("a", 1.0, 0.03, 0.01)), 3.0, five, None).say.startswith("five rounds are over")
     again = [round_of("first", 6.3), round_of("model part")]
     assert decide(result_of(gain("a", 1.0, 0.01, 0.03)), 3.0, again, None).kind == "stopped"
+
+
+def test_an_effect_that_the_data_show_twice_ends_the_campaign() -> None:
+    """It is named in the first round, and no motion is tried against it again."""
+    cause = Finding(
+        "torque constant", ("a",), values={"what": "a falling torque constant", "action": "log the current"}
+    )
+    effect = Alternative("saturation", (cause,), 0.1, 0.01, "1/A", probability=1.0, share=0.4)
+    result = SimpleNamespace(drive_gains={"a": gain("a", 1.0, 0.01, 0.3)}, alternatives=(effect,))
+    once = decide(result, 3.0, [round_of("first")], None)
+    assert (once.kind, once.suspect) == ("model part", effect.subject)
+    assert "the data speak for a falling torque constant (40 % of the residual variance); log the current" in once.say
+    before = round_of("first", 90.0)
+    before.decision["suspect"] = effect.subject
+    twice = decide(result, 3.0, [before, round_of("model part")], None)
+    assert twice.kind == "stopped"
+    assert twice.say.startswith("another motion does not help: ")
 
 
 def test_done_is_what_a_round_that_did_not_decide_confirms() -> None:

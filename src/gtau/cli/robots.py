@@ -173,7 +173,7 @@ def _masses(first: list[float], words: list[str]) -> list[float]:
 
 @refusing
 def demo(
-    out: Annotated[Path, option("DIR", "Folder for logs, model, tables and figures.")],
+    out: Annotated[Path, option("DIR", "Folder for logs, model, tables and figures.")] = Path("demo"),
     json_: Json = False,
 ) -> None:
     """Simulate an Orthoglide, identify it from its logs, and weigh a second payload with the result."""
