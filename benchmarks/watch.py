@@ -36,9 +36,9 @@ from gtau.signals.preparation.filters import differentiate
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import Run
 from gtau.watch import history
+from gtau.watch.alarms import visible_changes
 from gtau.watch.detectors import evidence
 from gtau.watch.statistics import LogStatistics, statistics_of
-from gtau.watch.visible import visible_changes
 from gtau.watch.watch import Watch
 
 DRIFT = {"friction": 0.05, "gain": 0.003}  # relative standard deviations between days
@@ -176,7 +176,7 @@ def fault_row(model: Result, healthy: LogStatistics, faulty: LogStatistics, faul
 def visible_words(watch: Watch, fault: Fault, joint: str) -> str:
     """Write the smallest visible change of the quantity of a fault."""
     kind = {"load": "m_load", "lag": "delay_"}.get(fault.kind, f"{fault.kind}_{joint}")
-    changes = visible_changes(watch)[:, 0]
+    changes = visible_changes(watch.model, watch.settings, watch.view)[:, 0]
     of_kind = [changes[k] for k, name in enumerate(watch.view.names) if name.startswith(kind)]
     smallest = np.nanmin(of_kind) if len(of_kind) and np.isfinite(of_kind).any() else np.nan
     return "no" if np.isnan(smallest) else f"{smallest:.2g}"
@@ -296,7 +296,7 @@ def size(data: Path) -> None:
             for k in range(count):
                 day = date(2026, 1, 1) + timedelta(int(365 * k / count))
                 history.add_row(
-                    watch._database, [f"{k:064x}", f"{count + k:064x}"], f"{k}", f"{day}", rng.normal(size=width)
+                    watch._database, [f"{k:032x}", f"{count + k:032x}"], f"{k}", f"{day}", rng.normal(size=width)
                 )
                 if k % 2000 == 1999:
                     history.condense(watch._database)

@@ -20,12 +20,13 @@ from control_comparison import STRATEGIES, ControlComparison, compare_control
 from gtau.demo.orthoglide import (
     DRIVE_GAINS,
     LOGS,
+    PRIOR_GAINS,
     RATE,
     SECOND_PAYLOAD_MASS,
     VALIDATION,
     standard_parameters,
 )
-from gtau.demo.run import CASES, gains_chart, make_experiment
+from gtau.demo.run import CASES, make_experiment
 from gtau.documents.files import folder_of, write_atomically
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.identify import identify
@@ -33,7 +34,9 @@ from gtau.estimation.results.estimate import Estimate, TorqueError
 from gtau.estimation.results.predicted import torque_errors
 from gtau.estimation.results.result import Result
 from gtau.progress import Progress, silent
+from gtau.report.chart import Chart, intervals
 from gtau.report.gains import NOT_SHOWN
+from gtau.report.page import joint_label
 from gtau.report.render.charts import figure_of, save_figure
 from gtau.report.robot_figure import robot_figure
 from gtau.report.torques import torques_chart
@@ -171,6 +174,15 @@ def run(folder: Path, progress: Progress) -> Study:
     return Study(
         result, weighings, prediction, torque_errors(prediction, result.robot, result.preparation.bandwidth), comparison
     )
+
+
+def gains_chart(gains: Mapping[str, Estimate]) -> Chart:
+    """Draw drive gains with their 95 % intervals and the manufacturer's, in per cent off the true ones."""
+    off = [100 * ((gain.value or 0.0) / DRIVE_GAINS[joint] - 1) for joint, gain in gains.items()]
+    halves = [100 * (gain.half_interval() or 0.0) / DRIVE_GAINS[joint] for joint, gain in gains.items()]
+    prior = [100 * (PRIOR_GAINS[joint] / DRIVE_GAINS[joint] - 1) for joint in gains]
+    names, other = list(map(joint_label, gains)), ("manufacturer's", prior)
+    return Chart((intervals(names, off, halves, "error of the drive gain, % of the true one", other=other, zero=True),))
 
 
 def write_figures(study: Study, folder: Path, duration: float, images: Path) -> None:

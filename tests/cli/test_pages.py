@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -281,23 +280,3 @@ def test_a_chart_of_torques_is_titled_with_its_run() -> None:
     np.testing.assert_allclose(chart.panels[0].shaded, time[[10, 20]])
     titles = [axes.get_title(loc="left") for axes in figure_of(chart).axes]
     assert titles == ["loaded: joint left", "", "elbow_joint", ""]
-
-
-def test_the_stretch_of_a_validation_begins_with_its_run() -> None:
-    """The filter takes the first rows of a run; where the figure shows them all, time begins at zero all the same."""
-    from gtau.estimation.results.predicted import Prediction
-    from gtau.report.evidence import RunEvidence, worst_stretch
-    from gtau.signals.preparation.filters import Decimator
-
-    shown = []
-    for last in (5.0, 60.0):
-        time, ones = 100.0 + np.linspace(0.2, last, 500), np.ones((500, 1))
-        measured = ones.copy()
-        measured[-20] = 3.0  # the largest difference
-        kept = np.ones((500, 1), dtype=bool)
-        run = SimpleNamespace(name="run", time=np.array([100.0, 100.2 + last]), kind="current")
-        prediction = Prediction(("left",), time, ones, measured, kept, kept, 0 * ones, Decimator(1))
-        shown.append(worst_stretch(RunEvidence(run, False, prediction), 10.0))
-    assert shown[0] == (0.0, pytest.approx(5.0))
-    assert shown[1][0] > 40.0
-    assert shown[1][1] == pytest.approx(60.0)

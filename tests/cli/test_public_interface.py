@@ -17,7 +17,7 @@ from programs import wait_until
 
 import gtau
 from gtau.cli.console import progress_lines
-from gtau.estimation.compare import EstimatorComparison, Row
+from gtau.estimation.compare import EstimatorComparison, MethodRow
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.findings import FindingKind as F
 from gtau.report.comparison import comparison_page
@@ -100,9 +100,9 @@ def test_the_price_of_the_reduction(result: gtau.Result) -> None:
 def test_a_comparison_is_data() -> None:
     gains, std = np.array([20009.0, 149920.0, 1.5]), np.array([7.0, 165.0, 0.1])
     rows = (
-        Row("ml", gains, std, np.ones(3), 1.0, Outcome.GOOD, half_widths=2 * std),
-        Row("wls", gains, None, np.ones(3), 1.0),
-        Row("iv", refusal="no motion can be simulated"),
+        MethodRow("ml", gains, std, np.ones(3), 1.0, Outcome.GOOD, half_widths=2 * std),
+        MethodRow("wls", gains, None, np.ones(3), 1.0),
+        MethodRow("iv", refusal="no motion can be simulated"),
     )
     names = ("a", "a_joint_with_a_long_name", "c")
     page = comparison_page(EstimatorComparison(names, rows, ("N per A",) * 3, "arm"))

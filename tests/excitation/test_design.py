@@ -22,6 +22,7 @@ from gtau.excitation.evaluation import design_grid, evaluate, information
 from gtau.excitation.forecast import Expected, Outlook, Weak, forecast, sampled_motions, weak_unknowns
 from gtau.excitation.information import root_covariance
 from gtau.excitation.nlp import Programme, random_start
+from gtau.excitation.prior import KnownGain
 from gtau.model.home import load_robot
 from gtau.report.design import design_document, design_page
 from gtau.report.page import Table
@@ -129,6 +130,11 @@ def test_values_that_are_only_assumed_are_not_printed_as_results(tmp_path: Path)
     assert gain["assumed"]
     (row,) = (row for row in table_of(outlook, "gains").rows if row[0] == "left")
     assert row == ("left", None, None, gain["rel_std"], "N m/A", "assumed")
+    prior = replace(task.prior, known=tuple(KnownGain(1.5, (1.3, 1.7), "weak", 0.06) for _ in range(2)))
+    again = Outlook(replace(start, task=replace(task, prior=prior)), {})
+    (row,) = (row for row in table_of(again, "gains").rows if row[0] == "left")
+    random = row[3]
+    assert row[4:] == (pytest.approx(np.hypot(random, 4.0)), "N m/A", "weak, 1.3 to 1.7")
     for size, shown in ((22.0, None), (9.9, pytest.approx(990.0))):
         changed = Outlook(start, assumed)
         vars(changed)["forecast"] = replace(outlook.forecast, parameters=(Expected("fv_left", 2.0, 2.0 * size),))

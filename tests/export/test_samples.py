@@ -17,7 +17,7 @@ from gtau.estimation.estimators.standard_parameters import pseudo_inertia
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
 from gtau.export.exported import export_model
-from gtau.export.samples import Samples, draw
+from gtau.export.samples import Draws, draw
 from gtau.model.home import load_robot
 from gtau.robots.robot import INERTIAL
 
@@ -32,11 +32,11 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Result:
 
 
 @pytest.fixture(scope="module")
-def samples(result: Result) -> Samples:
+def samples(result: Result) -> Draws:
     return draw(result, COUNT, seed=5)
 
 
-def test_every_draw_is_of_rigid_bodies(samples: Samples) -> None:
+def test_every_draw_is_of_rigid_bodies(samples: Draws) -> None:
     names = list(samples.result.idm.parameter_names)
     for body in samples.result.robot.bodies:
         columns = [names.index(f"{kind}_{body}") for kind in INERTIAL]
@@ -45,7 +45,7 @@ def test_every_draw_is_of_rigid_bodies(samples: Samples) -> None:
     assert samples.standard[:, of_drives].min() >= -1e-9
 
 
-def test_draws_are_as_wide_and_as_correlated_as_the_result(samples: Samples) -> None:
+def test_draws_are_as_wide_and_as_correlated_as_the_result(samples: Draws) -> None:
     result = samples.result
     known = [k for k, name in enumerate(result.base.names) if name in result.covariance_names]
     rows = [result.covariance_names.index(result.base.names[k]) for k in known]
@@ -58,7 +58,7 @@ def test_draws_are_as_wide_and_as_correlated_as_the_result(samples: Samples) -> 
     assert np.corrcoef(expected[strong], np.corrcoef(samples.base[:, known].T)[strong])[0, 1] > 0.9
 
 
-def test_the_truth_lies_within_the_draws(samples: Samples) -> None:
+def test_the_truth_lies_within_the_draws(samples: Draws) -> None:
     result = samples.result
     truth = result.base.matrix @ [chi(result.robot).get(name, 0.0) for name in result.idm.parameter_names]
     low, high = np.quantile(samples.base, [0.025, 0.975], axis=0)
@@ -83,7 +83,7 @@ def test_draws_of_a_weak_result_are_arms(noisy: Result) -> None:
     assert "no draw lies more than 1 outside" in samples.note
 
 
-def test_what_the_data_leave_open_has_the_files_value_to_30_per_cent(samples: Samples) -> None:
+def test_what_the_data_leave_open_has_the_files_value_to_30_per_cent(samples: Draws) -> None:
     """No torque depends on the mass of the first link, which turns about the vertical."""
     mass = samples.standard[:, samples.result.idm.parameter_names.index("m_j1")]
     assert mass.mean() == pytest.approx(6.0, rel=0.1)
@@ -113,7 +113,7 @@ def test_a_model_file_gives_the_same_draws(result: Result, tmp_path: Path) -> No
     np.testing.assert_allclose(draw(read, 2, 1).standard, draw(result, 2, 1).standard, rtol=1e-6, atol=1e-9)
 
 
-def test_a_seed_gives_the_same_draws(result: Result, samples: Samples) -> None:
+def test_a_seed_gives_the_same_draws(result: Result, samples: Draws) -> None:
     again, other = draw(result, 3, seed=5), draw(result, 3, seed=6)
     np.testing.assert_array_equal(again.npz(), draw(result, 3, seed=5).npz())
     assert not np.allclose(again.base, other.base)

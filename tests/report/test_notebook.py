@@ -14,7 +14,7 @@ from five_bar_logs import JOINTS, Plant, write_experiment
 import gtau
 from gtau.errors import GtauError
 from gtau.estimation.check_logs import check_logs
-from gtau.estimation.compare import EstimatorComparison, Row
+from gtau.estimation.compare import EstimatorComparison, MethodRow
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.report.page import number as plain
 
@@ -64,8 +64,8 @@ def test_a_comparison_shows_itself_and_is_a_table() -> None:
     found = EstimatorComparison(
         JOINTS,
         (
-            Row("ml", gains, std, residuals, 0.1, Outcome.GOOD, half_widths=2 * std),
-            Row("iv", refusal="no motion can be simulated"),
+            MethodRow("ml", gains, std, residuals, 0.1, Outcome.GOOD, half_widths=2 * std),
+            MethodRow("iv", refusal="no motion can be simulated"),
         ),
     )
     page = Frame(found._repr_html_()).page

@@ -200,7 +200,7 @@ def test_an_alarm_ends(model: Result, healthy: list[LogStatistics]) -> None:
     add(watch, later, 7)  # the motor is repaired
     assert watch.alarm is None
     assert [event.kind for event in watch.events] == ["acknowledge", "undone", "repaired"]
-    assert "no change since the baseline" in verdict_text(watch).words
+    assert "No change since the baseline" in verdict_text(watch).words
     watch.forget("day 203")
     count = watch.count
     watch.undo("day 203")
@@ -247,7 +247,7 @@ def test_logs_of_other_dates_and_copies(model: Result, tmp_path: Path) -> None:
     watch = Watch(model, tmp_path)
     for k in (3, 1, 2):
         watch.update(day(k), date=f"2026-01-0{k}")
-    assert watch.view.table.logs == ("day 1", "day 2", "day 3")
+    assert watch.view.logs == ("day 1", "day 2", "day 3")
     assert watch.update(replace(day(2), name="copy"), "another file", "2026-01-09").copied
     assert watch.seen("another file")
     assert len(rows(tmp_path)) == 3
@@ -297,7 +297,7 @@ def test_a_history_of_lines_is_read_once(model: Result, healthy: list[LogStatist
     watch = Watch(model, tmp_path)
     assert (watch.count, watch.settings.baseline, watch.events[0].kind) == (6, 4, "torn")
     at = watch.settings.charts.index("delay_left")
-    assert watch.view.table.values[0, at] == -healthy[0].values[at]  # it was the lead
+    assert watch.view.charts[0, at] == -healthy[0].values[at]  # it was the lead
     path.unlink()
     assert Watch(model, tmp_path).count == 6
 
@@ -309,15 +309,15 @@ def test_years_of_blocks_are_condensed(model: Result, tmp_path: Path, monkeypatc
     with history.writing(database):
         for k in range(6000):
             history.add_row(
-                database, [f"{k:064x}"], f"block {k}", f"2026-01-{1 + k // 1000:02d}T00:00:00", rng.normal(size=width)
+                database, [f"{k:032x}"], f"block {k}", f"2026-01-{1 + k // 1000:02d}T00:00:00", rng.normal(size=width)
             )
         assert history.condense(database)
     again = Watch(model, tmp_path)
-    table = again.view.table
-    assert len(table.ids) == 4000 + 2
-    assert table.counts[:2].tolist() == [1000, 1000]
-    assert np.abs(table.values[:2]).max() < 0.2  # means of a thousand
-    assert again.seen(f"{17:064x}")
+    view = again.view
+    assert len(view.ids) == 4000 + 2
+    assert view.counts[:2].tolist() == [1000, 1000]
+    assert np.abs(view.charts[:2]).max() < 0.2  # means of a thousand
+    assert again.seen(f"{17:032x}")
 
 
 def test_the_command(folder: Path, tmp_path: Path) -> None:

@@ -137,7 +137,7 @@ def decide(result: Result, accuracy: float, rounds: Sequence[Round], alone: Resu
         before = _widest(rounds[-2])
         if before is not None and wide[joint] > WORTH * before:
             return Decision(STOPPED, f"{said}, and the last round did not narrow it; {_cause(result, joint)}", gains)
-    return Decision(limited, said, gains)
+    return Decision(limited, said if limited == RANDOM else f"{said}: {_cause(result, joint)}", gains)
 
 
 def slower(result: Result, rounds: Sequence[Round]) -> tuple[str, ...]:
@@ -172,7 +172,11 @@ def _widest(this: Round) -> float | None:
 
 def _cause(result: Result, joint: str) -> str:
     """Say what may be wrong with the model of the worst gain, and what to do about it."""
-    return result.drive_gains[joint].verdict.sentence
+    verdict = result.drive_gains[joint].verdict
+    by_size = sorted(result.alternatives, key=lambda one: -one.probability * abs(one.moves.get(joint, 0.0)))
+    if by_size and verdict.finding and not verdict.finding.causes:
+        return f"the data cannot exclude {by_size[0].subject}; {by_size[0].causes[0].action}"
+    return verdict.sentence
 
 
 def _apart(alone: Result, rounds: Sequence[Round]) -> str:
@@ -204,5 +208,5 @@ def refuse_to_go_on(result: Result, decision: Decision, candidates: Sequence[Map
         return decision
     heavier = [c for c in candidates if not c["at_hand"] and c["half_width"] and c["half_width"] <= WORTH * wide[joint]]
     instead = "".join(f", but {c['motion']} it would be +-{c['half_width']:.3g} %" for c in heavier)
-    said = f"{decision.say}; no motion narrows it by a tenth{instead}; {_cause(result, joint)}"
+    said = f"no motion narrows the widest interval by a tenth{instead}: {decision.say}"
     return replace(decision, kind=STOPPED, say=said)

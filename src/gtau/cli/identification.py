@@ -177,7 +177,7 @@ Experiments = Annotated[
 @refusing
 def fleet(
     experiments: Experiments,
-    out: Annotated[Path, option("DIR", "Folder for report.html, models, table and figure.")],
+    out: Annotated[Path, option("DIR", "Folder for report.html, models and table.")],
     method: Annotated[str, option(METHODS, "Estimator; one that finds drive gains.")] = "ml",
     jobs: Annotated[int | None, option("N", "Processes on this machine; default: one for each core.", min=1)] = None,
     dask: Annotated[

@@ -168,7 +168,7 @@ def check(
     payload: Payloads = None,
     kind: KindOfLogs = None,
     preset: PresetOfLogs = None,
-    out: Annotated[Path | None, option("DIR", "Folder for report.html, figures of the logs and singularities.")] = None,
+    out: Annotated[Path | None, option("DIR", "Folder for report.html and singularities.")] = None,
     figure: Annotated[
         Path | None,
         option("DIR", "Folder for a figure of each log's preparation: spectra, bandwidth, clock, rows left out."),

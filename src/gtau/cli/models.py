@@ -25,7 +25,7 @@ from gtau.cli.console import (
     refusing,
     seconds,
 )
-from gtau.cli.logs import Commands, Sources, experiment_of, is_log, said_if_refused
+from gtau.cli.logs import Commands, Payloads, RobotOfLogs, Sources, experiment_of, is_log, said_if_refused
 from gtau.documents.files import folder_of, refuse_as_folder, write_atomically
 from gtau.errors import GtauError, missing_extra
 
@@ -51,11 +51,11 @@ def validate(
     model: ModelFile,
     experiment: ExperimentFile,
     out: Annotated[
-        Path | None, option("DIR", "Folder for report.html and, of each run, a figure and a table with all samples.")
+        Path | None, option("DIR", "Folder for report.html and a table with all samples of each run.")
     ] = None,
     json_: Json = False,
 ) -> None:
-    """Compare measured torques with those of a model on the validation runs; with DIR also as figures."""
+    """Compare measured torques with those of a model on the validation runs; with DIR also as charts."""
     refuse_as_folder(out)
     with progress_bar() as progress:
         from gtau.estimation.experiment_runs import read_runs
@@ -80,16 +80,10 @@ def validate(
         page = validation_report(result, runs, described.expected_gains, notes)
         inputs = (("model", model), *inputs_of(experiment, described, runs=False))
         written = [write_report(page, folder_of(out), seconds(), inputs, settings_of(result))]
-        written += write_torques(result, runs, out)
+        written += write_torques(runs, out)
     answer(json_, lambda: validation_document(runs), lambda: validation_page(result, runs, notes), written)
 
 
-RobotToWeigh = Annotated[
-    str | None, option("ROBOT", "With logs: file of the robot, whose links --frame names; default: the model's robot.")
-]
-PayloadsBeside = Annotated[
-    list[str] | None, option("LOG=KG", "With logs: a payload that is known (kg, 0 for none). Repeatable.", "--payload")
-]
 WeighingGains = Annotated[Gains, option("identified|prior", "The model's gains, or the file's prior_gains.")]
 PayloadFrame = Annotated[
     str,
@@ -107,8 +101,8 @@ WeighingFolder = Annotated[Path | None, option("DIR", "Folder for report.html an
 def payload(
     model: ModelFile,
     sources: Sources,
-    robot: RobotToWeigh = None,
-    payloads: PayloadsBeside = None,
+    robot: RobotOfLogs = None,
+    payload: Payloads = None,
     gains: WeighingGains = Gains.identified,
     frame: PayloadFrame = "",
     to: Controller = None,
@@ -119,8 +113,8 @@ def payload(
 
     Reports mass, centre of mass and inertia about it, of a physically possible body, with 95 % intervals.
 
-    Given logs instead of EXPERIMENT.yaml, each carries an unknown payload unless --payload says otherwise; the draft
-    is DIR/experiment.yaml, or payload/experiment.yaml.
+    Logs instead of EXPERIMENT.yaml carry an unknown payload each, unless --payload says otherwise; --robot names a
+    file with the links of --frame. The draft is DIR/experiment.yaml, or payload/experiment.yaml.
 
     The exit code is 3 if a mass is negative, or the model's gains contradict its own logs.
     """
@@ -138,7 +132,7 @@ def payload(
         from gtau.uses.weigh import exact_gains, weigh
 
         result = Result.load(model)
-        experiment, guessed = _drafted(result, sources, robot, payloads, out or Path("payload"))
+        experiment, guessed = _drafted(result, sources, robot, payload, out or Path("payload"))
         described = read_experiment(experiment)
         file = described.robot if isinstance(described.robot, str) else described.robot.file
         if to is not None:
@@ -232,6 +226,13 @@ def export(
     ] = 0,
     models: Annotated[int, option("N", "Number of draws also written as models.", min=0)] = 16,
     seed: Annotated[int, option("SEED", "Seed of the draws.", min=0)] = 0,
+    experiment: Annotated[
+        Path | None, option("EXPERIMENT.yaml", "For 'thresholds': its validation runs, all without contact.")
+    ] = None,
+    hours: Annotated[float, option("HOURS", "For 'thresholds': mean time between false alarms of the robot.")] = 8.0,
+    observer: Annotated[
+        float | None, option("HZ", "For 'thresholds': those of the momentum observer with this bandwidth.")
+    ] = None,
     json_: Json = False,
 ) -> None:
     """Export a model for controllers, simulators, papers and other programs."""
@@ -239,7 +240,18 @@ def export(
 
     with progress_bar() as progress:
         progress("export", 0, 1)
-        exported = export_model(model, to, out, into, samples, models, seed)
+        if to == "thresholds" and experiment is not None:
+            from gtau.estimation.experiment_runs import read_runs
+            from gtau.estimation.results.result import Result
+            from gtau.export.thresholds import export_thresholds
+            from gtau.uses.runs import experiment_of as experiment_for
+
+            result = Result.load(model)
+            described = experiment_for(result, experiment)
+            runs = read_runs(described, described.validation, progress)
+            exported = export_thresholds(result, runs, out, hours, observer)
+        else:
+            exported = export_model(model, to, out, into, samples, models, seed)
     files = [str(path) for path in exported.files]
     document = {"kind": to, "files": files, "notes": list(exported.notes), "figures": dict(exported.figures)}
     _show_notes([exported.lost] if exported.lost and not json_ else [])
@@ -291,9 +303,8 @@ def use(
     """
     from gtau.estimation.results.model_document import torque_error
     from gtau.estimation.results.result import Result
-    from gtau.report.page import page
-    from gtau.report.torques import bands_section
-    from gtau.uses.external_torques import summary_text, torques_along_log, write_table
+    from gtau.report.torques import external_page
+    from gtau.uses.external_torques import torques_along_log, write_table
     from gtau.uses.runs import carrying, read_log
 
     if force_only and frame is None:
@@ -316,10 +327,7 @@ def use(
     }
     if (wrench := torques.wrench) is not None:
         document["wrench"] = {"frame": wrench.frame, "components": list(map(asdict, wrench.components))}
-    if not json_:
-        typer.echo(summary_text(torques))
-    written = [] if out is None else [out]
-    answer(json_, lambda: document, lambda: page("", bands_section(torques.errors)), written)
+    answer(json_, lambda: document, lambda: external_page(torques), [] if out is None else [out])
 
 
 def _frame(result: Result, frame: str, experiment: Path | None) -> tuple[str, Placement]:

@@ -88,10 +88,9 @@ def watch(
     from gtau.estimation.results.result import Result
     from gtau.report.watch import watch_page
     from gtau.signals.reading.experiment import read_experiment
-    from gtau.watch.follow import Skipped, take
+    from gtau.watch.follow import Skipped, date_of, logs_of, take
     from gtau.watch.follow import follow as blocks
     from gtau.watch.history import HISTORY
-    from gtau.watch.logs import date_of, logs_of
     from gtau.watch.watch import Watch
 
     healthy, count = _baseline(baseline)
@@ -186,14 +185,14 @@ def _fleet(folder: Path, as_json: bool) -> None:
     lines = fleet_lines(folder)
     page = fleet_page(lines)
     written = [write_report(page, folder, seconds())]
-    answer(as_json, lambda: [vars(line) for line in lines], lambda: page, written)
-    if any(line.state in ("check", "replace") for line in lines):
+    answer(as_json, lambda: lines, lambda: page, written)
+    if any(line["state"] in ("check", "replace") for line in lines):
         raise typer.Exit(3)
 
 
 def _baseline(text: str | None) -> tuple[list[Path], int | None]:
     """Read ``--baseline``: a number of logs, or a folder whose logs they are."""
-    from gtau.watch.logs import logs_of
+    from gtau.watch.follow import logs_of
 
     if text is None or text.isdigit():
         return [], None if text is None else int(text)

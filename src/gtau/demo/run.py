@@ -25,9 +25,7 @@ from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress
-from gtau.report.chart import Chart, intervals
-from gtau.report.page import Column, Facts, Kind, Page, Text, joint_label, page, section, table
-from gtau.report.render.charts import save
+from gtau.report.page import Column, Facts, Kind, Page, Text, page, section, table
 from gtau.report.render.terminal import plain
 from gtau.report.write import write_identification
 from gtau.simulation.closed_loop import write_log
@@ -51,7 +49,6 @@ CONTENT = {
     "design.yaml": "the input of gtau excite: what motion to log next",
     "model.json": "the identified robot",
     "logs/": "what was logged",
-    "figures/gains.png": "the drive gains, beside the true ones",
 }
 
 
@@ -69,9 +66,8 @@ def demo(out: Path, progress: Progress, duration: float = 10.0) -> tuple[dict[st
     for case in CASES:
         (payload,) = weigh(result, out / "second_payload.yaml", gains=case, progress=progress)
         weighings[case] = payload.parameters["m"]
-    files = [name for name in CONTENT if not name.endswith(("/", ".png"))]
-    save(gains_chart(result.drive_gains), folder_of(out / "figures") / "gains.png")
-    files += ["figures/gains.png", *(f"logs/{name}.csv" for name, _, _ in LOGS)]
+    files = [name for name in CONTENT if not name.endswith("/")]
+    files += [f"logs/{name}.csv" for name, _, _ in LOGS]
     document = _document(result, weighings) | {
         "folder": str(out),
         "logs": {"count": len(LOGS), "duration": duration, "rate": RATE},
@@ -96,15 +92,6 @@ def make_experiment(out: Path, duration: float, progress: Progress) -> None:
     progress("simulating", len(runs), len(runs))
     for file in FILES.iterdir():
         write_atomically(out / file.name, file.read_bytes())
-
-
-def gains_chart(gains: Mapping[str, Estimate]) -> Chart:
-    """Draw drive gains with their 95 % intervals and the manufacturer's, in per cent off the true ones."""
-    off = [_percent(gain.value, DRIVE_GAINS[joint]) for joint, gain in gains.items()]
-    halves = [100 * (gain.half_interval() or 0.0) / DRIVE_GAINS[joint] for joint, gain in gains.items()]
-    prior = [_percent(PRIOR_GAINS[joint], DRIVE_GAINS[joint]) for joint in gains]
-    names, other = list(map(joint_label, gains)), ("manufacturer's", prior)
-    return Chart((intervals(names, off, halves, "error of the drive gain, % of the true one", other=other, zero=True),))
 
 
 def _document(result: Result, weighings: Mapping[str, Estimate]) -> dict[str, Any]:

@@ -34,7 +34,7 @@ NUMBERS = ("gains", "std", "residuals")
 
 
 @dataclass(frozen=True, eq=False)
-class Row:
+class MethodRow:
     """Estimates of one estimator.
 
     ``gains`` and ``std`` (n,), N m/A or N per A, the standard deviations None where the gains are given;
@@ -57,7 +57,7 @@ class EstimatorComparison:
     """A row for each estimator, with the gains of the ``joints`` in their ``units``."""
 
     joints: tuple[str, ...]
-    rows: tuple[Row, ...]
+    rows: tuple[MethodRow, ...]
     units: tuple[str, ...] = ()
     robot: str = ""
 
@@ -108,7 +108,7 @@ def compare(
     asked = options_of(prior_gains, priors, method="ml", prior_inertias=prior_inertias)
     subject = read(source, runs, asked, progress)
 
-    def row(method: str) -> Row:
+    def row(method: str) -> MethodRow:
         def said(stage: str, done: int, total: int) -> None:
             progress(f"{method} ({1 + NAMES.index(method)} of {len(NAMES)}): {stage}", done, total)
 
@@ -119,14 +119,16 @@ def compare(
             usable = dataset if estimator.takes_priors else replace(dataset, priors={})
             result = estimate(usable, *planned, asked.options, said)
         except GtauError as refusal:
-            return Row(method, refusal=str(refusal))
+            return MethodRow(method, refusal=str(refusal))
         seconds, gains = perf_counter() - start, result.drive_gains.values()
         residuals = np.array([error.relative for error in result.residuals])
         numbers = ((gain.value, gain.std, gain.half_interval()) for gain in gains)
         values, std, halves = np.array(list(numbers), dtype=float).T
         if estimator.gains == Gains.GIVEN:
-            return Row(method, values, None, residuals, seconds)
-        return Row(method, values, std, residuals, seconds, worst(gain.verdict for gain in gains), half_widths=halves)
+            return MethodRow(method, values, None, residuals, seconds)
+        return MethodRow(
+            method, values, std, residuals, seconds, worst(gain.verdict for gain in gains), half_widths=halves
+        )
 
     with single_threaded_blas():
         dataset = reduced(subject, estimator_of("ml"), progress)

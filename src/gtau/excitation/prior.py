@@ -57,11 +57,15 @@ class DesignPrior(Keys):
 
 @dataclass(frozen=True)
 class KnownGain:
-    """A gain known beforehand, N m/A or N per A, its 95 % ``interval``, and its ``source``: of a result the verdict."""
+    """A gain known beforehand, N m/A or N per A, its 95 % ``interval``, and its ``source``: of a result the verdict.
+
+    ``model`` is the part of its standard deviation that comes from what the model may lack: more motion leaves it.
+    """
 
     value: float
     interval: tuple[float, float]
     source: str
+    model: float = 0.0
 
     @property
     def least(self) -> float:
@@ -124,7 +128,7 @@ def identified_gains(result: Result, file: Path) -> tuple[KnownGain, ...]:
                 "identify it again, or give prior.gains from the data sheets in place of prior.model."
             )
         assert gain.value is not None
-        gains.append(KnownGain(gain.value, interval, outcome.value))
+        gains.append(KnownGain(gain.value, interval, outcome.value, gain.model_std or 0.0))
     return tuple(gains)
 
 

@@ -26,7 +26,7 @@ ALLOWED = 1.0  # standard deviations by which a draw may lie outside what was id
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class Draws:
     """Draws of an identified model, N of each quantity, SI units.
 
     ``standard`` (N, n_st) and ``base`` (N, n_b) parameters are in the order of the robot's model, ``gains`` and
@@ -118,7 +118,7 @@ def _with(estimates: Mapping[Any, Estimate], values: Mapping[Any, float]) -> dic
     return {name: replace(estimate, value=values.get(name, estimate.value)) for name, estimate in estimates.items()}
 
 
-def draw(result: Result, count: int, seed: int = 0) -> Samples:
+def draw(result: Result, count: int, seed: int = 0) -> Draws:
     """Draw ``count`` models from the distribution identified with ``consistent=True``; a ``seed`` gives the same draws.
 
     Raises GtauError where the result has no physically consistent parameters, or no standard deviations.
@@ -156,7 +156,7 @@ def draw(result: Result, count: int, seed: int = 0) -> Samples:
     shifts = dict(zip(estimates, map(float, np.abs(deviations.mean(axis=0))), strict=True))
     gains = of_joints("gain", result.gains)
     delays = of_joints("delay", (delay.value for delay in result.delays.values()))
-    return Samples(result, x, base_values, gains, delays, friction, target.outside(deviations), shifts, seed)
+    return Draws(result, x, base_values, gains, delays, friction, target.outside(deviations), shifts, seed)
 
 
 def _estimates(result: Result) -> dict[Parameter, Estimate]:

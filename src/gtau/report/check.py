@@ -212,31 +212,20 @@ def motion_chart(log: LogCheck, robot: Robot) -> Chart:
 
 
 def write_check(checked: ExperimentCheck, folder: Path) -> list[Path]:
-    """Write a figure for each log, and the distances of all to singularities as ``singularities.parquet``.
-
-    Raises
-    ------
-    GtauError
-        Where a file cannot be written.
-    """
-    written = _saved(checked, [motion_chart(log, checked.robot) for log in checked.logs], folder)
+    """Write the distances of all logs to singularities, ``singularities.parquet``; raises GtauError."""
     if not checked.logs:
-        return written
-    distances = folder / "singularities.parquet"
-    write_distances(((log.run.name, log.distances) for log in checked.logs), distances)
-    return [*written, distances]
+        return []
+    write_distances(((log.run.name, log.distances) for log in checked.logs), folder / "singularities.parquet")
+    return [folder / "singularities.parquet"]
 
 
 def write_preparation(checked: ExperimentCheck, folder: Path) -> list[Path]:
     """Write a figure of each log's preparation; raises GtauError where one cannot be written."""
-    return _saved(checked, [logs.preparation_chart(log) for log in checked.logs], folder, "-preparation")
-
-
-def _saved(checked: ExperimentCheck, charts: Sequence[Chart], folder: Path, suffix: str = "") -> list[Path]:
     from gtau.report.render.charts import save
 
     names = unique_names([log.run.name for log in checked.logs])
-    return [save(chart, folder / f"{name}{suffix}.png") for name, chart in zip(names, charts, strict=True)]
+    charts = zip(names, map(logs.preparation_chart, checked.logs), strict=True)
+    return [save(chart, folder / f"{name}-preparation.png") for name, chart in charts]
 
 
 def unique_names(names: Sequence[str]) -> list[str]:

@@ -87,7 +87,13 @@ def design_document(outlook: Outlook) -> dict[str, Any]:
         "guards": list(task.guards),
         "tool": {"frame": outlook.robot.tool, "speed": speed, **dict(zip("xyz", places.T.tolist(), strict=True))},
         "priors": [
-            {"name": joint, "value": known.value, "interval": list(known.interval), "source": known.source}
+            {
+                "name": joint,
+                "value": known.value,
+                "interval": known.interval,
+                "source": known.source,
+                "model": known.model,
+            }
             for joint, known in zip(outlook.robot.actuated, task.prior.known, strict=False)
         ],
         "gains": [_entry(outlook, gain, "gains" in outlook.assumed) for gain in expected.gains],
@@ -234,15 +240,22 @@ def _expected_table(outlook: Outlook, unknowns: Sequence[Expected], assumed: boo
     """Tabulate standard deviations to expect; of a gain that is only assumed, just the relative one means something."""
     hidden = assumed and unknowns is outlook.forecast.gains
     sources = dict.fromkeys((unknown.name for unknown in unknowns), "assumed" if assumed else "given")
-    for joint, known in zip(outlook.robot.actuated, outlook.task.prior.known, strict=False):
+    priors = dict(zip(outlook.robot.actuated, outlook.task.prior.known, strict=False))
+    for joint, known in priors.items():
         if known.source not in ("given", "assumed"):
             sources[joint] = "{}, {:.4g} to {:.4g}".format(known.source, *known.interval)
+    whole = {
+        gain.name: 100 * np.hypot(gain.std, priors[gain.name].model) / abs(gain.value)
+        for gain in unknowns
+        if gain.name in priors and priors[gain.name].model
+    }
     return table_of(
         unknowns,
         (Column("name", Kind.NAME), "name"),
         (Column("prior value", Kind.NUMBER, 4), lambda value: None if hidden else value.value),
         (Column("std", Kind.NUMBER, 3), lambda value: None if hidden else _finite(value.std)),
         (Column("%", Kind.NUMBER, 3), lambda value: None if _meaningless(value, assumed) else _finite(value.relative)),
+        *([(Column("with model part, %", Kind.NUMBER, 3), lambda gain: whole[gain.name])] if whole else []),
         (Column("unit"), outlook.unit),
         (Column("prior value is"), lambda value: sources[value.name]),
         name=name,

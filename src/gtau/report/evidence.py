@@ -120,20 +120,6 @@ def _unknown_payload(result: Result, run: Run) -> Iterator[Finding]:
     yield Finding(F.UNKNOWN_PAYLOAD, (), payload.name, values)
 
 
-def worst_stretch(evidence: RunEvidence, duration: float) -> tuple[float, float]:
-    """Find ``duration`` s of a run around the largest residual: begin and end, s; of a shorter run all of it.
-
-    Residuals are compared in units of each joint's own rms. The filter takes the first rows of a run; a stretch that
-    would begin there begins at zero.
-    """
-    time, rest = evidence.time, np.nan_to_num(evidence.residuals)
-    relative = np.abs(rest) / np.maximum(np.sqrt(np.mean(rest**2, axis=0)), np.finfo(float).tiny)
-    worst = float(time[relative.max(axis=1).argmax()])
-    start = min(worst - duration / 2, float(time[-1]) - duration)
-    start = start if start > time[0] else 0.0
-    return start, min(max(start, float(time[0])) + duration, float(time[-1]))
-
-
 def preparation_words(preparation: Preparation, digits: int = 3) -> tuple[str, str, str]:
     """Describe bandwidth of the motion, position filter and decimation."""
     bandwidth, cutoff, decimator = preparation.bandwidth, preparation.cutoff, preparation.decimator

@@ -144,19 +144,12 @@ def fleet_chart(fleet: FleetTable, joint: JointOfFleet) -> Chart:
 
 
 def write_fleet(fleet: FleetTable, out: Path) -> list[Path]:
-    """Write ``gains.csv``, ``gains.parquet`` and a figure of each robot model."""
-    from gtau.report.render.charts import save
-
+    """Write ``gains.csv`` and ``gains.parquet``."""
     refused = [{"robot": robot, "outcome": "refused", "why": why, "outlier": False} for robot, why in fleet.refused]
     frame = pl.DataFrame([gain.row for gain in fleet.gains] + refused, schema=_SCHEMA)
     written = [out / "gains.csv", out / "gains.parquet"]
     for path in written:
         write_table(frame, path)
-    models = list(dict.fromkeys(joint.model for joint in fleet.joints))
-    for k, model in enumerate(models):
-        panels = [fleet_chart(fleet, joint).panels[0] for joint in fleet.joints if joint.model == model]
-        name = "gains.png" if len(models) == 1 else f"gains_{k + 1}.png"
-        written.append(save(Chart(tuple(panels)), out / name))
     return written
 
 

@@ -210,15 +210,6 @@ def masses_table(payloads: Sequence[PayloadEstimate]) -> Table | None:
     return table((Column("mass"), Column("value", Kind.SPREAD, 5), Column("unit")), rows) if rows else None
 
 
-def masses_section(payloads: Sequence[PayloadEstimate]) -> Section | None:
-    """Draw the masses of payloads with their intervals; None where none is identifiable."""
-    masses = {f"{load.name}, {load.run}": load.parameters["m"] for load in payloads if "m" in load.parameters}
-    values, halves = [m.value for m in masses.values()], [m.half_interval() for m in masses.values()]
-    if set(values) <= {None}:
-        return None
-    return section("Masses", Chart((intervals(list(masses), values, halves, "mass, kg"),)), id="masses")
-
-
 VALUE = (
     Column("value", Kind.NUMBER, 5),
     Column("std", Kind.NUMBER, 2),

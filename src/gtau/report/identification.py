@@ -32,7 +32,7 @@ from gtau.report.page import Column, Facts, Kind, Page, Section, Text, page, sec
 from gtau.report.parameters import friction_section, inertias_section, parameters_section
 from gtau.report.residuals import residuals_section
 from gtau.report.torques import determination, fit_table, torques_section
-from gtau.report.uncertainty import PAPER, alternatives_section, correlation_section, singular_values_section
+from gtau.report.uncertainty import PAPER, alternatives_section, correlation_section
 from gtau.robots.parameter import Parameter
 
 NOTES = 5  # that the short page shows
@@ -98,7 +98,6 @@ def report_page(result: Result, runs: Sequence[RunEvidence], prior: Mapping[str,
         friction_section(result, runs),
         inertias_section(result.audit),
         correlation_section(result),
-        singular_values_section(result),
         motion_section(result, runs),
         geometry_section(result.geometry),
         _consistency_section(result.consistency),
@@ -135,13 +134,14 @@ def verdict_section(result: Result, runs: Sequence[RunEvidence] = ()) -> Section
 
 def actions(result: Result) -> list[str]:
     """Say what to do about gains that are not good, the worst and the widest interval first."""
-    gains, accuracy = result.drive_gains, 100 * result.statistics.get("accuracy", 0.0)
-    said = []
-    for reason in reasons(result):
-        widths = {joint: gains[joint].half_width for joint in reason.joints}
-        names = [f"{joint} (+-{percent_text(half, accuracy)} %)" if half else joint for joint, half in widths.items()]
-        said.append(f"{', '.join(names)}, {reason.outcome.value}: {reason.action}")
-    return said
+    accuracy = 100 * result.statistics.get("accuracy", 0.0)
+
+    def named(joint: str) -> str:
+        half = result.drive_gains[joint].half_width
+        return f"{joint} (+-{percent_text(half, accuracy)} %)" if half else joint
+
+    listed = reasons(result)
+    return [f"{', '.join(map(named, r.joints))}, {r.outcome.value}: {r.action}" for r in listed]
 
 
 def next_steps(result: Result, runs: Sequence[RunEvidence] = ()) -> list[str]:
@@ -164,15 +164,16 @@ def _tiles(result: Result, runs: Sequence[RunEvidence]) -> Facts:
     errors = [error for run in runs if not run.used for error in run.errors]
     shares = determination([run for run in runs if run.used])
     least = min(shares, key=lambda joint: shares[joint], default="")
-    named = {
-        "widest 95 % interval of a gain": f"+-{percent_text(widths[widest])} % ({widest})" if widest else None,
-        "largest torque residual of the rows used": _largest(result.residuals),
-        "largest torque error of a validation run, in band": _largest(errors),
-        "smallest R² of a joint": f"{shares[least]:.4f} ({least})" if least else None,
-        "scale from": all_sources(result) or None,
-        "base parameters": f"{len(result.essential)} of {len(result.parameters)} essential",
-    }
-    return Facts(named)
+    return Facts(
+        {
+            "widest 95 % interval of a gain": f"+-{percent_text(widths[widest])} % ({widest})" if widest else None,
+            "largest torque residual of the rows used": _largest(result.residuals),
+            "largest torque error of a validation run, in band": _largest(errors),
+            "smallest R² of a joint": f"{shares[least]:.4f} ({least})" if least else None,
+            "scale from": all_sources(result) or None,
+            "base parameters": f"{len(result.essential)} of {len(result.parameters)} essential",
+        }
+    )
 
 
 def _largest(errors: Sequence[TorqueError]) -> str | None:

@@ -10,7 +10,7 @@ import numpy as np
 from gtau.report.chart import Axis, Chart, Panel, Rule, Series, colour
 from gtau.report.motion import TIME
 from gtau.report.page import Column, Kind, Section, joint_label, section, table_of
-from gtau.robots.parameter import command_unit, position_unit
+from gtau.robots.parameter import position_unit
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.bandwidth import spectra
 from gtau.signals.preparation.prepared_run import Preparation
@@ -21,9 +21,6 @@ from gtau.signals.storage import block, spans
 if TYPE_CHECKING:
     from gtau.estimation.check_logs import LogCheck
 
-SEGMENT = 2048  # samples of a segment of Welch's method, at most
-FEWEST = 64  # samples of a signal that has a spectrum
-LONGEST = 300_000  # samples of a command whose spectrum is shown
 LOWEST = 1e-9  # of a spectrum's peak: what lies lower is arithmetic
 FREQUENCY = Axis("frequency, Hz", log=True)
 
@@ -58,16 +55,15 @@ def logs_section(runs: Sequence[Run], robot: Robot, preparation: Preparation) ->
 
 
 def spectra_items(run: Run, robot: Robot, preparation: Preparation) -> list[Chart]:
-    """Draw amplitude spectral densities of a run's speeds and commands, a panel for each unit."""
+    """Draw amplitude spectral densities of a run's speeds, a panel for each unit."""
     rules = [Rule(x=preparation.bandwidth, label=f"bandwidth {preparation.bandwidth:.3g} Hz")]
     rules += [Rule(x=preparation.cutoff, label=f"filter {preparation.cutoff:.3g} Hz")] if preparation.cutoff else []
     lines: dict[str, list[Series]] = {}
     for j, (joint, spectrum) in enumerate(zip(run.joints, spectra(run), strict=True)):
-        unit, densities = f"speed, {position_unit(robot, joint)}/s/√Hz", (spectrum.frequency, spectrum.speed)
-        lines.setdefault(unit, []).extend(_amplitude(joint_label(joint), *densities, colour(j)))
-    for j, joint in enumerate(run.joints):
-        unit, densities = f"command, {command_unit(robot, joint, run.kind)}/√Hz", _density(run, j)
-        lines.setdefault(unit, []).extend(_amplitude(joint_label(joint), *densities, colour(j)))
+        unit, shown = f"speed, {position_unit(robot, joint)}/s/√Hz", spectrum.speed > LOWEST * spectrum.speed.max()
+        shown &= spectrum.frequency > 0
+        drawn = (spectrum.frequency[shown], np.sqrt(spectrum.speed[shown]), colour(j))
+        lines.setdefault(unit, []).extend([Series(joint_label(joint), *drawn)] if shown.any() else [])
     panels = [
         Panel(FREQUENCY, Axis(label, log=True), tuple(drawn), label.split(",")[0].capitalize(), tuple(rules), height=2)
         for label, drawn in lines.items()
@@ -83,21 +79,6 @@ def spectra_items(run: Run, robot: Robot, preparation: Preparation) -> list[Char
 def valid_share(run: Run) -> float:
     """Compute the share of the samples of all joints that were not repaired."""
     return float(np.sum([np.sum(block(run.valid, *span)) for span in spans(len(run.valid))])) / run.valid.size
-
-
-def _density(run: Run, j: int) -> tuple[np.ndarray, np.ndarray]:
-    """Compute frequencies (K,), Hz, and the power spectral density (K,) of a command by Welch's method."""
-    from scipy.signal import welch
-
-    values = np.asarray(block(run.command, 0, min(len(run.time), LONGEST))[:, j], dtype=float)
-    if len(values) < FEWEST:
-        return np.zeros(0), np.zeros(0)
-    return welch(values, run.rate, nperseg=min(SEGMENT, len(values) // 4))
-
-
-def _amplitude(label: str, frequency: np.ndarray, density: np.ndarray, hue: str) -> list[Series]:
-    shown = (frequency > 0) & (density > LOWEST * density.max(initial=0.0))
-    return [Series(label, frequency[shown], np.sqrt(density[shown]), hue)] if shown.any() else []
 
 
 # Preparation

@@ -9,7 +9,7 @@ import numpy as np
 from gtau.estimation.results.result import Result
 from gtau.report.chart import Axis, Chart, Panel, Series, colour
 from gtau.report.evidence import RunEvidence
-from gtau.report.page import Column, Kind, Section, Text, joint_label, section, table_of
+from gtau.report.page import Section, Text, joint_label, section
 from gtau.robots.parameter import torque_unit
 
 SEGMENT = 256  # samples of a segment of the spectrum, at most
@@ -33,15 +33,8 @@ def residuals_section(result: Result, runs: Sequence[RunEvidence]) -> Section | 
         "within the band; where they do not, the block jackknife accounts for it in the standard deviations."
     )
     panels = residual_panels(residuals, units)
-    listed = table_of(
-        joints,
-        (Column("joint"), joint_label),
-        (Column("mean", Kind.NUMBER, 2), lambda joint: (moments(residuals[joint]) or (None, None))[0]),
-        (Column("std", Kind.NUMBER, 3), lambda joint: (moments(residuals[joint]) or (None, None))[1]),
-        (Column("unit"), units.get),
-    )
     chart = Chart(panels, columns=3) if panels else None
-    return section("Residuals", Text(words), chart, listed, id="residuals")
+    return section("Residuals", Text(words), chart, id="residuals")
 
 
 def residual_panels(residuals: Mapping[str, Residuals], units: Mapping[str, str]) -> tuple[Panel, ...]:

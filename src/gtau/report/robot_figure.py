@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import cos, floor, log10, radians, sin
+from math import cos, floor, log10, sin
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -284,11 +284,9 @@ def view_plane(extent: np.ndarray, normal: np.ndarray | None = None) -> np.ndarr
         right = right if right[np.argmax(np.abs(right))] > 0 else -right
         up = np.cross(normal, right)
         return np.array([right, up if up[np.argmax(np.abs(up))] > 0 else -up])
-    elevation, azimuth = 24.0, -58.0
     thin = int(np.argmin(extent))
-    if extent[thin] < FLAT * extent.max():
-        elevation, azimuth = ((18.0, -20.0), (18.0, -72.0), (62.0, -72.0))[thin]
-    e, a = radians(elevation), radians(azimuth)
+    flat = extent[thin] < FLAT * extent.max()
+    e, a = np.radians(((18.0, -20.0), (18.0, -72.0), (62.0, -72.0))[thin] if flat else (24.0, -58.0))
     return np.array([[-sin(a), cos(a), 0.0], [-cos(a) * sin(e), -sin(a) * sin(e), cos(e)]])
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,9 +16,25 @@ from gtau.report.chart import Axis, Chart, Panel, Series
 from gtau.report.evidence import RunEvidence
 from gtau.report.logs import payload_words, seconds
 from gtau.report.motion import TIME
-from gtau.report.page import Column, ColumnOf, Kind, Section, Table, Text, joint_label, section, table, table_of
+from gtau.report.page import (
+    Column,
+    ColumnOf,
+    Kind,
+    Page,
+    Section,
+    Table,
+    Text,
+    joint_label,
+    page,
+    section,
+    table,
+    table_of,
+)
 from gtau.robots.parameter import torque_unit
 from gtau.signals.run import Run
+
+if TYPE_CHECKING:
+    from gtau.uses.external_torques import TorquesAlongLog
 
 REVERSALS = (
     "Raw: against the torque as it was measured, at all samples. In band: both torques behind the low-pass of the "
@@ -28,6 +45,12 @@ BANDS = (
     "Against the raw torque at all samples, in bands that begin where the one before ends. Near 100 %, the model says "
     "nothing of the torque in a band: it is noise, or faster than the positions show."
 )
+EXTERNAL = (
+    "Behind the low-pass of identification. rms: away from reversals, as largest and beyond 4; all: over all samples. "
+    "residual: that of the identification; beyond 4: share of samples above four of them, by chance 0.006 %. A contact "
+    "or an unknown payload shows there."
+)
+SEEN = "seen: share of samples whose pose shows the component; elsewhere it has no value, and is empty in the table."
 SHORTEST = 1e-3  # of the time: shaded stretches closer together are drawn as one
 RAW, BAND, AWAY = "raw", "in band", "in band away from reversals"
 """Where a torque error is counted."""
@@ -90,21 +113,36 @@ def fit_table(residuals: Sequence[TorqueError], title: str) -> Table:
     return table_of(residuals, *columns, (Column("unit, rms"), "unit"))
 
 
-def worst_errors_table(runs: Sequence[RunEvidence]) -> Table:
-    """Tabulate the largest rms torque error and R² of each joint on the runs used, and on those kept for validation."""
-    columns: list[ColumnOf] = [(Column("largest torque error of one run, %"), joint_label)]
-    for words, used in (("runs used", True), ("validation", False)):
-        members = [run for run in runs if run.used == used and run.errors]
-        for where, kind in ((RAW, "relative_raw"), (BAND, "relative_all"), (AWAY, "relative")) if members else ():
-            columns.append((Column(f"{words}: {where}", Kind.NUMBER, decimals=2), partial(_largest, members, kind)))
-        if members:
-            columns.append((Column(f"{words}: R²", Kind.NUMBER, decimals=4), determination(members).get))
-    return table_of(dict.fromkeys(error.joint for run in runs for error in run.errors), *columns)
+def external_page(torques: TorquesAlongLog) -> Page:
+    """Show external torques along a log, the wrench where it was asked for, and the errors by frequency."""
+    wrench = torques.wrench
+    interval, seen = (Column("±", Kind.NUMBER), "interval"), (Column("seen, %", Kind.SHARE, decimals=0), "seen")
+    residual = ((Column("rms, all", Kind.NUMBER), "rms_all"), (Column("residual", Kind.NUMBER), "residual"))
+    return page(
+        "",
+        section("External torque", _external(torques.joints, "joint", *residual), Text(EXTERNAL)),
+        section(
+            "External wrench",
+            _external(wrench.components, "name", interval, seen),
+            Text(f"At {wrench.frame}, in its axes. ±: half the 95 % interval, the median. {SEEN}"),
+        )
+        if wrench is not None
+        else None,
+        bands_section(torques.errors),
+    )
 
 
-def _largest(runs: Sequence[RunEvidence], kind: str, joint: str) -> float | None:
-    errors = [error for run in runs for error in run.errors if error.joint == joint]
-    return max((getattr(error, kind) or 0.0 for error in errors), default=None)
+def _external(rows: Iterable[Any], name: str, *more: ColumnOf) -> Table:
+    return table_of(
+        rows,
+        (Column(""), name),
+        (Column("rms", Kind.NUMBER), "rms"),
+        *more,
+        (Column("largest", Kind.NUMBER), "largest"),
+        (Column("at, s", Kind.NUMBER), "time"),
+        (Column("beyond 4, %", Kind.SHARE, decimals=2), "share"),
+        (Column("unit"), "unit"),
+    )
 
 
 def determination(runs: Sequence[RunEvidence]) -> dict[str, float]:
@@ -138,20 +176,15 @@ def torques_section(result: Result, runs: Sequence[RunEvidence]) -> Section | No
         "A small residual does not validate the gains, because they scale both sides. In the shaded intervals "
         "friction changes its sign or samples are missing; the identification of gains and inertia excludes them."
     )
-    each_run = (
-        "Torque errors are of single runs at every sample; the torque residuals of the fit are of the decimated rows "
-        "used, over all runs. Charts and R² are in band. R²: share of the measured torque's variance that the model "
-        "explains, over all these runs, away from reversals."
-    )
-    every = section("Torque errors of every run", errors_table(runs), Text(REVERSALS, style="soft"), folded=True)
+    own = [run for run in runs if not run.used and run.errors] or runs
     by_band = bands_section([error for run in runs for error in run.errors])
     bands = () if by_band is None else (replace(by_band, folded=True, id=""),)
     return section(
         "Torques",
         Text(words),
-        worst_errors_table(runs),
-        Text(each_run, style="soft"),
-        every,
+        errors_table(own),
+        Text(REVERSALS, style="soft"),
+        section("Torque errors of every run", errors_table(runs), folded=True) if len(own) < len(runs) else None,
         *bands,
         *parts,
         id="torques",

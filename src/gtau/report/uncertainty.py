@@ -51,13 +51,11 @@ def correlation_section(result: Result) -> Section | None:
         + (f", the {LISTED} strongest listed. " if len(pairs) > LISTED else ". ")
         + "Blue: positive, orange: negative; the fuller the colour, the stronger."
     )
-    numbered = table((Column("number", Kind.NUMBER), Column("estimate", Kind.NAME)), enumerate(names))
     return section(
         "Correlation",
         Text(words),
         _drift_text(names, result),
         correlation_chart(names, matrix),
-        section("Names of the numbers", numbered, folded=True) if len(names) > SHOWN else None,
         table(columns, rows) if rows else None,
         id="correlation",
     )
@@ -71,20 +69,6 @@ def singular_values_chart(values: np.ndarray) -> Chart:
         Series("the smallest", order[-1:], values[-1:], "residual", "points", width=2.5),
     )
     return Chart((Panel(Axis("number"), Axis("singular value", log=True), series, height=2.2),))
-
-
-def singular_values_section(result: Result) -> Section | None:
-    """Show singular values in falling order with the gap before the smallest; None where the result has none."""
-    values = np.array(result.singular_values)
-    if len(values) < 2 or values[-1] <= 0:
-        return None
-    words = (
-        f"Of W_tot ({PAPER}, eq. 33), rows weighted by the residuals and columns of unit length. The smallest belongs "
-        f"to the solution; the next is {values[-2] / values[-1]:.3g} times larger. A ratio near 1 means that the "
-        f"motion hardly excites some parameters, those with large standard deviations, and makes total least squares "
-        f"unreliable."
-    )
-    return section("Singular values", Text(words), singular_values_chart(values), id="singular-values")
 
 
 def alternatives_section(result: Result) -> Section | None:

@@ -14,21 +14,19 @@ from gtau.estimation.results.model_document import torque_error
 from gtau.estimation.results.result import Result
 from gtau.findings import Finding, FindingKind
 from gtau.findings.words import to_width
-from gtau.report.chart import Chart
 from gtau.report.check import unique_names
-from gtau.report.evidence import RunEvidence, worst_stretch
-from gtau.report.gains import gains_section, masses_section, payloads_section
-from gtau.report.logs import logs_section, seconds
+from gtau.report.evidence import RunEvidence
+from gtau.report.gains import gains_section, payloads_section
+from gtau.report.logs import logs_section
 from gtau.report.motion import motion_section
 from gtau.report.page import Column, Kind, Page, Section, Text, page, section, table_of
-from gtau.report.torques import REVERSALS, bands_section, errors_table, stretch_chart, torques_section
+from gtau.report.torques import REVERSALS, bands_section, errors_table, torques_section
 from gtau.uses.weigh import FRICTION_CHANGE
 
 CAUTION = (
     "A small error does not validate the gains: they scale both sides. Next: weigh a known load, which does (gtau "
     "payload model.json LOG); then export the model (gtau export), or watch the robot with it (gtau watch)."
 )
-SHOWN = 10.0  # s of a run in its figure
 
 
 def validation_document(runs: Sequence[RunEvidence]) -> dict[str, Any]:
@@ -90,32 +88,14 @@ def headline(result: Result, runs: Sequence[RunEvidence]) -> str:
     )
 
 
-def validation_chart(result: Result, evidence: RunEvidence) -> Chart:
-    """Draw measured and predicted torques of a run around the largest residual."""
-    assert evidence.prediction is not None
-    start, stop = worst_stretch(evidence, SHOWN)
-    whole = stop - start >= 0.95 * seconds(evidence.run)
-    return stretch_chart(result, evidence.run, evidence.prediction, start, stop, whole)
-
-
-def write_torques(result: Result, runs: Sequence[RunEvidence], folder: Path) -> list[Path]:
-    """Write for each run a figure of the torques around the largest residual, and a table with all samples.
-
-    Raises
-    ------
-    GtauError
-        Where a file cannot be written.
-    """
-    from gtau.report.render.charts import save
-
+def write_torques(runs: Sequence[RunEvidence], folder: Path) -> list[Path]:
+    """Write a table with all samples of each run; raises GtauError where a file cannot be written."""
     names = unique_names([run.run.name for run in runs])
-    written = []
-    for name, run in zip(names, runs, strict=True):
-        written.append(save(validation_chart(result, run), folder / f"torques_{name}.png"))
-        if run.samples is not None:
-            written.append(folder / f"torques_{name}.parquet")
-            write_table(run.samples.table(), written[-1])
-    return written
+    named = [(folder / f"torques_{name}.parquet", run.samples) for name, run in zip(names, runs, strict=True)]
+    for path, samples in named:
+        if samples is not None:
+            write_table(samples.table(), path)
+    return [path for path, samples in named if samples is not None]
 
 
 # Payloads
@@ -155,7 +135,6 @@ def weighing_page(
     return page(
         f"Payloads of {result.robot.name}",
         section("Verdict", Text(words, tuple(said), "neutral"), id="verdict"),
-        masses_section(payloads),
         bodies_section(bodies),
         payloads_section(payloads, "Inertial parameters"),
         *(() if prior is None else (gains_section(result, prior), section("Robot", result.robot, id="robot"))),

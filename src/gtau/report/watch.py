@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +12,10 @@ from gtau.documents.files import in_order
 from gtau.errors import GtauError
 from gtau.report.chart import Axis, Chart, Panel, Rule, Series
 from gtau.report.page import Column, Kind, Page, Table, Text, page, section, table
-from gtau.watch.alarms import std_of_model
+from gtau.watch.alarms import std_of_model, visible_changes
 from gtau.watch.history import HISTORY, Alarm, Event, Explained, summary_of
 from gtau.watch.quantities import Quantity
-from gtau.watch.table import beyond, week_of
-from gtau.watch.visible import visible_changes
+from gtau.watch.table import FEWEST_OF_WEEK, beyond, day_of, week_of
 from gtau.watch.watch import Watch
 
 SAFETY = (
@@ -36,6 +34,7 @@ CHANGES = {
     "contact": ("contact", "check for cables and obstacles that touch the robot, and run the motion again"),
 }
 """Kinds of changes, their words and remedies."""
+STATES = ("replace", "check", "baseline", "OK")  # those to look after first
 REPLACED = ("gain", "friction")  # causes in drives, which are repaired or replaced where they are beyond tolerance
 KINDS = {
     "m": ("load, mass", "kg", 1.0),
@@ -95,10 +94,9 @@ def alarm_words(alarm: Alarm) -> tuple[str, tuple[str, ...]]:
             f"Log {alarm.since} is odd by itself and set aside ({listed}): {causes}{several}.",
             ("Repeat it; if the next log agrees, both count.", *_remedies(alarm)),
         )
-    span = alarm.since if alarm.earliest == alarm.latest else f"{alarm.since}, {alarm.earliest} to {alarm.latest}"
     what = "is beyond its tolerances" if alarm.kind == "tolerance" else "has changed"
     return (
-        f"The robot {what} since {alarm.date[:10]} ({span}): {causes}{several}.",
+        f"The robot {what} since {alarm.date[:10]} ({alarm.since}): {causes}{several}.",
         (
             f"Quantities: {listed}.",
             *_remedies(alarm),
@@ -137,25 +135,21 @@ def verdict_text(watch: Watch) -> Text:
     if watch.alarm is not None:
         head, points = alarm_words(watch.alarm)
         return Text(head, (*points, promise, SAFETY), "bad")
+    within = "Within tolerance of the model. " if watch.count >= FEWEST_OF_WEEK else ""
     if watch.phase == "baseline":
-        words = f"Within tolerance of the model. Baseline: {watch.count} of {rate.baseline} healthy logs."
-        words = words if watch.count >= 3 else f"Baseline of {watch.count} of {rate.baseline} healthy logs."
+        words = f"{within}Baseline of {watch.count} of {rate.baseline} healthy logs."
         return Text(words, (promise, SAFETY), "neutral")
-    return Text(
-        f"Within tolerance of the model, and no change since the baseline, {watch.count} logs.",
-        (promise, SAFETY),
-        "good",
-    )
+    return Text(f"{within}No change since the baseline, {watch.count} logs.", (promise, SAFETY), "good")
 
 
-def watch_page(watch: Watch, visible: bool = True) -> Page:
+def watch_page(watch: Watch) -> Page:
     """Show the state after the last log: verdict, and each quantity against its tolerance."""
-    last = watch.entry if watch.events or len(watch.view.table.ids) else None
+    begun = len(watch.view.ids) > 0
     return page(
         f"Watching {watch.model.robot.name}",
         section("Verdict", verdict_text(watch), id="verdict"),
-        section("Quantities", *_quantities(watch, visible), id="quantities") if len(watch.view.table.ids) else None,
-        lead=[] if last is None else [f"Last log {last.log} of {last.date}."],
+        section("Quantities", *_quantities(watch), id="quantities") if begun else None,
+        lead=[f"Last log {watch.entry.log} of {watch.entry.date}."] if begun else [],
     )
 
 
@@ -166,14 +160,14 @@ def _shown(quantity: Quantity) -> tuple[str, str, float]:
     return f"{words}{joint}", unit or quantity.unit, factor
 
 
-def _quantities(watch: Watch, visible: bool) -> Iterator[Table | Text]:
+def _quantities(watch: Watch) -> Iterator[Table | Text]:
     """Tabulate the last week of each quantity against its tolerance, and the smallest visible change."""
     view = watch.view
     week = week_of(view, std_of_model(watch.model, view))
     far, faint = beyond(view, week), set()
     hidden: list[str] = []
     rows: list[tuple[Any, ...]] = []
-    changes = visible_changes(watch) if visible else np.full((len(view.names), 2), np.nan)
+    changes = visible_changes(watch.model, watch.settings, view)
     for k in sorted(range(len(view.names)), key=lambda k: (not far[k], k)):
         label, unit, factor = _shown(view.quantities[k])
         if not np.isfinite(view.values[:, k]).any():
@@ -215,7 +209,7 @@ def watch_report(watch: Watch) -> Page:
     sections = [section("Events", table(columns, sorted(events)), id="events")] if events else []
     groups: dict[str, list[int]] = {}
     for k, quantity in enumerate(view.quantities):
-        if np.isfinite(view.table.values).any() and np.isfinite(view.values[:, k]).any():
+        if np.isfinite(view.values[:, k]).any():
             groups.setdefault(quantity.joint, []).append(k)
     for joint, quantities in groups.items():
         panels = tuple(_history(watch, k) for k in quantities)
@@ -233,7 +227,7 @@ def _history(watch: Watch, k: int) -> Panel:
     view = watch.view
     label, unit, factor = _shown(view.quantities[k])
     there = np.isfinite(view.values[:, k])
-    days, y = view.table.days[there], factor * view.values[there, k]
+    days, y = view.days[there], factor * view.values[there, k]
     if len(days) > DRAWN:
         days, at = np.unique(np.floor(days), return_inverse=True)
         y = np.bincount(at, y) / np.bincount(at)
@@ -246,13 +240,12 @@ def _history(watch: Watch, k: int) -> Panel:
     series = [Series("", days[~outside], drawn[~outside], "predicted", "disc")]
     if outside.any():
         series.append(Series("outside the panel", days[outside], drawn[outside], "measured", "diamond"))
-    since = watch.alarm is not None and view.names[k] in watch.alarm.charts
-    began = float(np.datetime64((watch.alarm.date if since and watch.alarm else "1970-01-01")[:10], "s").astype(float))
+    alarm = watch.alarm if watch.alarm is not None and view.names[k] in watch.alarm.charts else None
     return Panel(
         Axis("date", names=dates),
         Axis(f"{label}, {unit}", limits=(middle - reach, middle + reach)),
         tuple(series),
-        rules=(Rule(x=began / 86400, label="alarm"),) if since else (),
+        rules=() if alarm is None else (Rule(x=day_of(alarm.date), label="alarm"),),
         band=(middle - tolerance, middle + tolerance) if np.isfinite(tolerance) else None,
         height=1.2,
     )
@@ -264,49 +257,27 @@ def _dates(days: np.ndarray) -> Mapping[float, str]:
     return {float(day): str(np.datetime64(int(day), "D")) for day in ticks}
 
 
-@dataclass(frozen=True)
-class RobotLine:
-    """A robot on the page of a fleet."""
-
-    robot: str
-    type: str
-    state: str
-    what: str
-    since: str
-    last: str
-
-
-def fleet_lines(folder: Path) -> list[RobotLine]:
-    """Sum up each history in the folders of a folder in a line; each is named as its robot; raises GtauError."""
-    robots = in_order(path.parent for path in folder.glob(f"*/{HISTORY}"))
-    if not robots:
-        raise GtauError(f"no folder in {folder} holds a history; give a folder of folders given as --out.")
+def fleet_lines(folder: Path) -> list[dict[str, str]]:
+    """Sum up each history in the folders of a folder, named as its robot, in a line of the page; raises GtauError."""
     lines = []
-    for robot in robots:
+    for robot in in_order(path.parent for path in folder.glob(f"*/{HISTORY}")):
         settings, events, count, last = summary_of(robot)
         alarm = Alarm.model_validate_json(last.alarm) if last is not None and last.alarm else None
-        causes = what = ""
+        what = ", ".join(event.subject for event in events if event.kind == "refused")
         if alarm is not None:
-            causes = "; or ".join(map(explained_words, alarm.explanations))
-            what = causes or f"no cause fits ({', '.join(alarm.charts[:3])})"
-        elif refused := [event.subject for event in events if event.kind == "refused"]:
-            what = f"logs set aside: {', '.join(refused[:3])}"
-        state, since = state_of(alarm, events, count >= settings.baseline), alarm.date[:10] if alarm else ""
-        lines.append(RobotLine(robot.name, settings.robot, state, what, since, "" if last is None else last.date[:10]))
-    return lines
+            what = "; or ".join(map(explained_words, alarm.explanations)) or f"no cause fits {', '.join(alarm.charts)}"
+        state = state_of(alarm, events, count >= settings.baseline)
+        line = {"robot": robot.name, "type": settings.robot, "state": state, "what": what}
+        lines.append({**line, "since": alarm.date[:10] if alarm else "", "last log": last.date[:10] if last else ""})
+    if not lines:
+        raise GtauError(f"no folder in {folder} holds a history; give a folder of folders given as --out.")
+    return sorted(lines, key=lambda line: (STATES.index(line["state"]), line["since"]))
 
 
-def fleet_page(lines: Iterable[RobotLine]) -> Page:
+def fleet_page(lines: Sequence[Mapping[str, str]]) -> Page:
     """List the robots of a fleet, those to look after first."""
-    order = ["replace", "check", "baseline", "OK"]
-    rows: list[Any] = sorted(lines, key=lambda line: (order.index(line.state), line.since, line.robot))
-    columns = ("robot", "type", "state", "what", "since", "last log")
-    cells = [(line.robot, line.type, line.state, line.what, line.since, line.last) for line in rows]
-    waiting = sum(line.state in order[:2] for line in rows)
-    words = f"{waiting} of {len(rows)} robots need attention." if waiting else f"All {len(rows)} robots are OK."
+    waiting = sum(line["state"] in STATES[:2] for line in lines)
+    words = f"{waiting} of {len(lines)} robots need attention." if waiting else f"All {len(lines)} robots are OK."
+    robots = table([Column(title) for title in lines[0]], [[*line.values()] for line in lines], name="robots")
     verdict = Text(words, (SAFETY,), "bad" if waiting else "good")
-    return page(
-        "Watching a fleet",
-        section("Verdict", verdict, id="verdict"),
-        section("Robots", table([Column(title) for title in columns], cells, name="robots"), id="robots"),
-    )
+    return page("Watching a fleet", section("Verdict", verdict, id="verdict"), section("Robots", robots, id="robots"))

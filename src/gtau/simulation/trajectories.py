@@ -8,9 +8,8 @@ in rad or m and s. It starts and ends at rest, and is constant outside its durat
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import count
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -125,29 +124,14 @@ class PointToPoint:
 
 
 def point_to_point(within: Envelope, duration: float, rng: np.random.Generator) -> PointToPoint:
-    """Plan moves between random points, each as fast as the envelope allows, with a short rest between them."""
-    return through(within, duration, (rng.uniform(-1.0, 1.0, len(within.center)) for _ in count()))
-
-
-def through(within: Envelope, duration: float, targets: Iterator[np.ndarray], rest: float = REST) -> PointToPoint:
-    """Plan moves from the center through endless ``targets`` (n,), -1 to 1 of the reach, as fast as allowed.
-
-    Only moves that end before ``duration``, s, are made, but at least one, with ``rest`` s between two.
-    """
-    points, now = [within.center], 0.0
-    starts: list[float] = []
-    spans: list[float] = []
+    """Plan moves between random points, with a short rest between them; one at least, and all that end in time."""
+    points, planned = [within.center], None
     while True:
-        target = within.center + within.reach * next(targets)
-        way = np.abs(target - points[-1])
-        # the greatest speed and acceleration of the blend are 15/8 and 10/sqrt(3)
-        span = float(max((1.875 * way / within.velocity).max(), np.sqrt(5.7736 * way / within.acceleration).max()))
-        if starts and now + span > duration:
-            return PointToPoint(np.array(points), np.array(starts), np.array(spans))
-        points.append(target)
-        starts.append(now)
-        spans.append(span)
-        now += span + rest
+        points.append(within.center + within.reach * rng.uniform(-1.0, 1.0, len(within.center)))
+        longer = moves_through(np.array(points), within, REST)
+        if planned is not None and longer.starts[-1] + longer.spans[-1] > duration:
+            return planned
+        planned = longer
 
 
 def moves_through(points: np.ndarray, within: Envelope, rest: float) -> PointToPoint:

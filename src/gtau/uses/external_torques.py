@@ -14,10 +14,8 @@ are those half-way between two of these instants: no term lags another. The expo
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from textwrap import wrap
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -199,49 +197,3 @@ def write_table(torques: TorquesAlongLog, path: Path) -> None:
     if path.suffix.lower() not in (".csv", ".parquet"):
         raise GtauError(f"{path} ends in neither .csv nor .parquet; give the table one of these endings.")
     files.write_table(torques.table, path)
-
-
-EXPLAINED = """\
-Behind the low-pass of identification. rms: away from reversals, as largest and
-beyond 4; all: over all samples.
-residual: rms torque residual of the identification; beyond 4: share of samples
-whose external torque exceeds four of them, by chance 0.006 %. A contact, a
-collision or an unknown payload shows there."""
-
-
-def summary_text(torques: TorquesAlongLog) -> str:
-    """Print the summary as a table."""
-    lines = [_line("External torque", ["rms", "rms, all", "residual", "largest", "at, s", "beyond 4"], "unit")]
-    for joint in torques.joints:
-        numbers = (joint.rms, joint.rms_all, joint.residual, joint.largest, joint.time)
-        lines.append(_line(f"  {joint.joint}", [*map(_number, numbers), _percent(joint.share)], joint.unit))
-    return "\n".join([*lines, EXPLAINED, *(_wrench_lines(torques.wrench) if torques.wrench else ())])
-
-
-def _wrench_lines(wrench: WrenchAlongLog) -> Iterator[str]:
-    yield ""
-    yield _line("External wrench", ["rms", "+-", "largest", "at, s", "beyond 4", "seen"], "unit")
-    for component in wrench.components:
-        numbers = (component.rms, component.interval, component.largest, component.time)
-        cells = [*map(_number, numbers), _percent(component.share), f"{100 * component.seen:.0f} %"]
-        yield _line(f"  {component.name}", cells, component.unit)
-    yield from wrap(f"At {wrench.frame}, in its axes. +-: half the 95 % interval, the median.", 80)
-    if not wrench.seen.all():
-        few = int(np.median(wrench.directions))
-        yield from wrap(
-            f"seen: share of samples whose pose shows the component; there the joints feel {few} of 6 directions, the "
-            "median. Elsewhere it has no value: it is empty in the table.",
-            80,
-        )
-
-
-def _line(name: str, cells: Sequence[str], unit: str) -> str:
-    return f"{name:<20}" + "".join(f"{cell:>11}" for cell in cells) + f"   {unit}"
-
-
-def _number(number: float | None) -> str:
-    return "-" if number is None else f"{number:.4g}"
-
-
-def _percent(share: float | None) -> str:
-    return "-" if share is None else f"{100 * share:.2f} %"

@@ -19,7 +19,7 @@ from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.experiment_runs import options_of, read
 from gtau.estimation.preconditions import given_gains
 from gtau.estimation.regression.dataset import Dataset, System, at_rate_of, reduce_runs
-from gtau.estimation.regression.problem import Estimates
+from gtau.estimation.regression.problem import Estimates, Problem
 from gtau.estimation.regression.reference import Reference
 from gtau.estimation.regression.rows import TERMS
 from gtau.estimation.results.build import payload_estimates
@@ -118,7 +118,7 @@ def weigh(
     if covariance.any():
         # derivatives (k, n) of the estimates by the gains
         steps = 1e-4 * g_tau
-        moved = np.stack([_with_gains(model, system, g_tau, step) for step in np.diag(steps)], axis=1)
+        moved = np.stack([wls(_moved(model, system, step), g_tau + step).values for step in np.diag(steps)], axis=1)
         slopes = (moved - solution.values[:, None]) / steps
         total = total + slopes @ covariance @ slopes.T
     none = np.zeros_like(total)
@@ -137,6 +137,12 @@ def _reduced(model: Result, runs: Sequence[Run], progress: Progress) -> Dataset:
     return reduce_runs(model.robot, ordered, at_rate_of(ordered, model.preparation), progress=progress)
 
 
+def _moved(model: Result, system: System, step: np.ndarray) -> Problem:
+    """Return the equations at gains (n,) moved by a ``step``: those of a reference move too."""
+    moved = None if system.dataset.reference is None else reference_of(model, step)
+    return system.problem if moved is None else system.again(replace(system.dataset, reference=moved)).problem
+
+
 def _lost(system: System) -> bool:
     return any(name in system.unexcited for carried in system.payloads for name in carried.unknown)
 
@@ -149,45 +155,24 @@ logs, in which friction shows itself, move by less than 0.015 kg: 12 of 12 inter
 """
 
 
-def reference_of(model: Result) -> Reference:
-    """Take the parameters of a model as known at its gains: those that move with the gains move by :func:`_by_gains`.
+def reference_of(model: Result, step: np.ndarray | float = 0.0) -> Reference:
+    """Take the parameters of a model as known, at its gains or a ``step`` (n,) from them, which moves them too.
 
-    Friction may have changed since.
+    Their covariance is that at given gains. Friction may have changed since.
     """
-    names, theta, by_gains = _by_gains(model)
-    at, gains = model.covariance_names.index, [Parameter("gain", joint) for joint in model.robot.actuated]
-    rows = [at(name) for name in names]
-    moved = by_gains @ model.covariance[np.ix_([at(name) for name in gains], rows)]
-    covariance = model.covariance[np.ix_(rows, rows)] - (moved + moved.T) / 2
-    of_friction = np.array([name.kind in (*PLAIN_FRICTION, *TERMS) for name in names])
-    changes = FRICTION_CHANGE * theta * of_friction
-    least = 1e-6 * np.abs(theta) + 1e-12
-    return Reference(names, theta, covariance + np.diag(np.square(changes) + least**2))
-
-
-def _by_gains(model: Result) -> tuple[tuple[Parameter, ...], np.ndarray, np.ndarray]:
-    """Return names and values (k,) of the parameters, and derivatives (k, n) by the gains, from the covariance."""
-    known = {**model.parameters, **model.friction}
+    known, at = {**model.parameters, **model.friction}, model.covariance_names.index
     names = tuple(name for name in model.covariance_names if name in known and known[name].value is not None)
-    at = model.covariance_names.index
-    gains, rows = [at(Parameter("gain", joint)) for joint in model.robot.actuated], [at(name) for name in names]
-    among = np.linalg.pinv(model.covariance[np.ix_(gains, gains)], rcond=1e-9, hermitian=True)
-    return names, np.array([known[name].value for name in names]), model.covariance[np.ix_(rows, gains)] @ among
-
-
-def _with_gains(model: Result, system: System, gains: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """Solve with gains (n,) moved by a ``step``, which moves the parameters of a reference too."""
-    problem = system.problem
-    if system.dataset.reference is not None:
-        names, _, by_gains = _by_gains(model)
-        shift = np.zeros(problem.n_theta)
-        places = [problem.parameters.index(name) if name in problem.parameters else -1 for name in names]
-        for place, change in zip(places, by_gains @ step, strict=True):
-            shift[place] += change * (place >= 0)
-        known = problem.known.copy()
-        known[:, -1] += known[:, :-1] @ shift
-        problem = replace(problem, known=known)
-    return wls(problem, gains + step).values
+    rows, gains = (
+        [at(name) for name in listed]
+        for listed in (names, [Parameter("gain", joint) for joint in model.robot.actuated])
+    )
+    between = model.covariance[np.ix_(rows, gains)]
+    slopes = between @ np.linalg.pinv(model.covariance[np.ix_(gains, gains)], rcond=1e-9, hermitian=True)
+    theta = np.array([known[name].value for name in names])
+    of_friction = np.array([name.kind in (*PLAIN_FRICTION, *TERMS) for name in names])
+    more = (FRICTION_CHANGE * theta * of_friction) ** 2 + (1e-6 * np.abs(theta) + 1e-12) ** 2
+    covariance = model.covariance[np.ix_(rows, rows)] - slopes @ between.T + np.diag(more)
+    return Reference(names, theta + slopes @ np.broadcast_to(step, len(gains)), covariance)
 
 
 def undeclared_load(model: Result, run: Run, errors: Sequence[TorqueError], progress: Progress) -> Finding | None:
@@ -204,8 +189,8 @@ def undeclared_load(model: Result, run: Run, errors: Sequence[TorqueError], prog
     alternative = other_loads(fit_by(solve, select_friction(dataset, solve, progress), free_gains=False))
     if alternative is None:
         return None
-    (cause,) = alternative.causes
-    return Finding(F.REFUTED, cause.joints, values={"share": alternative.share, "unit": ""}, causes=(cause,))
+    causes, values = alternative.causes, {"share": alternative.share, "unit": ""}
+    return Finding(F.REFUTED, causes[0].joints, values=values, causes=causes)
 
 
 def exact_gains(model: Result, experiment: Experiment, gains: str) -> tuple[str, ...]:

@@ -2,63 +2,55 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from gtau.estimation.results.result import Result
 from gtau.signals.reading.statements import Tolerances
-from gtau.watch.causes import Difference, causes_of
-from gtau.watch.detectors import FEWEST, WINDOW, Evidence, evidence
+from gtau.watch.causes import causes_of, contacts_of
+from gtau.watch.detectors import FEWEST, WINDOW, Evidence, evidence, median
 from gtau.watch.history import Alarm, Explained, Settings
 from gtau.watch.statistics import RESIDUAL, LogStatistics
 from gtau.watch.table import WEEK, View, beyond, week_of
 
+HEAVIEST = 100.0  # kg of a load, where the rated payload is not stated
+SIZES = np.geomspace(0.5, 60.0, 25)  # changes of which the smallest visible is one, in deviations between logs
+PERIODS = (7, 30)  # days in which it is visible
+MOST = 120  # last logs that the imagined ones follow
 WEEKLY = 7  # logs that count as a week where they have one date
-
-
-@dataclass(frozen=True, eq=False)
-class Judgement:
-    """The alarm after a log, None without one, and from which log on the robot is repaired, if it is."""
-
-    alarm: Alarm | None
-    repaired: int | None = None
 
 
 def judge(
     model: Result, settings: Settings, view: View, log: LogStatistics, row: int, previous: Alarm | None
-) -> Judgement:
-    """Judge the robot after the log in a ``row`` of the table, given the alarm before it."""
-    tolerances = Tolerances.model_validate(settings.tolerances)
+) -> tuple[Alarm | None, int | None]:
+    """Judge the robot after the log in a ``row``, given the alarm before it.
+
+    Return the alarm, None without one, and the number of the log since which the robot is repaired, if it is.
+    """
+
+    def alarm_of(kind: str, columns: np.ndarray, start: int) -> Alarm:
+        alarm = _alarm(kind, model, settings, view, log, columns, start)
+        since = {} if previous is None else {"since": previous.since, "date": previous.date}
+        return alarm.model_copy(update=since)
+
+    if previous is not None and previous.kind == "log":
+        previous = None
     if view.odd[row].any():
-        if previous is not None and previous.kind != "log":
-            return Judgement(previous)
-        columns = np.flatnonzero(view.odd[row])
-        return Judgement(_alarm("log", model, view, log, columns, (row, row, row), tolerances))
-    previous = None if previous is not None and previous.kind == "log" else previous
+        return previous or alarm_of("log", np.flatnonzero(view.odd[row]), row), None
     if previous is not None and len(back := _back(view, previous)):
-        days = view.table.days[back]
-        week = np.ptp(days) >= WEEK or (np.ptp(days) < 1 and len(back) >= WEEKLY)
-        return Judgement(None, int(view.table.ids[back[0]])) if week else Judgement(previous)
-    changed, span = _changes(settings, view)
-    week = week_of(view, std_of_model(model, view), span[0])
+        spent = np.ptp(view.days[back])
+        repaired = spent >= WEEK or (spent < 1 and len(back) >= WEEKLY)
+        return (None, int(view.ids[back[0]])) if repaired else (previous, None)
+    changed, start = _changes(settings, view)
+    week = week_of(view, std_of_model(model, view), start)
     far = np.flatnonzero(beyond(view, week))
-    twice = beyond(replace(view, tolerance=2 * view.tolerance), week)  # where no cause fits, it may be the motion
     if len(far):
-        alarm = _alarm("tolerance", model, view, log, far, (_run_beyond(view, far),) * 3, tolerances)
+        alarm = alarm_of("tolerance", far, _run_beyond(view, far))
+        twice = beyond(replace(view, tolerance=2 * view.tolerance), week)  # where no cause fits, it may be the motion
         if any(_is_beyond(view, cause) for cause in alarm.explanations) or (not alarm.explanations and twice.any()):
-            return Judgement(_since(alarm, previous))
-    if len(changed):
-        alarm = _alarm("change", model, view, log, changed, span, tolerances)
-        return Judgement(_since(alarm, previous))
-    return Judgement(previous)
-
-
-def _since(alarm: Alarm, previous: Alarm | None) -> Alarm:
-    """Date an alarm that goes on from its beginning."""
-    if previous is None:
-        return alarm
-    return alarm.model_copy(update={name: getattr(previous, name) for name in ("since", "earliest", "latest", "date")})
+            return alarm, None
+    return alarm_of("change", changed, start) if len(changed) else previous, None
 
 
 def _is_beyond(view: View, cause: Explained) -> bool:
@@ -74,16 +66,15 @@ def _is_beyond(view: View, cause: Explained) -> bool:
     return far or (cause.and_also is not None and _is_beyond(view, cause.and_also))
 
 
-def _changes(settings: Settings, view: View) -> tuple[np.ndarray, tuple[int, int, int]]:
-    """Find the quantities that have changed, and the first log of the leading change with its interval."""
+def _changes(settings: Settings, view: View) -> tuple[np.ndarray, int]:
+    """Find the quantities that have changed, the leading one first, and the first log of its change."""
     if view.baseline > settings.baseline:
         proof, rows = evidence_of(view, settings)
         columns = np.flatnonzero((proof.log_e >= limit_of(settings, view)) & proof.confirmed)
         if len(columns):
             columns = columns[np.argsort(-proof.log_e[columns])]
-            start, *ends = (int(rows[part[columns[0]]]) for part in (proof.start, proof.earliest, proof.latest))
-            return columns, (start, ends[0], ends[1])
-    return np.zeros(0, dtype=int), (0, 0, 0)
+            return columns, int(rows[proof.start[columns[0]]])
+    return np.zeros(0, dtype=int), 0
 
 
 def limit_of(settings: Settings, view: View) -> float:
@@ -96,9 +87,7 @@ def evidence_of(view: View, settings: Settings) -> tuple[Evidence, np.ndarray]:
     x = view.compared
     rows = np.flatnonzero(np.isfinite(x).any(axis=1))[-WINDOW:]
     learning = settings.baseline if view.baseline <= WINDOW else FEWEST
-    rising = np.array([quantity.kind == RESIDUAL for quantity in view.quantities])
-    variances = view.std[rows] ** 2
-    return evidence(x[rows], variances, learning, rising), rows
+    return evidence(x[rows], view.std[rows] ** 2, learning, view.of_kind(RESIDUAL)), rows
 
 
 def std_of_model(model: Result, view: View) -> np.ndarray:
@@ -135,44 +124,31 @@ def _run_beyond(view: View, columns: np.ndarray) -> int:
 
 
 def _alarm(
-    kind: str,
-    model: Result,
-    view: View,
-    log: LogStatistics,
-    columns: np.ndarray,
-    span: tuple[int, int, int],
-    tolerances: Tolerances,
+    kind: str, model: Result, settings: Settings, view: View, log: LogStatistics, columns: np.ndarray, start: int
 ) -> Alarm:
-    """Make an alarm of the quantities ``columns``, and explain it."""
-    table, start = view.table, span[0]
-    counted = np.isfinite(view.values if kind == "log" else view.counted).any(axis=1)
-    rows = np.flatnonzero(counted)
+    """Make an alarm of the quantities ``columns`` since the row ``start``, and explain it."""
+    x, rows = view.compared, np.flatnonzero(np.isfinite(view.counted).any(axis=1))
     after, before = rows[rows >= start], rows[rows < start]
     if kind == "log":
-        after, before = np.array([start]), np.flatnonzero(np.isfinite(view.counted).any(axis=1))
-    x = view.values if kind == "log" else view.compared
+        x, after, before = view.values, np.array([start]), rows
     by_model = kind == "tolerance" or len(before) < FEWEST
-    healthy = view.reference if by_model else means_of(x[before])
-    difference = Difference(
-        table.values[before],
-        table.values[after],
-        np.zeros(table.values.shape[1]) if by_model else means_of(table.values[before]),
-        np.nanmax(table.uneven[before], axis=0, initial=1.0) if len(before) else np.ones(table.uneven.shape[1]),
-    )
-    names, changed = view.names, means_of(x[after])
+    healthy, changed = view.reference if by_model else means_of(x[before]), means_of(x[after])
+    of_charts = np.zeros(view.charts.shape[1]) if by_model else means_of(view.charts[before])
+    uneven = np.nanmax(view.uneven[before], axis=0, initial=1.0)
     columns = columns[np.isfinite(healthy[columns]) & np.isfinite(changed[columns])]
-    return Alarm.model_validate(
-        {
-            "kind": kind,
-            "explanations": causes_of(model, log, difference, tolerances.rated_payload),
-            "since": table.logs[start],
-            "earliest": table.logs[span[1]],
-            "latest": table.logs[span[2]],
-            "date": table.dates[start],
-            "charts": tuple(names[k] for k in columns),
-            "healthy": tuple(healthy[columns].tolist()),
-            "changed": tuple(changed[columns].tolist()),
-        }
+    rated = Tolerances.model_validate(settings.tolerances).rated_payload
+    causes: tuple[Explained, ...] = ()
+    if not view.of_kind(RESIDUAL)[columns].all():
+        heaviest = 2 * rated if rated else HEAVIEST
+        causes = causes_of(model, log, view.charts[before], view.charts[after], of_charts, heaviest)
+    return Alarm(
+        kind=kind,  # type: ignore[arg-type]  # pydantic checks it
+        explanations=causes or contacts_of(log, uneven),
+        since=view.logs[start],
+        date=view.dates[start],
+        charts=tuple(view.names[k] for k in columns),
+        healthy=tuple(healthy[columns].tolist()),
+        changed=tuple(changed[columns].tolist()),
     )
 
 
@@ -181,3 +157,32 @@ def means_of(x: np.ndarray) -> np.ndarray:
     there = np.isfinite(x)
     count = there.sum(axis=0)
     return np.where(count > 0, np.where(there, x, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)
+
+
+def visible_changes(model: Result, settings: Settings, view: View) -> np.ndarray:
+    """Compute the smallest sudden change of each quantity (m, 2) found within a week and a month, NaN where none is.
+
+    The last logs are followed by as many as such a period brings, with the same scatter about the changed mean, and
+    judged by the detector and by the tolerance.
+    """
+    rows = np.flatnonzero(np.isfinite(view.compared).any(axis=1))[-MOST:]
+    x, std = view.compared[rows], view.std[rows]
+    smallest = np.full((x.shape[1], len(PERIODS)), np.inf)
+    if len(rows) < FEWEST:
+        return np.full(smallest.shape, np.nan)
+    scale = 1.4826 * median(np.abs(x - median(x)))
+    _, half = week_of(view, std_of_model(model, view))
+    smallest[:, :] = (view.tolerance + np.nan_to_num(half, nan=np.inf))[:, None]
+    limit = limit_of(settings, view)
+    columns = np.flatnonzero(np.isfinite(scale) & (scale > 0))
+    before = np.repeat(x[:, columns], len(SIZES), axis=1)
+    sizes = np.outer(scale[columns], SIZES).ravel()
+    for p, days in enumerate(PERIODS):
+        logs = int(np.clip(round(days * settings.logs_per_year / 365), 2, WINDOW // 2))
+        values = np.vstack([before, np.resize(before[-logs:], (logs, before.shape[1])) + sizes])
+        variances = np.resize(np.repeat(std[:, columns], len(SIZES), axis=1), values.shape) ** 2
+        proof = evidence(values, variances, FEWEST)
+        found = ((proof.log_e >= limit) & proof.confirmed).reshape(len(columns), len(SIZES))
+        change = np.where(found, sizes.reshape(found.shape), np.inf).min(axis=1)
+        smallest[columns, p] = np.minimum(smallest[columns, p], change)
+    return np.where(np.isfinite(smallest), smallest, np.nan)

@@ -31,25 +31,12 @@ PER_PARAMETER = 2.0  # minimum improvement of the misfit per additional paramete
 UNEVEN = 2.0  # times as uneven as any healthy log: intermittent forces, such as contacts
 CERTAIN = 3.0  # standard deviations from zero of the parameter stated first: mass, Coulomb friction
 EXPLAINED = 0.5  # minimum explained share of the squared change
-SECOND = 0.3  # of the misfit of one cause, below which two explain the change
+POOR = 3.0  # misfit per chart of one cause, above which two are tried
+SECOND = 0.3  # of its misfit, below which two explain the change
 CORRELATED = 5.7  # logs that count as one: (1 + rho) / (1 - rho) of a correlation of 0.7
-HEAVIEST = 100.0  # kg of a load, where the rated payload is not stated
 REACH = 1.0  # m from the flange to the centre of mass of a load
 PER_UNIT = {"zero": 20.0, "delay": 0.2, "clock": 0.2}  # largest sizes, deg or mm and s
 RESCALED = 2.0  # a gain that changes by a larger factor is a unit or a sign of the channel
-
-
-@dataclass(frozen=True, eq=False)
-class Difference:
-    """Charts (logs, k) ``after`` a change and ``before`` it, NaN where a log does not show one.
-
-    ``healthy`` (k,) is what the former are compared with; ``uneven`` (n,) the most uneven residuals of healthy logs.
-    """
-
-    before: np.ndarray
-    after: np.ndarray
-    healthy: np.ndarray
-    uneven: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,79 +51,58 @@ class _Hypothesis:
 
 @dataclass(frozen=True, eq=False)
 class _Change:
-    """Charts ``rows`` that changed, whitened by ``L``: of all later logs and of the newest one (rows, 2).
-
-    ``logs`` before it set the degrees of freedom of its scatter; ``power`` is the squared residual of healthy logs and
-    ``excess`` by how much that of the newest log exceeds it.
-    """
+    """Charts ``rows`` that changed, and their change whitened by ``L``; ``logs`` before it set the scatter."""
 
     rows: np.ndarray
     L: np.ndarray
     values: np.ndarray
     logs: int
-    power: float
-    excess: float
 
 
-def causes_of(model: Result, log: LogStatistics, difference: Difference, rated: float | None) -> tuple[Explained, ...]:
+def causes_of(
+    model: Result, log: LogStatistics, before: np.ndarray, after: np.ndarray, healthy: np.ndarray, heaviest: float
+) -> tuple[Explained, ...]:
     """Find the causes that fit a change and cannot be distinguished, the best one first.
 
-    The motion of the newest log determines the signature of each change; ``rated`` is the payload of the robot, kg.
+    Charts (logs, k) ``after`` it are compared with ``healthy`` (k,), and those ``before`` it scatter. The motion of the
+    newest ``log`` determines the signature of each change; a load is ``heaviest`` kg at most.
     """
-    change = _whitened(log, difference)
+    change = _whitened(log, before, after, healthy)
     if change is None:
-        return _contacts(log, difference.uneven)
-    bounds = (-log.payload, 2 * rated if rated else HEAVIEST)
-    hypotheses = list(_hypotheses(model, log.quantities))
+        return ()
+    bounds, hypotheses = (-log.payload, heaviest), list(_hypotheses(model, log.quantities))
     fits = [fit for one in hypotheses if (fit := _fit(model, log, change, [one], bounds)) is not None]
-    squares = float(change.values[:, 0] @ change.values[:, 0])
-    best = min(fits, key=lambda fit: fit.misfit, default=None)
-    if best is None or best.misfit > SECOND * 10 * len(change.rows):
-        two = [_fit(model, log, change, list(pair), bounds) for pair in combinations(hypotheses, 2)]
-        limit = SECOND * min(squares, np.inf if best is None else best.misfit)
-        better = [fit for fit in two if fit is not None and fit.misfit < limit]
-        fits = better or fits
+    squares = float(change.values @ change.values)
+    single = min((fit.misfit for fit in fits), default=squares)
+    if single > POOR * len(change.rows):
+        pairs = [_fit(model, log, change, list(pair), bounds) for pair in combinations(hypotheses, 2)]
+        fits = [fit for fit in pairs if fit is not None and fit.misfit < SECOND * single] or fits
     fits.sort(key=lambda fit: fit.misfit)
     if not fits or fits[0].misfit - PER_PARAMETER > (1 - EXPLAINED) * squares:
-        return _contacts(log, difference.uneven)
+        return ()
     scale = max(1.0, fits[0].misfit / max(len(change.rows) - 1, 1))  # large changes are not exactly linear
     return tuple(fit for fit in fits if fit.misfit - fits[0].misfit < CLOSE * scale)
 
 
-def _whitened(log: LogStatistics, difference: Difference) -> _Change | None:
+def _whitened(log: LogStatistics, before: np.ndarray, after: np.ndarray, healthy: np.ndarray) -> _Change | None:
     """Whiten the change of the charts that are linear in their quantities by the covariance between healthy logs."""
-    before, after = difference.before, difference.after
-    count = np.isfinite(before).sum(axis=0)
-    enough = (count >= FEWEST) | (len(before) < FEWEST)
-    linear = np.array([chart.kind != RESIDUAL for chart in log.charts])
-    rows = np.flatnonzero(
-        enough & linear & np.isfinite(after).any(axis=0) & log.shown & np.isfinite(difference.healthy)
-    )
+    usable = log.shown & np.isfinite(healthy) & np.isfinite(after).any(axis=0)
+    usable &= (np.isfinite(before).sum(axis=0) >= FEWEST) | (len(before) < FEWEST)
+    rows = np.flatnonzero(usable & [chart.kind != RESIDUAL for chart in log.charts])
     if not len(rows):
         return None
     complete = before[:, rows][np.isfinite(before[:, rows]).all(axis=1)]
     share = sum(1 / max(len(logs) / CORRELATED, 1.0) for logs in (complete, after))
     sigma = share * _covariance(complete, log.formula[np.ix_(rows, rows)])
     L = np.linalg.cholesky(sigma + 1e-12 * np.diag(np.diag(sigma)))
-    changes = np.stack([np.nanmean(after[:, rows], axis=0), log.values[rows]], axis=1)
-    values = np.linalg.solve(L, changes - difference.healthy[rows][:, None])
-    return _Change(rows, L, values, len(complete), *_grown(log, before))
-
-
-def _grown(log: LogStatistics, before: np.ndarray) -> tuple[float, float]:
-    """Compute the squared residual of healthy logs, and by how much that of the newest log exceeds it."""
-    columns = [k for k, chart in enumerate(log.charts) if chart.kind == RESIDUAL]
-    values = before[:, columns]
-    rms = np.nansum(values, axis=0) / np.maximum(np.isfinite(values).sum(axis=0), 1)
-    latest = log.values[columns]
-    power = float(log.rows @ np.exp(2 * rms))
-    return power, float(log.rows @ np.where(np.isfinite(latest), np.exp(2 * np.nan_to_num(latest)), 0.0)) - power
+    change = np.nanmean(after[:, rows], axis=0) - healthy[rows]
+    return _Change(rows, L, np.linalg.solve(L, change), len(complete))
 
 
 def _fit(
     model: Result, log: LogStatistics, change: _Change, several: list[_Hypothesis], bounds: tuple[float, float]
 ) -> Explained | None:
-    """Fit one hypothesis or two at once; None where a size is not plausible or the residual has grown far more."""
+    """Fit one hypothesis or two at once; None where a size is not plausible."""
     columns = np.hstack([one.columns for one in several])
     S = np.linalg.solve(change.L, log.response[change.rows] @ columns)
     norms = np.linalg.norm(S, axis=0)
@@ -145,20 +111,17 @@ def _fit(
         return None
     S, norms = S[:, there] / norms[there], np.where(there, norms, np.inf)
     x, _, rank, _ = np.linalg.lstsq(S, change.values, rcond=1e-6)
-    misfit = float(np.sum((change.values[:, 0] - S @ x[:, 0]) ** 2))
+    misfit = float(np.sum((change.values - S @ x) ** 2))
     freedom = max(len(change.rows) - int(rank), 1)
     factor = float(student.ppf(0.975, max(change.logs - 1, FEWEST)))
-    size, std = np.zeros((columns.shape[1], 2)), np.full(columns.shape[1], np.inf)
-    size[there] = x / norms[there][:, None]
+    size, std = np.zeros(columns.shape[1]), np.full(columns.shape[1], np.inf)
+    size[there] = x / norms[there]
     std[there] = np.sqrt(np.diag(np.linalg.pinv(S.T @ S, rcond=1e-8)) * max(1.0, misfit / freedom)) / norms[there]
-    cause = columns @ size[:, 1]
-    if change.excess > EXPLAINED * change.power and cause @ log.information @ cause < (1 - EXPLAINED) * change.excess:
-        return None
     said, first = None, 0
     for one in reversed(several):
         first = columns.shape[1] - one.columns.shape[1] if one is several[-1] else 0
         part = slice(first, first + one.columns.shape[1])
-        stated = _stated(model, log, one, size[part, 0], factor * std[part], misfit + PER_PARAMETER * int(rank))
+        stated = _stated(model, log, one, size[part], factor * std[part], misfit + PER_PARAMETER * int(rank))
         if stated is None or not _plausible(stated, bounds):
             return None
         said = stated.model_copy(update={"and_also": said})
@@ -234,7 +197,7 @@ def _hypotheses(model: Result, quantities: tuple[Quantity, ...]) -> Iterator[_Hy
         yield _Hypothesis("warming", "", warming, (0,))
 
 
-def _contacts(log: LogStatistics, uneven: np.ndarray) -> tuple[Explained, ...]:
+def contacts_of(log: LogStatistics, uneven: np.ndarray) -> tuple[Explained, ...]:
     """Suspect a contact where the residual of a joint is far more uneven along the log than it ever was."""
     ratio = log.uneven / np.maximum(uneven, 1.0)
     j = int(np.argmax(ratio))

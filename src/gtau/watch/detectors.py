@@ -42,14 +42,12 @@ RARE = 1e-6  # probability beyond which a log is far off, by Student's t
 class Evidence:
     """Evidence of a change of each of k charts over n logs.
 
-    ``log_e`` (k,) is the logarithm of the e-detector, ``start`` (k,) the likeliest first log of a change, ``earliest``
-    and ``latest`` its 95 % interval, ``confirmed`` (k,) whether the last two logs are both nearer to the changed mean.
+    ``log_e`` (k,) is the logarithm of the e-detector, ``start`` (k,) the likeliest first log of a change, and
+    ``confirmed`` (k,) whether the last two logs are both nearer to the changed mean.
     """
 
     log_e: np.ndarray
     start: np.ndarray
-    earliest: np.ndarray
-    latest: np.ndarray
     confirmed: np.ndarray
 
 
@@ -83,11 +81,8 @@ def evidence(values: np.ndarray, variances: np.ndarray, learning: int, rising: n
     begins = shown & (np.cumsum(shown, axis=0) > learning) & moving & (count >= FEWEST)
     ratios = np.where(begins, ratios, -np.inf)
     log_e = logsumexp(ratios, axis=0) if n else np.full(k, -np.inf)
-    share = np.exp(ratios - np.where(np.isfinite(log_e), log_e, 0.0))
-    along = np.cumsum(share, axis=0)
-    start = np.argmax(share, axis=0) if n else np.zeros(k, dtype=int)
-    earliest, latest = (np.argmax(along >= edge, axis=0) if n else start for edge in (0.025, 0.975))
-    return Evidence(log_e, start, earliest, np.maximum(latest, start), _confirmed(x, start))
+    start = np.argmax(ratios, axis=0) if n else np.zeros(k, dtype=int)
+    return Evidence(log_e, start, _confirmed(x, start))
 
 
 def isolated(values: np.ndarray) -> np.ndarray:

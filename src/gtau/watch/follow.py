@@ -10,21 +10,23 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from datetime import UTC, date, datetime
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import BinaryIO
 
+from gtau.documents.files import in_order
 from gtau.errors import GtauError
-from gtau.signals.reading.logs import find_columns
+from gtau.signals.reading.logs import find_columns, is_log_folder
 from gtau.signals.run import Run
-from gtau.watch.logs import date_of, digest_of, logs_of, now
 from gtau.watch.quantities import TooShort
-from gtau.watch.watch import Status, Watch
+from gtau.watch.watch import Status, Watch, now
 
 SETTLED = 1.0  # s without changes after which a log of a folder counts as finished
 POLL = 0.5  # s between polls
@@ -33,6 +35,7 @@ HEADED = 250  # lines, among which the table has begun
 CHUNK = 1 << 20  # bytes read at once
 
 Read = Callable[[Path], Run]
+_DATE = re.compile(r"(?<!\d)(\d{4}|\d{2})[-_](\d{2})[-_](\d{2})(?!\d)|(?<!\d)(20\d{2})(\d{2})(\d{2})(?!\d)")
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,48 @@ class Skipped:
 
     log: str
     why: str
+
+
+def logs_of(paths: Iterable[Path]) -> list[Path]:
+    """List logs in the order given, those of a folder in the order of their names; raises GtauError."""
+    logs: list[Path] = []
+    for path in paths:
+        if not path.exists():
+            raise GtauError(f"there is no log '{path}'; check the path.")
+        if not path.is_dir() or is_log_folder(path):
+            logs.append(path)
+            continue
+        entries = in_order(entry for entry in path.iterdir() if not entry.name.startswith("."))
+        inside = [entry for entry in entries if entry.is_file() or is_log_folder(entry)]
+        if not inside:
+            raise GtauError(f"the folder {path} holds no log; check the path.")
+        logs += inside
+    return logs
+
+
+def date_of(log: Path) -> str:
+    """Find the recording date of a log, ISO 8601: the date in its name, else the last change of its file."""
+    for match in reversed(list(_DATE.finditer(log.name))):
+        year, month, day = map(int, filter(None, match.groups()))
+        try:
+            return date(year if year > 99 else 2000 + year, month, day).isoformat()
+        except ValueError:
+            continue
+    return datetime.fromtimestamp(log.stat().st_mtime, UTC).isoformat(timespec="seconds")
+
+
+def digest_of(path: str | Path) -> str:
+    """Compute the SHA-256 of a log, or of all files in a folder; raises GtauError."""
+    path, digest = Path(path), hashlib.sha256()
+    try:
+        for part in sorted(path.rglob("*")) if path.is_dir() else [path]:
+            if part.is_file():
+                with part.open("rb") as file:
+                    while block := file.read(1 << 20):
+                        digest.update(block)
+    except OSError as error:
+        raise GtauError(f"{path} cannot be read ({(error.strerror or str(error)).lower()}); check the path.") from None
+    return digest.hexdigest()
 
 
 def take(watch: Watch, log: Path, read: Read) -> Status | Skipped | None:

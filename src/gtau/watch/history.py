@@ -52,7 +52,6 @@ class Settings(_Document):
     model: str
     robot: str
     charts: tuple[str, ...]
-    serial: str = ""
     baseline: int = 10
     false_alarms: FiniteFloat = 1.0
     robots: int = 1
@@ -89,8 +88,6 @@ class Alarm(_Document):
     kind: Literal["change", "tolerance", "log"]
     explanations: tuple[Explained, ...]
     since: str
-    earliest: str
-    latest: str
     date: str
     charts: tuple[str, ...]
     healthy: tuple[FiniteFloat, ...]

@@ -35,9 +35,8 @@ class LogStatistics:
     jackknife, 0 for these. ``response`` (k, p) is the change of each chart per unit of each of the ``quantities``, all
     columns; ``formula`` (k, k) the covariance for independent residuals of unit variance, which has the full rank that
     the jackknife lacks. ``uneven`` (n,) is the largest rms residual of a block over the median one, of each joint:
-    contacts are brief. ``information`` (p, p): the squared residual, friction free, that changes x of the quantities
-    add is ``x^T information x``. ``rows`` (n,) counts those of each joint, ``speed`` (n,) its mean absolute velocity,
-    and ``payload`` is the mass that the log is stated to carry, kg.
+    contacts are brief. ``speed`` (n,) is the mean absolute velocity, ``payload`` the mass that the log is stated to
+    carry, kg.
     """
 
     name: str
@@ -48,8 +47,6 @@ class LogStatistics:
     response: np.ndarray
     formula: np.ndarray
     uneven: np.ndarray
-    information: np.ndarray
-    rows: np.ndarray
     speed: np.ndarray
     payload: float = 0.0
 
@@ -102,8 +99,6 @@ def statistics_of(model: Result, run: Run) -> LogStatistics:
         response,
         formula,
         uneven,
-        _beside_friction(total, normal),
-        normal.rows.sum(axis=0),
         normal.speed,
         0.0 if run.payload is None else run.payload.mass or model.payload(run.payload.name)["m"],
     )
@@ -136,16 +131,6 @@ def _inverse(M: np.ndarray) -> np.ndarray:
     values, vectors = np.linalg.eigh(M)
     kept = values > 1e-10 * max(values[-1], 1e-300) if len(values) else np.zeros(0, dtype=bool)
     return np.asarray((vectors[:, kept] / values[kept]) @ vectors[:, kept].T)
-
-
-def _beside_friction(G: np.ndarray, normal: NormalEquations) -> np.ndarray:
-    """Compute the information (p, p) on all quantities with friction free."""
-    N, friction = G[:-1, :-1], normal.friction
-    scale = np.sqrt(np.diag(N))
-    scale[scale == 0] = 1.0
-    M = N / scale / scale[:, None]
-    rest = M - M[:, friction] @ _inverse(M[np.ix_(friction, friction)]) @ M[friction]
-    return np.asarray(rest * scale * scale[:, None])
 
 
 def _residuals(normal: NormalEquations, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

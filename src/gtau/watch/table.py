@@ -30,49 +30,25 @@ LOUDER = float(np.log(2))  # growth of a residual that counts as odd
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
-    """Logs by date: number, name, date and day of each (N,), values and standard deviations (N, k) of the charts.
+class View:
+    """Logs by date, and what is judged of them.
 
-    ``uneven`` and ``speed`` are (N, n), and ``alarms`` the states after each as JSON.
+    Numbers, names, dates, days and counts of the N rows; ``charts`` (N, k) as logged, and ``uneven`` (N, n); values and
+    standard deviations (N, m) of the quantities, NaN where not counted, with ``tolerance`` and ``reference`` (m,).
+    ``odd`` (N, m) are values by which a log is odd by itself; those of an odd log count nowhere.
     """
 
     ids: np.ndarray
     logs: tuple[str, ...]
     dates: tuple[str, ...]
-    days: np.ndarray
-    values: np.ndarray
-    std: np.ndarray
-    uneven: np.ndarray
-    speed: np.ndarray
     counts: np.ndarray
-
-
-def table_of(rows: Sequence[Row], charts: int, joints: int) -> Table:
-    """Arrange the rows of a history by date."""
-    rows = sorted(rows, key=lambda row: (row.date, row.id))
-    numbers = np.array([row.numbers for row in rows]).reshape(-1, 2 * (charts + joints))
-    values, std, uneven, speed = np.split(numbers, np.cumsum([charts, charts, joints]), axis=1)
-    days = np.array([np.datetime64(row.date[:19], "s").astype(float) / 86400 for row in rows])
-    names, dates = tuple(row.log for row in rows), tuple(row.date for row in rows)
-    ids, counts = np.array([row.id for row in rows], dtype=int), np.array([row.count for row in rows], dtype=int)
-    return Table(ids, names, dates, days, values, std, uneven, speed, counts)
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """What is judged: the table, its quantities, their values and standard deviations (N, m), NaN where not counted.
-
-    ``tolerance`` and ``reference`` are (m,), and ``factor`` (N,) is the common factor of friction less 1. ``odd``
-    (N, m) are values by which a log is odd by itself; those of an odd log count nowhere.
-    """
-
-    table: Table
+    charts: np.ndarray
+    uneven: np.ndarray
     quantities: tuple[Quantity, ...]
     values: np.ndarray
     std: np.ndarray
     tolerance: np.ndarray
     reference: np.ndarray
-    factor: np.ndarray
     odd: np.ndarray
 
     @property
@@ -87,75 +63,82 @@ class View:
 
     @property
     def compared(self) -> np.ndarray:
-        """Values (N, m) that are compared from log to log: friction less the common factor."""
-        friction = np.array([quantity.kind == "friction" for quantity in self.quantities])
-        return np.where(friction, self.counted - self.factor[:, None], self.counted)
+        """Values (N, m) that are compared from log to log: friction less the factor common to all joints."""
+        x, friction = self.counted, self.of_kind("friction")
+        rows = np.isfinite(x[:, friction]).sum(axis=1) >= COMMON
+        x[np.ix_(rows, friction)] -= np.nanmedian(x[np.ix_(rows, friction)], axis=1, keepdims=True)
+        return x
 
     @property
     def baseline(self) -> int:
         """Number of logs that count since the last maintenance."""
-        return int(self.table.counts[np.isfinite(self.counted).any(axis=1)].sum())
+        return int(self.counts[np.isfinite(self.counted).any(axis=1)].sum())
+
+    @property
+    def days(self) -> np.ndarray:
+        """Days (N,) since 1970."""
+        return np.array([day_of(date) for date in self.dates])
+
+    def of_kind(self, *kinds: str) -> np.ndarray:
+        """Find the quantities (m,) of these kinds."""
+        return np.array([quantity.kind in kinds for quantity in self.quantities])
+
+
+def day_of(date: str) -> float:
+    """Convert a date, ISO 8601, to days since 1970."""
+    return float(np.datetime64(date[:19], "s").astype(float)) / 86400
 
 
 def view_of(
-    model: Result, charts: Sequence[Quantity], table: Table, events: Sequence[Event], tolerances: Tolerances
+    model: Result, charts: Sequence[Quantity], rows: Sequence[Row], events: Sequence[Event], tolerances: Tolerances
 ) -> View:
     """Take the logs that count after what was done: maintenance, forgotten and repaired logs, new references."""
-    quantities, columns = _quantities(charts)
-    values, std = (_friction(model, charts, table, part) for part in (table.values, table.std))
-    values, std = (
-        np.concatenate([part[0][:, columns], part[1]], axis=1) for part in ((table.values, values), (table.std, std))
-    )
+    rows, k = sorted(rows, key=lambda row: (row.date, row.id)), len(charts)
+    numbers = np.array([row.numbers for row in rows]).reshape(len(rows), -1 if rows else 2 * k)
+    of_charts, of_std, (uneven, speed) = numbers[:, :k], numbers[:, k : 2 * k], np.split(numbers[:, 2 * k :], 2, axis=1)
+    plain = [k for k, chart in enumerate(charts) if chart.kind not in PLAIN_FRICTION]
+    joints = list(dict.fromkeys(chart.joint for chart in charts if chart.kind in PLAIN_FRICTION))
+    quantities = (*(charts[k] for k in plain), *(Quantity("friction", joint, "1") for joint in joints))
+    S = _friction(model, charts, joints, speed)
+    seen = np.isfinite(of_charts).astype(float) @ (S != 0) > 0
+    values = np.hstack([of_charts[:, plain], np.where(seen, np.nan_to_num(of_charts) @ S, np.nan)])
+    std = np.hstack([of_std[:, plain], np.where(seen, np.nan_to_num(of_std) @ np.abs(S), np.nan)])
     limits = {"m": tolerances.mass, **tolerances.model_dump(include={"gain", "friction", "zero", "delay"})}
     tolerance = np.array([limits.get(quantity.kind, np.inf) for quantity in quantities])
     vague = median(std) > np.maximum(tolerance, np.abs(median(values)) / ODD)
     tolerance[vague] = np.inf  # one log does not determine these, and errors of the model exceed them
+    logs, dates = tuple(row.log for row in rows), tuple(row.date for row in rows)
+    ids, counts = (np.array([getattr(row, name) for row in rows], dtype=int) for name in ("id", "count"))
     reference, names = np.zeros(len(quantities)), [quantity.name for quantity in quantities]
     for event in events:
-        details = event.details or {}
         if event.undone:
             continue
-        if event.kind == "reset" and any(date >= event.subject for date in table.dates):
-            values[[date < event.subject for date in table.dates]] = np.nan
+        if event.kind == "reset" and any(date >= event.subject for date in dates):
+            values[[date < event.subject for date in dates]] = np.nan
         elif event.kind == "forget":
-            values[[event.subject == log for log in table.logs]] = np.nan
+            values[[event.subject == log for log in logs]] = np.nan
         elif event.kind == "repaired":
-            values[(table.ids >= details["first"]) & (table.ids < details["inside"])] = np.nan
+            values[(ids >= event.details["first"]) & (ids < event.details["inside"])] = np.nan
         elif event.kind == "acknowledge":
-            known = {names.index(name): value for name, value in details["changed"].items() if name in names}
-            values[np.ix_(table.ids < details["first"], [*known])] = np.nan
+            known = {names.index(name): value for name, value in event.details["changed"].items()}
+            values[np.ix_(ids < event.details["first"], [*known])] = np.nan
             reference[[*known]] = [*known.values()]
-    friction = [k for k, quantity in enumerate(quantities) if quantity.kind == "friction"]
-    factor = np.zeros(len(values))
-    if len(friction) >= COMMON and len(values):
-        complete = np.isfinite(values[:, friction]).sum(axis=1) >= COMMON
-        factor[complete] = np.nanmedian(values[np.ix_(complete, friction)], axis=1)
-    view = View(table, quantities, values, std, tolerance, reference, factor, np.zeros(values.shape, dtype=bool))
+    odd = np.zeros(values.shape, dtype=bool)
+    view = View(ids, logs, dates, counts, of_charts, uneven, quantities, values, std, tolerance, reference, odd)
     return replace(view, odd=_odd(view))
 
 
-def _quantities(charts: Sequence[Quantity]) -> tuple[tuple[Quantity, ...], list[int]]:
-    """List the judged quantities, and the charts that are their first ones: friction comes last, one a joint."""
-    plain = [k for k, chart in enumerate(charts) if chart.kind not in PLAIN_FRICTION]
-    joints = dict.fromkeys(chart.joint for chart in charts if chart.kind in PLAIN_FRICTION)
-    return (*(charts[k] for k in plain), *(Quantity("friction", joint, "1") for joint in joints)), plain
-
-
-def _friction(model: Result, charts: Sequence[Quantity], table: Table, values: np.ndarray) -> np.ndarray:
-    """Relate Coulomb and viscous friction (N, joints) at the motion's mean speed to the model's."""
-    known = {**model.parameters, **model.friction_parameters}
-    columns = []
-    for joint in dict.fromkeys(chart.joint for chart in charts if chart.kind in PLAIN_FRICTION):
-        speeds = table.speed[:, model.robot.actuated.index(joint)]
-        speed = float(np.median(speeds[np.isfinite(speeds)])) if np.isfinite(speeds).any() else 1.0
-        total, size = np.full(len(values), np.nan), 0.0
-        for k, chart in enumerate(charts):
-            if chart.joint == joint and chart.kind in PLAIN_FRICTION:
-                share = speed if chart.kind == "fv" else 1.0
-                total = np.where(np.isfinite(values[:, k]), np.nan_to_num(total) + share * values[:, k], total)
-                size += share * (getattr(known.get(Parameter(chart.kind, joint)), "value", None) or 0.0)
-        columns.append(total / size if size > 0 else np.full(len(values), np.nan))
-    return np.array(columns).T.reshape(len(values), len(columns))
+def _friction(model: Result, charts: Sequence[Quantity], joints: list[str], speeds: np.ndarray) -> np.ndarray:
+    """Find the combinations (k, joints) of charts that are friction at the mean speed, relative to the model's."""
+    known, S = {**model.parameters, **model.friction_parameters}, np.zeros((len(charts), len(joints)))
+    for j, joint in enumerate(joints):
+        columns = [k for k, chart in enumerate(charts) if chart.joint == joint and chart.kind in PLAIN_FRICTION]
+        speed = median(speeds[:, [model.robot.actuated.index(joint)]])[0] if len(speeds) else 1.0
+        shares = [np.nan_to_num(speed, nan=1.0) if charts[k].kind == "fv" else 1.0 for k in columns]
+        sizes = [getattr(known.get(Parameter(charts[k].kind, joint)), "value", None) or 0.0 for k in columns]
+        total = float(np.dot(shares, sizes))
+        S[columns, j] = np.array(shares) / total if total > 0 else np.nan
+    return S
 
 
 def _odd(view: View) -> np.ndarray:
@@ -167,14 +150,12 @@ def _odd(view: View) -> np.ndarray:
     odd = np.zeros(view.values.shape, dtype=bool)
     rows = np.flatnonzero(np.isfinite(view.values).any(axis=1))
     x, std = view.values[rows], np.nan_to_num(view.std[rows])
-    material = np.where([quantity.kind == RESIDUAL for quantity in view.quantities], LOUDER, view.tolerance)
+    material = np.where(view.of_kind(RESIDUAL), LOUDER, view.tolerance)
     few = np.isfinite(x).sum(axis=0) < FEWEST
     change = x - np.where(few, view.reference, median(x))
     size = np.abs(change)
-    plain = np.array(
-        [quantity.kind in ("m", "gain") for quantity in view.quantities]
-    )  # a model misses other motions' lags
-    far = np.where(few, plain & (size > ODD * material), (size > material) & far_off(x)) & (size > ODD * std)
+    known = view.of_kind("m", "gain")  # of which the model is right in other motions too
+    far = np.where(few, known & (size > ODD * material), (size > material) & far_off(x)) & (size > ODD * std)
     single = alone(np.where(far, np.sign(change), 0.0))
     odd[rows] = single & ~(far & ~single).any(axis=1, keepdims=True)
     return odd
@@ -186,14 +167,14 @@ def week_of(view: View, std_of_model: np.ndarray, since: int = 0) -> tuple[np.nd
     ``std_of_model`` (m,) are the standard deviations of what the quantities are relative to. Only logs ``since`` a row
     count, such as that of a change. Both are (m,), NaN without enough logs.
     """
-    x, days = view.counted, view.table.days
+    x, days = view.counted, view.days
     seen = np.isfinite(x) & (np.arange(len(x)) >= since)[:, None]
     recent = (days > days.max(initial=-np.inf) - WEEK)[:, None]
     part = seen & (recent | (np.cumsum(seen[::-1], axis=0)[::-1] <= FEWEST_OF_WEEK))
     n = np.maximum(part.sum(axis=0), 1)
     mean = np.where(part, x, 0.0).sum(axis=0) / n
     scatter = (np.where(part, x - mean, 0.0) ** 2).sum(axis=0) / np.maximum(n - 1, 1)
-    friction = np.array([quantity.kind == "friction" for quantity in view.quantities])  # whose two parts compensate
+    friction = view.of_kind("friction")  # whose two parts compensate each other
     jackknife = (np.where(part & ~friction, np.nan_to_num(view.std), 0.0) ** 2).sum(axis=0) / n
     half = np.hypot(
         stdtrit(np.maximum(n - 1, 1), 0.975) * np.sqrt(np.maximum(scatter, jackknife) / n), 1.96 * std_of_model

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,10 +24,9 @@ from gtau.watch import history
 from gtau.watch.alarms import evidence_of, judge, means_of
 from gtau.watch.detectors import FEWEST
 from gtau.watch.history import Alarm, Event, Row, Settings
-from gtau.watch.logs import checked_date, now, run_digest
 from gtau.watch.quantities import Quantity, charts_of
 from gtau.watch.statistics import RESIDUAL, LogStatistics, statistics_of
-from gtau.watch.table import View, table_of, view_of
+from gtau.watch.table import View, view_of
 
 DONE = ("acknowledge", "forget", "reset")  # events that can be undone
 OPTIONS = {"false_alarms": "--false-alarms-per-year"}  # of settings whose option has another name
@@ -142,13 +142,7 @@ class Watch:
         self.alarm = Alarm.model_validate_json(text) if text else None
 
     def _viewed(self, rows: list[Row]) -> View:
-        table = table_of(rows, len(self.charts), len(self.model.robot.actuated))
-        return view_of(self.model, self.charts, table, self.events, Tolerances.model_validate(self.settings.tolerances))
-
-    @property
-    def limit(self) -> float:
-        """Average number of logs between false alarms of this robot."""
-        return self.settings.limit
+        return view_of(self.model, self.charts, rows, self.events, Tolerances.model_validate(self.settings.tolerances))
 
     @property
     def count(self) -> int:
@@ -200,13 +194,11 @@ class Watch:
                 self._forgive(run.name)
             self._read()
             return Status(self.entry, copied=True)
-        return self._add(statistics_of(self.model, run), [samples, *([digest] if digest else [])], date or now())
+        return self.update_statistics(statistics_of(self.model, run), samples, date or now(), digest or samples)
 
-    def update_statistics(self, log: LogStatistics, digest: str, date: str) -> Status:
-        """Add the statistics of a log, as :meth:`update` does."""
-        return self._add(log, [digest], date)
-
-    def _add(self, log: LogStatistics, digests: list[str], date: str) -> Status:
+    def update_statistics(self, log: LogStatistics, digest: str, date: str, other: str = "") -> Status:
+        """Add the statistics of a log that has this digest, and an ``other`` one, as :meth:`update` does."""
+        digests = [digest, other or digest]
         numbers = np.concatenate([log.values, log.std, log.uneven, log.speed])
         with history.writing(self._database):
             self._read()
@@ -214,13 +206,12 @@ class Watch:
                 return Status(self.entry, copied=True)
             row = history.add_row(self._database, digests, log.name, date, numbers)
             view = self._viewed([*self._rows, row])
-            place = int(np.flatnonzero(view.table.ids == row.id)[0])
-            judgement = judge(self.model, self.settings, view, log, place, self.alarm)
-            if judgement.repaired is not None and self.alarm is not None:
-                first = int(view.table.ids[_place(view, self.alarm)])
-                details = {"first": first, "inside": judgement.repaired}
+            place = int(np.flatnonzero(view.ids == row.id)[0])
+            alarm, repaired = judge(self.model, self.settings, view, log, place, self.alarm)
+            if repaired is not None and self.alarm is not None:
+                details = {"first": int(view.ids[_place(view, self.alarm)]), "inside": repaired}
                 history.add_event(self._database, date, "repaired", ", ".join(self.alarm.charts), details=details)
-            self._set_alarm(judgement.alarm)
+            self._set_alarm(alarm)
             self._forgive(log.name)
             condensed = history.condense(self._database)
         self._read(whole=condensed)
@@ -238,25 +229,20 @@ class Watch:
     @property
     def entry(self) -> Entry:
         """The log that was added last."""
-        row = max(self._rows, key=lambda row: row.id)
-        table, place = self.view.table, int(np.flatnonzero(self.view.table.ids == row.id)[0])
+        row, joints = max(self._rows, key=lambda row: row.id), self.model.robot.actuated
         names = [chart.name for chart in self.charts]
-        values, std = (
-            {name: float(value) for name, value in zip(names, part[place], strict=True) if np.isfinite(value)}
-            for part in (table.values, table.std)
-        )
+        values, std, uneven = np.split(row.numbers[: -len(joints)], [len(names), 2 * len(names)])
+        shown = np.flatnonzero(np.isfinite(values))
         phase = "baseline" if self.count <= self.settings.baseline else "watching"
-        return Entry.model_validate(
-            {
-                "log": row.log,
-                "date": row.date,
-                "phase": "aside" if self.view.odd[place].any() else phase,
-                "values": values,
-                "std": std,
-                "uneven": dict(zip(self.model.robot.actuated, table.uneven[place].tolist(), strict=True)),
-                "not_shown": tuple(name for name in names if name not in values),
-                "alarm": self.alarm,
-            }
+        return Entry(
+            log=row.log,
+            date=row.date,
+            phase="aside" if self.view.odd[self.view.ids == row.id].any() else phase,  # type: ignore[arg-type]
+            values={names[k]: float(values[k]) for k in shown},
+            std={names[k]: float(std[k]) for k in shown},
+            uneven=dict(zip(joints, uneven.tolist(), strict=True)),
+            not_shown=tuple(name for name, value in zip(names, values, strict=True) if not np.isfinite(value)),
+            alarm=self.alarm,
         )
 
     def set_aside(self, log: str, why: str) -> None:
@@ -280,8 +266,11 @@ class Watch:
         GtauError
             It is not a date.
         """
-        date = checked_date(date)
-        if not any(event.kind == "reset" and event.subject == date for event in self.events):
+        try:
+            date = datetime.fromisoformat(date).isoformat()[: 19 if "T" in date else 10]
+        except ValueError:
+            raise GtauError(f"the date of the maintenance is '{date}'; write it as 2026-03-28.") from None
+        if not any((event.kind, event.subject, event.undone) == ("reset", date, False) for event in self.events):
             begun = any(date <= row.date for row in self._rows)
             self._do("reset", date, "", {}, None if begun else self.alarm)
 
@@ -299,13 +288,13 @@ class Watch:
             for name, mean, log_e in zip(self.view.names, means, moved.log_e, strict=True)
             if np.isfinite(mean) and (name in self.alarm.charts or log_e > 0)
         }
-        details = {"first": int(self.view.table.ids[place]), "changed": accepted}
+        details = {"first": int(self.view.ids[place]), "changed": accepted}
         self._do("acknowledge", self.alarm.since, note, details, None)
 
     @takes(log=TEXT)
     def forget(self, log: str) -> None:
         """Leave out a log that was not of this robot or of this state; raises GtauError where there is none."""
-        names = self.view.table.logs
+        names = self.view.logs
         if log not in names:
             some = ", ".join(names[-3:]) or "none yet"
             raise UnknownName(f"the history holds no log '{log}'; give one of its names, such as {some}.")
@@ -340,7 +329,7 @@ class Watch:
 
 def _place(view: View, alarm: Alarm) -> int:
     """Find the row of the first log of an alarm."""
-    names = list(zip(view.table.logs, view.table.dates, strict=True))
+    names = list(zip(view.logs, view.dates, strict=True))
     return names.index((alarm.since, alarm.date)) if (alarm.since, alarm.date) in names else 0
 
 
@@ -365,3 +354,16 @@ def model_digest(model: Result) -> str:
     document = to_document(model)
     known = {key: document[key] for key in ("robot_file", "drive_gains", "parameters") if key in document}
     return hashlib.sha256(repr(known).encode()).hexdigest()
+
+
+def run_digest(run: Run) -> str:
+    """Compute the SHA-256 of the samples of a run."""
+    digest = hashlib.sha256()
+    for samples in (run.time, run.position, run.command):
+        digest.update(np.ascontiguousarray(samples).tobytes())
+    return digest.hexdigest()
+
+
+def now() -> str:
+    """Return the time, ISO 8601, in seconds."""
+    return datetime.now(UTC).isoformat(timespec="seconds")

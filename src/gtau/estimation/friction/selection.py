@@ -84,7 +84,7 @@ FREE = ("off", "fvt", "fst")
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class FrictionFit:
     """A fit of a group by a structure for each joint.
 
     ``names`` (joint, kind) of the parameters that are not zero, ``x`` (k,) their values, ``left`` (K, k) those without
@@ -100,7 +100,7 @@ class Candidate:
     M: np.ndarray
 
 
-def fit(group: FrictionGroup, structures: tuple[Structure, ...]) -> Candidate:
+def fit(group: FrictionGroup, structures: tuple[Structure, ...]) -> FrictionFit:
     """Fit a group by these structures, also without each block; parameters that would be negative stay at zero."""
     from scipy.optimize import nnls
 
@@ -119,7 +119,7 @@ def fit(group: FrictionGroup, structures: tuple[Structure, ...]) -> Candidate:
     active = positive | np.isin(np.arange(len(listed)), free)
     index = np.append(np.flatnonzero(active), len(listed))
     x, left, errors = left_out(G[..., index[:, None], index])
-    return Candidate(structures, tuple(listed[a] for a in np.flatnonzero(active)), x, left, errors, M[:, active])
+    return FrictionFit(structures, tuple(listed[a] for a in np.flatnonzero(active)), x, left, errors, M[:, active])
 
 
 def columns_of(group: FrictionGroup, structures: tuple[Structure, ...]) -> tuple[list[tuple[int, str]], np.ndarray]:
@@ -158,7 +158,7 @@ def _solved(G: np.ndarray, k: int) -> np.ndarray:
     return np.linalg.solve(G[:, :k, :k] + ridge, G[:, :k, k, None])[..., 0]
 
 
-def gained(before: Candidate, after: Candidate) -> tuple[float, float]:
+def gained(before: FrictionFit, after: FrictionFit) -> tuple[float, float]:
     """Compute the improvement of a candidate on left-out blocks: in standard errors, and as a share of the error.
 
     Reversals are few, and the squared errors of blocks too unequal for a reliable standard error of their mean. The
@@ -171,7 +171,7 @@ def gained(before: Candidate, after: Candidate) -> tuple[float, float]:
     return float(relative.sum() / max(spread, 1e-300)), float(share)
 
 
-def choose(group: FrictionGroup) -> tuple[Candidate, Candidate, dict[tuple[int, str], float]]:
+def choose(group: FrictionGroup) -> tuple[FrictionFit, FrictionFit, dict[tuple[int, str], float]]:
     """Add one term after another while the errors on left-out blocks decrease.
 
     Returns the candidate chosen, the plain one, and the gain of each term taken, in standard errors, by (joint, kind).
@@ -201,7 +201,7 @@ def choose(group: FrictionGroup) -> tuple[Candidate, Candidate, dict[tuple[int, 
         best = _refined(group, best)
 
 
-def _beyond(group: FrictionGroup, after: Candidate, s: int) -> bool:
+def _beyond(group: FrictionGroup, after: FrictionFit, s: int) -> bool:
     """Decide whether friction nonlinear in the speed improves the fit beyond any presliding.
 
     Presliding of real joints, of LuGre's and of generalized Maxwell slip, turns into sliding gradually, while the joint
@@ -216,17 +216,17 @@ def _beyond(group: FrictionGroup, after: Candidate, s: int) -> bool:
     return t > TERM_T and share > TERM_SHARE
 
 
-def _with(group: FrictionGroup, candidate: Candidate, s: int, kind: str) -> list[Candidate]:
+def _with(group: FrictionGroup, candidate: FrictionFit, s: int, kind: str) -> list[FrictionFit]:
     numbers = options(group.joints[s], kind)
     return [fit(group, _changed(candidate, s, {**candidate.structures[s], kind: number})) for number in numbers]
 
 
-def _changed(candidate: Candidate, s: int, structure: Structure) -> tuple[Structure, ...]:
+def _changed(candidate: FrictionFit, s: int, structure: Structure) -> tuple[Structure, ...]:
     """Return the structures of a candidate, with another one of joint ``s``."""
     return (*candidate.structures[:s], structure, *candidate.structures[s + 1 :])
 
 
-def _refined(group: FrictionGroup, candidate: Candidate) -> Candidate:
+def _refined(group: FrictionGroup, candidate: FrictionFit) -> FrictionFit:
     """Choose widths and speeds again, given the terms added since."""
     for s, kind in ((s, kind) for s in range(len(group.joints)) for kind in ("width", "speed")):
         if kind in candidate.structures[s]:
@@ -234,7 +234,7 @@ def _refined(group: FrictionGroup, candidate: Candidate) -> Candidate:
     return candidate
 
 
-def refine(group: FrictionGroup, candidate: Candidate) -> Candidate:
+def refine(group: FrictionGroup, candidate: FrictionFit) -> FrictionFit:
     """Refine widths and speeds between those tried by Gauss-Newton steps, where errors on left-out blocks decrease.
 
     Better by as much as for a term. The speed of friction that saturates stays: it says more of speeds beyond those of
@@ -257,7 +257,7 @@ def refine(group: FrictionGroup, candidate: Candidate) -> Candidate:
     return best if best.errors.sum() < (1 - TERM_SHARE) * candidate.errors.sum() else candidate
 
 
-def with_shapes(group: FrictionGroup, candidate: Candidate) -> Candidate:
+def with_shapes(group: FrictionGroup, candidate: FrictionFit) -> FrictionFit:
     """Append derivatives by log widths and log speeds to a candidate's columns: names (joint, width or speed) and x."""
     names, columns = list(candidate.names), [candidate.M]
     for s, structure in enumerate(candidate.structures):
@@ -273,7 +273,7 @@ def with_shapes(group: FrictionGroup, candidate: Candidate) -> Candidate:
                 columns.append(slope[:, None])
     M = np.hstack(columns)
     x, left, errors = left_out(reduced(group, M))
-    return Candidate(candidate.structures, tuple(names), x, left, errors, M)
+    return FrictionFit(candidate.structures, tuple(names), x, left, errors, M)
 
 
 def shape_values(group: FrictionGroup, s: int, kind: str) -> np.ndarray:
@@ -281,7 +281,7 @@ def shape_values(group: FrictionGroup, s: int, kind: str) -> np.ndarray:
     return group.joints[s].widths if kind == "width" else group.joints[s].speeds
 
 
-def _columns_with(group: FrictionGroup, candidate: Candidate, s: int, kind: str, number: float) -> np.ndarray:
+def _columns_with(group: FrictionGroup, candidate: FrictionFit, s: int, kind: str, number: float) -> np.ndarray:
     """Build M (p, k) of a candidate's parameters with another width or speed of a joint."""
     listed, M = columns_of(group, _changed(candidate, s, {**candidate.structures[s], kind: number}))
     place = {name: k for k, name in enumerate(listed)}

@@ -12,7 +12,7 @@ from gtau.estimation.friction.normal_equations import FINER, FrictionGroup, fric
 from gtau.estimation.friction.selection import (
     KINDS,
     WORDS,
-    Candidate,
+    FrictionFit,
     choose,
     parameter_columns,
     shape_values,
@@ -98,7 +98,7 @@ def friction_unit(name: Parameter, robot: Robot, temperatures: ReferenceTemperat
     return of_terms[kind] + (f"/{temperatures.per}" if temperatures and kind in TEMPERATURE_TERMS else "")
 
 
-def _errors(group: FrictionGroup, candidate: Candidate) -> list[tuple[float, float]]:
+def _errors(group: FrictionGroup, candidate: FrictionFit) -> list[tuple[float, float]]:
     """Compute the rms of error and torque of each motor over all its rows."""
     error = np.append(-candidate.M @ candidate.x, 1.0)
     squares = np.einsum("p,bmpq,q->m", error, group.G, error) / group.weights**2
@@ -124,7 +124,7 @@ def _widened(slopes: np.ndarray, estimates: Estimates) -> np.ndarray:
     return np.pad(slopes, ((0, 0), (0, len(estimates.unknowns) - slopes.shape[1])))
 
 
-def _between_values(group: FrictionGroup, shaped: Candidate, A: np.ndarray) -> np.ndarray:
+def _between_values(group: FrictionGroup, shaped: FrictionFit, A: np.ndarray) -> np.ndarray:
     """Compute the covariance (k, k) due to the grid of widths and speeds, to which other parameters adapt.
 
     One that is tried stands for all up to half the way to the next.
@@ -142,7 +142,7 @@ def _between_values(group: FrictionGroup, shaped: Candidate, A: np.ndarray) -> n
 
 
 def group_estimates(
-    group: FrictionGroup, candidate: Candidate
+    group: FrictionGroup, candidate: FrictionFit
 ) -> tuple[list[Parameter], np.ndarray, np.ndarray, np.ndarray]:
     """Estimate the friction of the joints of a group.
 
@@ -196,8 +196,8 @@ def group_estimates(
 
 def _curves(
     group: FrictionGroup,
-    candidate: Candidate,
-    plain: Candidate,
+    candidate: FrictionFit,
+    plain: FrictionFit,
     evidence: Mapping[tuple[int, str], float],
 ) -> dict[str, FrictionCurve]:
     """Collect what the data say of the friction of each joint of a group, by its name."""

@@ -33,7 +33,7 @@ _LINKING = Lock()
 _LOADED = _sources()  # as imported: files that are replaced later, by an update, are of other machine code
 
 
-class Loops(NamedTuple):
+class CompiledLoops(NamedTuple):
     """The address of the interpreter of one lane, and functions of addresses and whole numbers, of ``kernel.py``.
 
     The code stays in memory for as long as ``linked`` does.
@@ -47,14 +47,14 @@ class Loops(NamedTuple):
     follow_path: Callable[..., None]
 
 
-def loops() -> Loops:
+def loops() -> CompiledLoops:
     """Return the functions of the machine code, linked once a process; they release Python's lock while they run."""
     with _LINKING:  # a second link of two threads would be freed while its addresses are in use
         return _linked()
 
 
 @cache
-def _linked() -> Loops:
+def _linked() -> CompiledLoops:
     import llvmlite.binding as llvm
 
     llvm.initialize_native_target()
@@ -66,7 +66,7 @@ def _linked() -> Loops:
     linked = library.link(linker, "gtau")
     kinds = {name: ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * count) for name, count in _ARGUMENTS.items()}
     functions = {name: kinds[name](linked[name]) for name in _ARGUMENTS if name != "run_machine"}
-    return Loops((linker, linked), linked["run_machine"], **functions)
+    return CompiledLoops((linker, linked), linked["run_machine"], **functions)
 
 
 def is_compiled() -> bool:

@@ -14,7 +14,7 @@ from gtau.errors import GtauError
 from gtau.robots.robot import Robot
 from gtau.signals.reading.column_names import ColumnName, parse_column_name, parse_item
 from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
-from gtau.signals.reading.formats import Table
+from gtau.signals.reading.formats import LogTable
 from gtau.signals.reading.formats.columnar import data_set
 from gtau.signals.reading.logs import find_columns, read_log
 from gtau.signals.reading.samples import refuse_short
@@ -58,7 +58,7 @@ class Group:
 class LogContents:
     """A log with its columns by kind, and the values of the first rows (N,) by column; ``rate`` (Hz) if described."""
 
-    table: Table
+    table: LogTable
     values: Mapping[str, np.ndarray]
     time: tuple[str, ...]
     groups: tuple[Group, ...]
@@ -177,7 +177,7 @@ def _rate(position: np.ndarray, velocity: np.ndarray) -> float | None:
     return float(added @ added) / along
 
 
-def _topics(table: Table) -> list[str]:
+def _topics(table: LogTable) -> list[str]:
     """List the topics of a bag, each of which has its time stamps; nested ones first."""
     topics = [name.removesuffix("/received") for name in table.columns if re.fullmatch("/.*/received", name)]
     return sorted(topics, key=len, reverse=True)
@@ -187,7 +187,7 @@ def _topic(name: str, topics: Sequence[str]) -> str:
     return next((topic for topic in topics if name.startswith(f"{topic}/")), "")
 
 
-def _values(path: Path, names: Sequence[str], table: Table) -> dict[str, np.ndarray]:
+def _values(path: Path, names: Sequence[str], table: LogTable) -> dict[str, np.ndarray]:
     """Read the first rows; of several episodes, those of the first one."""
     log = read_log(path, names)
     rows = next(iter(table.episodes.values()), range(ROWS))
@@ -276,7 +276,7 @@ def correlation(position: np.ndarray, other: np.ndarray) -> float:
     return float(np.corrcoef(slope[finite], value[finite])[0, 1])
 
 
-def _numbered(path: Path, table: Table, joints: int) -> LogContents:
+def _numbered(path: Path, table: LogTable, joints: int) -> LogContents:
     """Group columns without names: time increases, velocities are derivatives of columns n to their left."""
     values = _values(path, table.columns, table)
     names = list(table.columns)

@@ -22,7 +22,7 @@ from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.signals.reading.body_columns import at_origins
 from gtau.signals.reading.columns import SampleRate, Signals
-from gtau.signals.reading.formats import Table
+from gtau.signals.reading.formats import LogTable
 from gtau.signals.reading.formats.columnar import INFO
 from gtau.signals.reading.formats.rosbag import LOG_FORMATS as BAGS
 from gtau.signals.reading.formats.text import open_text
@@ -34,13 +34,13 @@ GROUP = "gtau.log_formats"
 """Of the entry points of other distributions."""
 
 
-def reader_of(ending: str) -> Callable[[Path], Table] | None:
+def reader_of(ending: str) -> Callable[[Path], LogTable] | None:
     """Find the reader of files whose name has an ending (``.npz``); None where it has none of its own."""
     reader = find(GROUP, "gtau.signals.reading.formats", ending, Callable)
-    return cast("Callable[[Path], Table] | None", reader)
+    return cast("Callable[[Path], LogTable] | None", reader)
 
 
-def read_log(path: str | Path, names: Iterable[str]) -> Table:
+def read_log(path: str | Path, names: Iterable[str]) -> LogTable:
     """Locate columns of a log by name, unchecked; raises GtauError where it cannot be read, or lacks one."""
     table = find_columns(Path(path))
     names = tuple(dict.fromkeys(names))
@@ -48,7 +48,7 @@ def read_log(path: str | Path, names: Iterable[str]) -> Table:
     return replace(table, columns=names)
 
 
-def find_columns(path: Path) -> Table:
+def find_columns(path: Path) -> LogTable:
     """Find all columns of a log, whatever its format; raises GtauError where it cannot be read."""
     with system_refusals(path):
         if not path.is_dir():
@@ -68,7 +68,7 @@ def is_rosbag(path: Path) -> bool:
     return path.suffix.lower() in BAGS or (path / "metadata.yaml").is_file()
 
 
-def _refuse_missing(names: Iterable[str], table: Table) -> None:
+def _refuse_missing(names: Iterable[str], table: LogTable) -> None:
     path, columns = table.path, table.columns
     if not columns:
         raise GtauError(
@@ -175,7 +175,7 @@ def _labels(signals: Signals) -> Iterator[str]:
     yield from (label for wrench in acting for label in wrench.labels)
 
 
-def _side_by_side(files: Sequence[Table], wanted: range) -> Iterator[tuple[np.ndarray, float]]:
+def _side_by_side(files: Sequence[LogTable], wanted: range) -> Iterator[tuple[np.ndarray, float]]:
     """Join rows of logs that were sampled together, with the fraction of the first read so far."""
     if len(files) == 1:
         yield from files[0].blocks(wanted)

@@ -15,7 +15,7 @@ from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.findings.words import counted
 from gtau.signals.channel import Channel
-from gtau.signals.reading.formats import ALL, Table
+from gtau.signals.reading.formats import ALL, LogTable
 from gtau.signals.storage import Store, blocks
 
 MIN_SAMPLES = 100
@@ -49,7 +49,7 @@ class Part(Keys):
             label += f" from {self.begin:g} s"
         return label if self.end == np.inf else f"{label} to {self.end:g} s"
 
-    def rows(self, table: Table) -> range:
+    def rows(self, table: LogTable) -> range:
         """Return the rows of a log to read; raises GtauError where it lacks the episode."""
         if self.episode is None:
             return ALL[self.skip :]
@@ -97,7 +97,7 @@ class Samples:
     name: str
     channels: tuple[Channel, ...]
     columns: tuple[str, ...]
-    table: Table
+    table: LogTable
     time: np.ndarray = field(default_factory=_none)
     position: np.ndarray = field(default_factory=_none)
     command: np.ndarray = field(default_factory=_none)

@@ -1,4 +1,4 @@
-"""Readers of log formats, one module per family of formats, and what each returns: a :class:`Table`, not yet read.
+"""Readers of log formats, one module per family of formats, and what each returns: a :class:`LogTable`, not yet read.
 
 A module names its readers in a constant ``LOG_FORMATS``, by the endings of the files (``{".npz": open_npz}``).
 """
@@ -26,7 +26,7 @@ ALL = range(1 << 62)  # rows
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class LogTable:
     """Columns of a log, located but not yet read.
 
     ``frames`` reads columns by name, some rows of them: Polars frames, block by block, each with the fraction of the

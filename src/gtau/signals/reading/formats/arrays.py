@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau.errors import GtauError, missing_extra
-from gtau.signals.reading.formats import WIDEST, Table, common_length, readable
+from gtau.signals.reading.formats import WIDEST, LogTable, common_length, readable
 from gtau.signals.storage import block_size
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ HDF5 = b"\x89HDF\r\n\x1a\n"  # after 512 bytes of MATLAB's own
 NUMERIC = ["double", "single", "logical", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64"]
 
 
-def open_npz(path: Path) -> Table:
+def open_npz(path: Path) -> LogTable:
     """Find the numeric arrays of an archive; pickled objects are refused, as reading them can run code."""
     with readable(path, "a NumPy archive"), np.load(path, allow_pickle=False) as archive:
         headers = {name: header for name in archive.files if (header := _header(archive, name)) is not None}
@@ -57,7 +57,7 @@ def _header(archive: Any, name: str) -> tuple[tuple[int, ...], np.dtype[Any]] | 
     return shape, dtype
 
 
-def open_mat(path: Path) -> Table:
+def open_mat(path: Path) -> LogTable:
     """Find the numeric arrays of a MAT file; those of a struct ``log`` are named ``log.q``.
 
     Only requested variables are read, and each struct once, since its fields exist only in it.
@@ -98,7 +98,7 @@ def _arrays(values: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, np.nd
             yield prefix + name, value
 
 
-def open_hdf5(path: Path, kind: str = "an HDF5 file", between: str = "/") -> Table:
+def open_hdf5(path: Path, kind: str = "an HDF5 file", between: str = "/") -> LogTable:
     """Find the numeric datasets of a file, of its groups too; their names are joined by ``between``.
 
     Nothing is read before it is asked for, and then in blocks.
@@ -131,7 +131,7 @@ def _table(
     path: Path,
     shapes: Mapping[str, tuple[int, ...]],
     load: Callable[[Collection[str]], AbstractContextManager[Mapping[str, Any]]],
-) -> Table:
+) -> LogTable:
     """Make a table of named arrays, whose longer axis counts the samples; ``load`` opens some of them.
 
     A two-dimensional array ``q`` of N samples by n gives the columns ``q[1]`` to ``q[n]``; what is wider than
@@ -162,7 +162,7 @@ def _table(
                     frame[name] = np.asarray(arrays[array][(*before, slice(start, stop), *after)], dtype=float)
                 yield pl.DataFrame(frame), stop / count
 
-    return Table(path, tuple(places), frames)
+    return LogTable(path, tuple(places), frames)
 
 
 LOG_FORMATS = {".npz": open_npz, ".mat": open_mat, ".h5": open_hdf5, ".hdf5": open_hdf5}

@@ -19,7 +19,7 @@ import numpy as np
 
 from gtau.documents.files import in_order
 from gtau.errors import GtauError
-from gtau.signals.reading.formats import WIDEST, Table
+from gtau.signals.reading.formats import WIDEST, LogTable
 from gtau.signals.storage import block_size
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ INFO = "meta/info.json"
 DEPTH = 3  # folders between a file of frames and the data set
 
 
-def open_parquet(path: Path) -> Table:
+def open_parquet(path: Path) -> LogTable:
     """Find the columns of a Parquet file, or of a folder of them as one log (``part_2`` before ``part_10``).
 
     The folder may be that of a LeRobot data set.
@@ -45,14 +45,14 @@ def open_parquet(path: Path) -> Table:
     return _table(path, parts, pl.scan_parquet, "Parquet")
 
 
-def open_feather(path: Path) -> Table:
+def open_feather(path: Path) -> LogTable:
     """Find the columns of a Feather file, version 2 (Arrow IPC)."""
     import polars as pl
 
     return _table(path, [path], pl.scan_ipc, "Feather")
 
 
-def _table(path: Path, parts: Sequence[Path], scan: Callable[[Path], pl.LazyFrame], kind: str) -> Table:
+def _table(path: Path, parts: Sequence[Path], scan: Callable[[Path], pl.LazyFrame], kind: str) -> LogTable:
     import polars as pl
 
     def refused(error: Exception) -> GtauError:
@@ -81,7 +81,7 @@ def _table(path: Path, parts: Sequence[Path], scan: Callable[[Path], pl.LazyFram
                 yield frame, (first + stop) / sum(lengths)
             first += length
 
-    return Table(path, tuple(columns), frames, episodes=episodes)
+    return LogTable(path, tuple(columns), frames, episodes=episodes)
 
 
 def _columns(schema: Mapping[str, pl.DataType], table: pl.LazyFrame) -> dict[str, pl.Expr]:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau.errors import GtauError, missing_extra
-from gtau.signals.reading.formats import WIDEST, Table, common_length, readable
+from gtau.signals.reading.formats import WIDEST, LogTable, common_length, readable
 from gtau.signals.storage import block_size
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def robot_description(path: Path) -> str | None:
     return None
 
 
-def open_rosbag(path: Path) -> Table:
+def open_rosbag(path: Path) -> LogTable:
     """Find the columns of a bag, a file or a rosbag2 folder, from the first message of every topic."""
     columns: dict[str, tuple[str, Getter | None]] = {}  # topic, and what gets its value from a message; None: receipt
     counts: dict[str, int] = {}
@@ -101,7 +101,7 @@ def open_rosbag(path: Path) -> Table:
         if filled:
             yield pl.DataFrame(values[:filled], schema=list(names)), 1.0
 
-    return Table(path, tuple(columns), frames)
+    return LogTable(path, tuple(columns), frames)
 
 
 def _getters(message: Any, kind: str) -> Iterator[tuple[str, Getter]]:

@@ -18,7 +18,7 @@ from gtau.documents.files import BINARY, LOG, kind_of, refuse_other_kind
 from gtau.errors import GtauError
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
-from gtau.signals.reading.formats import Table, numbers
+from gtau.signals.reading.formats import LogTable, numbers
 from gtau.signals.storage import BYTES, block_size
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ LONGEST = 1 << 20  # bytes of a line; in the shared logs 954 at most
 BOM = b"\xef\xbb\xbf"
 
 
-def open_text(path: Path) -> Table:
+def open_text(path: Path) -> LogTable:
     """Find the columns of a text log.
 
     Decimal commas are allowed except between comma separated columns. What stands before the table is skipped, and a
@@ -80,7 +80,7 @@ def open_text(path: Path) -> Table:
         last = skipped[-1] if len(skipped) > 1 else 0
         values = {"first": skipped[0], "last": last, "header": 0 if header is None else header + 1}
         notes = (Finding(F.SKIPPED_LINES, values=values),)
-    table = Table(path, columns, frames, begin + 1, notes)
+    table = LogTable(path, columns, frames, begin + 1, notes)
     return table
 
 
@@ -196,7 +196,7 @@ def is_number(text: str) -> bool:
         return False
 
 
-def _frame(table: Table, separator: str, text: bytes, wanted: list[int]) -> pl.DataFrame:
+def _frame(table: LogTable, separator: str, text: bytes, wanted: list[int]) -> pl.DataFrame:
     import polars as pl
 
     columns = [f"column_{k + 1}" for k in range(len(table.columns))]
@@ -248,7 +248,7 @@ def _whole_lines(path: Path, begin: int) -> Iterator[tuple[bytes, float]]:
         yield torn, 1.0
 
 
-def _unreadable_line(table: Table, separator: str, reason: str) -> str:
+def _unreadable_line(table: LogTable, separator: str, reason: str) -> str:
     path, count, first = table.path, len(table.columns), table.first_line or 1
     where = f"line {first}" if table.numbered else "the header"
     with path.open("rb") as file:

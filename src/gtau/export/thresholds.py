@@ -1,0 +1,140 @@
+"""Collision thresholds: external torques that motion without contact exceeds once in a stated time.
+
+Of each joint, and of three ranges of its speed, the lowest of which is near reversals, the residuals of logs that the
+identification did not use give a threshold: the tail of their peaks, generalized Pareto, is read at the stated rate.
+Each log is then checked with the thresholds of the others, and all are raised until no more alarms come than stated.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.results.result import Result
+from gtau.export.exported import Export, Exported, written
+from gtau.robots.parameter import position_unit, torque_unit
+from gtau.signals.preparation.filters import position_filter
+from gtau.signals.run import Run
+from gtau.uses.external_torques import momentum_observer, predict_under_load
+
+SPEEDS = (0.1, 0.5)  # of a joint's largest speed: bounds of the ranges
+QUANTILE, FEWEST = 0.9, 10  # of the residuals, above which peaks count, and peaks that a tail needs
+APART = 0.1  # s between peaks
+HEAVIEST = 0.3  # shape of a tail; the moments of few peaks give any
+CHECKS = 10.0  # alarms that the checks would have with well chosen thresholds
+STEP, MOST = 1.02, 10.0  # factors that are tried, and the largest
+
+Residual = tuple[np.ndarray, np.ndarray, float]
+"""Absolute external torques (N, n) of a log, ranges of speed (N, n), -1 where samples are missing, and the step, s."""
+
+
+def export_thresholds(
+    result: Result, runs: Sequence[Run], out: Path, hours: float = 8.0, observer: float | None = None
+) -> Exported:
+    """Write ``thresholds.json`` from ``runs`` without contact, for one false alarm of the robot in ``hours``.
+
+    The external torque is behind the low-pass of identification, or that of the momentum observer with a bandwidth of
+    ``observer`` Hz. Raises GtauError where the runs are too few, too short or too different.
+    """
+    if len(runs) < 2 or not 0 < hours < np.inf:
+        raise GtauError("list two runs without contact under 'validation', at least, and give hours above zero.")
+    runs = [run.ordered(result.idm.actuated) for run in runs]
+    speeds = [
+        np.abs(position_filter(run.position, run.rate, result.preparation.at(run.rate).cutoff)[1]) for run in runs
+    ]
+    fastest = np.max([speed.max(axis=0) for speed in speeds], axis=0)
+    residuals = [residual_of(result, run, speed / fastest, observer) for run, speed in zip(runs, speeds, strict=True)]
+    total = sum(len(torque) * step for torque, _, step in residuals)
+    factor, alarms = raised(residuals, total / CHECKS)
+    values, robot, bounds = factor * thresholds(residuals, 3600 * hours), result.robot, (0.0, *SPEEDS)
+    document = {
+        "hours_between_false_alarms": hours,
+        "signal": "external torque" if observer is None else f"momentum observer, {observer:g} Hz",
+        "thresholds": [
+            {
+                "joint": joint,
+                "from_speed": bounds[k] * float(fastest[j]),
+                "speed_unit": f"{position_unit(robot, joint)}/s",
+                "threshold": float(values[k, j]),
+                "unit": torque_unit(robot, joint),
+            }
+            for j, joint in enumerate(result.idm.actuated)
+            for k in range(len(bounds))
+        ],
+        "check": {"seconds": total, "expected_alarms": CHECKS, "alarms": alarms, "factor": factor},
+    }
+    note = (
+        f"from {total:.3g} s without contact: with the thresholds of the others the logs have {alarms} alarms where "
+        f"{CHECKS:.0f} are expected, so all are raised by a factor of {factor:.2f}; longer times are extrapolated"
+    )
+    return Exported(written(out, {"thresholds.json": json.dumps(document, indent=1) + "\n"}), (note,))
+
+
+def residual_of(result: Result, run: Run, speed: np.ndarray, observer: float | None) -> Residual:
+    """Compute the residual of a run, whose ``speed`` (N, n) is in shares of the largest."""
+    prediction = predict_under_load(result, run).in_band
+    external, at = prediction.predicted - prediction.measured, np.searchsorted(run.time, prediction.time)
+    at = np.minimum(at, len(run.time) - 1)
+    if observer is not None:
+        external = momentum_observer(result, run, observer)[at]
+    cell = np.where(prediction.valid, np.sum([speed[at] >= bound for bound in SPEEDS], axis=0), -1)
+    return np.abs(external), cell, float(np.median(np.diff(prediction.time)))
+
+
+def peaks(torque: np.ndarray, step: float, level: float) -> np.ndarray:
+    """Find the heights of the peaks (k,) of a torque (N,) above a level, apart by ``APART``."""
+    above = np.flatnonzero(torque > level)
+    groups = np.split(above, np.flatnonzero(np.diff(above) * step > APART) + 1)
+    return np.array([torque[group].max() for group in groups if len(group)])
+
+
+def thresholds(residuals: Sequence[Residual], seconds: float) -> np.ndarray:
+    """Compute thresholds (ranges, n) of which one is exceeded in ``seconds``; all share that rate."""
+    total = sum(len(torque) * step for torque, _, step in residuals)
+    values = np.zeros((len(SPEEDS) + 1, residuals[0][0].shape[1]))
+    for k, j in np.ndindex(values.shape):
+        parts = [(torque[:, j] * (cell[:, j] == k), step) for torque, cell, step in residuals]
+        inside = np.concatenate([torque[torque > 0] for torque, _ in parts])
+        level = float(np.quantile(inside, QUANTILE)) if len(inside) else 0.0
+        tail = np.concatenate([peaks(torque, step, level) for torque, step in parts]) - level
+        if len(tail) < FEWEST:
+            continue
+        mean, often = float(tail.mean()), max(len(tail) / total * seconds * values.size, 1.0)
+        shape = float(np.clip((1 - mean**2 / max(float(tail.var()), 1e-300)) / 2, 1e-6, HEAVIEST))
+        values[k, j] = level + mean * (1 - shape) * (often**shape - 1) / shape
+    if not values.any(axis=0).all():
+        raise GtauError("the logs have too few samples for thresholds; give longer ones in which every joint moves.")
+    return np.where(values > 0, values, values.max(axis=0))
+
+
+def raised(residuals: Sequence[Residual], seconds: float) -> tuple[float, int]:
+    """Find the factor on the others' thresholds with which logs have no more alarms than stated; and those without."""
+    pairs = [(own, thresholds([other for other in residuals if other is not own], seconds)) for own in residuals]
+
+    def alarms(factor: float) -> int:
+        count = 0
+        for (torque, cell, step), values in pairs:
+            over = (torque > factor * np.take_along_axis(values, np.maximum(cell, 0), axis=0)) & (cell >= 0)
+            count += len(peaks(over.any(axis=1).astype(float), step, 0.5))
+        return count
+
+    factor = 1.0
+    while alarms(factor) > CHECKS:
+        factor *= STEP
+        if factor > MOST:
+            raise GtauError(
+                f"the logs differ too much for thresholds: at {MOST:g} times those of the others one still has alarms; "
+                "check which logs have contacts, or a load that is not declared (gtau validate)."
+            )
+    return factor, alarms(1.0)
+
+
+def _refuse(result: Result, out: Path) -> Exported:
+    raise GtauError("thresholds come from logs without contact; give validation runs by --experiment EXPERIMENT.yaml.")
+
+
+EXPORTS = {"thresholds": Export(_refuse)}
