@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -20,16 +21,19 @@ import gtau
 from gtau.campaigns.campaign import CampaignState, campaign
 from gtau.campaigns.candidates import candidates
 from gtau.campaigns.decision import Decision, decide, refuse_to_go_on
-from gtau.campaigns.folder import Round, read_rounds
+from gtau.campaigns.folder import Round, read_rounds, write_json
 from gtau.campaigns.page import campaign_page
+from gtau.campaigns.rehearsal import Rehearsal
 from gtau.cli.commands import app
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.verdict import Verdict
 from gtau.estimation.results.estimate import Estimate
 from gtau.excitation.design import Design
-from gtau.excitation.design_file import read_design
+from gtau.excitation.design_file import make_task, read_design
 from gtau.excitation.nlp import random_start
-from gtau.findings import Outcome
+from gtau.excitation.task import DesignProblem
+from gtau.findings import Finding, Outcome
 from gtau.report.render.terminal import plain
 
 PLAYER = Path(__file__).parents[2] / "examples" / "players" / "play_mujoco.py"
@@ -170,6 +174,23 @@ def test_the_larger_part_of_the_worst_interval_decides() -> None:
     assert decide(result_of(gain("a", 1.0, 0.01, 0.03)), 3.0, again, None).kind == "stopped"
 
 
+def test_an_effect_that_the_data_show_twice_ends_the_campaign() -> None:
+    """It is named in the first round, and no motion is tried against it again."""
+    cause = Finding(
+        "torque constant", ("a",), values={"what": "a falling torque constant", "action": "log the current"}
+    )
+    effect = Alternative("saturation", (cause,), 0.1, 0.01, "1/A", probability=1.0, share=0.4)
+    result = SimpleNamespace(drive_gains={"a": gain("a", 1.0, 0.01, 0.3)}, alternatives=(effect,))
+    once = decide(result, 3.0, [round_of("first")], None)
+    assert (once.kind, once.suspect) == ("model part", effect.subject)
+    assert "the data speak for a falling torque constant (40 % of the residual variance); log the current" in once.say
+    before = round_of("first", 90.0)
+    before.decision["suspect"] = effect.subject
+    twice = decide(result, 3.0, [before, round_of("model part")], None)
+    assert twice.kind == "stopped"
+    assert twice.say.startswith("another motion does not help: ")
+
+
 def test_done_is_what_a_round_that_did_not_decide_confirms() -> None:
     rounds = [round_of("first", 1.4), round_of("confirm")]
     all_rounds = result_of(gain("a", 1.0, 0.005, 0.005))
@@ -250,3 +271,68 @@ def test_a_campaign_that_is_killed_at_any_moment_goes_on(copied: Path) -> None:
     state = campaign(folder)
     assert state.next in ("play", "stopped")
     assert len(state.rounds) <= 2
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out what takes time: search, rehearsal and identification."""
+
+    def drawn(task: DesignProblem, seed: int, **_: object) -> Design:
+        x = random_start(task, np.random.default_rng(seed), 0.5)
+        assert x is not None
+        return Design(task, "gains", x, 1.0, (), 0)
+
+    home = "gtau.campaigns.campaign"
+    saved = SimpleNamespace(save=lambda path: write_json(path, {"model": 1}))
+    monkeypatch.setattr(f"{home}.design", drawn)
+    monkeypatch.setattr(f"{home}.rehearse", lambda *_: Rehearsal(0.9, "limit", 1.0, {}, {}))
+    monkeypatch.setattr(f"{home}.identified", lambda *_: saved)
+    monkeypatch.setattr(f"{home}.decide", lambda *_: Decision("confirm", "all gains are within 3 %"))
+    monkeypatch.setattr(f"{home}.slower", lambda *_: ())
+    monkeypatch.setattr(f"{home}.next_task", lambda file, *_: make_task(file)[0])
+
+
+@pytest.mark.parametrize("played", [False, True])
+def test_interrupted_at_any_write_nothing_is_lost_or_repeated_wrongly(
+    played: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before each write of a call: the next call ends where an uninterrupted one does."""
+    quick(monkeypatch)
+    start = tmp_path / "start"
+    start.mkdir()
+    (start / "design.yaml").write_text(DESIGN)
+    if played:
+        campaign(start)
+        motion = json.loads((start / "01" / "motion.json").read_text())
+        (start / "01" / "logs").mkdir()
+        runs = [{"name": run["name"], "log": f"logs/{run['name']}.csv"} for run in motion["runs"]]
+        for run in runs:
+            (start / "01" / run["log"]).write_text("t\n")
+        document = {"schema": "gtau-played/1", "hash": motion["hash"], "end": "completed", "runs": runs}
+        write_json(start / "01" / "played.json", document)
+    whole = Path(shutil.copytree(start, tmp_path / "whole"))
+    campaign(whole, accuracy=3)
+    wanted, replaced = files_of(whole), os.replace
+    moments = 0
+    while True:
+        folder = Path(shutil.copytree(start, tmp_path / f"cut {moments}"))
+        writes = iter(range(moments))
+
+        def cut(source: str, target: Path, writes: Iterator[int] = writes) -> None:
+            if next(writes, None) is None:
+                raise KeyboardInterrupt
+            replaced(source, target)
+
+        with monkeypatch.context() as patched:
+            patched.setattr("gtau.documents.files.os.replace", cut)
+            try:
+                campaign(folder, accuracy=3)
+                break
+            except KeyboardInterrupt:
+                moments += 1
+        campaign(folder, accuracy=3)
+        assert files_of(folder) == wanted
+    assert moments == (6 if played else 3)

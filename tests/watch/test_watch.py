@@ -369,3 +369,21 @@ def test_the_command(folder: Path, tmp_path: Path) -> None:
 def test_a_worn_drive_is_replaced(model: Result, healthy: list[LogStatistics]) -> None:
     watch = watched(model, [*healthy, *days_of(model, 100, 3, gain=0.9)])
     assert state_of(watch.alarm, watch.events, True) == "replace"
+
+
+def test_a_full_disk_loses_nothing(model: Result, healthy: list[LogStatistics], tmp_path: Path) -> None:
+    watch = watched(model, healthy[:2], tmp_path)
+    (pages,) = watch._database.execute("PRAGMA page_count").fetchone()
+    watch._database.execute(f"PRAGMA max_page_count = {pages}")  # as if the disk had no room for more
+    refused = []
+    for k, log in enumerate(healthy[2:], start=2):
+        try:
+            watch.update_statistics(log, f"digest {k}", f"2026-01-{k + 1:02d}")
+        except GtauError as refusal:
+            refused.append("database or disk is full" in str(refusal))
+    assert refused
+    assert all(refused)
+    assert len(rows(tmp_path)) == len(healthy) - len(refused)
+    whole = watched(model, healthy, tmp_path / "other")
+    watch = watched(model, healthy, tmp_path)
+    assert watch.view.logs == whole.view.logs

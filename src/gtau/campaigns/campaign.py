@@ -207,6 +207,7 @@ def _judge(place: Path, accuracy: float, file: DesignFile, used: list[Round], pr
                 "gains": decision.gains,
                 "candidates": list(decision.candidates),
                 "notes": list(decision.notes),
+                "suspect": decision.suspect,
                 "inputs": inputs,
             },
         )

@@ -15,6 +15,7 @@ from gtau.campaigns.folder import Round
 from gtau.documents.files import write_atomically
 from gtau.documents.yaml_document import yaml_text
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.identify import identify
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
@@ -26,6 +27,7 @@ from gtau.signals.reading.logs import read_log
 
 ROUNDS = 5  # at which a campaign ends
 WORTH = 0.9  # of the widest interval: a motion is to bring it below this part, or the campaign ends
+SHOWN = 0.05  # of the residual variance: nine results of three healthy five-bars 0.00, a falling torque constant 0.41
 STRETCHED = 0.9  # of its speed, below which a motion was not played as it was designed
 RANDOM, MODEL, CONFIRM, DONE, STOPPED, BLOCKED = "random part", "model part", "confirm", "done", "stopped", "blocked"
 
@@ -35,7 +37,7 @@ class Decision:
     """What limits the worst gain, and what follows: another motion to ``RANDOM``, ``MODEL`` or ``CONFIRM``, or an end.
 
     ``say`` is a sentence with figures, ``gains`` those of all rounds by joint, ``candidates`` the motions rehearsed,
-    ``notes`` say which rounds were played more slowly than designed.
+    ``notes`` say which rounds were played more slowly than designed, and ``suspect`` is the effect that the data show.
     """
 
     kind: str
@@ -43,6 +45,7 @@ class Decision:
     gains: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     candidates: tuple[Mapping[str, Any], ...] = ()
     notes: tuple[str, ...] = ()
+    suspect: str = ""
 
     @property
     def goes_on(self) -> bool:
@@ -133,11 +136,14 @@ def decide(result: Result, accuracy: float, rounds: Sequence[Round], alone: Resu
     said = f"'{joint}' is {size}, {accuracy:g} % is asked for; its {limited} is the larger one"
     if len(rounds) >= ROUNDS:
         return Decision(STOPPED, f"five rounds are over: {said}; {_cause(result, joint)}", gains)
-    if len(rounds) > 1 and rounds[-1].motion["purpose"] == limited == MODEL:
-        before = _widest(rounds[-2])
-        if before is not None and wide[joint] > WORTH * before:
-            return Decision(STOPPED, f"{said}, and the last round did not narrow it; {_cause(result, joint)}", gains)
-    return Decision(limited, said if limited == RANDOM else f"{said}: {_cause(result, joint)}", gains)
+    if limited == RANDOM:
+        return Decision(limited, said, gains)
+    said, suspect, before = f"{said}: {_cause(result, joint)}", _suspect(result), rounds[-2:-1]
+    known = (before[0].decision or {}).get("suspect") if before else None
+    wider = before and (_widest(before[0]) or np.inf) * WORTH < wide[joint] and rounds[-1].motion["purpose"] == MODEL
+    if wider or (suspect is not None and suspect.subject == known):
+        return Decision(STOPPED, f"another motion does not help: {said}", gains)
+    return Decision(MODEL, said, gains, suspect="" if suspect is None else suspect.subject)
 
 
 def slower(result: Result, rounds: Sequence[Round]) -> tuple[str, ...]:
@@ -172,11 +178,16 @@ def _widest(this: Round) -> float | None:
 
 def _cause(result: Result, joint: str) -> str:
     """Say what may be wrong with the model of the worst gain, and what to do about it."""
-    verdict = result.drive_gains[joint].verdict
-    by_size = sorted(result.alternatives, key=lambda one: -one.probability * abs(one.moves.get(joint, 0.0)))
-    if by_size and verdict.finding and not verdict.finding.causes:
-        return f"the data cannot exclude {by_size[0].subject}; {by_size[0].causes[0].action}"
-    return verdict.sentence
+    if (suspect := _suspect(result)) is None:
+        return result.drive_gains[joint].verdict.sentence
+    share = f"{100 * suspect.share:.0f} % of the residual variance"
+    return f"the data speak for {suspect.subject} ({share}); {suspect.causes[0].action}"
+
+
+def _suspect(result: Result) -> Alternative | None:
+    """Find the effect that the data show most clearly, None where none is shown."""
+    shown = [one for one in result.alternatives if one.significant and one.share >= SHOWN]
+    return max(shown, key=lambda one: one.share, default=None)
 
 
 def _apart(alone: Result, rounds: Sequence[Round]) -> str:

@@ -114,7 +114,7 @@ def watch(
         for k, log in enumerate(given):
             progress("logs", k, len(given))
             if (status := take(watched, log, read)) is not None:
-                aside += isinstance(status, Skipped) and any(e.subject == log.stem for e in watched.refused)
+                aside += isinstance(status, Skipped)
                 _say(status, json_)
     if follow:
         _follow(blocks(watched, sources[0], read, block), watched, out, inputs, json_)

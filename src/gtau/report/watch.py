@@ -49,7 +49,7 @@ KINDS = {
 }
 """Watched quantities: words, the unit in which they are shown, and its factor."""
 DRAWN = 400  # points of a panel, beyond which days are averaged
-SPREAD = 4.0  # tolerances, or healthy ranges, that a panel shows at least
+SPREAD = 1.5  # times what nine of ten logs stay within, that a panel shows at least
 EVENTS = {
     "reset": "a new baseline begins",
     "acknowledge": "acknowledged: the new reference",
@@ -128,7 +128,7 @@ def verdict_text(watch: Watch) -> Text:
     rate = watch.settings
     fleet = f"{rate.robots} robots send" if rate.robots > 1 else "the robot sends"
     promise = (
-        f"False alarms of changes: on average once in {1 / rate.false_alarms:.3g} years if {fleet} "
+        f"False alarms of changes: on average {rate.false_alarms:.3g} a year if {fleet} "
         f"{rate.logs_per_year:g} logs a year and healthy logs scatter as an autoregression of correlation up to 0.98 "
         "beside white noise; the evidence page says what was measured for other kinds of scatter."
     )
@@ -203,7 +203,10 @@ def watch_report(watch: Watch) -> Page:
     """Add the history of each quantity with its tolerance, and the events."""
     short, view = watch_page(watch), watch.view
     columns = (Column("date"), Column("log", Kind.NAME), Column("event"))
-    events = [(event.date, event.subject, _event_words(event)) for event in watch.events]
+    events = []
+    for event in watch.events:
+        words = EVENTS[event.kind] + (f": {event.note}" if event.note else "") + (" (undone)" if event.undone else "")
+        events.append((event.date, event.subject, words))
     if watch.alarm is not None:
         events.append((watch.alarm.date, watch.alarm.since, alarm_words(watch.alarm)[0]))
     sections = [section("Events", table(columns, sorted(events)), id="events")] if events else []
@@ -217,11 +220,6 @@ def watch_report(watch: Watch) -> Page:
     return Page(short.title, (*short.sections, *sections), short.lead)
 
 
-def _event_words(event: Event) -> str:
-    note = f": {event.note}" if event.note else ""
-    return f"{EVENTS[event.kind]}{note}{' (undone)' if event.undone else ''}"
-
-
 def _history(watch: Watch, k: int) -> Panel:
     """Draw a quantity over the dates of its logs within its tolerance; an outlier does not set the scale."""
     view = watch.view
@@ -231,7 +229,9 @@ def _history(watch: Watch, k: int) -> Panel:
     if len(days) > DRAWN:
         days, at = np.unique(np.floor(days), return_inverse=True)
         y = np.bincount(at, y) / np.bincount(at)
-    dates = _dates(days)
+    ticks = np.unique(np.linspace(np.floor(days.min()), np.floor(days.max()), 4).round())
+    part = slice(5, None) if np.ptp(days) < 300 else slice(7)  # month and day, or year and month
+    dates = {float(day): str(np.datetime64(int(day), "D"))[part] for day in ticks}
     middle, tolerance = factor * float(view.reference[k]), factor * float(view.tolerance[k])
     spread = float(np.percentile(np.abs(y - middle), 90))
     reach = max(1.3 * tolerance if np.isfinite(tolerance) else 0.0, SPREAD * spread, 1e-9)
@@ -242,19 +242,13 @@ def _history(watch: Watch, k: int) -> Panel:
         series.append(Series("outside the panel", days[outside], drawn[outside], "measured", "diamond"))
     alarm = watch.alarm if watch.alarm is not None and view.names[k] in watch.alarm.charts else None
     return Panel(
-        Axis("date", names=dates),
+        Axis("", names=dates),
         Axis(f"{label}, {unit}", limits=(middle - reach, middle + reach)),
         tuple(series),
         rules=() if alarm is None else (Rule(x=day_of(alarm.date), label="alarm"),),
         band=(middle - tolerance, middle + tolerance) if np.isfinite(tolerance) else None,
-        height=1.2,
+        height=1.8,
     )
-
-
-def _dates(days: np.ndarray) -> Mapping[float, str]:
-    """Name up to four dates along an axis."""
-    ticks = np.unique(np.linspace(np.floor(days.min()), np.floor(days.max()), 4).round())
-    return {float(day): str(np.datetime64(int(day), "D")) for day in ticks}
 
 
 def fleet_lines(folder: Path) -> list[dict[str, str]]:

@@ -9,7 +9,7 @@ import numpy as np
 from gtau.estimation.results.result import Result
 from gtau.signals.reading.statements import Tolerances
 from gtau.watch.causes import causes_of, contacts_of
-from gtau.watch.detectors import FEWEST, WINDOW, Evidence, evidence, median
+from gtau.watch.detectors import FEWEST, WINDOW, Evidence, evidence, mean_of, median
 from gtau.watch.history import Alarm, Explained, Settings
 from gtau.watch.statistics import RESIDUAL, LogStatistics
 from gtau.watch.table import WEEK, View, beyond, week_of
@@ -92,14 +92,8 @@ def evidence_of(view: View, settings: Settings) -> tuple[Evidence, np.ndarray]:
 
 def std_of_model(model: Result, view: View) -> np.ndarray:
     """Take the standard deviations (m,) of the identified gains, to which changes are relative."""
-    gains = model.drive_gains
-    relative = [
-        (gains[quantity.joint].std or 0.0) / abs(gains[quantity.joint].value or 1.0)
-        if quantity.kind == "gain" and quantity.joint in gains
-        else 0.0
-        for quantity in view.quantities
-    ]
-    return np.array(relative)
+    known = [model.drive_gains.get(quantity.joint) if quantity.kind == "gain" else None for quantity in view.quantities]
+    return np.array([(gain.std or 0.0) / abs(gain.value or 1.0) if gain else 0.0 for gain in known])
 
 
 def _back(view: View, alarm: Alarm) -> np.ndarray:
@@ -132,8 +126,8 @@ def _alarm(
     if kind == "log":
         x, after, before = view.values, np.array([start]), rows
     by_model = kind == "tolerance" or len(before) < FEWEST
-    healthy, changed = view.reference if by_model else means_of(x[before]), means_of(x[after])
-    of_charts = np.zeros(view.charts.shape[1]) if by_model else means_of(view.charts[before])
+    healthy, changed = view.reference if by_model else mean_of(x[before]), mean_of(x[after])
+    of_charts = np.zeros(view.charts.shape[1]) if by_model else mean_of(view.charts[before])
     uneven = np.nanmax(view.uneven[before], axis=0, initial=1.0)
     columns = columns[np.isfinite(healthy[columns]) & np.isfinite(changed[columns])]
     rated = Tolerances.model_validate(settings.tolerances).rated_payload
@@ -150,13 +144,6 @@ def _alarm(
         healthy=tuple(healthy[columns].tolist()),
         changed=tuple(changed[columns].tolist()),
     )
-
-
-def means_of(x: np.ndarray) -> np.ndarray:
-    """Average logs (N, k) without those that are NaN."""
-    there = np.isfinite(x)
-    count = there.sum(axis=0)
-    return np.where(count > 0, np.where(there, x, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)
 
 
 def visible_changes(model: Result, settings: Settings, view: View) -> np.ndarray:

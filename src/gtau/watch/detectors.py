@@ -169,13 +169,15 @@ def _from_each(products: np.ndarray) -> np.ndarray:
 def _confirmed(x: np.ndarray, start: np.ndarray) -> np.ndarray:
     """Return whether the last two logs of each chart are both nearer to the mean after ``start`` than before."""
     after = np.arange(len(x))[:, None] >= start
-    healthy, changed = (_mean(np.where(part, x, np.nan)) for part in (~after, after))
+    healthy, changed = (mean_of(np.where(part, x, np.nan)) for part in (~after, after))
     position = (x - healthy) / np.where(changed != healthy, changed - healthy, np.inf)
     newest = np.isfinite(x) & (np.cumsum(np.isfinite(x)[::-1], axis=0)[::-1] <= 2)
     agreeing = newest & after & (position > 0.5)
     return np.asarray(agreeing.sum(axis=0) == 2)
 
 
-def _mean(x: np.ndarray) -> np.ndarray:
+def mean_of(x: np.ndarray) -> np.ndarray:
+    """Average logs (n, k) without those that are NaN; NaN where there is none."""
     there = np.isfinite(x)
-    return np.asarray(np.where(there, x, 0.0).sum(axis=0) / np.maximum(there.sum(axis=0), 1))
+    count = there.sum(axis=0)
+    return np.where(count > 0, np.where(there, x, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)

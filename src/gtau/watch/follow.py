@@ -89,7 +89,7 @@ def digest_of(path: str | Path) -> str:
 
 
 def take(watch: Watch, log: Path, read: Read) -> Status | Skipped | None:
-    """Add a finished log; one that cannot be read is set aside with the reason. None for one that was added before."""
+    """Add a finished log; one that cannot be read is set aside with the reason. None where its samples are known."""
     try:
         digest = digest_of(log)
         if watch.seen(digest):
@@ -98,7 +98,7 @@ def take(watch: Watch, log: Path, read: Read) -> Status | Skipped | None:
     except GtauError as refusal:
         watch.set_aside(log.stem, str(refusal))
         return Skipped(log.stem, str(refusal))
-    return Skipped(log.stem, "its samples are those of another log") if status.copied else status
+    return None if status.copied else status
 
 
 def follow(

@@ -21,8 +21,8 @@ from gtau.robots.parameter import torque_unit
 from gtau.signals.reading.statements import Tolerances
 from gtau.signals.run import Run
 from gtau.watch import history
-from gtau.watch.alarms import evidence_of, judge, means_of
-from gtau.watch.detectors import FEWEST
+from gtau.watch.alarms import evidence_of, judge
+from gtau.watch.detectors import FEWEST, mean_of
 from gtau.watch.history import Alarm, Event, Row, Settings
 from gtau.watch.quantities import Quantity, charts_of
 from gtau.watch.statistics import RESIDUAL, LogStatistics, statistics_of
@@ -154,11 +154,6 @@ class Watch:
         """``baseline`` until the baseline is complete, then ``watching``."""
         return "baseline" if self.count < self.settings.baseline else "watching"
 
-    @property
-    def refused(self) -> list[Event]:
-        """Logs that could not be read."""
-        return [event for event in self.events if event.kind == "refused"]
-
     def seen(self, digest: str) -> bool:
         """Return whether a log of this digest is in the history."""
         found = self._database.execute("SELECT 1 FROM seen WHERE digest = ?", (digest[: history.DIGITS],))
@@ -282,7 +277,7 @@ class Watch:
             raise GtauError(f"there is no alarm to acknowledge{advice or '; watch further logs first'}.")
         place = _place(self.view, self.alarm)
         moved, _ = evidence_of(self.view, self.settings)
-        means = means_of(self.view.counted[place:])
+        means = mean_of(self.view.counted[place:])
         accepted = {
             name: float(mean)
             for name, mean, log_e in zip(self.view.names, means, moved.log_e, strict=True)
