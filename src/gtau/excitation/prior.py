@@ -105,9 +105,13 @@ class Prior:
         known: dict[str, float] = dict(zip(base.names, chi, strict=True))
         for run, load in enumerate(payloads):
             if load is not None:  # whose unknown parameters have the name of the run
-                moments = (load.mass or 1.0) * self.centers.get(load.name, np.full(3, ARM))
-                known |= {Parameter(kind, f"L{run + 1}"): m for kind, m in zip(FIRST_MOMENTS, moments, strict=True)}
+                moments = zip(FIRST_MOMENTS, self.moments(load), strict=True)
+                known |= {Parameter(kind, f"L{run + 1}"): moment for kind, moment in moments}
         return np.array([known.get(name, 0.0) for name in names])
+
+    def moments(self, load: Payload) -> np.ndarray:
+        """Return the first moments (3,) of a payload, kg m, with the centre that is known or guessed."""
+        return np.asarray((load.mass or 1.0) * self.centers.get(load.name, np.full(3, ARM)))
 
 
 def identified_gains(result: Result, file: Path) -> tuple[KnownGain, ...]:
