@@ -21,7 +21,7 @@ import gtau
 from gtau.campaigns.campaign import CampaignState, campaign
 from gtau.campaigns.candidates import candidates
 from gtau.campaigns.decision import Decision, decide, refuse_to_go_on
-from gtau.campaigns.folder import Round, read_rounds, write_json
+from gtau.campaigns.folder import Round, read_design_file, read_rounds, read_settings, write_json
 from gtau.campaigns.page import campaign_page
 from gtau.campaigns.rehearsal import Rehearsal
 from gtau.cli.commands import app
@@ -142,6 +142,19 @@ def test_another_robot_or_payload_than_the_folder_has_is_refused(copied: Path, t
     assert done.exit_code == 0, done.output
     assert json.loads(done.stdout)["next"] == "play"
     assert gtau.campaign is campaign
+
+
+def test_a_robot_file_is_named_from_the_new_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "arm.yaml").write_text("robot: arm")
+    for _ in range(2):  # the same command again is harmless
+        assert read_settings(Path("camp"), "arm.yaml", 2.0, 4.0).accuracy == 4
+    file = read_design_file(Path("camp"))
+    assert Path(file.robot).samefile("arm.yaml")
+    assert [load and load.mass for load in file.payloads] == [None, 2.0, 2.0, None]
+    with pytest.raises(GtauError, match=r"there is no file 'other\.yaml'"):
+        read_settings(Path("another"), "other.yaml", 2.0, None)
+    assert not Path("another").exists()
 
 
 def gain(joint: str, value: float | None, random: float, model: float, outcome: Outcome = Outcome.GOOD) -> Estimate:

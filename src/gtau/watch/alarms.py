@@ -15,7 +15,7 @@ from gtau.watch.statistics import RESIDUAL, LogStatistics
 from gtau.watch.table import WEEK, View, beyond, week_of
 
 HEAVIEST = 100.0  # kg of a load, where the rated payload is not stated
-SIZES = np.geomspace(0.5, 60.0, 25)  # changes of which the smallest visible is one, in deviations between logs
+SIZES = np.geomspace(0.5, 60.0, 25)  # changes of which the smallest visible is one, in standard deviations
 PERIODS = (7, 30)  # days in which it is visible
 MOST = 120  # last logs that the imagined ones follow
 WEEKLY = 7  # logs that count as a week where they have one date
