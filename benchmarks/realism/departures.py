@@ -8,7 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gtau.robots.robot import Mdh, Pose, Robot
-from gtau.simulation.trajectories import Envelope, PointToPoint, Trajectory, point_to_point, sines, through
+from gtau.simulation.trajectories import (
+    REST,
+    Envelope,
+    PointToPoint,
+    Trajectory,
+    moves_through,
+    point_to_point,
+    sines,
+)
 
 Torque = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 Deflection = Callable[[np.ndarray, np.ndarray, float], np.ndarray]
@@ -121,6 +129,17 @@ def stale(share: float) -> Departure:
 
 
 # How the robot moves
+
+
+def through(within: Envelope, duration: float, targets: Iterator[np.ndarray], rest: float = REST) -> PointToPoint:
+    """Moves from the center through endless targets, -1 to 1 of the reach: one at least, and all that end in time."""
+    points, planned = [within.center], None
+    while True:
+        points.append(within.center + within.reach * next(targets))
+        longer = moves_through(np.array(points), within, rest)
+        if planned is not None and longer.starts[-1] + longer.spans[-1] > duration:
+            return planned
+        planned = longer
 
 
 def one_joint(within: Envelope, duration: float, rng: np.random.Generator) -> PointToPoint:

@@ -38,7 +38,12 @@ class Machine:
             load = truth["payloads"][payload]
             size = load["mass"] * 0.05**2 * np.ones(3) * 0.4  # a ball
             spec.body(load["body"]).add_body(
-                name=f"payload {payload}", pos=load["center"], mass=load["mass"], inertia=size, explicitinertial=True
+                name=f"payload {payload}",
+                pos=load["center"],
+                ipos=[0.0, 0.0, 0.0],  # otherwise MuJoCo takes pos once more
+                mass=load["mass"],
+                inertia=size,
+                explicitinertial=True,
             )
         drives = {str(name): ZERO | drive for name, drive in truth["drives"].items()}
         self.model, self.drives = spec.compile(), [drives[name] for name in joints]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -20,16 +21,18 @@ import gtau
 from gtau.campaigns.campaign import CampaignState, campaign
 from gtau.campaigns.candidates import candidates
 from gtau.campaigns.decision import Decision, decide, refuse_to_go_on
-from gtau.campaigns.folder import Round, read_rounds
+from gtau.campaigns.folder import Round, read_design_file, read_rounds, read_settings, write_json
 from gtau.campaigns.page import campaign_page
+from gtau.campaigns.rehearsal import Rehearsal
 from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.verdict import Verdict
 from gtau.estimation.results.estimate import Estimate
 from gtau.excitation.design import Design
-from gtau.excitation.design_file import read_design
+from gtau.excitation.design_file import make_task, read_design
 from gtau.excitation.nlp import random_start
+from gtau.excitation.task import DesignProblem
 from gtau.findings import Finding, Outcome
 from gtau.report.render.terminal import plain
 
@@ -139,6 +142,19 @@ def test_another_robot_or_payload_than_the_folder_has_is_refused(copied: Path, t
     assert done.exit_code == 0, done.output
     assert json.loads(done.stdout)["next"] == "play"
     assert gtau.campaign is campaign
+
+
+def test_a_robot_file_is_named_from_the_new_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "arm.yaml").write_text("robot: arm")
+    for _ in range(2):  # the same command again is harmless
+        assert read_settings(Path("camp"), "arm.yaml", 2.0, 4.0).accuracy == 4
+    file = read_design_file(Path("camp"))
+    assert Path(file.robot).samefile("arm.yaml")
+    assert [load and load.mass for load in file.payloads] == [None, 2.0, 2.0, None]
+    with pytest.raises(GtauError, match=r"there is no file 'other\.yaml'"):
+        read_settings(Path("another"), "other.yaml", 2.0, None)
+    assert not Path("another").exists()
 
 
 def gain(joint: str, value: float | None, random: float, model: float, outcome: Outcome = Outcome.GOOD) -> Estimate:
@@ -268,3 +284,68 @@ def test_a_campaign_that_is_killed_at_any_moment_goes_on(copied: Path) -> None:
     state = campaign(folder)
     assert state.next in ("play", "stopped")
     assert len(state.rounds) <= 2
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out what takes time: search, rehearsal and identification."""
+
+    def drawn(task: DesignProblem, seed: int, **_: object) -> Design:
+        x = random_start(task, np.random.default_rng(seed), 0.5)
+        assert x is not None
+        return Design(task, "gains", x, 1.0, (), 0)
+
+    home = "gtau.campaigns.campaign"
+    saved = SimpleNamespace(save=lambda path: write_json(path, {"model": 1}))
+    monkeypatch.setattr(f"{home}.design", drawn)
+    monkeypatch.setattr(f"{home}.rehearse", lambda *_: Rehearsal(0.9, "limit", 1.0, {}, {}))
+    monkeypatch.setattr(f"{home}.identified", lambda *_: saved)
+    monkeypatch.setattr(f"{home}.decide", lambda *_: Decision("confirm", "all gains are within 3 %"))
+    monkeypatch.setattr(f"{home}.slower", lambda *_: ())
+    monkeypatch.setattr(f"{home}.next_task", lambda file, *_: make_task(file)[0])
+
+
+@pytest.mark.parametrize("played", [False, True])
+def test_interrupted_at_any_write_nothing_is_lost_or_repeated_wrongly(
+    played: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before each write of a call: the next call ends where an uninterrupted one does."""
+    quick(monkeypatch)
+    start = tmp_path / "start"
+    start.mkdir()
+    (start / "design.yaml").write_text(DESIGN)
+    if played:
+        campaign(start)
+        motion = json.loads((start / "01" / "motion.json").read_text())
+        (start / "01" / "logs").mkdir()
+        runs = [{"name": run["name"], "log": f"logs/{run['name']}.csv"} for run in motion["runs"]]
+        for run in runs:
+            (start / "01" / run["log"]).write_text("t\n")
+        document = {"schema": "gtau-played/1", "hash": motion["hash"], "end": "completed", "runs": runs}
+        write_json(start / "01" / "played.json", document)
+    whole = Path(shutil.copytree(start, tmp_path / "whole"))
+    campaign(whole, accuracy=3)
+    wanted, replaced = files_of(whole), os.replace
+    moments = 0
+    while True:
+        folder = Path(shutil.copytree(start, tmp_path / f"cut {moments}"))
+        writes = iter(range(moments))
+
+        def cut(source: str, target: Path, writes: Iterator[int] = writes) -> None:
+            if next(writes, None) is None:
+                raise KeyboardInterrupt
+            replaced(source, target)
+
+        with monkeypatch.context() as patched:
+            patched.setattr("gtau.documents.files.os.replace", cut)
+            try:
+                campaign(folder, accuracy=3)
+                break
+            except KeyboardInterrupt:
+                moments += 1
+        campaign(folder, accuracy=3)
+        assert files_of(folder) == wanted
+    assert moments == (6 if played else 3)

@@ -11,10 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
+from mujoco_robots import write_robot
 
 sys.path.append(str(Path(__file__).parents[2] / "examples" / "players"))
 import contract
 import play_lerobot
+import play_mujoco
 import play_ros2
 import play_ur
 
@@ -143,3 +146,14 @@ def test_a_round_that_the_controller_stretched_is_noted(motion: contract.Motion)
         notes = slower(SimpleNamespace(data=(SimpleNamespace(time=time, position=q),)), [this])
         assert len(notes) == len(noted)
         assert all("was played at 50 % of its speed" in note for note in notes)
+
+
+def test_the_payload_in_mujoco_has_the_centre_of_its_file(tmp_path: Path) -> None:
+    write_robot("five-bar", tmp_path, 1.0, 1)
+    load = yaml.safe_load((tmp_path / "mujoco.yaml").read_text())["payloads"]["payload"]
+    bare, loaded = (
+        play_mujoco.Machine(tmp_path / "mujoco.yaml", ["left", "right"], name).model for name in (None, "payload")
+    )
+    added = loaded.body("payload payload")
+    assert loaded.body_mass.sum() - bare.body_mass.sum() == pytest.approx(1.0)
+    assert added.pos + added.ipos == pytest.approx(load["center"])

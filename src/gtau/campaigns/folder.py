@@ -103,11 +103,11 @@ def begin(folder: Path, robot: str | Path | None, payload: float | None) -> None
                 f"{folder} holds no campaign; begin it with --robot and --payload (kg), or put a {DESIGN} of "
                 "'gtau excite' there."
             )
-        source = relpath(robot, folder) if Path(robot).is_file() else str(robot)
         runs = [{"payload": {"name": PAYLOAD, "mass": payload} if loaded else "none"} for loaded in ORDER]
-        design = {"robot": source, "rate": RATE, "runs": runs}
-        validate(DesignFile, Document("campaign", design), context=folder)
-        write_atomically(folder_of(folder) / DESIGN, yaml_text(design))
+        design = {"robot": str(robot), "rate": RATE, "runs": runs}
+        validate(DesignFile, Document("campaign", design), context=Path())  # before the folder is made
+        source = relpath(robot, folder) if Path(robot).is_file() else str(robot)
+        write_atomically(folder_of(folder) / DESIGN, yaml_text(design | {"robot": source}))
         return
     file = read_design_file(folder)
     masses = {load.mass for load in file.payloads if load is not None}

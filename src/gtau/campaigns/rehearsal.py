@@ -17,12 +17,13 @@ from gtau.errors import GtauError
 from gtau.excitation.design import Design, check
 from gtau.excitation.design_file import DesignFile
 from gtau.excitation.forecast import Outlook
-from gtau.excitation.prior import ERROR, cautious_parameters, rough_parameters
+from gtau.excitation.prior import ERROR, Prior, cautious_parameters, rough_parameters
+from gtau.model.home import load_robot
 from gtau.progress import Progress
 from gtau.report.design import trajectory_table
 from gtau.robots.parameter import torque_unit
 from gtau.signals.reading.logs import read_log
-from gtau.signals.reading.statements import Payload
+from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
 from gtau.simulation.experiment_files import simulate_experiment
 
 REDUCED = 0.25  # m/s of the tool, which ISO 10218-2 calls reduced speed
@@ -74,11 +75,12 @@ def rehearse(design: Design, file: DesignFile, model: Path | None, progress: Pro
                 f"in the rehearsal joint '{joint}' strays by {error:.3g} from the motion, {allowed[joint]:.3g} is "
                 f"allowed; limit its acceleration or jerk in the design file."
             )
+    robot = load_robot(file.robot)
     for joint, torque in torques.items():
-        most = task.model.robot.joint(joint).limits.effort
+        most = robot.joint(joint).limits.effort  # the file's own: the design's share is for what happens on the way
         if most is not None and torque > most:
             raise GtauError(
-                f"in the rehearsal joint '{joint}' takes {torque:.3g} {torque_unit(task.model.robot, joint)}, "
+                f"in the rehearsal joint '{joint}' takes {torque:.3g} {torque_unit(robot, joint)}, "
                 f"{most:.3g} is allowed; limit its acceleration in the design file."
             )
     return Rehearsal(worst.excess, worst.what, Outlook(design, {}).tool[0], errors, torques)
@@ -95,7 +97,7 @@ def _under_control(
     with tempfile.TemporaryDirectory() as name:
         out = Path(name)
         write_table(trajectory_table(task, time, joints), out / CSV)
-        run = {"name": "loaded", "trajectory": {"csv": str(out / CSV)}, "payload": _known(heaviest)}
+        run = {"name": "loaded", "trajectory": {"csv": str(out / CSV)}, "payload": _known(heaviest, task.prior)}
         known = {"model": str(model)} if model else {"parameters": _stated(design, heaviest.mass or 1.0)}
         drives = {joint: {"gain": 1.0} for joint in task.model.actuated}
         rate = max(task.rate, 500.0)
@@ -110,8 +112,9 @@ def _under_control(
     return errors, torques
 
 
-def _known(payload: Payload) -> dict[str, Any]:
-    return {"name": payload.name, "mass": payload.mass, "parameters": payload.parameters}
+def _known(payload: Payload, prior: Prior) -> dict[str, Any]:
+    moments = dict(zip(FIRST_MOMENTS, prior.moments(payload).tolist(), strict=True))
+    return {"name": payload.name, "mass": payload.mass, "parameters": moments | payload.parameters}
 
 
 def _stated(design: Design, mass: float) -> dict[str, float]:

@@ -127,7 +127,7 @@ class Information:
 
     @property
     def known(self) -> np.ndarray:
-        """Factor (., P) of the information beforehand: of a vague prior, and what earlier experiments told."""
+        """Factor (., P) of the information beforehand: of a vague prior and of earlier experiments."""
         return np.concatenate([np.diag(1 / (VAGUE * self.scale)), self.earlier])
 
     def jacobians(self, W: np.ndarray, run: int, step: float) -> np.ndarray:

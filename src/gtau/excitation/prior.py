@@ -28,7 +28,7 @@ NOISE = 0.005  # rough noise of a current's sample, of the effort limit
 ERROR = 1.25  # by which torques of a file's inertias count: gravity of a real UR10e was 1.04 to 1.22 times its file's
 # Drives behind limits of torque, of these (80 % of the file's). Of a real UR10e's file: Coulomb friction 5 to 14 %,
 # viscous friction at the speed limit 8 to 41 %, rotors 0.009 to 0.010 kg m2 a N m.
-ARM = 0.05  # m along each axis, of a payload's centre where none is stated: on a joint's axis it would tell it nothing
+ARM = 0.05  # m along each axis, of a payload's centre where none is stated: on a joint's axis it has no effect on it
 COULOMB, VISCOUS, ROTOR = 0.1, 0.3, 0.0125
 STATES = 200
 
@@ -105,9 +105,13 @@ class Prior:
         known: dict[str, float] = dict(zip(base.names, chi, strict=True))
         for run, load in enumerate(payloads):
             if load is not None:  # whose unknown parameters have the name of the run
-                moments = (load.mass or 1.0) * self.centers.get(load.name, np.full(3, ARM))
-                known |= {Parameter(kind, f"L{run + 1}"): m for kind, m in zip(FIRST_MOMENTS, moments, strict=True)}
+                moments = zip(FIRST_MOMENTS, self.moments(load), strict=True)
+                known |= {Parameter(kind, f"L{run + 1}"): moment for kind, moment in moments}
         return np.array([known.get(name, 0.0) for name in names])
+
+    def moments(self, load: Payload) -> np.ndarray:
+        """Return the first moments (3,) of a payload, kg m, with the centre that is known or guessed."""
+        return np.asarray((load.mass or 1.0) * self.centers.get(load.name, np.full(3, ARM)))
 
 
 def identified_gains(result: Result, file: Path) -> tuple[KnownGain, ...]:
