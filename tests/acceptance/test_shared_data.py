@@ -185,11 +185,13 @@ def test_ur10e_payload_has_ten_parameters(ur10e: Result) -> None:
 def test_ur10e_watched_over_its_weeks_raises_no_alarm_until_it_is_loaded(
     folder: Path, ur10e: Result, shared: Path
 ) -> None:
-    watch = Watch(ur10e, baseline=4)
     weeks = ("01_31-unload", "02_05-20sec_8harm", "02_06-20sec_10harm", "02_10-30sec_12harm", "02_12-40sec_12harm")
-    for name in (*weeks, "02_19_14harm50sec"):
-        status = watch.update(read_log(ur10e, shared / "ur10e" / f"ur-20_{name}.csv", folder / "ur10e.yaml"))
-        assert status.healthy, name
+    for first in (1, 0):  # the lags of the shorter motions scatter, and are no fault
+        watch = Watch(ur10e, baseline=4)
+        for name in (*weeks[first:], "02_19_14harm50sec"):
+            run = read_log(ur10e, shared / "ur10e" / f"ur-20_{name}.csv", folder / "ur10e.yaml")
+            status = watch.update(run, date=f"2020-{name[:5].replace('_', '-')}")
+            assert status.healthy, name
     status = watch.update(read_log(ur10e, shared / "ur10e" / "ur-20_01_31-load.csv", folder / "ur10e.yaml"))
     (load,) = status.entry.alarm.explanations
     assert load.kind == "load"

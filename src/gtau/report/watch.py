@@ -108,9 +108,7 @@ def alarm_words(alarm: Alarm) -> tuple[str, tuple[str, ...]]:
 def _remedies(alarm: Alarm) -> list[str]:
     """List what to do about the causes."""
     causes = [cause for explained in alarm.explanations for cause in (explained, explained.and_also) if cause]
-    remedies = dict.fromkeys(CHANGES[cause.kind][1] for cause in causes)
-    if not causes:
-        return ["Identify the robot again and compare both models."]
+    remedies = dict.fromkeys(CHANGES[cause.kind][1] for cause in causes) or ["identify again and compare both models"]
     return [f"{remedy[0].upper()}{remedy[1:]}." for remedy in remedies]
 
 

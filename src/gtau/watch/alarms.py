@@ -48,22 +48,23 @@ def judge(
     if len(far):
         alarm = alarm_of("tolerance", far, _run_beyond(view, far))
         twice = beyond(replace(view, tolerance=2 * view.tolerance), week)  # where no cause fits, it may be the motion
-        if any(_is_beyond(view, cause) for cause in alarm.explanations) or (not alarm.explanations and twice.any()):
+        if any(_is_beyond(view, cause, far) for cause in alarm.explanations) or (
+            not alarm.explanations and twice.any()
+        ):
             return alarm, None
     return alarm_of("change", changed, start) if len(changed) else previous, None
 
 
-def _is_beyond(view: View, cause: Explained) -> bool:
-    """Return whether a cause, or that beside it, is beyond its tolerance: one quantity alone may follow another."""
-    kind = {"load": cause.quantity, "clock": "delay", "warming": "friction"}.get(cause.kind, cause.kind)
-    limits = [
-        view.tolerance[k]
-        for k, quantity in enumerate(view.quantities)
-        if quantity.kind == kind and cause.joint in ("", quantity.joint)
-    ]
-    size = cause.size if cause.relative is None else cause.relative
-    far = cause.kind == "units" or abs(size) > min(limits, default=np.inf)
-    return far or (cause.and_also is not None and _is_beyond(view, cause.and_also))
+def _is_beyond(view: View, cause: Explained, far: np.ndarray) -> bool:
+    """Return whether a cause, or that beside it, is beyond tolerance, and so is its own quantity among ``far`` (m,)."""
+    kind = {"load": cause.quantity, "clock": "delay", "warming": "friction", "units": "gain"}.get(
+        cause.kind, cause.kind
+    )
+    size = np.inf if cause.kind == "units" else abs(cause.size if cause.relative is None else cause.relative)
+    concerned = [view.quantities[k] for k in far if size > view.tolerance[k]]
+    if any(quantity.kind == kind and cause.joint in ("", quantity.joint) for quantity in concerned):
+        return True
+    return cause.and_also is not None and _is_beyond(view, cause.and_also, far)
 
 
 def _changes(settings: Settings, view: View) -> tuple[np.ndarray, int]:

@@ -155,10 +155,10 @@ def _growing(
                 *complete, torn = (torn + chunk).split(b"\n")
                 lines += complete
                 if not wanted and len(lines) >= FIRST_LINES:
-                    part.write_bytes(head + _text(lines[:FIRST_LINES]))
+                    part.write_bytes(head + b"\n".join([*lines[:FIRST_LINES], b""]))
                     wanted = max(round(read(part).rate * seconds), FIRST_LINES)
                 while wanted and len(lines) >= wanted:
-                    block, number = _text(lines[:wanted]), number + 1
+                    block, number = b"\n".join([*lines[:wanted], b""]), number + 1
                     del lines[:wanted]
                     part.write_bytes(head + block)
                     if (status := _block(watch, part, read, block, f"{log.stem} block {number}")) is not None:
@@ -191,10 +191,6 @@ def _replaced(log: Path, file: BinaryIO) -> bool:
     except FileNotFoundError:
         return True
     return (state.st_ino, state.st_dev) != (opened.st_ino, opened.st_dev) or state.st_size < file.tell()
-
-
-def _text(lines: list[bytes]) -> bytes:
-    return b"\n".join(lines) + b"\n"
 
 
 def _lines_of(log: Path) -> int:

@@ -146,6 +146,7 @@ def _put(content: bytes, path: Path) -> None:
         with os.fdopen(handle, "wb") as file:
             file.write(content)
             os.fsync(handle)
+        os.chmod(part, 0o644)
         with suppress(FileExistsError):
             os.link(part, path)
     finally:

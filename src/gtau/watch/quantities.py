@@ -62,6 +62,11 @@ class Quantity:
         return Parameter(self.kind, self.joint or "load")
 
     @property
+    def charted(self) -> bool:
+        """Whether it has a chart: inertia of the load and offsets are estimated with the others."""
+        return self.kind != "off" if self.joint else self.kind in ("m", "mx", "my", "mz")
+
+    @property
     def group(self) -> str:
         """``load``, or the kind itself."""
         return self.kind if self.joint else "load"
@@ -96,7 +101,7 @@ class NormalEquations:
     @property
     def charts(self) -> list[int]:
         """Columns of the charts."""
-        return [k for k, quantity in enumerate(self.quantities) if _charted(quantity)]
+        return [k for k, quantity in enumerate(self.quantities) if quantity.charted]
 
 
 def quantities_of(model: Result, of_load: Iterable[str]) -> tuple[Quantity, ...]:
@@ -117,14 +122,10 @@ def quantities_of(model: Result, of_load: Iterable[str]) -> tuple[Quantity, ...]
 
 
 def charts_of(model: Result) -> tuple[Quantity, ...]:
-    """List the charts of a model: inertia of the load and offsets are estimated with the others."""
+    """List the charts of a model."""
     (payload,) = payload_columns(model.idm, model.base, [Payload(name="load")])
     quantities = quantities_of(model, [name.kind for name in payload.unknown])
-    return tuple(quantity for quantity in quantities if _charted(quantity))
-
-
-def _charted(quantity: Quantity) -> bool:
-    return quantity.kind in ("m", "mx", "my", "mz") if not quantity.joint else quantity.kind != "off"
+    return tuple(quantity for quantity in quantities if quantity.charted)
 
 
 def normal_equations(model: Result, run: Run) -> NormalEquations:

@@ -79,6 +79,10 @@ class View:
         """Days (N,) since 1970."""
         return np.array([day_of(date) for date in self.dates])
 
+    def place(self, log: str, date: str) -> int:
+        """Find the row of a log, the first where there is none."""
+        return next((k for k, row in enumerate(zip(self.logs, self.dates, strict=True)) if row == (log, date)), 0)
+
     def of_kind(self, *kinds: str) -> np.ndarray:
         """Find the quantities (m,) of these kinds."""
         return np.array([quantity.kind in kinds for quantity in self.quantities])

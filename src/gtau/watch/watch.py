@@ -29,7 +29,6 @@ from gtau.watch.statistics import RESIDUAL, LogStatistics, statistics_of
 from gtau.watch.table import View, view_of
 
 DONE = ("acknowledge", "forget", "reset")  # events that can be undone
-OPTIONS = {"false_alarms": "--false-alarms-per-year"}  # of settings whose option has another name
 
 
 class Entry(BaseModel):
@@ -204,7 +203,7 @@ class Watch:
             place = int(np.flatnonzero(view.ids == row.id)[0])
             alarm, repaired = judge(self.model, self.settings, view, log, place, self.alarm)
             if repaired is not None and self.alarm is not None:
-                details = {"first": int(view.ids[_place(view, self.alarm)]), "inside": repaired}
+                details = {"first": int(view.ids[view.place(self.alarm.since, self.alarm.date)]), "inside": repaired}
                 history.add_event(self._database, date, "repaired", ", ".join(self.alarm.charts), details=details)
             self._set_alarm(alarm)
             self._forgive(log.name)
@@ -275,7 +274,7 @@ class Watch:
         if self.alarm is None or self.alarm.kind == "log":
             advice = "" if self.alarm is None else f"; forget the log '{self.alarm.since}' instead"
             raise GtauError(f"there is no alarm to acknowledge{advice or '; watch further logs first'}.")
-        place = _place(self.view, self.alarm)
+        place = self.view.place(self.alarm.since, self.alarm.date)
         moved, _ = evidence_of(self.view, self.settings)
         means = mean_of(self.view.counted[place:])
         accepted = {
@@ -322,12 +321,6 @@ class Watch:
         self._read(whole=True)
 
 
-def _place(view: View, alarm: Alarm) -> int:
-    """Find the row of the first log of an alarm."""
-    names = list(zip(view.logs, view.dates, strict=True))
-    return names.index((alarm.since, alarm.date)) if (alarm.since, alarm.date) in names else 0
-
-
 def _require_same(known: Settings, begun: Settings, given: dict[str, Any], folder: Path | None) -> None:
     """Refuse the history of another model, or other settings than those it was begun with."""
     if known.model != begun.model:
@@ -336,7 +329,7 @@ def _require_same(known: Settings, begun: Settings, given: dict[str, Any], folde
             "--out."
         )
     for name, value in given.items():
-        option = OPTIONS.get(name, f"--{name.replace('_', '-')}")
+        option = f"--{name.replace('_', '-')}{'-per-year' * (name == 'false_alarms')}"
         if (before := getattr(known, name)) != value:
             raise GtauError(
                 f"{folder} was begun with {option} {before:g}, not {value:g}: another value would change what its "
