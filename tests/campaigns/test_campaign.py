@@ -69,7 +69,7 @@ def test_the_first_call_writes_a_rehearsed_motion(begun: tuple[Path, CampaignSta
     assert state.say.startswith(f"play {folder / '01'}: first at a tenth of its speed (tool up to ")
     motion = json.loads((folder / "01" / "motion.json").read_text())
     assert [run["payload"] and run["payload"]["name"] for run in motion["runs"]] == [None, "payload", "payload", None]
-    assert motion["rehearsal"]["largest_use"]["used"] <= 1
+    assert motion["rehearsal"]["used"] <= 1
     assert set(motion["files"]) == {"motion.csv", "../design.yaml"}
     assert any(guard.startswith("jerk: not limited") for guard in motion["guards"])
     before = (folder / "01" / "motion.json").stat().st_mtime_ns

@@ -276,4 +276,3 @@ def test_nothing_identified_is_still_a_table(tmp_path: Path) -> None:
     assert result.exit_code == 3
     assert "No robot could be identified." in result.stdout
     assert pl.read_parquet(tmp_path / "out" / "gains.parquet")["outcome"].to_list() == ["refused"]
-    assert not (tmp_path / "out" / "gains.csv").exists()

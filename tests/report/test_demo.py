@@ -82,6 +82,7 @@ def test_the_true_orthoglide_has_the_sums_of_the_papers_table_3(model: gtau.Inve
     assert min(masses) > 0
 
 
+@pytest.mark.slow
 def test_the_files_of_the_demo_fit_each_other(made: tuple[Path, dict[str, Any], str]) -> None:
     out, _, _ = made
     simulation = read_simulation(out / "simulation.yaml")
@@ -103,6 +104,7 @@ def test_the_files_of_the_demo_fit_each_other(made: tuple[Path, dict[str, Any], 
     assert [load and load.mass for load in task.payloads] == [None, PAYLOAD_MASS]
 
 
+@pytest.mark.slow
 def test_the_demo_finds_the_gains_and_weighs_the_payload(made: tuple[Path, dict[str, Any], str]) -> None:
     _, document, text = made
     for gain in document["drive_gains"]:
@@ -137,6 +139,7 @@ def test_pages_show_what_the_demo_finds(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_demo_writes_what_it_lists_and_nothing_else(made: tuple[Path, dict[str, Any], str]) -> None:
     out, document, text = made
     json.dumps(document, allow_nan=False)
@@ -160,18 +163,11 @@ def test_the_printed_commands_give_the_same_numbers(
         assert done.exit_code == 0, done.output
         found.append(json.loads(done.stdout))
     assert (out / "model.json").read_bytes() == before
-    identified, validated, *weighed, compared = found
+    identified, validated, *weighed = found
     assert [each["value"] for each in identified["drive_gains"]] == [each["value"] for each in document["drive_gains"]]
     assert all(joint["relative"] < 1.0 for joint in validated["runs"][0]["joints"])
     for gains, each in zip(("prior", "identified"), weighed, strict=True):
         assert each["payloads"][0]["parameters"]["m"]["value"] == document["second_payload"][gains]["value"]
-    for trajectory in ("trajectory_1", "trajectory_2"):
-        rms = {
-            each["strategy"]: max(joint["rms"] for joint in each["joints"])
-            for each in compared["tracking"]
-            if each["trajectory"] == trajectory
-        }
-        assert 10 * rms["CTC with identified gains"] < rms["advanced PID"] < rms["simple PID"] / 3
 
 
 def test_an_interrupted_demo_leaves_no_half_written_file(tmp_path: Path) -> None:

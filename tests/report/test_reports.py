@@ -117,6 +117,7 @@ def reports(tmp_path_factory: pytest.TempPathFactory) -> Path:
             (folder / robot / name).symlink_to(folder / name)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
+        patch.setattr("gtau.estimation.compare.NAMES", ("ml", "wls"))
         for command in COMMANDS.values():
             patch.setattr("sys.argv", ["gtau", *command.split()])
             done = CliRunner().invoke(app, command.split())

@@ -151,10 +151,10 @@ def _to_play(folder: Path, accuracy: float, rounds: list[Round]) -> CampaignStat
     last = rounds[-1]
     before = [this.decision for this in rounds[:-1] if this.decision]
     why = f" ({before[-1]['say']})" if before else ""
-    speed = last.motion["rehearsal"]["tool_speed"]
+    speed = last.motion["rehearsal"]["speed"]
     say = (
-        f"play {last.folder}{why}: first at a tenth of its speed (tool up to {speed['tenth']:.2g} m/s), then in full "
-        f"({speed['full']:.2g} m/s)"
+        f"play {last.folder}{why}: first at a tenth of its speed (tool up to {speed / 10:.2g} m/s), then in full "
+        f"({speed:.2g} m/s; 0.25 m/s is reduced speed)"
     )
     return CampaignState(folder, accuracy, PLAY, say, tuple(rounds), before[-1] if before else None)
 

@@ -106,7 +106,6 @@ def _rehearsals(rounds: tuple[Round, ...]) -> Section:
 
 def _rehearsed(rounds: tuple[Round, ...]) -> Iterator[tuple[object, ...]]:
     for this in rounds:
-        rehearsal = this.motion["rehearsal"]
-        speed, use = rehearsal["tool_speed"], rehearsal["largest_use"]
-        ended = "not yet" if this.played is None else this.played.end
-        yield this.folder.name, this.motion["purpose"], ended, speed["full"], speed["tenth"], use["used"], use["limit"]
+        done = this.motion["rehearsal"]
+        ended, speed = "not yet" if this.played is None else this.played.end, done["speed"]
+        yield this.folder.name, this.motion["purpose"], ended, speed, speed / 10, done["used"], done["limit"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,6 @@ from gtau.signals.reading.logs import read_log
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
 from gtau.simulation.experiment_files import simulate_experiment
 
-REDUCED = 0.25  # m/s of the tool, which ISO 10218-2 calls reduced speed
 NEAR = {True: 0.02, False: 0.002}  # rad and m, within which the robot stands at the start
 STRAY = {True: 0.03, False: 0.003}  # rad and m, by which it may stray from the motion at least
 PART = 0.05  # and this part of the joint's range in the motion
@@ -45,16 +44,6 @@ class Rehearsal:
     speed: float
     errors: Mapping[str, float]
     torques: Mapping[str, float]
-
-    @property
-    def document(self) -> dict[str, Any]:
-        """The rehearsal as data; the tool's speed also at a tenth."""
-        return {
-            "largest_use": {"limit": self.limit, "used": self.used},
-            "tool_speed": {"full": self.speed, "tenth": self.speed / 10, "reduced_speed": REDUCED},
-            "tracking_errors": dict(self.errors),
-            "torques": dict(self.torques),
-        }
 
 
 def rehearse(design: Design, file: DesignFile, model: Path | None, progress: Progress) -> Rehearsal:
@@ -171,7 +160,7 @@ def write_motion(
                 for k, load in enumerate(task.payloads)
             ],
             "guards": list(task.guards),
-            "rehearsal": rehearsal.document,
+            "rehearsal": asdict(rehearsal),
             **decided,
         },
     )

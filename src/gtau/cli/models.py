@@ -293,13 +293,9 @@ def use(
 ) -> None:
     """Compute motor, model and external joint torques along a log, to see contacts and collisions.
 
-    External torque is what the environment exerts on a joint: the model's torque minus the motor's, N m (or N). For
-    each joint it prints the rms away from reversals and over all samples, the largest value and its time, the
-    residual of the identification, and the share of samples beyond four residuals, all behind the low-pass of
-    identification; and the error against the raw torque by frequency. With --frame it also prints the
-    wrench of these torques with its intervals; components that a pose does not show have no value. LOG has the
-    columns t, qJOINT and vJOINT (tauJOINT for a model of torques; s, rad or m, A), unless an experiment file names
-    others. FILE gets motor, model and external torque of every sample.
+    External torque is what the environment exerts on a joint: the model's torque minus the motor's, N m (or N). LOG
+    has the columns t, qJOINT and vJOINT (tauJOINT for a model of torques; s, rad or m, A), unless an experiment file
+    names others. FILE gets motor, model and external torque of every sample, and the wrench at --frame.
     """
     from gtau.estimation.results.model_document import torque_error
     from gtau.estimation.results.result import Result

@@ -150,5 +150,5 @@ def report(document: Mapping[str, Any]) -> Page:
         section(f"Drive gains, from a known payload of {document['known_payload']['mass']} kg", gains),
         section(f"Weighing a second payload of {second['true']} kg", weighing),
         section(f"In {document['folder']}", Facts(CONTENT)),
-        section("Step by step, in that folder, with predictions and control laws", *map(Text, document["commands"])),
+        section("Step by step, in that folder", *map(Text, document["commands"])),
     )

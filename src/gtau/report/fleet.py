@@ -136,7 +136,7 @@ def fleet_chart(fleet: FleetTable, joint: JointOfFleet) -> Chart:
     names = {float(k): gain.robot for k, gain in enumerate(gains)} if len(gains) <= NAMED else {}
     band = (-percent * joint.spread, percent * joint.spread)
     title = (
-        f"{joint.model}, {joint_label(joint.joint)}: median {joint.median:.5g} ± {joint.median_std:.2g} {joint.unit}"
+        f"{joint.model}, {joint_label(joint.joint)}: median {joint.median:.5g} {joint.unit}, std {joint.median_std:.2g}"
     )
     axis = Axis("" if names else "robot", names=names)
     panel = Panel(axis, Axis("from median, %"), tuple(series), title, (Rule(y=0.0),), band, height=2.0)

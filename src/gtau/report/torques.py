@@ -115,21 +115,13 @@ def fit_table(residuals: Sequence[TorqueError], title: str) -> Table:
 
 def external_page(torques: TorquesAlongLog) -> Page:
     """Show external torques along a log, the wrench where it was asked for, and the errors by frequency."""
-    wrench = torques.wrench
-    interval, seen = (Column("±", Kind.NUMBER), "interval"), (Column("seen, %", Kind.SHARE, decimals=0), "seen")
-    residual = ((Column("rms, all", Kind.NUMBER), "rms_all"), (Column("residual", Kind.NUMBER), "residual"))
-    return page(
-        "",
-        section("External torque", _external(torques.joints, "joint", *residual), Text(EXTERNAL)),
-        section(
-            "External wrench",
-            _external(wrench.components, "name", interval, seen),
-            Text(f"At {wrench.frame}, in its axes. ±: half the 95 % interval, the median. {SEEN}"),
-        )
-        if wrench is not None
-        else None,
-        bands_section(torques.errors),
-    )
+    of_joints = ((Column("rms, all", Kind.NUMBER), "rms_all"), (Column("residual", Kind.NUMBER), "residual"))
+    sections = [section("External torque", _external(torques.joints, "joint", *of_joints), Text(EXTERNAL))]
+    if (wrench := torques.wrench) is not None:
+        of_wrench = ((Column("±", Kind.NUMBER), "interval"), (Column("seen, %", Kind.SHARE, decimals=0), "seen"))
+        words = f"At {wrench.frame}, in its axes. ±: half the 95 % interval, the median. {SEEN}"
+        sections.append(section("External wrench", _external(wrench.components, "name", *of_wrench), Text(words)))
+    return page("", *sections, bands_section(torques.errors))
 
 
 def _external(rows: Iterable[Any], name: str, *more: ColumnOf) -> Table:

@@ -84,14 +84,16 @@ def svg_of(panel: Panel, alone: bool, title: str = "") -> str:
     x_span, y_span = _span(panel, panel.x, 0), _span(panel, panel.y, 1)
     top, right = 18.0 if panel.y.label and panel.matrix is None else 6.0, width - 8.0
     bottom = height - (16.0 if panel.x.label else 2.0) - (_room(panel.x, width) if panel.x.names else 14.0)
-    words = [word for _, word in Scale(*y_span, bottom, top, panel.y.log).ticks(upright=True)]
-    left = _room(panel.y, width) if panel.y.names else _length(words) + 6.0
+    left = 0.0
+    for _ in range(1 + panel.equal):  # ticks of axes that are widened may be longer
+        words = [word for _, word in Scale(*y_span, bottom, top, panel.y.log).ticks(upright=True)]
+        left = max(left, _room(panel.y, width) if panel.y.names else _length(words) + 6.0)
+        if panel.equal:
+            unit = max((x_span[1] - x_span[0]) / (right - left), (y_span[1] - y_span[0]) / (bottom - top))
+            x_span, y_span = _widened(x_span, unit * (right - left)), _widened(y_span, unit * (bottom - top))
     if panel.matrix is not None:
         side = min(right - left, bottom - top)
         right, bottom = left + side, top + side
-    if panel.equal:
-        unit = max((x_span[1] - x_span[0]) / (right - left), (y_span[1] - y_span[0]) / (bottom - top))
-        x_span, y_span = _widened(x_span, unit * (right - left)), _widened(y_span, unit * (bottom - top))
     x = Scale(*x_span, left, right, panel.x.log)
     y = Scale(*y_span, bottom, top, panel.y.log)
     inside = (*_ground(panel, x, y), *(mark for series in panel.series for mark in _series(series, x, y)))
