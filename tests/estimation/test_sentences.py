@@ -277,9 +277,9 @@ SENTENCES = [  # finding, reason, advice
      "check the direction of gravity, that the base is level, the sampling rate, which runs carry the payload, and "
      "on which body"),
     (Finding(F.NO_GRAVITY_SHOWN, values={"felt": 0.0031}),
-     "the torques show no gravity (0.3 % of a joint's torque at most): a driver compensates it, or the robot is "
-     "balanced",
-     NO_GRAVITY),
+     "the data do not show whether the torques contain gravity (0.3 % of a joint's torque at most): it hardly varies "
+     "along these motions, the robot is balanced, or a driver compensates it",
+     f"if a driver compensates it, {NO_GRAVITY}"),
     (Finding(F.WITHOUT_GRAVITY, ("left",), values={"left": {"left": [0.2, 0.01]}}),
      "torques without gravity, as from a driver that compensates it, which leaves 1 % of 'left' unexplained instead of "
      "20 %,",

@@ -167,7 +167,7 @@ class FindingKind(StrEnum):
     FEW_ROWS = "too few rows for tests"
     SCALE_UNTESTED = "torque scale not tested", READING
     COMMON_SCALE = "common torque scale"
-    NO_GRAVITY_SHOWN = "torques without gravity, or a balanced robot"
+    NO_GRAVITY_SHOWN = "torques without gravity, or a balanced robot", ("model", Severity.INFORMATION)
     WHOLE_NUMBERS = "whole numbers", UNIT
     MOTOR_SIDE = "torques of the motors", UNIT
     MODEL_TORQUES = "torques of a model"

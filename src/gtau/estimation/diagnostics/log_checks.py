@@ -183,7 +183,7 @@ def unexplained_by_run(fit: Fit) -> np.ndarray:
 
 
 def gravity_not_shown(fit: Fit) -> Iterator[Finding]:
-    """Find that hardly any torque of a robot that gravity could move is due to it.
+    """Find that gravity changes the torques too little to show whether they contain it.
 
     Its share is the ratio of rms gravity torque (about its mean) to rms total torque, of the joint that feels it most.
     """

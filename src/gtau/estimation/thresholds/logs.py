@@ -253,7 +253,7 @@ GRAVITY_FELT = Threshold(
     "torque of gravity over the whole, rms, of the joint that feels it most, below which none is tried",
     healthy="0.04 (Orthoglide), 0.05 (delta, simulated), 0.08 and more (all other logs and robots)",
     faulty="0.001 to 0.035 (logs made without gravity)",
-    evidence="zoo, benchmarks/effort.py; it decides on a second of work, not on an outcome",
+    evidence="zoo, benchmarks/effort.py; it decides on a second of work and on a note, not on an outcome",
 )
 UNFELT = Threshold(
     1e-6,
