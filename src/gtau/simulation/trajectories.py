@@ -137,8 +137,8 @@ def point_to_point(within: Envelope, duration: float, rng: np.random.Generator) 
 def moves_through(points: np.ndarray, within: Envelope, rest: float) -> PointToPoint:
     """Plan fifth-order moves through ``points`` (K, n), as fast as the envelope allows, ``rest`` s between them."""
     way = np.abs(np.diff(points, axis=0))
-    # the greatest speed and acceleration of the polynomial are 15/8 and 10/sqrt(3)
-    spans = np.maximum(1.875 * way / within.velocity, np.sqrt(10 / np.sqrt(3) * way / within.acceleration)).max(axis=1)
+    # the greatest speed and acceleration of the polynomial are 15/8 and 10/sqrt(3), rounded up
+    spans = np.maximum(1.875 * way / within.velocity, np.sqrt(5.7736 * way / within.acceleration)).max(axis=1)
     spans = np.maximum(spans, 1e-3)  # a move to the same point
     starts = np.concatenate([[0.0], np.cumsum(spans[:-1] + rest)])
     return PointToPoint(points, starts, spans)
