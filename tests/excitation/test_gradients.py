@@ -13,7 +13,7 @@ from gtau.excitation.constraints import constraint_usages
 from gtau.excitation.evaluation import design_grid, evaluate, objective
 from gtau.excitation.gradients import Slopes, in_platform_space, pullback, smooth_regressor
 from gtau.excitation.information import NAMED, Window, criterion, derivative
-from gtau.excitation.prior import KnownGain, Prior
+from gtau.excitation.prior import KnownGain, PriorModel
 from gtau.excitation.task import DesignProblem, MotionLimits
 from gtau.excitation.trajectory import FourierSeries, move_duration, quintic
 from gtau.model.base_parameters import base_parameters
@@ -44,7 +44,7 @@ def make_task(robot: Robot, platform: bool = False, one_motion: bool = True) -> 
     center = np.zeros(3) if platform else limits.position.mean(axis=1)
     series = FourierSeries(center, np.full(len(center), half), 0.2, 4, platform)
     chi = base.matrix @ rng.uniform(0.2, 1.0, len(model.parameter_names))
-    prior = Prior(chi, (KnownGain(9.0, (9.0, 9.0), "given"),) * n, np.full(n, 0.02), chi)
+    prior = PriorModel(chi, (KnownGain(9.0, (9.0, 9.0), "given"),) * n, np.full(n, 0.02), chi)
     return DesignProblem(model, base, series, 500.0, 1, None, (None, DISC), one_motion, limits, prior)
 
 

@@ -17,7 +17,7 @@ from gtau.errors import GtauError
 from gtau.excitation.design import Design, check
 from gtau.excitation.design_file import DesignFile
 from gtau.excitation.forecast import Outlook
-from gtau.excitation.prior import ERROR, Prior, cautious_parameters, rough_parameters
+from gtau.excitation.prior import ERROR, PriorModel, cautious_parameters, rough_parameters
 from gtau.model.home import load_robot
 from gtau.progress import Progress
 from gtau.report.design import trajectory_table
@@ -101,7 +101,7 @@ def _under_control(
     return errors, torques
 
 
-def _known(payload: Payload, prior: Prior) -> dict[str, Any]:
+def _known(payload: Payload, prior: PriorModel) -> dict[str, Any]:
     moments = dict(zip(FIRST_MOMENTS, prior.moments(payload).tolist(), strict=True))
     return {"name": payload.name, "mass": payload.mass, "parameters": moments | payload.parameters}
 

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 CONTROLLERS = "ur, franka, kuka, abb, ros"  # those of export.payload, which --help need not import
 
 
-class Gains(StrEnum):
+class GainChoice(StrEnum):
     """Drive gains with which a payload is weighed."""
 
     identified = "identified"
@@ -84,7 +84,7 @@ def validate(
     answer(json_, lambda: validation_document(runs), lambda: validation_page(result, runs, notes), written)
 
 
-WeighingGains = Annotated[Gains, option("identified|prior", "The model's gains, or the file's prior_gains.")]
+WeighingGains = Annotated[GainChoice, option("identified|prior", "The model's gains, or the file's prior_gains.")]
 PayloadFrame = Annotated[
     str,
     option(
@@ -103,7 +103,7 @@ def payload(
     sources: Sources,
     robot: RobotOfLogs = None,
     payload: Payloads = None,
-    gains: WeighingGains = Gains.identified,
+    gains: WeighingGains = GainChoice.identified,
     frame: PayloadFrame = "",
     to: Controller = None,
     out: WeighingFolder = None,
@@ -161,7 +161,7 @@ def payload(
     }
     answer(json_, lambda: document, lambda: weighing_page(result, weighed, gains.value, exact, bodies), written)
     _show_notes([] if json_ else notes)
-    doubted = gains == Gains.identified and not exact and not result.believable
+    doubted = gains == GainChoice.identified and not exact and not result.believable
     if doubted or Outcome.CONTRADICTORY in {payload.verdict.outcome for payload in weighed}:
         raise typer.Exit(3)  # so that a script does not go on with such a mass
 

@@ -17,7 +17,7 @@ from gtau.errors import GtauError
 from gtau.excitation.clearance import Shape, capsule, hull
 from gtau.excitation.gradients import in_platform_space
 from gtau.excitation.guards import Guarded, guard
-from gtau.excitation.prior import ARM, ERROR, DesignPrior, FilePath, Prior, prior_of, stated_bodies
+from gtau.excitation.prior import ARM, ERROR, DesignPrior, FilePath, PriorModel, prior_of, stated_bodies
 from gtau.excitation.task import DesignProblem, MotionLimits
 from gtau.excitation.trajectory import FourierSeries
 from gtau.model.base_parameters import base_parameters
@@ -191,7 +191,7 @@ def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
     return problem, assumed
 
 
-def _torques(model: InverseDynamics, file: DesignFile, prior: Prior, assumed: Mapping[str, str]) -> Iterator[str]:
+def _torques(model: InverseDynamics, file: DesignFile, prior: PriorModel, assumed: Mapping[str, str]) -> Iterator[str]:
     """Say what limits of torque rest on: inertias of links, and the centre of each payload."""
     stated, state = stated_bodies(model), "state prior.parameters or prior.model"
     rods = [f"'{body}'" for body in model.robot.bodies if body not in stated and f"m_{body}" in model.parameter_names]

@@ -20,7 +20,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.regression.assembly import plain_problem
 from gtau.estimation.regression.factors import EXTRA, MODEL, Factors, modelled, triangle
-from gtau.excitation.prior import Prior
+from gtau.excitation.prior import PriorModel
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter
@@ -156,7 +156,7 @@ class Information:
 
 
 def information_of(
-    model: InverseDynamics, base: BaseParameters, payloads: Sequence[Payload | None], prior: Prior, rate: float
+    model: InverseDynamics, base: BaseParameters, payloads: Sequence[Payload | None], prior: PriorModel, rate: float
 ) -> Information:
     """Assemble the unknowns of an experiment with these runs, at the values of a prior."""
     n, n_b, runs, gains = len(model.actuated), base.count, len(payloads), prior.gains
@@ -179,7 +179,7 @@ def information_of(
     )
 
 
-def _earlier(names: Sequence[Parameter], prior: Prior) -> np.ndarray:
+def _earlier(names: Sequence[Parameter], prior: PriorModel) -> np.ndarray:
     """Factor (., P) of the information of an earlier result about what it shares with this experiment."""
     if prior.covariance is None:
         return np.zeros((0, len(names)))

@@ -79,7 +79,7 @@ class KnownGain:
 
 
 @dataclass(frozen=True, eq=False)
-class Prior:
+class PriorModel:
     """Base parameters ``chi`` (n_b,), gains, and standard deviations ``sigma`` (n,) of a sample of each current, A.
 
     Limits of torque hold for the base parameters ``cautious`` (n_b,). ``centers`` (3,) are those of payloads by
@@ -229,7 +229,7 @@ def prior_of(
     base: BaseParameters,
     payloads: tuple[Payload | None, ...],
     assumed: dict[str, str],
-) -> Prior:
+) -> PriorModel:
     """Determine base parameters, gains and noise."""
     if entry.model is not None:
         result = Result.load(entry.model)
@@ -256,7 +256,7 @@ def prior_of(
         if len(entry.noise) < len(gains):
             assumed["noise"] = "noise of the currents: white, 0.5 % of the largest current, a sample"
     sigma = np.array([entry.noise.get(joint, rough) for joint, rough in zip(model.actuated, sigma, strict=True)])
-    return Prior(chi, known, sigma, cautious, centers)
+    return PriorModel(chi, known, sigma, cautious, centers)
 
 
 def _parameters(

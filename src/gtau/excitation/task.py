@@ -14,7 +14,7 @@ from gtau.excitation.clearance import Clearance
 from gtau.excitation.gradients import Pullback, SmoothRegressor, in_platform_space, pullback, smooth_regressor
 from gtau.excitation.guards import Guarded
 from gtau.excitation.information import Information, Window, information_of
-from gtau.excitation.prior import Prior
+from gtau.excitation.prior import PriorModel
 from gtau.excitation.trajectory import FourierSeries, approach_duration
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.interpreter.program import Program, compile_program
@@ -75,7 +75,7 @@ class DesignProblem:
     payloads: tuple[Payload | None, ...]
     one_motion: bool
     limits: MotionLimits
-    prior: Prior
+    prior: PriorModel
 
     def __repr__(self) -> str:
         return f"DesignProblem({self.model.robot.name!r}, runs: {len(self.payloads)}, rate: {self.rate:g} Hz)"

@@ -53,7 +53,7 @@ class Friction(Keys):
     revolute: Positive = WIDTH["revolute"]
 
 
-class FrictionCurve(Keys):
+class FrictionEntry(Keys):
     """Shape of a joint's friction, see :class:`gtau.estimation.friction.law.Shape`; rad or m, rad/s or m/s."""
 
     width: Positive | None = None
@@ -71,7 +71,7 @@ class Simulation(Keys):
     engine: Literal["gtau", "mujoco"] = "gtau"
     model: Path | None = None
     parameters: dict[str, FiniteFloat] = Field(default_factory=dict)
-    curves: dict[str, FrictionCurve] = Field(default_factory=dict)
+    curves: dict[str, FrictionEntry] = Field(default_factory=dict)
     drives: dict[str, JointHardware] = Field(min_length=1)
     friction_width: Friction = Friction()
     rate: Annotated[FiniteFloat, Field(ge=50, le=20000)] = 1000.0

@@ -20,7 +20,7 @@ from gtau.estimation.experiment_runs import options_of, read
 from gtau.estimation.preconditions import given_gains
 from gtau.estimation.regression.dataset import Dataset, System, at_rate_of, reduce_runs
 from gtau.estimation.regression.problem import Estimates, Problem
-from gtau.estimation.regression.reference import Reference
+from gtau.estimation.regression.reference import ReferenceModel
 from gtau.estimation.regression.rows import TERMS
 from gtau.estimation.results.build import payload_estimates
 from gtau.estimation.results.estimate import TorqueError
@@ -155,7 +155,7 @@ logs, in which friction shows itself, move by less than 0.015 kg: 12 of 12 inter
 """
 
 
-def reference_of(model: Result, step: np.ndarray | float = 0.0) -> Reference:
+def reference_of(model: Result, step: np.ndarray | float = 0.0) -> ReferenceModel:
     """Take the parameters of a model as known, at its gains or a ``step`` (n,) from them, which moves them too.
 
     Their covariance is that at given gains. Friction may have changed since.
@@ -172,7 +172,7 @@ def reference_of(model: Result, step: np.ndarray | float = 0.0) -> Reference:
     of_friction = np.array([name.kind in (*PLAIN_FRICTION, *TERMS) for name in names])
     more = (FRICTION_CHANGE * theta * of_friction) ** 2 + (1e-6 * np.abs(theta) + 1e-12) ** 2
     covariance = model.covariance[np.ix_(rows, rows)] - slopes @ between.T + np.diag(more)
-    return Reference(names, theta + slopes @ np.broadcast_to(step, len(gains)), covariance)
+    return ReferenceModel(names, theta + slopes @ np.broadcast_to(step, len(gains)), covariance)
 
 
 def undeclared_load(model: Result, run: Run, errors: Sequence[TorqueError], progress: Progress) -> Finding | None:

@@ -9,8 +9,8 @@ import numpy as np
 from gtau.estimation.results.result import Result
 from gtau.signals.reading.statements import Tolerances
 from gtau.watch.causes import causes_of, contacts_of
-from gtau.watch.detectors import FEWEST, WINDOW, Evidence, evidence, mean_of, median
-from gtau.watch.history import Alarm, Explained, Settings
+from gtau.watch.detectors import FEWEST, WINDOW, ChangeEvidence, evidence, mean_of, median
+from gtau.watch.history import Alarm, Explained, WatchSettings
 from gtau.watch.statistics import RESIDUAL, LogStatistics
 from gtau.watch.table import WEEK, View, beyond, week_of
 
@@ -22,7 +22,7 @@ WEEKLY = 7  # logs that count as a week where they have one date
 
 
 def judge(
-    model: Result, settings: Settings, view: View, log: LogStatistics, row: int, previous: Alarm | None
+    model: Result, settings: WatchSettings, view: View, log: LogStatistics, row: int, previous: Alarm | None
 ) -> tuple[Alarm | None, int | None]:
     """Judge the robot after the log in a ``row``, given the alarm before it.
 
@@ -67,7 +67,7 @@ def _is_beyond(view: View, cause: Explained, far: np.ndarray) -> bool:
     return cause.and_also is not None and _is_beyond(view, cause.and_also, far)
 
 
-def _changes(settings: Settings, view: View) -> tuple[np.ndarray, int]:
+def _changes(settings: WatchSettings, view: View) -> tuple[np.ndarray, int]:
     """Find the quantities that have changed, the leading one first, and the first log of its change."""
     if view.baseline > settings.baseline:
         proof, rows = evidence_of(view, settings)
@@ -78,12 +78,12 @@ def _changes(settings: Settings, view: View) -> tuple[np.ndarray, int]:
     return np.zeros(0, dtype=int), 0
 
 
-def limit_of(settings: Settings, view: View) -> float:
+def limit_of(settings: WatchSettings, view: View) -> float:
     """Logarithm of the limit of each quantity's e-detector, which grows with their number."""
     return float(np.log(settings.limit * max(np.isfinite(view.values).any(axis=0).sum(), 1)))
 
 
-def evidence_of(view: View, settings: Settings) -> tuple[Evidence, np.ndarray]:
+def evidence_of(view: View, settings: WatchSettings) -> tuple[ChangeEvidence, np.ndarray]:
     """Compute the evidence of a change over the last logs, and list the rows of these."""
     x = view.compared
     rows = np.flatnonzero(np.isfinite(x).any(axis=1))[-WINDOW:]
@@ -119,7 +119,7 @@ def _run_beyond(view: View, columns: np.ndarray) -> int:
 
 
 def _alarm(
-    kind: str, model: Result, settings: Settings, view: View, log: LogStatistics, columns: np.ndarray, start: int
+    kind: str, model: Result, settings: WatchSettings, view: View, log: LogStatistics, columns: np.ndarray, start: int
 ) -> Alarm:
     """Make an alarm of the quantities ``columns`` since the row ``start``, and explain it."""
     x, rows = view.compared, np.flatnonzero(np.isfinite(view.counted).any(axis=1))
@@ -147,7 +147,7 @@ def _alarm(
     )
 
 
-def visible_changes(model: Result, settings: Settings, view: View) -> np.ndarray:
+def visible_changes(model: Result, settings: WatchSettings, view: View) -> np.ndarray:
     """Compute the smallest sudden change of each quantity (m, 2) found within a week and a month, NaN where none is.
 
     The last logs are followed by as many as such a period brings, with the same scatter about the changed mean, and

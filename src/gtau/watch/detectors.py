@@ -39,8 +39,8 @@ RARE = 1e-6  # probability beyond which a log is far off, by Student's t
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
-    """Evidence of a change of each of k charts over n logs.
+class ChangeEvidence:
+    """ChangeEvidence of a change of each of k charts over n logs.
 
     ``log_e`` (k,) is the logarithm of the e-detector, ``start`` (k,) the likeliest first log of a change, and
     ``confirmed`` (k,) whether the last two logs are both nearer to the changed mean.
@@ -51,7 +51,9 @@ class Evidence:
     confirmed: np.ndarray
 
 
-def evidence(values: np.ndarray, variances: np.ndarray, learning: int, rising: np.ndarray | None = None) -> Evidence:
+def evidence(
+    values: np.ndarray, variances: np.ndarray, learning: int, rising: np.ndarray | None = None
+) -> ChangeEvidence:
     """Compute the e-detectors of charts; see the head of this module.
 
     Parameters
@@ -82,7 +84,7 @@ def evidence(values: np.ndarray, variances: np.ndarray, learning: int, rising: n
     ratios = np.where(begins, ratios, -np.inf)
     log_e = logsumexp(ratios, axis=0) if n else np.full(k, -np.inf)
     start = np.argmax(ratios, axis=0) if n else np.zeros(k, dtype=int)
-    return Evidence(log_e, start, _confirmed(x, start))
+    return ChangeEvidence(log_e, start, _confirmed(x, start))
 
 
 def isolated(values: np.ndarray) -> np.ndarray:

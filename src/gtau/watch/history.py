@@ -42,7 +42,7 @@ class _Document(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class Settings(_Document):
+class WatchSettings(_Document):
     """Head of a history: the model, its charts, and the settings that determine the time between false alarms.
 
     ``baseline`` logs set what is normal; of ``robots`` that send ``logs_per_year`` each there are ``false_alarms`` a
@@ -95,7 +95,7 @@ class Alarm(_Document):
 
 
 @dataclass(frozen=True, eq=False)
-class Row:
+class LogRow:
     """A log, or ``count`` condensed ones: ``numbers`` hold values, standard deviations, unevenness and speeds."""
 
     id: int
@@ -119,7 +119,7 @@ class Event:
     undone: bool = False
 
 
-def open_history(folder: Path | None, settings: Settings) -> sqlite3.Connection:
+def open_history(folder: Path | None, settings: WatchSettings) -> sqlite3.Connection:
     """Open the history in a folder, or make it there, in memory without a folder; raises GtauError."""
     if folder is None:
         return _made(settings, None)
@@ -130,7 +130,7 @@ def open_history(folder: Path | None, settings: Settings) -> sqlite3.Connection:
     return _opened(path)
 
 
-def _made(settings: Settings, lines: Path | None) -> sqlite3.Connection:
+def _made(settings: WatchSettings, lines: Path | None) -> sqlite3.Connection:
     """Make a history in memory, with the entries of an earlier version's; raises GtauError."""
     database = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
     database.executescript(TABLES)
@@ -167,7 +167,7 @@ def _opened(path: Path) -> sqlite3.Connection:
     return database
 
 
-def _take_lines(database: sqlite3.Connection, path: Path, settings: Settings) -> Settings:
+def _take_lines(database: sqlite3.Connection, path: Path, settings: WatchSettings) -> WatchSettings:
     """Read a history of lines; a last line that was torn is left out with a note. Return its settings."""
     *lines, torn = path.read_bytes().split(b"\n")
     number = 1
@@ -224,29 +224,29 @@ def writing(database: sqlite3.Connection) -> Iterator[None]:
             raise
 
 
-def settings_of(database: sqlite3.Connection) -> Settings:
+def settings_of(database: sqlite3.Connection) -> WatchSettings:
     """Read the head."""
-    return Settings.model_validate_json(database.execute("SELECT document FROM settings").fetchone()[0])
+    return WatchSettings.model_validate_json(database.execute("SELECT document FROM settings").fetchone()[0])
 
 
-def save_settings(database: sqlite3.Connection, settings: Settings) -> None:
+def save_settings(database: sqlite3.Connection, settings: WatchSettings) -> None:
     """Write the head."""
     database.execute("INSERT OR REPLACE INTO settings VALUES (0, ?)", (settings.model_dump_json(),))
 
 
-def add_row(database: sqlite3.Connection, digests: list[str], log: str, date: str, numbers: np.ndarray) -> Row:
+def add_row(database: sqlite3.Connection, digests: list[str], log: str, date: str, numbers: np.ndarray) -> LogRow:
     """Add a log, which is recognised by these digests."""
     database.executemany("INSERT OR IGNORE INTO seen VALUES (?)", [(digest[:DIGITS],) for digest in digests])
     values = (log, date, numbers.tobytes())
     done = database.execute("INSERT INTO logs (log, date, count, numbers, alarm) VALUES (?, ?, 1, ?, '')", values)
-    return Row(int(done.lastrowid or 0), log, date, 1, numbers)
+    return LogRow(int(done.lastrowid or 0), log, date, 1, numbers)
 
 
-def rows_after(database: sqlite3.Connection, row: int) -> Iterator[Row]:
+def rows_after(database: sqlite3.Connection, row: int) -> Iterator[LogRow]:
     """Read the logs that were added after that with the number ``row``."""
     columns = "SELECT id, log, date, count, numbers, alarm FROM logs WHERE id > ? ORDER BY id"
     for number, log, date, count, numbers, alarm in database.execute(columns, (row,)):
-        yield Row(number, log, date, count, np.frombuffer(numbers), alarm)
+        yield LogRow(number, log, date, count, np.frombuffer(numbers), alarm)
 
 
 def add_event(
@@ -266,7 +266,7 @@ def events_of(database: sqlite3.Connection) -> list[Event]:
     ]
 
 
-def summary_of(folder: Path) -> tuple[Settings, list[Event], int, Row | None]:
+def summary_of(folder: Path) -> tuple[WatchSettings, list[Event], int, LogRow | None]:
     """Read the settings and events of a history, the number of its logs and the last of them; raises GtauError."""
     with closing(_opened(folder / HISTORY)) as database:
         (count, newest) = database.execute("SELECT total(count), max(id) FROM logs").fetchone()
@@ -279,7 +279,7 @@ def condense(database: sqlite3.Connection) -> bool:
     ids = [number for (number,) in database.execute("SELECT id FROM logs ORDER BY id DESC")]
     if len(ids) <= KEPT + SLACK:
         return False
-    days: dict[str, list[Row]] = {}
+    days: dict[str, list[LogRow]] = {}
     for row in rows_after(database, -1):
         if row.id < ids[KEPT - 1]:
             days.setdefault(row.date[:10], []).append(row)

@@ -18,7 +18,7 @@ from gtau.robots.parameter import Parameter
 from gtau.robots.robot import PLAIN_FRICTION
 from gtau.signals.reading.statements import Tolerances
 from gtau.watch.detectors import FEWEST, alone, far_off, median
-from gtau.watch.history import Event, Row
+from gtau.watch.history import Event, LogRow
 from gtau.watch.quantities import Quantity
 from gtau.watch.statistics import RESIDUAL
 
@@ -94,7 +94,7 @@ def day_of(date: str) -> float:
 
 
 def view_of(
-    model: Result, charts: Sequence[Quantity], rows: Sequence[Row], events: Sequence[Event], tolerances: Tolerances
+    model: Result, charts: Sequence[Quantity], rows: Sequence[LogRow], events: Sequence[Event], tolerances: Tolerances
 ) -> View:
     """Take the logs that count after what was done: maintenance, forgotten and repaired logs, new references."""
     rows, k = sorted(rows, key=lambda row: (row.date, row.id)), len(charts)

@@ -23,7 +23,7 @@ from gtau.signals.run import Run
 from gtau.watch import history
 from gtau.watch.alarms import evidence_of, judge
 from gtau.watch.detectors import FEWEST, mean_of
-from gtau.watch.history import Alarm, Event, Row, Settings
+from gtau.watch.history import Alarm, Event, LogRow, WatchSettings
 from gtau.watch.quantities import Quantity, charts_of
 from gtau.watch.statistics import RESIDUAL, LogStatistics, statistics_of
 from gtau.watch.table import View, view_of
@@ -119,7 +119,7 @@ class Watch:
         given: dict[str, Any] = {"baseline": baseline, **numbers}
         given = {name: value for name, value in given.items() if value is not None}
         names = tuple(chart.name for chart in self.charts)
-        begun = Settings(model=model_digest(model), robot=model.robot.name, charts=names, **given)
+        begun = WatchSettings(model=model_digest(model), robot=model.robot.name, charts=names, **given)
         self._database = history.open_history(self.folder, begun)
         self.settings = history.settings_of(self._database)
         _require_same(self.settings, begun, given, self.folder)
@@ -127,7 +127,7 @@ class Watch:
             self.settings = self.settings.model_copy(update={"tolerances": wanted})
             with history.writing(self._database):
                 history.save_settings(self._database, self.settings)
-        self._rows: list[Row] = []
+        self._rows: list[LogRow] = []
         self._read()
 
     def _read(self, whole: bool = False) -> None:
@@ -140,7 +140,7 @@ class Watch:
         text = max(self._rows, key=lambda row: row.id).alarm if self._rows else ""
         self.alarm = Alarm.model_validate_json(text) if text else None
 
-    def _viewed(self, rows: list[Row]) -> View:
+    def _viewed(self, rows: list[LogRow]) -> View:
         return view_of(self.model, self.charts, rows, self.events, Tolerances.model_validate(self.settings.tolerances))
 
     @property
@@ -321,7 +321,7 @@ class Watch:
         self._read(whole=True)
 
 
-def _require_same(known: Settings, begun: Settings, given: dict[str, Any], folder: Path | None) -> None:
+def _require_same(known: WatchSettings, begun: WatchSettings, given: dict[str, Any], folder: Path | None) -> None:
     """Refuse the history of another model, or other settings than those it was begun with."""
     if known.model != begun.model:
         raise GtauError(

@@ -46,7 +46,7 @@ from gtau.signals.reading.statements import Payload, Prior
 from gtau.signals.run import Run
 
 if TYPE_CHECKING:
-    from gtau.estimation.regression.reference import Reference
+    from gtau.estimation.regression.reference import ReferenceModel
 
 
 def model_of(robot: Robot) -> InverseDynamics:
@@ -82,7 +82,7 @@ class Dataset:
     factors: tuple[Factors, ...] = ()
     priors: Mapping[str, Prior] = field(default_factory=dict)
     prior_inertias: float = 0.0
-    reference: Reference | None = None
+    reference: ReferenceModel | None = None
 
     @property
     def robot(self) -> Robot:

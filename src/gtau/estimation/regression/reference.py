@@ -13,7 +13,7 @@ LEAST = 1e-9  # of the largest eigenvalue of the correlations: smaller ones are 
 
 
 @dataclass(frozen=True, eq=False)
-class Reference:
+class ReferenceModel:
     """Parameters known from elsewhere: ``values`` (k,) of ``names`` with their ``covariance`` (k, k)."""
 
     names: tuple[Parameter, ...]
