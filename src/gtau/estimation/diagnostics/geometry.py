@@ -275,8 +275,7 @@ def _tested(
         explained = [replace(explained[0], alike=tuple(alike))]
     far = "position" in distances and distances["position"][1] > GEOMETRY_RMS * characteristic_length(robot)
     residuals = []
-    for k, run in enumerate(runs):
-        mine = poses.run == k
+    for run, mine in ((run, poses.run == k) for k, run in enumerate(runs)):
         for j, (name, unit) in enumerate(names):
             before, after = (part[mine, j] for part in parts)
             rms, rest = (float(np.sqrt(np.mean(part**2))) for part in (before, after))

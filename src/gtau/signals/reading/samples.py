@@ -169,14 +169,13 @@ def complete(
     _refuse_empty_columns(samples, numbers)
     if incomplete.count > MAX_MISSING * count:
         column = samples.columns[bad_column]
-        entry = samples.table.texts.get(column, "")
         leading = int(rows[0]) - begin if len(rows) and not part.begin else 0
         at_start = incomplete.count - leading <= MAX_MISSING * count
         repair = f"leave out its first rows (skip: {part.skip + leading})" if at_start else "correct or delete them"
         raise GtauError(
             f"{samples.name} has {incomplete.count} of {count} rows with missing or non-numeric values (first in "
             f"{samples.places(incomplete.first[:1], 1)}, column '{column}'"
-            + (f": '{entry}'" if entry else "")
+            + (f": '{entry}'" if (entry := samples.table.texts.get(column)) else "")
             + f"); {repair}, or record the log again."
         )
     if incomplete.count:
