@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
 SEPARATORS = ";\t, "  # a semicolon or tab first: their files may hold decimal commas
 MISSING = ("", "na", "n/a", "null", "none", "nan")
-LOOK = 200  # lines at most that stand before a table
+LOOK = 200  # lines at most that stand before a table,
+ENOUGH = 1 << 21  # bytes of them, after which a header and some rows of any width have been read
 ROWS_ALIKE = 4
 LONGEST = 1 << 20  # bytes of a line; in the shared logs 954 at most
 BOM = b"\xef\xbb\xbf"
@@ -97,7 +98,7 @@ def _first_lines(path: Path) -> tuple[list[bytes], int]:
         begin = len(BOM) if head.startswith(BOM) else 0
         file.seek(begin)
         lines: list[bytes] = []
-        while len(lines) < LOOK and (line := file.readline(LONGEST + 1)):
+        while len(lines) < LOOK and file.tell() < ENOUGH and (line := file.readline(LONGEST + 1)):
             _refuse_long_line(path, len(line), len(lines) + 1)
             lines.append(line)
     return lines, begin
