@@ -31,9 +31,7 @@ def write(tmp_path: Path) -> Callable[..., Path]:
     return written
 
 
-def test_of_a_wide_table_few_lines_show_the_columns(
-    write: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_few_lines_show_the_columns_of_a_table(write: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
     """100,000 columns took 41 s of a processor where 200 lines were taken apart, and take 7 s."""
     monkeypatch.setattr("gtau.signals.reading.formats.text.ENOUGH", 60)
     log = write("t,q,v", *ROWS)
