@@ -136,7 +136,7 @@ def geometry_section(test: GeometryTest | None) -> Section | None:
     said = [ESTIMATED[test.source]]
     delay, std = test.delay
     if std < POSE_DELAY_STD:
-        said.append(f"the poses lag {1e3 * delay:.1f} ± {1e3 * std:.1g} ms behind the positions")
+        said.append(f"the poses lag {1e3 * delay:.1f} ± {1.96e3 * std:.1g} ms behind the positions")
     runs = dict.fromkeys(residual.run for residual in test.residuals if residual.time.size)
     return section(
         "Logged pose and geometry",
