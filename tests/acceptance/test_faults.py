@@ -182,6 +182,7 @@ LIKE_ANOTHER = {
     "gravity upside down", "positions in the wrong order", "a sign flipped in one run", "all signs flipped",
     "an unloaded run declared loaded", "a robot that warms up in a run",
     "a robot that warms up from run to run", "swapped channels", "a loaded run declared unloaded",
+    "gravity along another axis", "a torque constant that falls with the current",  # beyond ten seconds
 }  # fmt: skip
 
 

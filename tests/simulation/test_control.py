@@ -249,6 +249,7 @@ def written(tmp_path: Path, **changes) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_the_command_writes_what_identify_reads(tmp_path):
     done = CliRunner().invoke(app, ["simulate", str(written(tmp_path)), "--out", str(tmp_path / "out"), "--json"])
     assert done.exit_code == 0, done.output
