@@ -200,7 +200,7 @@ def outcome(path: Path) -> tuple[int, str, dict[str, float | None]]:
     document = json.loads(done.stdout) if done.stdout.startswith("{") else {}
     if "drive_gains" not in document:
         refusal = document.get("error") or done.stderr.strip().splitlines()[-1].removeprefix("gtau: ")
-        return done.returncode, shorten(refusal, 100, placeholder=" ..."), {}
+        return done.returncode, shorten(refusal.replace(f"{path.parent}/", ""), 100, placeholder=" ..."), {}
     gains = {gain["joint"]: gain["value"] for gain in document["drive_gains"]}
     if "validation" in document:
         del document["validation"]
