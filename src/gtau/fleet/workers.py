@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
@@ -176,7 +176,13 @@ def dask_workers(
         _check_scheduler(address, patience)
         client = stack.enter_context(Client(address, timeout=patience))
         check_workers(client, address, patience)
-        submit = client.get_executor(pure=False).submit
+
+        def submit(function: Function, item: Any) -> Future[Any]:
+            # Not client.get_executor(): it takes a result whose worker dies as it arrives for an exception.
+            task, answer = client.submit(_work, installed(), function, item, pure=False), Future[Any]()
+            client.loop.add_callback(_hand_on, task, answer)
+            return answer
+
         seen = time.monotonic()
 
         def check() -> None:
@@ -189,7 +195,15 @@ def dask_workers(
                     "and run the same command again."
                 )
 
-        yield mapper_of(partial(submit, _work, installed()), _dask_failure, check=check)
+        yield mapper_of(submit, _dask_failure, check=check)
+
+
+async def _hand_on(task: Awaitable[Any], answer: Future[Any]) -> None:
+    """Set the outcome of a Dask task, which is computed again where it was lost, on a future of this process."""
+    try:
+        answer.set_result(await task)
+    except BaseException as error:
+        answer.set_exception(error)
 
 
 def _check_scheduler(address: str, patience: float) -> None:
