@@ -231,7 +231,7 @@ def _of_zeros(model: Result, part: Rows, load: np.ndarray, run: str) -> np.ndarr
         moved = q.copy()
         moved[j] += STEP
         try:
-            c = idm.path(moved, labels, motion.c[:, 0])
+            c = idm.near(motion.c, moved, labels)
         except GtauError:
             continue  # the loops do not close there: this zero is not watched
         along = regressor.torques_along(idm.layout, idm.rates(c, qd, qdd, labels), load)
