@@ -269,7 +269,7 @@ def base_misfit(fit: Fit) -> dict[str, float]:
     residual, measured = fit.solution.sigma[rows] ** 2, problem.balance(theta)[rows] ** 2
     terms = problem.largest_terms(theta)[rows] ** 2
     parts = {"forces": slice(0, 3), "moments": slice(3, 6)} if len(rows) else {}
-    # of a base that hangs still at its centre of mass, the moment is noise
+    # on a base at rest, hung at its centre of mass, the measured moment is noise alone
     return {
         part: float(np.sqrt(residual[axes].sum() / max(measured[axes].sum(), terms[axes].sum() / 9, 1e-300)))
         for part, axes in parts.items()
