@@ -128,13 +128,15 @@ def diagnose(
     )
 
 
-def channel_verdicts(fit: Fit, estimates: Estimates, findings: Sequence[Finding]) -> dict[Parameter, Verdict]:
-    """Judge the gains of the motors by findings on them, and the delays of all channels."""
+def channel_verdicts(
+    fit: Fit, estimates: Estimates, findings: Sequence[Finding], delayed: bool
+) -> dict[Parameter, Verdict]:
+    """Judge the gains of the motors by findings on them, and the delays of all channels, where any is ``delayed``."""
     gains = decide(motors(fit), findings, GOOD if fit.free_gains else GIVEN)
     unknowns = estimates.unknowns
     std = np.sqrt(np.diag(estimates.random))[unknowns.delays]
     period = 1 / min(run.rate for run in fit.dataset.runs)
-    delays = delay_verdicts(fit.system.problem, fit.solution, std, period) if std.any() else [GOOD] * len(std)
+    delays = delay_verdicts(fit.system.problem, fit.solution, std, period) if delayed else [GOOD] * len(std)
     of_delays = dict(zip(unknowns[unknowns.delays], delays, strict=True))
     return {Parameter("gain", joint): verdict for joint, verdict in gains.items()} | of_delays
 
