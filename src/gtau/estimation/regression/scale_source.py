@@ -39,8 +39,8 @@ def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | Non
             f"add a run without payload, {other}."
         )
     if problem.wrenches and problem.unknown_gains.all() and not (len(problem.known) or weighed):
-        own, answered = unexplained_wrench_share(problem)
-        if own < OWN_BODY and answered < ANSWERED:
+        by_own_columns, answered = unexplained_wrench_share(problem)
+        if by_own_columns < OWN_BODY and answered < ANSWERED:
             raise GtauError(_always_carried(problem.wrenches, other))
     if len(problem.parameters) in independent_columns(_with_scale(problem))[0]:
         return
