@@ -29,8 +29,8 @@ def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | Non
     if not elsewhere and not weighed:
         raise GtauError(
             f"method '{method}' needs a scale to find the drive gains, and no run has a payload of known mass; "
-            "add 'payload: {name: ..., mass: ...}' to a loaded run, torque sensors ('joint_torque' under 'signals'), "
-            f"or known parameters ('priors'), {other}."
+            "add 'payload: {name: ..., mass: ...}' to a loaded run (--payload LOG=KG with logs), torque sensors "
+            f"('joint_torque' under 'signals'), or known parameters ('priors'), {other}."
         )
     if not elsewhere and len({None if payload is None else payload.name for payload in payloads}) < 2:
         raise GtauError(
