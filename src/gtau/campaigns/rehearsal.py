@@ -49,14 +49,20 @@ class Rehearsal:
 def rehearse(design: Design, file: DesignFile, model: Path | None, progress: Progress) -> Rehearsal:
     """Check every limit along the whole motion, and play it in the simulator with the heaviest payload.
 
-    The robot is the identified ``model``, or one with the inertias of the robot's file. Raises GtauError where a limit
-    is exceeded or the robot strays.
+    The robot is the identified ``model``, or one with the inertias of the robot's file: without a model, and where it
+    is none that moves, as parameters that the data hardly determine may be those of no body. Raises GtauError where a
+    limit is exceeded or the robot strays.
     """
     task = design.task
     worst = max(check(task, design.x), key=lambda usage: usage.excess)
     if worst.excess > 1:
         raise GtauError(f"the motion exceeds a limit: the {worst.what} must be {worst.allowed}; widen it or redesign.")
-    errors, torques = _under_control(design, file, model, progress)
+    try:
+        errors, torques = _under_control(design, file, model, progress)
+    except GtauError:
+        if model is None:
+            raise
+        errors, torques = _under_control(design, file, None, progress)
     allowed = tolerances(design)
     for joint, error in errors.items():
         if error > allowed[joint]:
