@@ -152,7 +152,9 @@ class History:
                 raise GtauError(f"{self.path} is empty; restore it from a backup, or give another --out.")
             self._connect(f"{self.path.absolute().as_uri()}?mode=rw")
             if self._one("PRAGMA application_id") != APPLICATION:
-                raise GtauError(f"{self.path} is no history of gtau; restore it from a backup, or give another --out.")
+                raise GtauError(
+                    f"{self.path} is not a history of gtau; restore it from a backup, or give another --out."
+                )
             self._database.executescript("PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL")
 
     def _connect(self, uri: str, settings: WatchSettings | None = None) -> None:
