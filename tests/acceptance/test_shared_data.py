@@ -215,7 +215,7 @@ def test_ur10e_watched_over_its_weeks_raises_no_alarm_until_it_is_loaded(
             status = watch.update(run, date=f"2020-{name[:5].replace('_', '-')}")
             assert status.healthy, name
     status = watch.update(read_log(ur10e, shared / "ur10e" / "ur-20_01_31-load.csv", folder / "ur10e.yaml"))
-    (load,) = status.entry.alarm.explanations
+    (load,) = status.alarm.explanations
     assert load.kind == "load"
     assert load.size == pytest.approx(2.805, rel=0.02)
     assert abs(load.size - 2.805) < load.half

@@ -165,15 +165,16 @@ def _unusable(last: Round) -> str:
     """Say why the logs of a round that was played cannot be used, empty if they can."""
     assert last.played is not None
     if last.played.hash != last.motion["hash"]:
-        return f"{last.folder} was played with another motion than it holds; play it again, or set it aside ({ASIDE})"
+        return f"round {last.folder} was played with another motion; play it again, or set it aside ({ASIDE})"
     if not last.complete:
         return (
-            f"{last.folder} was not played to its end ({last.played.end}); remove {PLAYED} and play it again, or set "
-            f"it aside with a reason ({ASIDE})"
+            f"round {last.folder} was not played to its end ({last.played.end}); remove {PLAYED} and play it again, or "
+            f"set it aside with a reason ({ASIDE})"
         )
     missing = [run["name"] for run in last.motion["runs"] if run["name"] not in {r.name for r in last.played.runs}]
     missing += [run.log for run in last.played.runs if not (last.folder / run.log).exists()]
-    return f"{last.folder} lacks {', '.join(missing)}; play it again, or set it aside ({ASIDE})" if missing else ""
+    lacks = f"round {last.folder} lacks {', '.join(missing)}; play it again, or set it aside ({ASIDE})"
+    return lacks if missing else ""
 
 
 def _inputs(folder: Path, file: DesignFile, used: list[Round]) -> dict[str, str]:

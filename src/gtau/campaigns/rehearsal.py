@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from gtau.campaigns.contacts import check_contacts
 from gtau.campaigns.folder import MOTION, digest, scene, write_json
 from gtau.documents.files import folder_of, write_table
 from gtau.errors import GtauError
@@ -36,7 +37,8 @@ CSV = "motion.csv"
 class Rehearsal:
     """What a rehearsal found: greatest use of a limit, tool speed (m/s), and of the run under control each joint's.
 
-    ``errors`` and ``torques`` are the largest tracking errors, rad or m, and torques, N m or N, by joint.
+    ``errors`` and ``torques`` are the largest tracking errors, rad or m, and torques, N m or N, by joint; ``unseen``
+    says why contacts were not looked for, empty if they were.
     """
 
     used: float
@@ -44,6 +46,7 @@ class Rehearsal:
     speed: float
     errors: Mapping[str, float]
     torques: Mapping[str, float]
+    unseen: str
 
 
 def rehearse(design: Design, file: DesignFile, model: Path | None, progress: Progress) -> Rehearsal:
@@ -70,6 +73,8 @@ def rehearse(design: Design, file: DesignFile, model: Path | None, progress: Pro
                 f"in the rehearsal joint '{joint}' strays by {error:.3g} from the motion, {allowed[joint]:.3g} is "
                 f"allowed; limit its acceleration or jerk in the design file."
             )
+    ((time, joints),) = Outlook(design, {}).motions
+    unseen = check_contacts(Path(file.robot), task.model, time, joints)
     robot = load_robot(file.robot)
     for joint, torque in torques.items():
         most = robot.joint(joint).limits.effort  # the file's own: the design's share is for what happens on the way
@@ -78,7 +83,7 @@ def rehearse(design: Design, file: DesignFile, model: Path | None, progress: Pro
                 f"in the rehearsal joint '{joint}' takes {torque:.3g} {torque_unit(robot, joint)}, "
                 f"{most:.3g} is allowed; limit its acceleration in the design file."
             )
-    return Rehearsal(worst.excess, worst.what, Outlook(design, {}).tool[0], errors, torques)
+    return Rehearsal(worst.excess, worst.what, Outlook(design, {}).tool[0], errors, torques, unseen)
 
 
 def _under_control(
@@ -140,7 +145,7 @@ def write_motion(
     task, robot = design.task, design.task.model.robot
     ((time, joints),) = Outlook(design, {}).motions
     write_table(trajectory_table(task, time, joints), folder_of(folder) / CSV)
-    allowed = tolerances(design)
+    allowed, unseen = tolerances(design), rehearsal.unseen
     files = digest([folder / CSV, *scene(folder.parent, file)], folder)
     write_json(
         folder / MOTION,
@@ -165,7 +170,7 @@ def write_motion(
                 {"name": f"run{k + 1}", "payload": None if load is None else {"name": load.name, "mass": load.mass}}
                 for k, load in enumerate(task.payloads)
             ],
-            "guards": list(task.guards),
+            "guards": [*task.guards, *([f"contacts in MuJoCo: not checked, {unseen}"] if unseen else [])],
             "rehearsal": asdict(rehearsal),
             **decided,
         },
