@@ -211,7 +211,7 @@ def measured(name: str, data: Path) -> dict[str, str]:
         subject = describe(path)
         dataset = reduce_runs(subject.robot, read_runs(subject.experiment, subject.experiment.runs))
     n, runs = len(dataset.model.actuated), dataset.runs
-    slowest = dataset.system().problem.slowest
+    slowest = dataset.system().problem.longest_delays.max()
     system = dataset.system()
     gains = None if runs[0].kind == "current" else np.ones(n)
     fit = fit_by(ml_or_wls(gains), system, gains is None)

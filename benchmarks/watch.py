@@ -35,7 +35,6 @@ from gtau.estimation.results.result import Result
 from gtau.signals.preparation.filters import differentiate
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import Run
-from gtau.watch import history
 from gtau.watch.alarms import visible_changes
 from gtau.watch.detectors import evidence
 from gtau.watch.statistics import LogStatistics, statistics_of
@@ -176,7 +175,7 @@ def fault_row(model: Result, healthy: LogStatistics, faulty: LogStatistics, faul
 def visible_words(watch: Watch, fault: Fault, joint: str) -> str:
     """Write the smallest visible change of the quantity of a fault."""
     kind = {"load": "m_load", "lag": "delay_"}.get(fault.kind, f"{fault.kind}_{joint}")
-    changes = visible_changes(watch.model, watch.settings, watch.view)[:, 0]
+    changes = visible_changes(watch.view)[:, 0]
     of_kind = [changes[k] for k, name in enumerate(watch.view.names) if name.startswith(kind)]
     smallest = np.nanmin(of_kind) if len(of_kind) and np.isfinite(of_kind).any() else np.nan
     return "no" if np.isnan(smallest) else f"{smallest:.2g}"
@@ -265,7 +264,7 @@ def kills(count: int, data: Path) -> None:
         return watch
 
     def rows(watch: Watch) -> list:
-        return [(row.log, row.date, row.numbers.tobytes(), row.alarm) for row in watch._rows]
+        return watch.history._database.execute("SELECT log, date, numbers, alarm FROM logs ORDER BY id").fetchall()
 
     begun = clock.perf_counter()
     expected, length = rows(work(STORE / "one")), clock.perf_counter() - begun
@@ -280,7 +279,7 @@ def kills(count: int, data: Path) -> None:
         for child in children:
             os.kill(child, signal.SIGKILL)
             os.waitpid(child, 0)
-    before = len(Watch(model, STORE / "many")._rows)
+    before = len(Watch(model, STORE / "many").view.logs.ids)
     same = rows(work(STORE / "many")) == expected
     print(f"{count} kills of two writers; {before} of {len(logs)} logs were there; equal in the end: {same}")
 
@@ -292,19 +291,19 @@ def size(data: Path) -> None:
         folder = STORE / f"{count}"
         watch, rng = Watch(model, folder), np.random.default_rng(1)
         width = 2 * (len(watch.charts) + len(model.robot.actuated))
-        with history.writing(watch._database):
+        with watch.history.writing():
             for k in range(count):
                 day = date(2026, 1, 1) + timedelta(int(365 * k / count))
-                history.add_row(
-                    watch._database, [f"{k:032x}", f"{count + k:032x}"], f"{k}", f"{day}", rng.normal(size=width)
-                )
+                watch.history.remember(f"{k}", [f"{k:032x}", f"{count + k:032x}"])
+                watch.history.add_row(f"{k}", f"{day}", [rng.normal(size=width)])
                 if k % 2000 == 1999:
-                    history.condense(watch._database)
-        watch._database.close()
+                    watch.history.condense()
+        watch.history._database.close()
         begun = clock.perf_counter()
         again = Watch(model, folder)
         spent, bytes_ = clock.perf_counter() - begun, sum(path.stat().st_size for path in folder.iterdir())
-        print(f"{count} logs: opened in {spent:.2f} s, {bytes_ / 1e6:.0f} MB, {len(again._rows)} rows", flush=True)
+        rows = len(again.view.logs.ids)
+        print(f"{count} logs: opened in {spent:.2f} s, {bytes_ / 1e6:.0f} MB, {rows} rows", flush=True)
 
 
 def main() -> None:

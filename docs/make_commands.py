@@ -24,11 +24,9 @@ def prose(text: str) -> str:
     return re.sub(r"(?<!`)<(?=\w)", r"\\<", text)
 
 
-def rows(head: str, records: list[tuple[str, str]]) -> str:
-    """Return a table of arguments or options; empty where there are none."""
-    if not records:
-        return ""
-    lines = [f"| {head} | meaning |", "| --- | --- |"]
+def rows(records: list[tuple[str, str]]) -> str:
+    """Return a table of arguments and options."""
+    lines = ["| | meaning |", "| --- | --- |"]
     for names, meaning in records:
         cells = (f"`{names.replace('|', chr(92) + '|')}`", prose(" ".join(meaning.split())).replace("|", "\\|"))
         lines.append("| " + " | ".join(cells) + " |")
@@ -44,15 +42,12 @@ def page() -> str:
         command = group.get_command(context, name)
         inner = Context(command, info_name=name, parent=context)
         command.get_help(inner)  # which leaves the Python types of arguments out
-        records: dict[bool, list[tuple[str, str]]] = {True: [], False: []}
-        for parameter in command.get_params(inner):
-            record = parameter.get_help_record(inner)
-            if record and record[0] not in ("--help", "--json"):
-                records[parameter.param_type_name == "argument"].append(record)
+        given = (parameter.get_help_record(inner) for parameter in command.get_params(inner))
+        records = [record for record in given if record and record[0] not in ("--help", "--json")]
         usage = " ".join(["gtau", name, *command.collect_usage_pieces(inner)])
         names.append(f"[{name}](#{name})")
         sections += f"\n## {name}\n\n```text\n{usage}\n```\n\n{prose(command.help.strip())}\n\n"
-        sections += rows("argument", records[True]) + rows("option", records[False])
+        sections += rows(sorted(records, key=lambda record: record[0].startswith("-")))
     return (f"{HEAD}\n{', '.join(names)}\n" + sections).rstrip("\n").replace("\n\n\n", "\n\n") + "\n"
 
 

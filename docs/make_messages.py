@@ -65,8 +65,11 @@ def table(kinds: Sequence[str], made: Mapping[str, list[Finding]]) -> str:
 
 
 def remedies(kinds: Sequence[str], made: Mapping[str, list[Finding]]) -> str:
-    """Return a table of names with remedies."""
-    rows = (f"| {kind} | {cell(made[kind][0].action)} |\n" for kind in kinds)
+    """Return a table of names with remedies; names with the same one share a row."""
+    actions: dict[str, list[str]] = defaultdict(list)
+    for kind in kinds:
+        actions[made[kind][0].action].append(kind)
+    rows = (f"| {', '.join(alike)} | {cell(action)} |\n" for action, alike in actions.items())
     return "| name | what to do |\n| --- | --- |\n" + "".join(rows)
 
 

@@ -31,7 +31,7 @@ from gtau.documents.files import folder_of, write_atomically
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.identify import identify
 from gtau.estimation.results.estimate import Estimate, TorqueError
-from gtau.estimation.results.predicted import torque_errors
+from gtau.estimation.results.predicted import Prediction, torque_errors
 from gtau.estimation.results.result import Result
 from gtau.progress import Progress, silent
 from gtau.report.chart import Chart, intervals
@@ -44,7 +44,6 @@ from gtau.signals.reading.experiment import read_experiment
 from gtau.simulation.closed_loop import sample
 from gtau.simulation.simulation_file import read_simulation
 from gtau.simulation.trajectories import make_trajectory
-from gtau.uses.prediction import Prediction
 from gtau.uses.weigh import weigh
 
 DURATION = 20.0  # s, the paper's exciting trajectories
@@ -97,9 +96,8 @@ INTRODUCTION = """\
 
 Section 5 of Briot and Gautier, "Global identification of joint drive gains and dynamic parameters of parallel
 robots", repeated on a simulated robot: forward dynamics with friction in all 15 joints, force ripple, encoder and
-current resolution, noise, and currents held for a millisecond. The estimator sees only its logs. The main parameters
-are those of the paper's Table 3; the distribution of mass, small frictions and trajectories are ours, as the paper
-does not state them.
+current resolution, noise, and currents held for a millisecond. The main parameters are those of the paper's Table 3;
+the distribution of mass, small frictions and trajectories, which the paper does not state, are ours.
 
 `python examples/case_study.py docs` makes this page. `gtau demo --out demo` does the same with shorter logs.
 
@@ -118,19 +116,17 @@ TABLE_3_NOTES = """\
 - **Passive frictions, `mx_21`, `off_21R`, `off_23R`.** The paper keeps values such as `fv_33R = -5.57`, a friction that
   adds energy, opposite to `fv_21R = 5.57`: kept parameters absorb the effects of cancelled ones. Our plant has small
   passive frictions, and the identification recovers them.
-- **The set** is selected by the Bayesian information criterion. Above 100 %, only a sum with cancelled parameters is
-  identifiable. The paper's rule (`--ratio 10`) would cancel even `m_PR` here.
+- **The set** is selected by the Bayesian information criterion, which also keeps some parameters that the paper
+  cancels. The paper's rule (`--ratio 10`) would cancel even `m_PR` here.
 """
 PAYLOAD_NOTES = """\
-With the manufacturer's gains the payload comes out too light by the same factor as the gains, as in the paper's case
-1. With the identified gains its mass is correct.
+With the manufacturer's gains the payload comes out too light by the same factor as the gains, as in the paper.
 """
 TABLE_4_NOTES = """\
 - **Simple and advanced PID** have errors of the paper's size. On trajectory 2 the paper's are twice ours, so its
   trajectory, which is not published, accelerates about twice as much.
-- **Computed torque.** Our errors are some micrometres, the paper's 60 to 150, which the model does not explain: a
-  velocity measured 1 ms later than the one fed forward would alone cause 70 micrometres rms here. What remains comes
-  from the half-sample delay of held currents, ripple, and friction at reversals.
+- **Computed torque.** Our errors are some micrometres, the paper's 60 to 150: a velocity measured 1 ms later than the
+  one fed forward would alone cause 70 micrometres rms here.
 - **Manufacturer's or identified gains** make no relevant difference, as in the paper: each model was identified with
   its own gains.
 - **25 % error on the gains.** The payload then enters a fifth too small, and the errors grow visibly.
@@ -252,8 +248,8 @@ def _table_3(result: Result) -> list[Sequence[str]]:
     true |= DRIVE_GAINS
     ours: dict[str, Estimate] = {**result.drive_gains, **result.essential}
     rows: list[Sequence[str]] = []
-    for name in dict.fromkeys([*TABLE_3, *ours]):
-        paper, each = TABLE_3.get(name), ours.get(name)
+    for name, paper in TABLE_3.items():
+        each = ours.get(name)
         label = f"gain of {name}" if name in result.drive_gains else f"`{name}`"
         unit = (each or result.parameters[name]).unit
         published = (f"{paper[0]:g}", f"{paper[1]:.2f}") if paper else ("", "")

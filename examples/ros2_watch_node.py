@@ -46,13 +46,13 @@ class Watcher:
 
     def message(self, header, known):
         """Write what is known after a block."""
-        if known.entry.alarm is not None:
-            level, words = 2, alarm_words(known.entry.alarm)[0]
-        elif known.entry.phase == "baseline":
+        if known.alarm is not None:
+            level, words = 2, alarm_words(known.alarm)[0]
+        elif known.phase == "baseline":
             level, words = 1, f"baseline, {self.watch.count} of {self.watch.settings.baseline} blocks"
         else:
             level, words = 0, "no change since the baseline"
-        return self.array(header=header, status=[self.diagnostic(level, words, known.entry.values)])
+        return self.array(header=header, status=[self.diagnostic(level, words, known.values)])
 
     def diagnostic(self, level: int, words: str, values):
         """Write one DiagnosticStatus."""

@@ -84,18 +84,19 @@ def page(records: Sequence[dict]) -> str:
     made = [record for record in records if record["departure"] in DEPARTURES]
     parts = [goals(made, real)] if made else []
     if made:
-        parts.append(by_departure(made))
+        parts.append(notable(made))
     if moved:
         parts.append(of_motions(moved))
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
 def write_files(records: Sequence[dict], folder: Path) -> None:
-    """Write what the page leaves out: every robot and defect, missed intervals and refusals, and pairs of logs."""
+    """Write what the page leaves out: every defect, by robot too, missed intervals and refusals, and pairs of logs."""
     made = [record for record in records if record["departure"] in DEPARTURES]
     real = [record for record in records if record["departure"] not in DEPARTURES | MOTIONS]
     folder.mkdir(exist_ok=True)
-    tables = {"defects-by-robot": by_robot(made), "missed": missed(made), "pairs": of_pairs(real)}
+    tables = {"defects": by_departure(made), "defects-by-robot": by_robot(made)}
+    tables |= {"missed": missed(made), "pairs": of_pairs(real)}
     for name, lines in tables.items():
         if len(lines) > 1:
             write_csv(folder / f"{name}.csv", lines)
@@ -148,17 +149,23 @@ def hits(of: np.ndarray) -> str:
     return f"{share(of)}, {count(of)}"
 
 
-def by_departure(made: Sequence[dict]) -> str:
+def by_departure(made: Sequence[dict]) -> list[list[str]]:
     """One row a departure, all robots together."""
     shown = [0, 1, 2, 4]  # of COLUMNS; all of them are in the file by robot
-    heads = [COLUMNS[k] for k in shown]
-    lines = [f"| defect | {' | '.join(heads)} |", f"| --- | {' | '.join(len(shown) * ['---:'])} |"]
+    lines = [["defect", *(COLUMNS[k] for k in shown)]]
     for name in DEPARTURES:
         mine = [record for record in made if record["departure"] == name]
         if mine:
             row = pooled(mine).row()
-            lines.append(f"| {name} | {' | '.join(row[k] for k in shown)} |")
-    return "\n".join(lines)
+            lines.append([name, *(row[k] for k in shown)])
+    return lines
+
+
+def notable(made: Sequence[dict]) -> str:
+    """Show the departures of which an interval missed or a gain was beyond the accuracy."""
+    head, *rows = by_departure(made)
+    rows = [row for row in rows if len(set(row[3].split(" of "))) > 1 or float(row[1] or 0) > 100 * ACCURACY]
+    return "\n".join(f"| {' | '.join(row)} |" for row in [head, ["---", *["---:"] * (len(head) - 1)], *rows])
 
 
 def missed(made: Sequence[dict]) -> list[list[str]]:

@@ -6,14 +6,15 @@ import csv
 import hashlib
 import json
 import os
+import select
 import sys
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 APPROACH = 3.0  # s, from where the robot stands to where the motion starts
-AHEAD = 1.0  # s, of the first samples that a dry run holds before it moves
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,7 @@ class Motion:
     q: np.ndarray
     qd: np.ndarray
     qdd: np.ndarray
+    speed: float = 1.0
 
     @property
     def joints(self) -> list[str]:
@@ -37,8 +39,24 @@ class Motion:
         return np.array([joint[key] for joint in self.file["joints"]])
 
     def slower(self, speed: float) -> Motion:
-        """Return the same path at a fraction of the speed."""
-        return Motion(self.folder, self.file, self.time / speed, self.q, self.qd * speed, self.qdd * speed**2)
+        """Return the same path at a fraction of the speed; end the program where that is not above 0 and at most 1."""
+        if not 0.0 < speed <= 1.0:
+            sys.exit(f"--speed {speed:g} was not rehearsed; give a fraction of the full speed, such as 0.1.")
+        qd, qdd = self.qd * speed, self.qdd * speed**2
+        return replace(self, time=self.time / speed, qd=qd, qdd=qdd, speed=speed)
+
+    def approach(self, q: np.ndarray) -> Motion:
+        """Return a slow motion from positions (n,) to where this one begins; refuse positions that are elsewhere."""
+        self.refuse_start(q)
+        part = np.linspace(0.0, 1.0, round(APPROACH * self.file["rate"]) + 1)[:, None]
+        way = self.q[0] - q
+        return replace(
+            self,
+            time=APPROACH * part[:, 0],
+            q=q + (3 - 2 * part) * part**2 * way,
+            qd=6 * (1 - part) * part * way / APPROACH,
+            qdd=(6 - 12 * part) * way / APPROACH**2,
+        )
 
     def at(self, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Position, velocity and acceleration (n,) at an instant."""
@@ -76,20 +94,51 @@ def read_motion(folder: str | Path) -> Motion:
     return Motion(folder, file, columns["t"], *tables)
 
 
+def pressed() -> bool:
+    """Whether the operator pressed Enter in the terminal."""
+    return bool(select.select([sys.stdin], [], [], 0)[0])
+
+
+def mount(run: dict) -> None:
+    """Wait until the payload of a run is mounted."""
+    load = run["payload"]["name"] if run["payload"] else "no payload"
+    input(f"{run['name']}: mount {load}, set it in the controller if it has such a setting, then press Enter: ")
+
+
+def play_round(
+    folder: Path, speed: float, play_run: Callable[[dict, Motion], tuple[str, str]], signals: dict | None = None
+) -> None:
+    """Play the runs of a round until one is stopped, write played.json after a full speed, and end the program.
+
+    ``play_run`` plays one run and returns its log (path from the round's folder) and how it ended.
+    """
+    motion, runs, end = read_motion(folder).slower(speed), [], "completed"
+    for run in motion.file["runs"]:
+        log, end = play_run(run, motion)
+        print(f"{run['name']}: {end}")
+        runs.append({"name": run["name"], "log": log, "end": end})
+        if end != "completed":
+            break
+    if speed == 1.0:
+        write_played(motion, runs, end, signals)
+    sys.exit(end != "completed")
+
+
 def write_log(motion: Motion, run: str, time: np.ndarray, q: np.ndarray, current: np.ndarray) -> str:
-    """Write a run's log: ``t``, ``q_<joint>`` and ``i_<joint>``; return its path in the round's folder."""
+    """Write a run's log, but not of a dry run: ``t``, ``q_<joint>``, ``i_<joint>``; return its path in the folder."""
     path = motion.folder / "logs" / f"{run}.csv"
-    path.parent.mkdir(exist_ok=True)
-    header = ",".join(["t", *(f"q_{name}" for name in motion.joints), *(f"i_{name}" for name in motion.joints)])
-    beside = path.with_suffix(".part")
-    np.savetxt(beside, np.column_stack([time, q, current]), "%.9g", ",", header=header, comments="")
-    os.replace(beside, path)
+    if motion.speed == 1.0:
+        path.parent.mkdir(exist_ok=True)
+        header = ",".join(["t", *(f"q_{name}" for name in motion.joints), *(f"i_{name}" for name in motion.joints)])
+        beside = path.with_suffix(".part")
+        np.savetxt(beside, np.column_stack([time, q, current]), "%.9g", ",", header=header, comments="")
+        os.replace(beside, path)
     return f"logs/{run}.csv"
 
 
-def write_played(motion: Motion, runs: list[dict], speed: float, end: str, signals: dict | None = None) -> None:
+def write_played(motion: Motion, runs: list[dict], end: str, signals: dict | None = None) -> None:
     """Write played.json: the motion by its hash, its runs with their logs, the speed, and how it ended."""
-    played = {"schema": "gtau-played/1", "hash": motion.file["hash"], "speed": speed, "end": end, "runs": runs}
+    played = {"schema": "gtau-played/1", "hash": motion.file["hash"], "speed": motion.speed, "end": end, "runs": runs}
     beside = motion.folder / "played.part"
     beside.write_text(json.dumps(played | ({"signals": signals} if signals else {}), indent=1) + "\n")
     os.replace(beside, motion.folder / "played.json")

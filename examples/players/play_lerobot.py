@@ -2,19 +2,19 @@
 
     python play_lerobot.py camp/01 --robot so101_follower --port /dev/ttyACM0 [--speed 0.1]
 
-Actions and observations are in degrees (``use_degrees``); currents come from a register of the motors.
+Enter in the terminal stops the motion, as does a tracking error. Actions and observations are in degrees
+(``use_degrees``); currents come from a register of the motors.
 """
 
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from contract import Motion, read_motion, write_log, write_played
+from contract import Motion, mount, play_round, pressed, write_log
 
 CURRENT, UNIT = "Present_Current", 6.5e-3  # register of Feetech motors, A a count
 
@@ -26,20 +26,34 @@ def observe(robot: Any, joints: list[str]) -> tuple[np.ndarray, np.ndarray]:
     return np.deg2rad([seen[f"{name}.pos"] for name in joints]), UNIT * np.array([counts[name] for name in joints])
 
 
-def play_run(motion: Motion, robot: Any, clock: Any = time.perf_counter, wait: Any = time.sleep) -> tuple[Any, ...]:
-    """Play one run; return time, positions and currents as logged, and how it ended."""
-    motion.refuse_start(observe(robot, motion.joints)[0])
+def follow(motion: Motion, robot: Any, stopped: Any, clock: Any, wait: Any) -> tuple[Any, ...]:
+    """Follow a motion; return time, positions and currents as logged, and how it ended."""
     rows, begun, end = [], clock(), "completed"
-    while (now := clock() - begun) <= motion.time[-1]:
+    while end == "completed" and (now := clock() - begun) <= motion.time[-1]:
         wanted = motion.at(now)[0]
-        robot.send_action({f"{name}.pos": float(q) for name, q in zip(motion.joints, np.rad2deg(wanted), strict=True)})
+        send(robot, motion.joints, wanted)
         q, current = observe(robot, motion.joints)
         rows.append((now, q, current))
-        if end := motion.strayed(q, wanted):
-            break
+        end = motion.strayed(q, wanted) or ("stopped by the operator" if stopped() else "completed")
         wait(max(0.0, 1.0 / motion.file["rate"] - (clock() - begun - now)))
+    if end != "completed":
+        send(robot, motion.joints, q)  # it holds where it is: what it was last told may lie behind an obstacle
     t, q, current = (np.array(column) for column in zip(*rows, strict=True))
-    return t, q, current, end or "completed"
+    return t, q, current, end
+
+
+def send(robot: Any, joints: list[str], q: np.ndarray) -> None:
+    """Send positions, rad."""
+    robot.send_action({f"{name}.pos": float(degrees) for name, degrees in zip(joints, np.rad2deg(q), strict=True)})
+
+
+def play_run(
+    motion: Motion, robot: Any, stopped: Any = pressed, clock: Any = time.perf_counter, wait: Any = time.sleep
+) -> tuple[Any, ...]:
+    """Approach the start slowly and play one run; return time, positions and currents as logged, and how it ended."""
+    approach = motion.approach(observe(robot, motion.joints)[0])
+    before = follow(approach, robot, stopped, clock, wait)
+    return before if before[3] != "completed" else follow(motion, robot, stopped, clock, wait)
 
 
 def main() -> None:
@@ -49,25 +63,27 @@ def main() -> None:
     parser.add_argument("--robot", default="so101_follower")
     parser.add_argument("--port", required=True)
     parser.add_argument("--speed", type=float, default=1.0)
-    asked = parser.parse_args()
+    options = parser.parse_args()
     from lerobot.robots import make_robot_from_config
     from lerobot.robots.so101_follower import SO101FollowerConfig
 
-    motion, runs, end = read_motion(asked.round), [], "completed"
-    robot = make_robot_from_config(SO101FollowerConfig(port=asked.port, id=asked.robot, use_degrees=True))
+    robot = make_robot_from_config(
+        SO101FollowerConfig(
+            port=options.port, id=options.robot, use_degrees=True,
+            disable_torque_on_disconnect=False,  # the arm would fall
+        )
+    )  # fmt: skip
+
+    def one_run(run: dict, motion: Motion) -> tuple[str, str]:
+        mount(run)
+        *log, end = play_run(motion, robot)
+        return write_log(motion, run["name"], *log), end
+
     robot.connect()
-    for run in motion.file["runs"]:
-        load = run["payload"]["name"] if run["payload"] else "no payload"
-        input(f"{run['name']}: mount {load}, then press Enter: ")
-        t, q, current, end = play_run(motion.slower(asked.speed), robot)
-        if asked.speed == 1.0:
-            runs.append({"name": run["name"], "log": write_log(motion, run["name"], t, q, current), "end": end})
-        if end != "completed":
-            break
-    if asked.speed == 1.0:
-        write_played(motion, runs, asked.speed, end)
-    robot.disconnect()
-    sys.exit(0 if end == "completed" else end)
+    try:
+        play_round(options.round, options.speed, one_run)
+    finally:
+        robot.disconnect()
 
 
 if __name__ == "__main__":

@@ -15,15 +15,15 @@ At a reduced speed nothing is written: that is the dry run.
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import yaml
-from contract import AHEAD, Motion, read_motion, write_log, write_played
+from contract import Motion, play_round, write_log
 
 STEP = 2.5e-4  # s
+AHEAD = 1.0  # s that it holds the first position before it moves, and the last one after
 HELD = 0.02  # s between two inertia matrices of the controller
 ZERO = {"delay": 0.0, "noise": 0.0, "quantum": 0.0, "zero": 0.0, "saturation": 0.0, "unsigned": False}
 
@@ -118,21 +118,16 @@ def main() -> None:
     parser.add_argument("--speed", type=float, default=1.0)
     parser.add_argument("--robot", type=Path)
     parser.add_argument("--seed", type=int, default=0)
-    asked = parser.parse_args()
-    motion = read_motion(asked.round)
-    file, runs, end = asked.robot or asked.round.parent / "mujoco.yaml", [], "completed"
-    rng = np.random.default_rng([asked.seed, int(asked.round.resolve().name)])
-    for run in motion.file["runs"]:
+    options = parser.parse_args()
+    file = options.robot or options.round.parent / "mujoco.yaml"
+    rng = np.random.default_rng([options.seed, int(options.round.resolve().name)])
+
+    def one_run(run: dict, motion: Motion) -> tuple[str, str]:
         machine = Machine(file, motion.joints, (run["payload"] or {}).get("name"))
-        time, q, current, end = machine.play(motion.slower(asked.speed), rng)
-        print(f"{run['name']}: {end}")
-        if asked.speed == 1.0:
-            runs.append({"name": run["name"], "log": write_log(motion, run["name"], time, q, current), "end": end})
-        if end != "completed":
-            break
-    if asked.speed == 1.0:
-        write_played(motion, runs, asked.speed, end)
-    sys.exit(0 if end == "completed" else 1)
+        *log, end = machine.play(motion, rng)
+        return write_log(motion, run["name"], *log), end
+
+    play_round(options.round, options.speed, one_run)
 
 
 if __name__ == "__main__":

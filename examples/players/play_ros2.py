@@ -11,12 +11,17 @@ from __future__ import annotations
 import argparse
 import subprocess
 import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
-from contract import Motion, read_motion, write_played
+import numpy as np
+from contract import Motion, mount, play_round, read_motion
 
 STATES = "/joint_states"
+STARTED = 2.0  # s, until a recording that does not start has said so
 
 
 def signals(motion: Motion) -> dict[str, Any]:
@@ -38,17 +43,16 @@ def goal(motion: Motion, messages: Any) -> Any:
     return wanted
 
 
-def play_run(motion: Motion, run: str, robot: Any) -> dict[str, str]:
-    """Play one run with a ``robot`` that has ``positions()``, ``record(folder)`` and ``follow(motion)``."""
-    motion.refuse_start(robot.positions(motion.joints))
-    log = f"logs/{run}"
-    recording = robot.record(motion.folder / log)
-    try:
-        end = robot.follow(motion)
-    finally:
-        recording.terminate()
-        recording.wait()
-    return {"name": run, "log": log, "end": end}
+def play_run(motion: Motion, run: str, robot: Any) -> tuple[str, str]:
+    """Approach the start slowly and play one run; return its log and how it ended.
+
+    ``robot`` has ``positions(joints)``, ``record(folder)`` and ``follow(motion)``. A dry run is not recorded.
+    """
+    log = f"logs/{run}-{time.strftime('%Y%m%dT%H%M%S')}"  # rosbag2 refuses a folder that is there
+    if (end := robot.follow(motion.approach(np.array(robot.positions(motion.joints))))) != "completed":
+        return log, end
+    with robot.record(motion.folder / log) if motion.speed == 1.0 else nullcontext():
+        return log, robot.follow(motion)
 
 
 class Ros:
@@ -85,9 +89,18 @@ class Ros:
             self.rclpy.spin_once(self.node)
         return [self.latest[name] for name in joints]
 
-    def record(self, folder: Path) -> Any:
-        """Record the states with rosbag2."""
-        return subprocess.Popen(["ros2", "bag", "record", "-s", "mcap", "-o", str(folder), STATES])
+    @contextmanager
+    def record(self, folder: Path) -> Iterator[None]:
+        """Record the states with rosbag2; end the program before the robot moves where that does not start."""
+        recording = subprocess.Popen(["ros2", "bag", "record", "-s", "mcap", "-o", str(folder), STATES])
+        time.sleep(STARTED)
+        if recording.poll() is not None:
+            sys.exit("'ros2 bag record' ended at once, see above.")
+        try:
+            yield
+        finally:
+            recording.terminate()
+            recording.wait()
 
     def follow(self, motion: Motion) -> str:
         """Send the goal, and wait for its end; Ctrl-C cancels it."""
@@ -113,18 +126,14 @@ def main(robot: Any = None) -> None:
     parser.add_argument("round", type=Path)
     parser.add_argument("--action", default="/joint_trajectory_controller/follow_joint_trajectory")
     parser.add_argument("--speed", type=float, default=1.0)
-    asked = parser.parse_args()
-    motion, runs, end = read_motion(asked.round), [], "completed"
-    robot = robot or Ros(asked.action)
-    for run in motion.file["runs"]:
-        load = run["payload"]["name"] if run["payload"] else "no payload"
-        input(f"{run['name']}: mount {load}, then press Enter: ")
-        runs.append(play_run(motion.slower(asked.speed), run["name"], robot))
-        if (end := runs[-1]["end"]) != "completed":
-            break
-    if asked.speed == 1.0:
-        write_played(motion, runs, asked.speed, end, signals(motion))
-    sys.exit(0 if end == "completed" else end)
+    options = parser.parse_args()
+    robot = robot or Ros(options.action)
+
+    def one_run(run: dict, motion: Motion) -> tuple[str, str]:
+        mount(run)
+        return play_run(motion, run["name"], robot)
+
+    play_round(options.round, options.speed, one_run, signals(read_motion(options.round)))
 
 
 if __name__ == "__main__":

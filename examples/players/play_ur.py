@@ -9,21 +9,13 @@ stretches the motion: the log holds what was played, and gtau uses it as such.
 from __future__ import annotations
 
 import argparse
-import select
-import sys
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from contract import APPROACH, Motion, read_motion, write_log, write_played
+from contract import APPROACH, Motion, mount, play_round, pressed, read_motion, write_log
 
 LOOKAHEAD, STIFFNESS = 0.05, 300.0  # s, and gain of servoJ
-
-
-def pressed() -> bool:
-    """Whether a line waits on the terminal."""
-    return bool(select.select([sys.stdin], [], [], 0)[0])
 
 
 def play_run(motion: Motion, control: Any, receive: Any, stopped: Any = pressed) -> tuple[np.ndarray, ...]:
@@ -31,23 +23,22 @@ def play_run(motion: Motion, control: Any, receive: Any, stopped: Any = pressed)
     motion.refuse_start(np.array(receive.getActualQ()))
     control.moveJ(motion.q[0].tolist(), float(np.abs(motion.q[0] - receive.getActualQ()).max() / APPROACH + 0.01))
     step, rows, end, now = 1.0 / motion.file["rate"], [], "completed", 0.0
-    while now <= motion.time[-1]:
-        begun = control.initPeriod()
-        wanted = motion.at(now)[0]
-        control.servoJ(wanted.tolist(), 0.0, 0.0, step, LOOKAHEAD, STIFFNESS)
-        here = np.array(receive.getActualQ())
-        rows.append((receive.getTimestamp(), here, np.array(receive.getActualCurrent())))
-        if receive.isProtectiveStopped():
-            end = "protective stop"
-        elif stopped():
-            end = "stopped by the operator"
-        else:  # servoJ follows late by its lookahead
-            end = motion.strayed(here, motion.at(max(now - LOOKAHEAD, 0.0))[0]) or "completed"
-        if end != "completed":
-            break
-        now += step * receive.getSpeedScaling()
-        control.waitPeriod(begun)
-    control.servoStop()
+    try:
+        while end == "completed" and now <= motion.time[-1]:
+            begun = control.initPeriod()
+            control.servoJ(motion.at(now)[0].tolist(), 0.0, 0.0, step, LOOKAHEAD, STIFFNESS)
+            here = np.array(receive.getActualQ())
+            rows.append((receive.getTimestamp(), here, np.array(receive.getActualCurrent())))
+            if receive.isProtectiveStopped():
+                end = "protective stop"
+            elif stopped():
+                end = "stopped by the operator"
+            else:  # servoJ follows late by its lookahead
+                end = motion.strayed(here, motion.at(max(now - LOOKAHEAD, 0.0))[0]) or "completed"
+            now += step * receive.getSpeedScaling()
+            control.waitPeriod(begun)
+    finally:
+        control.servoStop()
     time_, q, current = (np.array(column) for column in zip(*rows, strict=True))
     return time_ - time_[0], q, current, end
 
@@ -58,24 +49,19 @@ def main() -> None:
     parser.add_argument("round", type=Path)
     parser.add_argument("--host", required=True)
     parser.add_argument("--speed", type=float, default=1.0)
-    asked = parser.parse_args()
+    options = parser.parse_args()
     from rtde_control import RTDEControlInterface
     from rtde_receive import RTDEReceiveInterface
 
-    motion, runs, end = read_motion(asked.round), [], "completed"
-    control, receive = RTDEControlInterface(asked.host, motion.file["rate"]), RTDEReceiveInterface(asked.host)
-    for run in motion.file["runs"]:
-        load = run["payload"]["name"] if run["payload"] else "no payload"
-        input(f"{run['name']}: mount {load} and set it in the controller, then press Enter: ")
-        time.sleep(1.0)
-        t, q, current, end = play_run(motion.slower(asked.speed), control, receive)
-        if asked.speed == 1.0:
-            runs.append({"name": run["name"], "log": write_log(motion, run["name"], t, q, current), "end": end})
-        if end != "completed":
-            break
-    if asked.speed == 1.0:
-        write_played(motion, runs, asked.speed, end)
-    sys.exit(0 if end == "completed" else end)
+    rate = read_motion(options.round).file["rate"]
+    control, receive = RTDEControlInterface(options.host, rate), RTDEReceiveInterface(options.host)
+
+    def one_run(run: dict, motion: Motion) -> tuple[str, str]:
+        mount(run)
+        *log, end = play_run(motion, control, receive)
+        return write_log(motion, run["name"], *log), end
+
+    play_round(options.round, options.speed, one_run)
 
 
 if __name__ == "__main__":

@@ -66,6 +66,14 @@ def test_gains_of_slow_logs(rate: float, slowest: float, seconds: float, noise: 
         assert abs((gain.value or 0.0) - GAIN) < 3.5 * (gain.std or 0.0) < 0.15 * GAIN
 
 
+def test_a_delay_lost_in_noise_is_not_estimated() -> None:
+    """It would be anything up to the longest: 13 ms here, where there is none."""
+    delays = identify(ROBOT, logs(20.0, 0.05, 100.0, 5e-2)).delays
+    assert {joint for joint, delay in delays.items() if delay.value == 0.0} == {"11", "12"}
+    assert {delays[joint].verdict.outcome for joint in ("11", "12")} == {Outcome.NOT_IDENTIFIABLE}
+    assert delays["13"].value == pytest.approx(0.0, abs=2 * (delays["13"].std or 0.0))
+
+
 def test_leaving_a_stretch_out_keeps_the_curvature() -> None:
     data = reduce_runs(ROBOT, logs(80.0, 0.3, 75.0, 1e-2))
     problem = data.system(per_run=True).problem

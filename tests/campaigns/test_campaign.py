@@ -20,6 +20,7 @@ from typer.testing import CliRunner
 import gtau
 from gtau.campaigns.campaign import CampaignState, campaign
 from gtau.campaigns.candidates import candidates
+from gtau.campaigns.contacts import check_contacts
 from gtau.campaigns.decision import Decision, decide, refuse_to_go_on
 from gtau.campaigns.folder import Round, read_design_file, read_rounds, read_settings, write_json
 from gtau.campaigns.page import campaign_page
@@ -34,6 +35,9 @@ from gtau.excitation.design_file import make_task, read_design
 from gtau.excitation.nlp import random_start
 from gtau.excitation.task import DesignProblem
 from gtau.findings import Finding, Outcome
+from gtau.model.home import load_robot
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.progress import silent
 from gtau.report.render.terminal import plain
 
 PLAYER = Path(__file__).parents[2] / "examples" / "players" / "play_mujoco.py"
@@ -240,6 +244,60 @@ def test_candidates_are_within_the_limits_and_the_payload_is_exchanged(tmp_path:
     assert offered["at 50 % of the speed"].design.task.series.period == pytest.approx(6)
 
 
+ARM = """<mujoco><worldbody>
+<geom name="wall" type="box" size="0.9 0.01 0.5" pos="0 {wall} 0"/><geom name="socket" type="sphere" size="0.1"/>
+<body name="arm"><joint name="a" axis="0 0 1"/><geom type="capsule" fromto="0 0 0 0.4 0 0" size="0.02"/>
+<body name="forearm" pos="0.4 0 0"><joint name="b" axis="0 0 1"/>
+<geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02"/></body></body></worldbody>
+<actuator><motor joint="a"/><motor joint="b"/></actuator></mujoco>"""
+
+
+def test_no_motion_through_a_wall_or_the_robot_itself(tmp_path: Path) -> None:
+    """The socket overlaps the arm in the drawing, as it does at the start."""
+    time, at_rest = np.linspace(0.0, 2.0, 201), np.zeros((2, 201))
+
+    def check(wall: float, a: float, b: float) -> str:
+        (tmp_path / "arm.xml").write_text(ARM.format(wall=wall))
+        model = InverseDynamics(load_robot(tmp_path / "arm.xml"))
+        joints = np.stack([np.outer([a, b], time / 2), at_rest, at_rest])
+        return check_contacts(tmp_path / "arm.xml", model, time, joints)
+
+    assert check(1.3, 1.5, 0.0) == ""
+    with pytest.raises(GtauError, match=r"'forearm' touches 'wall' at 1\.\d* s"):
+        check(0.6, 1.5, 0.0)
+    with pytest.raises(GtauError, match=r"'forearm' touches 'socket' at 1\.\d* s"):
+        check(1.3, 0.0, 3.1)
+
+
+@pytest.mark.parametrize(("robot", "payload", "says"), [("nosuch", 1.0, "no robot is called"), ("five-bar", 0.0, "")])
+def test_a_campaign_that_cannot_begin_leaves_nothing(tmp_path: Path, robot: str, payload: float, says: str) -> None:
+    with pytest.raises(GtauError, match=says):
+        campaign(tmp_path / "camp", robot=robot, payload=payload)
+    assert not (tmp_path / "camp").exists()
+
+
+def test_parameters_that_are_those_of_no_robot_are_not_rehearsed(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of an Orthoglide 41 of 61 were not essential after one round, and simulated with them it ran away."""
+    from gtau.campaigns import rehearsal
+
+    tried, file = [], read_design_file(copied)
+    task, _ = read_design(copied / "design.yaml")
+    x = random_start(task, np.random.default_rng(0), 0.5)
+
+    def under_control(design: Design, file: object, model: Path | None, progress: object) -> tuple[dict, dict]:
+        tried.append(model)
+        if model is not None or len(tried) > 2:
+            raise GtauError("the simulated motion cannot be continued")
+        return dict.fromkeys(("left", "right"), 0.0), dict.fromkeys(("left", "right"), 0.1)
+
+    monkeypatch.setattr(rehearsal, "_under_control", under_control)
+    design, model = Design(task, "gains", x, 1.0, (), 0), copied / "model.json"
+    assert rehearsal.rehearse(design, file, model, silent).errors == {"left": 0.0, "right": 0.0}
+    assert tried == [model, None]
+    with pytest.raises(GtauError, match="cannot be continued"):
+        rehearsal.rehearse(design, file, None, silent)
+
+
 def campaigned(folder: Path, accuracy: float) -> Iterator[CampaignState]:
     """Play and judge until the campaign ends."""
     state = campaign(folder, accuracy=accuracy)
@@ -301,7 +359,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     home = "gtau.campaigns.campaign"
     saved = SimpleNamespace(save=lambda path: write_json(path, {"model": 1}))
     monkeypatch.setattr(f"{home}.design", drawn)
-    monkeypatch.setattr(f"{home}.rehearse", lambda *_: Rehearsal(0.9, "limit", 1.0, {}, {}))
+    monkeypatch.setattr(f"{home}.rehearse", lambda *_: Rehearsal(0.9, "limit", 1.0, {}, {}, ""))
     monkeypatch.setattr(f"{home}.identified", lambda *_: saved)
     monkeypatch.setattr(f"{home}.decide", lambda *_: Decision("confirm", "all gains are within 3 %"))
     monkeypatch.setattr(f"{home}.slower", lambda *_: ())

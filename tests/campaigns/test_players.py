@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -89,10 +91,30 @@ def test_lerobot_works_in_degrees_and_logs_amperes(motion: contract.Motion) -> N
 
     bus = SimpleNamespace(sync_read=lambda register: {"a": 100, "b": -200})
     robot = SimpleNamespace(bus=bus, get_observation=lambda: place, send_action=place.update)
-    _, q, current, end = play_lerobot.play_run(motion, robot, lambda: clock[0], wait)
+
+    def play() -> tuple[Any, ...]:
+        return play_lerobot.play_run(motion, robot, lambda: False, lambda: clock[0], wait)
+
+    place["a.pos"] = 1.0  # 0.017 rad, from where it is brought to the start slowly
+    time, q, current, end = play()
     assert end == "completed"
+    assert clock[0] == pytest.approx(time[-1] + contract.APPROACH, abs=3 / RATE)
+    assert q[0] == pytest.approx([0.0, 0.0], abs=1e-3)
     assert np.abs(q).max(axis=0) == pytest.approx([0.4, 0.2], abs=1e-3)
     assert current[0] == pytest.approx([0.65, -1.3])
+
+    commands = []
+    robot.send_action = lambda command: (commands.append(command), place.update(dict(command, **{"a.pos": 0.0})))
+    place.update({"a.pos": 0.0, "b.pos": 0.0})
+    assert play()[-1].startswith("tracking error of joint 'a'")
+    assert commands[-2]["a.pos"] > np.rad2deg(0.05)
+    assert commands[-1]["a.pos"] == 0.0  # it holds where it is
+
+
+@pytest.mark.parametrize("speed", [1.2, 0.0, -0.5, np.nan])
+def test_only_what_was_rehearsed_is_played(motion: contract.Motion, speed: float) -> None:
+    with pytest.raises(SystemExit, match="was not rehearsed; give a fraction of the full speed"):
+        motion.slower(speed)
 
 
 def test_ros2_sends_all_samples_with_tolerances_and_ends_the_recording(motion: contract.Motion) -> None:
@@ -107,18 +129,29 @@ def test_ros2_sends_all_samples_with_tolerances_and_ends_the_recording(motion: c
     last = goal.trajectory.points[-1].time_from_start
     assert last.sec + 1e-9 * last.nanosec == pytest.approx(2 * SECONDS)
     assert [tolerance.position for tolerance in goal.path_tolerance] == [0.05, 0.05]
-    ended: list[str] = []
-    recording = SimpleNamespace(terminate=lambda: ended.append("terminated"), wait=lambda: None)
-    robot = SimpleNamespace(positions=lambda joints: [0.0, 0.0], record=lambda folder: recording)
-    robot.follow = lambda motion: "stopped: path tolerance violated"
-    assert play_ros2.play_run(motion, "run1", robot)["end"] == "stopped: path tolerance violated"
-    assert ended == ["terminated"]
+    ended, followed = [], []
+
+    @contextmanager
+    def record(folder: Path) -> Iterator[None]:
+        yield
+        ended.append(folder.name)
+
+    def follow(motion: contract.Motion) -> str:
+        followed.append(motion)
+        return "completed" if len(followed) < 2 else "stopped: path tolerance violated"
+
+    robot = SimpleNamespace(positions=lambda joints: [0.01, 0.0], record=record, follow=follow)
+    log, end = play_ros2.play_run(motion, "run1", robot)
+    assert (ended, end) == ([Path(log).name], "stopped: path tolerance violated")
+    approach = followed[0]
+    assert approach.q[[0, -1]].tolist() == [[0.01, 0.0], [0.0, 0.0]]
+    assert np.gradient(approach.q[:, 0], approach.time)[1:-1] == pytest.approx(approach.qd[1:-1, 0], abs=1e-4)
     assert play_ros2.signals(motion)["current"] == {"a": "/joint_states.effort.a", "b": "/joint_states.effort.b"}
 
 
 def test_what_was_played_is_written_whole(motion: contract.Motion) -> None:
     log = contract.write_log(motion, "run1", motion.time, motion.q, motion.q)
-    contract.write_played(motion, [{"name": "run1", "log": log, "end": "completed"}], 1.0, "completed")
+    contract.write_played(motion, [{"name": "run1", "log": log, "end": "completed"}], "completed")
     played = json.loads((motion.folder / "played.json").read_text())
     assert (played["hash"], played["runs"][0]["log"]) == ("h", "logs/run1.csv")
     assert (motion.folder / log).read_text().startswith("t,q_a,q_b,i_a,i_b\n")

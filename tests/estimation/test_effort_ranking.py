@@ -33,7 +33,7 @@ def torques() -> Run:
 
 def ranked(robot: Robot, run: Run) -> tuple[tuple[Finding, ...], Dataset]:
     dataset = reduce_runs(robot, [run])
-    return rank_meanings(dataset, dataset.system().problem.slowest), dataset
+    return rank_meanings(dataset, dataset.system().problem.longest_delays.max()), dataset
 
 
 def reverse(command: np.ndarray) -> np.ndarray:

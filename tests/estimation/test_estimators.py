@@ -65,7 +65,13 @@ def noisy(units: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def problem_of(units: np.ndarray) -> Problem:
     channels = tuple(Channel(f"j{k + 1}", MOTOR, f"j{k + 1}", k) for k in range(units.shape[1]))
     parameters = tuple(Parameter(f"p{k + 1}", "") for k in range(units.shape[-1] - 4))
-    return Problem(parameters, channels, units, np.full(units.shape[:2], units.shape[2]), slowest=0.02)
+    return Problem(
+        parameters,
+        channels,
+        units,
+        np.full(units.shape[:2], units.shape[2]),
+        longest_delays=np.full(len(channels), 0.02),
+    )
 
 
 def reduced(problem: Problem) -> Problem:
@@ -332,7 +338,7 @@ def test_leave_one_out_is_the_factor_of_the_others(rng: np.random.Generator) -> 
 def test_delays_beyond_what_can_be_described_are_not_invented(rng: np.random.Generator) -> None:
     problem = problem_of(noisy(exact_rows(rng), rng))
     np.testing.assert_allclose(problem.own_delays, DELAYS, atol=1e-4)
-    narrow = replace(problem, slowest=1e-3 / 2)
+    narrow = replace(problem, longest_delays=np.full(len(problem.channels), 1e-3 / 2))
     np.testing.assert_array_equal(narrow.own_delays, [0.0, 0.0])
 
 
@@ -389,7 +395,7 @@ def test_slow_motion_under_white_noise_settles(rng: np.random.Generator, monkeyp
         (Channel("j", MOTOR, "j", 0),),
         np.array(units),
         np.full((20, 1), samples // 10),
-        0.5,
+        np.array([0.5]),
     )
     far = np.array([*theta, gain, 0.05])
 

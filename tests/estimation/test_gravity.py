@@ -30,11 +30,11 @@ from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import Run
 
 
-def found(robot: Robot, runs: list[Run]) -> Alternative | None:
+def found(robot: Robot, runs: list[Run], missing: bool = False) -> Alternative | None:
     dataset = reduce_runs(robot, runs)
     gains = np.ones(len(robot.actuated)) if runs[0].kind == "torque" else None
     system = dataset.system(per_run=len(runs) > 1)
-    return likeliest_gravity(fit_by(ml_or_wls(gains), system, gains is None), missing=False, turned=True)
+    return likeliest_gravity(fit_by(ml_or_wls(gains), system, gains is None), missing, turned=not missing)
 
 
 def axis(gravity: Gravity) -> np.ndarray:
@@ -103,6 +103,18 @@ def test_other_robots(robot: Robot, true: Gravity, currents: bool, also: int) ->
     assert len(other.causes[0].values["also"]) == also
     gravities = [other.causes[0].values["gravity"], *other.causes[0].values["also"]]
     assert max(axis(each) @ axis(true) for each in gravities) > 0.999
+
+
+def test_gravity_is_not_missing_where_the_logs_contradict_it() -> None:
+    """Whatever the ranking of efforts says: it asks each joint alone, some of whose columns may stand for its gravity.
+
+    Of an Orthoglide in MuJoCo, played well, all intervals once were +-180 % and more for this.
+    """
+    robot = load_robot("orthoglide")
+    assert found(robot, logged(robot, robot.gravity, currents=True), missing=True) is None
+    without = found(robot, logged(robot, (0.0, 0.0, 0.0), currents=True), missing=True)
+    assert without is not None
+    assert without.causes[0].values["remains"] < 0.1
 
 
 def test_a_direction_between_the_axes() -> None:

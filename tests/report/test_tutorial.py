@@ -103,12 +103,16 @@ def printed_as_shown(output: str, page: str) -> None:
 
 
 def thresholds_as_shown() -> None:
-    """Commands and script of the section on collisions."""
+    """The command of the section on collisions, with its validation runs in the place of the tutorial's."""
     text = (DOCS / "do" / "external-wrench.md").read_text(encoding="utf-8").split("## Collision thresholds")[1]
-    (command,) = re.findall(r"^\$ gtau (use .*)$", text, re.MULTILINE)
+    (runs,) = re.findall(r"^```yaml\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+    for shown, name in {"free_1": "empty_2", "free_2": "check_1200g", "disc": "load_1200g", "2.5": "1.2"}.items():
+        runs = runs.replace(shown, name)
+    drafted = Path("experiment.yaml").read_text()
+    Path("experiment.yaml").write_text(drafted.replace("  - log: empty_2.csv\n", "") + runs)
+    (command,) = re.findall(r"^\$ gtau (export .*)$", text, re.MULTILINE)
     gtau(*command.split())
-    (script,) = re.findall(r"^```python\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
-    exec(script, {})
+    assert len(json.loads(Path("thresholds/thresholds.json").read_text())["thresholds"]) == 2 * 3
 
 
 def compensation_in_c_as_shown() -> None:

@@ -188,6 +188,7 @@ def test_the_five_bar_of_the_docs(tmp_path: Path) -> None:
     docs = Path(__file__).parents[2] / "docs" / "do" / "describe-robot.md"
     robot = read(docs.read_text(encoding="utf-8").split("```yaml\n")[1].split("```")[0], tmp_path)
     assert robot.actuated == ("left", "right")
+    assert robot.tool == "right_forearm"  # which carries the disc of the tutorial's logs
     assert_closed_at_home(robot, 1e-9)  # home is solved, from one near it
 
 

@@ -187,7 +187,7 @@ def weighings() -> list[tuple[PayloadEstimate, np.ndarray]]:
 
 
 def test_the_centre_of_mass_is_within_its_interval(weighings: list[tuple[PayloadEstimate, np.ndarray]]) -> None:
-    """Of three weighings; docs/do/payload.md has the counts of more, on three robots."""
+    """Of three weighings; docs/evidence/coverage/weighings.csv has the counts of more, on three robots."""
     held = []
     for estimate, true in weighings:
         body = estimate.in_frame(FRAME)

@@ -76,8 +76,8 @@ def test_a_log_that_grows_gives_the_numbers_of_its_parts(folder: Path, model: Re
     assert not any(isinstance(each, Skipped) for each in found)
     part = tmp_path / "part.csv"
     part.write_text("".join([lines[0], *lines[1 + 2000 : 1 + 4000]]))
-    expected = Watch(model, baseline=4).update(read(part)).entry
-    assert found[1].entry.values == expected.values
+    expected = Watch(model, baseline=4).update(read(part))
+    assert found[1].values == expected.values
     again = Watch(model, tmp_path / "history", baseline=4)
     assert list(follow(again, growing, read, BLOCK, lambda: True)) == []  # all of it is in the history
 
@@ -99,7 +99,7 @@ def test_a_folder_that_fills(folder: Path, model: Result, tmp_path: Path) -> Non
         found.append(each)
         if len(found) == 3:
             break
-    names = [each.log if isinstance(each, Skipped) else each.entry.log for each in found]
+    names = [each.log for each in found]
     assert names == ["chunk_1", "chunk_2", "chunk_10"]
     assert [isinstance(each, Skipped) for each in found] == [False, True, False]
 

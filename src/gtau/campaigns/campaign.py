@@ -76,14 +76,16 @@ class CampaignState:
             "accuracy": self.accuracy,
             "rounds": [
                 {
-                    "round": this.folder.name,
-                    "purpose": this.motion["purpose"],
-                    "rehearsal": this.motion["rehearsal"],
-                    "played": None if this.played is None else {"end": this.played.end, "speed": this.played.speed},
-                    "set_aside": this.aside or None,
-                    "decision": dict(this.decision) if this.decision else None,
+                    "round": round_.folder.name,
+                    "purpose": round_.motion["purpose"],
+                    "rehearsal": round_.motion["rehearsal"],
+                    "played": None
+                    if round_.played is None
+                    else {"end": round_.played.end, "speed": round_.played.speed},
+                    "set_aside": round_.aside or None,
+                    "decision": dict(round_.decision) if round_.decision else None,
                 }
-                for this in self.rounds
+                for round_ in self.rounds
             ],
         }
 
@@ -132,24 +134,24 @@ def campaign(
     folder = Path(folder)
     settings = read_settings(folder, robot, payload, accuracy)
     file, rounds = read_design_file(folder), read_rounds(folder)
-    used = [this for this in rounds if this.played is not None and not this.aside]
+    used = [round_ for round_ in rounds if round_.played is not None and not round_.aside]
     waiting = rounds[-1] if rounds and rounds[-1].played is None and not rounds[-1].aside else None
     if waiting is not None and not void(waiting) and _current(folder, file, waiting, used):
         return _to_play(folder, settings.accuracy, rounds)
     if problem := next(filter(None, map(_unusable, used)), ""):
         return CampaignState(folder, settings.accuracy, BLOCKED, problem, tuple(rounds), None)
-    place = folder / f"{1 + max((this.number for this in rounds if this.played is not None), default=0):02d}"
+    place = folder / f"{1 + max((round_.number for round_ in rounds if round_.played is not None), default=0):02d}"
     if used:
         return _judge(place, settings.accuracy, file, used, progress)
-    found = design(make_task(file)[0], starts=STARTS, seed=int(place.name), progress=progress)
-    rehearsal = rehearse(found, file, None, progress)
-    write_motion(folder_of(place), file, found, rehearsal, {"purpose": "first", "after": ""})
+    designed = design(make_task(file)[0], starts=STARTS, seed=int(place.name), progress=progress)
+    rehearsal = rehearse(designed, file, None, progress)
+    write_motion(folder_of(place), file, designed, rehearsal, {"purpose": "first", "after": ""})
     return _to_play(folder, settings.accuracy, read_rounds(folder))
 
 
 def _to_play(folder: Path, accuracy: float, rounds: list[Round]) -> CampaignState:
     last = rounds[-1]
-    before = [this.decision for this in rounds[:-1] if this.decision]
+    before = [round_.decision for round_ in rounds[:-1] if round_.decision]
     why = f" ({before[-1]['say']})" if before else ""
     speed = last.motion["rehearsal"]["speed"]
     say = (
@@ -163,21 +165,24 @@ def _unusable(last: Round) -> str:
     """Say why the logs of a round that was played cannot be used, empty if they can."""
     assert last.played is not None
     if last.played.hash != last.motion["hash"]:
-        return f"{last.folder} was played with another motion than it holds; play it again, or set it aside ({ASIDE})"
+        return f"round {last.folder} was played with another motion; play it again, or set it aside ({ASIDE})"
     if not last.complete:
         return (
-            f"{last.folder} was not played to its end ({last.played.end}); remove {PLAYED} and play it again, or set "
-            f"it aside with a reason ({ASIDE})"
+            f"round {last.folder} was not played to its end ({last.played.end}); remove {PLAYED} and play it again, or "
+            f"set it aside with a reason ({ASIDE})"
         )
     missing = [run["name"] for run in last.motion["runs"] if run["name"] not in {r.name for r in last.played.runs}]
     missing += [run.log for run in last.played.runs if not (last.folder / run.log).exists()]
-    return f"{last.folder} lacks {', '.join(missing)}; play it again, or set it aside ({ASIDE})" if missing else ""
+    lacks = f"round {last.folder} lacks {', '.join(missing)}; play it again, or set it aside ({ASIDE})"
+    return lacks if missing else ""
 
 
 def _inputs(folder: Path, file: DesignFile, used: list[Round]) -> dict[str, str]:
     """Hash all that a decision rests on."""
-    logs = [this.folder / run.log for this in used if this.played for run in this.played.runs]
-    return digest([folder / SETTINGS, *scene(folder, file), *(this.folder / PLAYED for this in used), *logs], folder)
+    logs = [round_.folder / run.log for round_ in used if round_.played for run in round_.played.runs]
+    return digest(
+        [folder / SETTINGS, *scene(folder, file), *(round_.folder / PLAYED for round_ in used), *logs], folder
+    )
 
 
 def _current(folder: Path, file: DesignFile, waiting: Round, used: list[Round]) -> bool:
@@ -235,20 +240,20 @@ def _decided(place: Path, accuracy: float, file: DesignFile, used: list[Round], 
         return decision
     model = last.folder / MODEL_FILE
     task = next_task(file, result, model)
-    found = design(task, starts=STARTS, seed=int(place.name), progress=progress)
+    designed = design(task, starts=STARTS, seed=int(place.name), progress=progress)
     if decision.kind != CONFIRM:
-        offered = list(candidates(found)) if decision.kind == MODEL else [Candidate("as designed", found)]
+        offered = list(candidates(designed)) if decision.kind == MODEL else [Candidate("as designed", designed)]
 
         def width_of(candidate: Candidate) -> float:
             progress(f"rehearsing {candidate.label}", offered.index(candidate), len(offered))
             return expected_width(candidate, result, accuracy / 100, last.number)
 
         chosen, widths = best(offered, width_of)
-        found, decision = chosen.design, refuse_to_go_on(result, decision, widths)
+        designed, decision = chosen.design, refuse_to_go_on(result, decision, widths)
     if decision.goes_on:
         trusted = model if task.prior.covariance is not None else None
         purpose = {"purpose": decision.kind, "after": last.folder.name}
-        write_motion(folder_of(place), file, found, rehearse(found, file, trusted, progress), purpose)
+        write_motion(folder_of(place), file, designed, rehearse(designed, file, trusted, progress), purpose)
     return decision
 
 

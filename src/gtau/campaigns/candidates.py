@@ -109,10 +109,10 @@ def best(
     offered: Sequence[Candidate], width_of: Callable[[Candidate], float]
 ) -> tuple[Candidate, list[dict[str, float | str | bool | None]]]:
     """Find the candidate at hand with the narrowest interval, and list all."""
-    found = [(candidate, width_of(candidate)) for candidate in offered]
-    chosen, _ = min((pair for pair in found if pair[0].at_hand), key=lambda pair: pair[1])
+    halfwidths = [(candidate, width_of(candidate)) for candidate in offered]
+    chosen, _ = min((pair for pair in halfwidths if pair[0].at_hand), key=lambda pair: pair[1])
     listed: list[dict[str, float | str | bool | None]] = [
         {"motion": candidate.label, "half_width": width if np.isfinite(width) else None, "at_hand": candidate.at_hand}
-        for candidate, width in found
+        for candidate, width in halfwidths
     ]
     return chosen, listed

@@ -63,13 +63,13 @@ def write_experiment(path: Path, file: DesignFile, rounds: Sequence[Round]) -> P
         "current": {name: f"i_{name}" for name in names},
     }
     runs = []
-    for this in rounds:
-        assert this.played is not None
-        signals = this.played.signals or signals
-        carried = {run["name"]: run["payload"] for run in this.motion["runs"]}
-        for run in this.played.runs:
+    for round_ in rounds:
+        assert round_.played is not None
+        signals = round_.played.signals or signals
+        carried = {run["name"]: run["payload"] for run in round_.motion["runs"]}
+        for run in round_.played.runs:
             load = carried.get(run.name)
-            log = Path(relpath(this.folder / run.log, path.parent)).as_posix()
+            log = Path(relpath(round_.folder / run.log, path.parent)).as_posix()
             stated = {"payload": loads[load["name"]].model_dump(exclude_defaults=True)} if load else {}
             runs.append({"log": log, **stated})
     robot = Path(file.robot)
@@ -149,14 +149,18 @@ def decide(result: Result, accuracy: float, rounds: Sequence[Round], alone: Resu
 def slower(result: Result, rounds: Sequence[Round]) -> tuple[str, ...]:
     """Note the rounds that a controller stretched; their logs are used as they were played."""
     runs, notes = iter(result.data), []
-    for this in rounds:
-        assert this.played is not None
-        names = [f"q_{joint['name']}" for joint in this.motion["joints"]]
-        log = read_log(this.folder / "motion.csv", ("t", *names)).arrays()
+    for round_ in rounds:
+        assert round_.played is not None
+        names = [f"q_{joint['name']}" for joint in round_.motion["joints"]]
+        log = read_log(round_.folder / "motion.csv", ("t", *names)).arrays()
         designed = _moving(log["t"], np.column_stack([log[name] for name in names]))
-        share = designed / max(_moving(run.time, run.position) for _, run in zip(this.played.runs, runs, strict=False))
+        share = designed / max(
+            _moving(run.time, run.position) for _, run in zip(round_.played.runs, runs, strict=False)
+        )
         if share < STRETCHED:
-            notes.append(f"round {this.folder.name} was played at {100 * share:.0f} % of its speed and is used as such")
+            notes.append(
+                f"round {round_.folder.name} was played at {100 * share:.0f} % of its speed and is used as such"
+            )
     return tuple(notes)
 
 
@@ -170,8 +174,8 @@ def _random(gain: Estimate) -> bool:
     return gain.value is None or not gain.model_std or (gain.random_std or 0.0) >= gain.model_std
 
 
-def _widest(this: Round) -> float | None:
-    decision = this.decision
+def _widest(round_: Round) -> float | None:
+    decision = round_.decision
     known = [gain["half_width"] for gain in decision["gains"].values()] if decision else []
     return max(known) if known and None not in known else None
 

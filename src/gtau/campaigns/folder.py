@@ -17,7 +17,7 @@ from gtau.documents.files import folder_of, system_refusals, write_atomically
 from gtau.documents.validation import Keys, Positive, validate
 from gtau.documents.yaml_document import Document, read_yaml, yaml_text
 from gtau.errors import GtauError
-from gtau.excitation.design_file import DesignFile
+from gtau.excitation.design_file import DesignFile, make_task
 
 DESIGN, SETTINGS, MOTION, PLAYED, DECISION, ASIDE = (
     "design.yaml",
@@ -105,7 +105,7 @@ def begin(folder: Path, robot: str | Path | None, payload: float | None) -> None
             )
         runs = [{"payload": {"name": PAYLOAD, "mass": payload} if loaded else "none"} for loaded in ORDER]
         design = {"robot": str(robot), "rate": RATE, "runs": runs}
-        validate(DesignFile, Document("campaign", design), context=Path())  # before the folder is made
+        make_task(validate(DesignFile, Document("campaign", design), context=Path()))  # before the folder is made
         source = relpath(robot, folder) if Path(robot).is_file() else str(robot)
         write_atomically(folder_of(folder) / DESIGN, yaml_text(design | {"robot": source}))
         return

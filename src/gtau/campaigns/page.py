@@ -21,10 +21,12 @@ GRADES: Mapping[str, Literal["good", "neutral", "weak", "bad"]] = {
 def campaign_page(state: CampaignState) -> Page:
     """Show the state of a campaign."""
     style = GRADES[state.next]
-    points = tuple(f"round {this.folder.name} is set aside: {this.aside}" for this in state.rounds if this.aside)
+    points = tuple(
+        f"round {round_.folder.name} is set aside: {round_.aside}" for round_ in state.rounds if round_.aside
+    )
     points += tuple(_decision(state.rounds[-1]).get("notes", ()) if state.next != "play" else ())
     verdict = Text(f"{state.say[0].upper()}{state.say[1:]}.", points, style)
-    judged = [this for this in state.rounds if this.decision and this.decision["gains"] and not this.aside]
+    judged = [round_ for round_ in state.rounds if round_.decision and round_.decision["gains"] and not round_.aside]
     last = state.rounds[-1]
     return page(
         f"Campaign in {state.folder}",
@@ -52,28 +54,28 @@ def _gains(judged: list[Round]) -> Section | None:
     )
     keys = ("value", "unit", "half_width", "random", "model", "verdict")
     rows = [
-        (joint, this.folder.name, *(gain[key] for key in keys))
+        (joint, round_.folder.name, *(gain[key] for key in keys))
         for joint in _decision(judged[-1])["gains"]
-        for this in judged
-        if (gain := _decision(this)["gains"].get(joint))
+        for round_ in judged
+        if (gain := _decision(round_)["gains"].get(joint))
     ]
     words = Text("+-: half the 95 % interval; random, model: standard deviations; % of the gain", style="soft")
     return section("Gains round by round", table(columns, rows), words, _chart(judged), id="gains")
 
 
-def _decision(this: Round) -> dict[str, Any]:
-    return dict(this.decision or {})
+def _decision(round_: Round) -> dict[str, Any]:
+    return dict(round_.decision or {})
 
 
 def _chart(judged: list[Round]) -> Chart | None:
     names, values, halves, inner = [], [], [], []
     latest = _decision(judged[-1])["gains"]
     for joint, final in latest.items():
-        for this in judged:
-            gain = _decision(this)["gains"].get(joint)
+        for round_ in judged:
+            gain = _decision(round_)["gains"].get(joint)
             if gain is None or not gain["value"] or not final["value"] or gain["half_width"] is None:
                 continue
-            names.append(f"{joint_label(joint)}, round {this.number}")
+            names.append(f"{joint_label(joint)}, round {round_.number}")
             values.append(100 * (gain["value"] / final["value"] - 1))
             halves.append(gain["half_width"])
             inner.append(1.96 * (gain["random"] or 0.0))
@@ -105,7 +107,7 @@ def _rehearsals(rounds: tuple[Round, ...]) -> Section:
 
 
 def _rehearsed(rounds: tuple[Round, ...]) -> Iterator[tuple[object, ...]]:
-    for this in rounds:
-        done = this.motion["rehearsal"]
-        ended, speed = "not yet" if this.played is None else this.played.end, done["speed"]
-        yield this.folder.name, this.motion["purpose"], ended, speed, speed / 10, done["used"], done["limit"]
+    for round_ in rounds:
+        done = round_.motion["rehearsal"]
+        ended, speed = "not yet" if round_.played is None else round_.played.end, done["speed"]
+        yield round_.folder.name, round_.motion["purpose"], ended, speed, speed / 10, done["used"], done["limit"]

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from gtau.campaigns.contacts import check_contacts
 from gtau.campaigns.folder import MOTION, digest, scene, write_json
 from gtau.documents.files import folder_of, write_table
 from gtau.errors import GtauError
@@ -36,7 +37,8 @@ CSV = "motion.csv"
 class Rehearsal:
     """What a rehearsal found: greatest use of a limit, tool speed (m/s), and of the run under control each joint's.
 
-    ``errors`` and ``torques`` are the largest tracking errors, rad or m, and torques, N m or N, by joint.
+    ``errors`` and ``torques`` are the largest tracking errors, rad or m, and torques, N m or N, by joint; ``unseen``
+    says why contacts were not looked for, empty if they were.
     """
 
     used: float
@@ -44,19 +46,26 @@ class Rehearsal:
     speed: float
     errors: Mapping[str, float]
     torques: Mapping[str, float]
+    unseen: str
 
 
 def rehearse(design: Design, file: DesignFile, model: Path | None, progress: Progress) -> Rehearsal:
     """Check every limit along the whole motion, and play it in the simulator with the heaviest payload.
 
-    The robot is the identified ``model``, or one with the inertias of the robot's file. Raises GtauError where a limit
-    is exceeded or the robot strays.
+    The robot is the identified ``model``, or one with the inertias of the robot's file: without a model, and where it
+    is none that moves, as parameters that the data hardly determine may be those of no body. Raises GtauError where a
+    limit is exceeded or the robot strays.
     """
     task = design.task
     worst = max(check(task, design.x), key=lambda usage: usage.excess)
     if worst.excess > 1:
         raise GtauError(f"the motion exceeds a limit: the {worst.what} must be {worst.allowed}; widen it or redesign.")
-    errors, torques = _under_control(design, file, model, progress)
+    try:
+        errors, torques = _under_control(design, file, model, progress)
+    except GtauError:
+        if model is None:
+            raise
+        errors, torques = _under_control(design, file, None, progress)
     allowed = tolerances(design)
     for joint, error in errors.items():
         if error > allowed[joint]:
@@ -64,6 +73,8 @@ def rehearse(design: Design, file: DesignFile, model: Path | None, progress: Pro
                 f"in the rehearsal joint '{joint}' strays by {error:.3g} from the motion, {allowed[joint]:.3g} is "
                 f"allowed; limit its acceleration or jerk in the design file."
             )
+    ((time, joints),) = Outlook(design, {}).motions
+    unseen = check_contacts(Path(file.robot), task.model, time, joints)
     robot = load_robot(file.robot)
     for joint, torque in torques.items():
         most = robot.joint(joint).limits.effort  # the file's own: the design's share is for what happens on the way
@@ -72,7 +83,7 @@ def rehearse(design: Design, file: DesignFile, model: Path | None, progress: Pro
                 f"in the rehearsal joint '{joint}' takes {torque:.3g} {torque_unit(robot, joint)}, "
                 f"{most:.3g} is allowed; limit its acceleration in the design file."
             )
-    return Rehearsal(worst.excess, worst.what, Outlook(design, {}).tool[0], errors, torques)
+    return Rehearsal(worst.excess, worst.what, Outlook(design, {}).tool[0], errors, torques, unseen)
 
 
 def _under_control(
@@ -134,7 +145,7 @@ def write_motion(
     task, robot = design.task, design.task.model.robot
     ((time, joints),) = Outlook(design, {}).motions
     write_table(trajectory_table(task, time, joints), folder_of(folder) / CSV)
-    allowed = tolerances(design)
+    allowed, unseen = tolerances(design), rehearsal.unseen
     files = digest([folder / CSV, *scene(folder.parent, file)], folder)
     write_json(
         folder / MOTION,
@@ -159,7 +170,7 @@ def write_motion(
                 {"name": f"run{k + 1}", "payload": None if load is None else {"name": load.name, "mass": load.mass}}
                 for k, load in enumerate(task.payloads)
             ],
-            "guards": list(task.guards),
+            "guards": [*task.guards, *([f"contacts in MuJoCo: not checked, {unseen}"] if unseen else [])],
             "rehearsal": asdict(rehearsal),
             **decided,
         },

@@ -130,11 +130,11 @@ def _answered(draft: Draft) -> Draft:
         kind = typer.prompt(f"Are {named} ... currents or torques?", default=draft.kind)
         draft = with_kind(draft, "torque" if kind.lower().startswith("t") else "current")
     if draft.kind == "current":
-        asked = {}
+        options = {}
         for run in draft.logs:
             known = draft.masses.get(run[0], 0.0)
-            asked[run[0]] = typer.prompt(f"Payload in {run[0].name}, kg (0 for none)", default=known, type=float)
-        draft = with_masses(draft, {log: max(mass, 0.0) for log, mass in asked.items()})
+            options[run[0]] = typer.prompt(f"Payload in {run[0].name}, kg (0 for none)", default=known, type=float)
+        draft = with_masses(draft, {log: max(mass, 0.0) for log, mass in options.items()})
     return draft
 
 

@@ -3,24 +3,14 @@
 from __future__ import annotations
 
 import json
-import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gtau.cli.console import (
-    CarriedPayload,
-    Columns,
-    answer,
-    argument,
-    option,
-    progress_bar,
-    refusing,
-    seconds,
-)
+from gtau.cli.console import CarriedPayload, Columns, answer, argument, option, progress_bar, refusing, seconds
 from gtau.documents.files import refuse_as_folder
 from gtau.errors import GtauError
 
@@ -32,14 +22,9 @@ if TYPE_CHECKING:
 
 Watched = Annotated[Path, argument("MODEL.json|DIR", "What 'gtau identify' wrote, or a folder of histories: one page.")]
 Logs = Annotated[list[Path] | None, argument("LOG...", "Finished logs, or folders of them.")]
-History = Annotated[Path, option("DIR", "Folder of the history, continued if it exists, and of report.html.")]
-Baseline = Annotated[
-    str | None, option("N|DIR", "Number of healthy logs that form the baseline (10), or their folder.")
-]
-FalseAlarms = Annotated[
-    float | None,
-    option("NUMBER", "False alarms a year of the whole fleet (1).", "--false-alarms-per-year", min=1e-6),
-]
+HistoryFolder = Annotated[Path, option("DIR", "Folder of the history, continued if it exists, and of report.html.")]
+Baseline = Annotated[int | None, option("NUMBER", "Number of healthy logs that form the baseline (10).")]
+FalseAlarms = Annotated[float | None, option("NUMBER", "False alarms a year of the whole fleet (1).", min=1e-6)]
 Robots = Annotated[int | None, option("NUMBER", "Number of robots in the fleet (1).", min=1)]
 LogsPerYear = Annotated[float | None, option("NUMBER", "Logs a year of each robot (365).", min=1.0)]
 Reset = Annotated[str | None, option("DATE", "Begin a new baseline with the first log from this date on.")]
@@ -57,11 +42,11 @@ JsonLines = Annotated[bool, option("", "Print a line of JSON for each log instea
 def watch(
     model: Watched,
     logs: Logs = None,
-    out: History = Path("history"),
+    out: HistoryFolder = Path("history"),
     experiment: Columns = None,
     payload: CarriedPayload = None,
     baseline: Baseline = None,
-    false_alarms: FalseAlarms = None,
+    false_alarms_per_year: FalseAlarms = None,
     robots: Robots = None,
     logs_per_year: LogsPerYear = None,
     reset: Reset = None,
@@ -86,41 +71,34 @@ def watch(
         return
     refuse_as_folder(out)
     from gtau.estimation.results.result import Result
-    from gtau.report.watch import watch_page
+    from gtau.report.watch import watch_page, watch_report
+    from gtau.report.write import write_report
     from gtau.signals.reading.experiment import read_experiment
-    from gtau.watch.follow import Skipped, date_of, logs_of, take
     from gtau.watch.follow import follow as blocks
-    from gtau.watch.history import HISTORY
+    from gtau.watch.follow import logs_of
     from gtau.watch.watch import Watch
 
-    healthy, count = _baseline(baseline)
-    sources = logs or []
+    sources, done = logs or [], {"reset": reset, "acknowledge": acknowledge, "forget": forget, "undo": undo}
     if follow and len(sources) != 1:
         raise GtauError("--follow takes one folder or one growing text log; give it alone.")
-    given = sorted(logs_of([*healthy, *([] if follow else sources)]), key=lambda log: date_of(log)[:10])
-    done = {"reset": reset, "acknowledge": acknowledge, "forget": forget, "undo": undo}
-    if not (given or follow or any(done.values())):
+    if not (sources or any(done.values())):
         raise GtauError("there is no log to compare; give logs.")
+    given = [] if follow else logs_of(sources)
     result = Result.load(model)
     tolerances = None if experiment is None else read_experiment(experiment).tolerances
-    watched = Watch(result, out, count, false_alarms, robots, logs_per_year, tolerances)
+    settings = {"baseline": baseline, "false_alarms_per_year": false_alarms_per_year}
+    watched = Watch(result, out, tolerances, **settings, robots=robots, logs_per_year=logs_per_year)
     for what, subject in done.items():
         if subject is not None:
             getattr(watched, what)(subject)
-    read = partial(_read, result, experiment, payload)
-    inputs = (("model", model), *(("log", log) for log in given))
-    aside = 0
-    with progress_bar() as progress:
-        for k, log in enumerate(given):
-            progress("logs", k, len(given))
-            if (status := take(watched, log, read)) is not None:
-                aside += isinstance(status, Skipped)
-                _say(status, json_)
-    if follow:
-        _follow(blocks(watched, sources[0], read, block), watched, out, inputs, json_)
-    written = [_report(watched, out, inputs), out / HISTORY]
-    if not json_:
-        answer(False, dict, lambda: watch_page(watched), written)
+    read, inputs = partial(_read, result, experiment, payload), (("model", model), *(("log", log) for log in given))
+    statuses = blocks(watched, sources[0], read, block) if follow else _taken(watched, given, read)
+
+    def report() -> list[Path]:
+        return [write_report(watch_report(watched), out, seconds(), inputs), watched.history.path]
+
+    aside = _tell(statuses, report, json_, follow)
+    answer(False, dict, None if json_ else lambda: watch_page(watched), [] if json_ else report())
     if watched.alarm is not None or aside:
         raise typer.Exit(3)
 
@@ -133,70 +111,49 @@ def _read(result: Result, experiment: Path | None, payload: str | None, log: Pat
     return run if payload is None else carrying(result, run, payload)
 
 
-def _report(watched: Watch, out: Path, inputs: tuple[tuple[str, Path], ...]) -> Path:
-    """Write the report."""
-    from gtau.report.watch import watch_report
-    from gtau.report.write import write_report
+def _taken(watched: Watch, logs: list[Path], read: Callable[[Path], Run]) -> Iterator[Status | Skipped]:
+    """Add logs in the order of their dates."""
+    from gtau.watch.follow import date_of, take
 
-    return write_report(watch_report(watched), out, seconds(), inputs)
-
-
-def _follow(
-    statuses: Iterable[Status | Skipped], watched: Watch, out: Path, inputs: tuple[tuple[str, Path], ...], as_json: bool
-) -> None:
-    """Print a line for each block as it comes, and write a report when the state changes, and at Ctrl-C."""
-    from gtau.watch.history import HISTORY
-
-    healthy = watched.alarm is None
-    try:
-        for status in statuses:
-            _say(status, as_json, True)
-            if healthy != (watched.alarm is None):
-                healthy = not healthy
-                _report(watched, out, inputs)
-    except KeyboardInterrupt:
-        history = _report(watched, out, inputs).with_name(HISTORY)
-        raise KeyboardInterrupt(f"all finished blocks are in {history}") from None
+    with progress_bar() as progress:
+        for k, log in enumerate(sorted(logs, key=lambda log: date_of(log)[:10])):
+            progress("logs", k, len(logs))
+            if (status := take(watched, log, read)) is not None:
+                yield status
 
 
-def _say(status: Status | Skipped, as_json: bool, each_log: bool = False) -> None:
-    """Print a line for a log: for each that is set aside, and for the others as JSON or where they are followed."""
-    from gtau.report.watch import alarm_words
+def _tell(statuses: Iterator[Status | Skipped], report: Callable[[], list[Path]], as_json: bool, follow: bool) -> bool:
+    """Print a line for each log: that is set aside, as JSON, or that is followed. Return whether one was set aside.
+
+    Write a report when the state of a robot that is followed changes, and at Ctrl-C.
+    """
+    from gtau.report.watch import status_words
     from gtau.watch.follow import Skipped
 
-    if isinstance(status, Skipped):
-        line = json.dumps({"log": status.log, "skipped": status.why}) if as_json else f"{status.log}: {status.why}"
-    elif as_json:
-        line = status.entry.model_dump_json()
-    elif each_log:
-        said = "no change" if status.entry.alarm is None else alarm_words(status.entry.alarm)[0]
-        line = f"{status.entry.log}: {'baseline' if status.entry.phase == 'baseline' and status.healthy else said}"
-    else:
-        return
-    typer.echo(line)
-    sys.stdout.flush()
+    aside, healthy = False, True
+    try:
+        for status in statuses:
+            if isinstance(status, Skipped):
+                aside, line = True, {"log": status.log, "skipped": status.why}
+                print(json.dumps(line) if as_json else f"{status.log}: {status.why}", flush=True)
+                continue
+            if as_json or follow:
+                print(status.model_dump_json() if as_json else status_words(status), flush=True)
+            if follow and healthy != status.healthy:
+                healthy = status.healthy
+                report()
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"all finished logs are in {report()[-1]}") from None
+    return aside
 
 
 def _fleet(folder: Path, as_json: bool) -> None:
     """Write one page for all histories in the folders of a folder."""
-    from gtau.report.watch import fleet_lines, fleet_page
+    from gtau.report.watch import STATES, fleet_lines, fleet_page
     from gtau.report.write import write_report
 
     lines = fleet_lines(folder)
     page = fleet_page(lines)
-    written = [write_report(page, folder, seconds())]
-    answer(as_json, lambda: lines, lambda: page, written)
-    if any(line["state"] in ("check", "replace") for line in lines):
+    answer(as_json, lambda: lines, lambda: page, [write_report(page, folder, seconds())])
+    if any(line["state"] in STATES[:2] for line in lines):
         raise typer.Exit(3)
-
-
-def _baseline(text: str | None) -> tuple[list[Path], int | None]:
-    """Read ``--baseline``: a number of logs, or a folder whose logs they are."""
-    from gtau.watch.follow import logs_of
-
-    if text is None or text.isdigit():
-        return [], None if text is None else int(text)
-    folder = Path(text)
-    if not folder.is_dir():
-        raise GtauError(f"--baseline is '{text}'; write a number of healthy logs, or the folder that holds them.")
-    return [folder], len(logs_of([folder]))

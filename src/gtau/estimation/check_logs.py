@@ -124,8 +124,8 @@ class ExperimentCheck:
     geometry: GeometryTest | None = None
 
     def __repr__(self) -> str:
-        found = f"logs: {len(self.logs)}, notes: {len(self.notes)}, worst: {self.worst.value}"
-        return f"ExperimentCheck({self.robot.name!r}, {found})"
+        counts = f"logs: {len(self.logs)}, notes: {len(self.notes)}, worst: {self.worst.value}"
+        return f"ExperimentCheck({self.robot.name!r}, {counts})"
 
     @property
     def worst(self) -> Severity:

@@ -105,19 +105,19 @@ def compare(
     GtauError
         Where a file is wrong, or the runs cannot fix the scale of the gains.
     """
-    asked = options_of(prior_gains, priors, method="ml", prior_inertias=prior_inertias)
-    subject = read(source, runs, asked, progress)
+    options = options_of(prior_gains, priors, method="ml", prior_inertias=prior_inertias)
+    subject = read(source, runs, options, progress)
 
     def row(method: str) -> MethodRow:
         def said(stage: str, done: int, total: int) -> None:
             progress(f"{method} ({1 + NAMES.index(method)} of {len(NAMES)}): {stage}", done, total)
 
-        start, asked = perf_counter(), replace(subject, options=replace(subject.options, method=method))
+        start, by_method = perf_counter(), replace(subject, options=replace(subject.options, method=method))
         try:
-            estimator = require_inputs(asked)
-            planned = plan(asked, dataset, system)
+            estimator = require_inputs(by_method)
+            planned = plan(by_method, dataset, system)
             usable = dataset if estimator.takes_priors else replace(dataset, priors={})
-            result = estimate(usable, *planned, asked.options, said)
+            result = estimate(usable, *planned, by_method.options, said)
         except GtauError as refusal:
             return MethodRow(method, refusal=str(refusal))
         seconds, gains = perf_counter() - start, result.drive_gains.values()

@@ -237,7 +237,7 @@ def estimate(
         estimates = Estimates(essential.unknowns, reduced.values, reduced.covariance, nothing, nothing, None)
     findings = diagnose(fit, examined, estimates, payloads, options.gains, accuracy, audit)
     findings += () if lost is None else (lost,)
-    verdicts = channel_verdicts(fit, estimates, findings)
+    verdicts = channel_verdicts(fit, estimates, findings, delayed=not as_paper)
     predicting, curves, errors = (estimates, {}, {}) if as_paper else friction_step(fit, estimates)
     figures = {"reduction_loss": loss, "lack_of_fit": lack, "accuracy": float(accuracy)}
     sensors = sensor_estimates(fit, estimates, verdicts, accuracy) if fit.system.problem.sensor_channels else ()

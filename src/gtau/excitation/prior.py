@@ -138,10 +138,10 @@ def identified_gains(result: Result, file: Path) -> tuple[KnownGain, ...]:
 
 def identified_centers(result: Result) -> dict[str, np.ndarray]:
     """Take the centres of payloads that an earlier result found, m by name."""
-    found = {load.name: result.payload(load.name) for load in result.payloads}
+    estimates = {load.name: result.payload(load.name) for load in result.payloads}
     return {
         name: np.array([moments[kind] / moments["m"] for kind in FIRST_MOMENTS])
-        for name, moments in found.items()
+        for name, moments in estimates.items()
         if moments.get("m") and {*FIRST_MOMENTS} <= {*moments}
     }
 

@@ -113,7 +113,9 @@ def thresholds(residuals: Sequence[Residual], seconds: float) -> np.ndarray:
 
 def raised(residuals: Sequence[Residual], seconds: float) -> tuple[float, int]:
     """Find the factor on the others' thresholds with which logs have no more alarms than stated; and those without."""
-    pairs = [(own, thresholds([other for other in residuals if other is not own], seconds)) for own in residuals]
+    pairs = [
+        (judged, thresholds([other for other in residuals if other is not judged], seconds)) for judged in residuals
+    ]
 
     def alarms(factor: float) -> int:
         count = 0

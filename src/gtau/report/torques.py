@@ -168,15 +168,15 @@ def torques_section(result: Result, runs: Sequence[RunEvidence]) -> Section | No
         "A small residual does not validate the gains, because they scale both sides. In the shaded intervals "
         "friction changes its sign or samples are missing; the identification of gains and inertia excludes them."
     )
-    own = [run for run in runs if not run.used and run.errors] or runs
+    judged = [run for run in runs if not run.used and run.errors] or runs
     by_band = bands_section([error for run in runs for error in run.errors])
     bands = () if by_band is None else (replace(by_band, folded=True, id=""),)
     return section(
         "Torques",
         Text(words),
-        errors_table(own),
+        errors_table(judged),
         Text(REVERSALS, style="soft"),
-        section("Torque errors of every run", errors_table(runs), folded=True) if len(own) < len(runs) else None,
+        section("Torque errors of every run", errors_table(runs), folded=True) if len(judged) < len(runs) else None,
         *bands,
         *parts,
         id="torques",

@@ -12,7 +12,8 @@ deviations of the logs with the correlations that independent residuals would gi
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -20,10 +21,10 @@ import numpy as np
 from scipy.stats import t as student
 
 from gtau.estimation.results.result import Result
-from gtau.robots.parameter import Parameter
-from gtau.watch.detectors import FEWEST
+from gtau.signals.reading.statements import FIRST_MOMENTS
+from gtau.watch.detectors import FEWEST, mean_of
 from gtau.watch.history import Explained
-from gtau.watch.quantities import Quantity
+from gtau.watch.quantities import Quantity, identified
 from gtau.watch.statistics import RESIDUAL, LogStatistics
 
 CLOSE = 9.2  # 2 log(100): of two explanations one is a hundred times as likely
@@ -35,28 +36,29 @@ POOR = 3.0  # misfit per chart of one cause, above which two are tried
 SECOND = 0.3  # of its misfit, below which two explain the change
 CORRELATED = 5.7  # logs that count as one: (1 + rho) / (1 - rho) of a correlation of 0.7
 REACH = 1.0  # m from the flange to the centre of mass of a load
-PER_UNIT = {"zero": 20.0, "delay": 0.2, "clock": 0.2}  # largest sizes, deg or mm and s
+LARGEST = {"zero": (-20.0, 20.0), "delay": (-0.2, 0.2)}  # deg or mm, and s
+STOPPED = -1.1  # share of friction, of which no more than all can go
+LEADING = ("m", "fs")  # stated first
 RESCALED = 2.0  # a gain that changes by a larger factor is a unit or a sign of the channel
 
 
-@dataclass(frozen=True, eq=False)
-class _Hypothesis:
-    """A kind of change: combinations (p, c) of the quantities, and which of the c may be stated."""
-
-    kind: str
-    joint: str
-    columns: np.ndarray
-    stated: tuple[int, ...]
+Hypothesis = tuple[str, str, np.ndarray]
+"""A kind of change, its joint, and combinations (p, c) of the quantities; those may be stated that have charts."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Change:
-    """Charts ``rows`` that changed, and their change whitened by ``L``; ``logs`` before it set the scatter."""
+    """Whitened ``values`` (r,) of a change of charts, and their ``response`` (r, p) to the quantities.
 
-    rows: np.ndarray
-    L: np.ndarray
+    ``logs`` before it set the scatter, and ``bounds`` hold the sizes by kind of quantity that a robot can have.
+    """
+
+    model: Result
+    quantities: tuple[Quantity, ...]
     values: np.ndarray
+    response: np.ndarray
     logs: int
+    bounds: Mapping[str, tuple[float, float]]
 
 
 def causes_of(
@@ -67,90 +69,82 @@ def causes_of(
     Charts (logs, k) ``after`` it are compared with ``healthy`` (k,), and those ``before`` it scatter. The motion of the
     newest ``log`` determines the signature of each change; a load is ``heaviest`` kg at most.
     """
-    change = _whitened(log, before, after, healthy)
-    if change is None:
-        return ()
-    bounds, hypotheses = (-log.payload, heaviest), list(_hypotheses(model, log.quantities))
-    fits = [fit for one in hypotheses if (fit := _fit(model, log, change, [one], bounds)) is not None]
-    squares = float(change.values @ change.values)
-    single = min((fit.misfit for fit in fits), default=squares)
-    if single > POOR * len(change.rows):
-        pairs = [_fit(model, log, change, list(pair), bounds) for pair in combinations(hypotheses, 2)]
-        fits = [fit for fit in pairs if fit is not None and fit.misfit < SECOND * single] or fits
-    fits.sort(key=lambda fit: fit.misfit)
-    if not fits or fits[0].misfit - PER_PARAMETER > (1 - EXPLAINED) * squares:
-        return ()
-    scale = max(1.0, fits[0].misfit / max(len(change.rows) - 1, 1))  # large changes are not exactly linear
-    return tuple(fit for fit in fits if fit.misfit - fits[0].misfit < CLOSE * scale)
-
-
-def _whitened(log: LogStatistics, before: np.ndarray, after: np.ndarray, healthy: np.ndarray) -> _Change | None:
-    """Whiten the change of the charts that are linear in their quantities by the covariance between healthy logs."""
     usable = log.shown & np.isfinite(healthy) & np.isfinite(after).any(axis=0)
     usable &= (np.isfinite(before).sum(axis=0) >= FEWEST) | (len(before) < FEWEST)
     rows = np.flatnonzero(usable & [chart.kind != RESIDUAL for chart in log.charts])
     if not len(rows):
-        return None
+        return ()
     complete = before[:, rows][np.isfinite(before[:, rows]).all(axis=1)]
     share = sum(1 / max(len(logs) / CORRELATED, 1.0) for logs in (complete, after))
     sigma = share * _covariance(complete, log.formula[np.ix_(rows, rows)])
     L = np.linalg.cholesky(sigma + 1e-12 * np.diag(np.diag(sigma)))
-    change = np.nanmean(after[:, rows], axis=0) - healthy[rows]
-    return _Change(rows, L, np.linalg.solve(L, change), len(complete))
+    values = np.linalg.solve(L, mean_of(after[:, rows]) - healthy[rows])
+    bounds = LARGEST | {"m": (-log.payload, heaviest)}
+    bounds |= dict.fromkeys(FIRST_MOMENTS, (-heaviest * REACH, heaviest * REACH))
+    change = _Change(model, log.quantities, values, np.linalg.solve(L, log.response[rows]), len(complete), bounds)
+    hypotheses = list(_hypotheses(model, log.quantities))
+    fits = [fit for hypothesis in hypotheses if (fit := _fit(change, hypothesis))]
+    squares = float(values @ values)
+    single = min((fit.misfit for fit in fits), default=squares)
+    if single > POOR * len(rows):
+        pairs = [_fit(change, *pair) for pair in combinations(hypotheses, 2)]
+        fits = [fit for fit in pairs if fit and fit.misfit < SECOND * single] or fits
+    fits.sort(key=lambda fit: fit.misfit)
+    if not fits or fits[0].misfit - PER_PARAMETER > (1 - EXPLAINED) * squares:
+        return ()
+    scale = max(1.0, fits[0].misfit / max(len(rows) - 1, 1))  # large changes are not exactly linear
+    return tuple(fit for fit in fits if fit.misfit - fits[0].misfit < CLOSE * scale)
 
 
-def _fit(
-    model: Result, log: LogStatistics, change: _Change, several: list[_Hypothesis], bounds: tuple[float, float]
-) -> Explained | None:
+def _fit(change: _Change, *several: Hypothesis) -> Explained | None:
     """Fit one hypothesis or two at once; None where a size is not plausible."""
-    columns = np.hstack([one.columns for one in several])
-    S = np.linalg.solve(change.L, log.response[change.rows] @ columns)
+    S = change.response @ np.hstack([columns for *_, columns in several])
     norms = np.linalg.norm(S, axis=0)
-    there = norms > 0
-    if not there.any():
-        return None
-    S, norms = S[:, there] / norms[there], np.where(there, norms, np.inf)
-    x, _, rank, _ = np.linalg.lstsq(S, change.values, rcond=1e-6)
-    misfit = float(np.sum((change.values - S @ x) ** 2))
-    freedom = max(len(change.rows) - int(rank), 1)
+    norms[norms == 0] = np.inf
+    x, _, rank, _ = np.linalg.lstsq(S / norms, change.values, rcond=1e-6)
+    misfit = float(np.sum((change.values - S / norms @ x) ** 2))
+    variances = np.diag(np.linalg.pinv((S / norms).T @ (S / norms), rcond=1e-8))
     factor = float(student.ppf(0.975, max(change.logs - 1, FEWEST)))
-    size, std = np.zeros(columns.shape[1]), np.full(columns.shape[1], np.inf)
-    size[there] = x / norms[there]
-    std[there] = np.sqrt(np.diag(np.linalg.pinv(S.T @ S, rcond=1e-8)) * max(1.0, misfit / freedom)) / norms[there]
-    said, first = None, 0
-    for one in reversed(several):
-        first = columns.shape[1] - one.columns.shape[1] if one is several[-1] else 0
-        part = slice(first, first + one.columns.shape[1])
-        stated = _stated(model, log, one, size[part], factor * std[part], misfit + PER_PARAMETER * int(rank))
-        if stated is None or not _plausible(stated, bounds):
-            return None
-        said = stated.model_copy(update={"and_also": said})
-    return said
+    scatter = max(1.0, misfit / max(len(change.values) - int(rank), 1))
+    halves = factor * np.sqrt(variances * scatter) / norms
+    ends = np.cumsum([columns.shape[1] for *_, columns in several])[:-1]
+    parts = zip(several, np.split(x / norms, ends), np.split(halves, ends), strict=True)
+    first, *second = [_stated(change, *part, misfit + PER_PARAMETER * int(rank)) for part in parts]
+    if first is None or None in second:
+        return None
+    return first.model_copy(update={"and_also": second[0]}) if second else first
 
 
 def _stated(
-    model: Result, log: LogStatistics, one: _Hypothesis, sizes: np.ndarray, halves: np.ndarray, misfit: float
+    change: _Change, hypothesis: Hypothesis, sizes: np.ndarray, halves: np.ndarray, misfit: float
 ) -> Explained | None:
     """State the parameter of a hypothesis whose interval does not hold 0: the first, unless only another is certain."""
-    certain = [k for k in one.stated if abs(sizes[k]) > halves[k]]
-    if not certain:
+    kind, joint, columns = hypothesis
+    of = [change.quantities[k] for k in np.argmax(np.abs(columns), axis=0)]
+    t = {k: abs(sizes[k]) / halves[k] for k in range(len(of)) if of[k].charted and abs(sizes[k]) > halves[k]}
+    if not t:
         return None
-    t = np.abs(sizes) / halves
-    at = certain[0] if t[certain[0]] > CERTAIN / 2 else max(certain, key=lambda k: t[k])
-    size, half, kind = float(sizes[at]), float(halves[at]), one.kind
-    quantity = log.quantities[int(np.argmax(np.abs(one.columns[:, at])))]
+    first = next(iter(t))
+    at = first if t[first] > CERTAIN / 2 else max(t, key=lambda k: t[k])
+    size, half, quantity, relative = float(sizes[at]), float(halves[at]), of[at], None
+    least, most = change.bounds.get(quantity.kind, (-np.inf, np.inf))
     if kind == "gain":  # the apparent torque of the current is that of the model over 1 + delta
         apparent = 1 - size
-        if not 1 / RESCALED < apparent < RESCALED:
-            kind, size = "units", apparent
-        else:
+        if 1 / RESCALED < apparent < RESCALED:
             size, half = size / apparent, half / apparent**2
-    known = {**model.parameters, **model.friction_parameters}.get(Parameter(quantity.kind, quantity.joint))
-    relative = size / known.value if kind == "friction" and known is not None and known.value else None
+        else:
+            kind, size = "units", apparent
+    elif kind == "friction" and (known := identified(change.model, quantity)):
+        relative = size / known
+    if (
+        not least - half * (kind == "load") <= size <= most
+        or (size if kind == "warming" else relative or 0.0) < STOPPED
+    ):
+        return None
     unit = "1" if kind in ("warming", "units") else quantity.unit
     return Explained(
         kind=kind,
-        joint=one.joint,
+        joint=joint,
         quantity=quantity.kind,
         size=size,
         half=half,
@@ -160,41 +154,18 @@ def _stated(
     )
 
 
-def _plausible(stated: Explained, bounds: tuple[float, float]) -> bool:
-    """Return whether a robot can have a change of this size."""
-    if stated.kind == "load":
-        least, most = bounds if stated.quantity == "m" else (-bounds[1] * REACH, bounds[1] * REACH)
-        return least - stated.half <= stated.size <= most
-    if stated.kind in ("friction", "warming"):
-        return (stated.size if stated.kind == "warming" else stated.relative or 0.0) > -1.1
-    return abs(stated.size) < PER_UNIT.get(stated.kind, np.inf)
-
-
-def _hypotheses(model: Result, quantities: tuple[Quantity, ...]) -> Iterator[_Hypothesis]:
+def _hypotheses(model: Result, quantities: tuple[Quantity, ...]) -> Iterator[Hypothesis]:
     """List the hypotheses on the watched quantities."""
-    eye = np.eye(len(quantities))
-    load = [k for k, quantity in enumerate(quantities) if quantity.group == "load"]
-    if load:
-        kinds = [quantities[k].kind for k in load]
-        of_load = tuple(kinds.index(kind) for kind in ("m", "mx", "my", "mz") if kind in kinds)
-        yield _Hypothesis("load", "", eye[:, load], of_load)
+    groups = defaultdict[tuple[str, str], list[int]](list)
     for k, quantity in enumerate(quantities):
-        if quantity.kind in ("gain", "zero", "delay"):
-            yield _Hypothesis(quantity.kind, quantity.joint, eye[:, [k]], (0,))
-    places = {(quantity.joint, quantity.kind): k for k, quantity in enumerate(quantities)}
-    known, warming = {**model.parameters, **model.friction_parameters}, np.zeros((len(quantities), 1))
-    joints = [joint for joint in dict.fromkeys(quantity.joint for quantity in quantities) if joint]
-    for joint in joints:
-        friction = [places[joint, kind] for kind in ("fs", "fv") if (joint, kind) in places]
-        for k in friction:
-            warming[k] = getattr(known.get(Parameter(quantities[k].kind, joint)), "value", None) or 0.0
-        if friction:
-            yield _Hypothesis("friction", joint, eye[:, friction], tuple(range(len(friction))))
-    if len(joints) > 1:
-        for kind, column in (("clock", "delay"), ("gain", "gain")):
-            of_kind = [k for k, quantity in enumerate(quantities) if quantity.kind == column]
-            yield _Hypothesis(kind, "", eye[:, of_kind].sum(axis=1, keepdims=True), (0,))
-        yield _Hypothesis("warming", "", warming, (0,))
+        if quantity.kind != "off":
+            groups[quantity.group, quantity.joint].append(k)
+    for (group, joint), members in groups.items():
+        yield group, joint, np.eye(len(quantities))[:, sorted(members, key=lambda k: quantities[k].kind not in LEADING)]
+    if len({quantity.joint for quantity in quantities} - {""}) > 1:
+        for kind, group in (("clock", "delay"), ("gain", "gain")):
+            yield kind, "", np.array([[float(quantity.group == group)] for quantity in quantities])
+        yield "warming", "", np.array([[identified(model, quantity) * quantity.charted] for quantity in quantities])
 
 
 def contacts_of(log: LogStatistics, uneven: np.ndarray) -> tuple[Explained, ...]:
@@ -203,8 +174,8 @@ def contacts_of(log: LogStatistics, uneven: np.ndarray) -> tuple[Explained, ...]
     j = int(np.argmax(ratio))
     if ratio[j] < UNEVEN:
         return ()
-    size = float(ratio[j])
-    return (Explained(kind="contact", joint=log.joints[j], quantity=RESIDUAL, size=size, half=0, unit="1", misfit=0),)
+    size, joint = float(ratio[j]), [chart.joint for chart in log.charts if chart.kind == RESIDUAL][j]
+    return (Explained(kind="contact", joint=joint, quantity=RESIDUAL, size=size, half=0, unit="1", misfit=0),)
 
 
 def _covariance(values: np.ndarray, formula: np.ndarray) -> np.ndarray:

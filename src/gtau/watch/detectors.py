@@ -40,7 +40,7 @@ RARE = 1e-6  # probability beyond which a log is far off, by Student's t
 
 @dataclass(frozen=True, eq=False)
 class ChangeEvidence:
-    """ChangeEvidence of a change of each of k charts over n logs.
+    """Evidence of a change of each of k charts over n logs.
 
     ``log_e`` (k,) is the logarithm of the e-detector, ``start`` (k,) the likeliest first log of a change, and
     ``confirmed`` (k,) whether the last two logs are both nearer to the changed mean.
@@ -59,32 +59,28 @@ def evidence(
     Parameters
     ----------
     values, variances : ndarray
-        Logs by charts (n, k), oldest first, NaN where a log does not show a chart, and their variances by the
-        jackknife.
+        At least one log by charts (n, k), oldest first, NaN where a log does not show a chart, and their variances by
+        the jackknife.
     learning : int
         Number of logs of a chart before which no change begins.
     rising : ndarray, optional
         Mask (k,) of the charts of which only growth counts, such as residuals.
     """
     x = np.where(isolated(values), np.nan, values)
-    n, k = x.shape
-    shown = np.isfinite(x)
-    count = shown.sum(axis=0)
-    safe = np.maximum(count, 1)
-    mean = np.where(shown, x, 0.0).sum(axis=0) / safe
+    shown, mean = np.isfinite(x), mean_of(x)
     y = np.where(shown, x - mean, 0.0)
-    scale = np.sqrt(np.sum(y**2, axis=0) / safe)
-    moving = (scale > 1e-12 * np.abs(mean)) & (scale > 0)
-    y = y / np.where(moving, scale, 1.0)
-    log_p0, ratios, up = _densities(y, _weights(variances, shown), shown)
+    scale = np.sqrt(mean_of(np.where(shown, y**2, np.nan)))
+    moving = scale > 1e-12 * np.abs(mean)
+    known = np.where(shown & (variances > 0), variances, np.nan)
+    w = np.fmax(known / median(known), 1.0)  # relative to the median log; a quieter one counts as that
+    log_p0, ratios, up = _densities(y / np.where(moving, scale, 1.0), w, shown)
     if rising is not None:  # omitting decreases makes the sum smaller, so the bound still holds
         ratios = np.where(up | ~rising, ratios, -np.inf)
     ratios = logsumexp(ratios + log_p0, axis=1) - np.log(len(GRID)) - log_p0.max(axis=0)  # (n, k)
-    begins = shown & (np.cumsum(shown, axis=0) > learning) & moving & (count >= FEWEST)
+    begins = shown & (np.cumsum(shown, axis=0) > learning) & moving & (shown.sum(axis=0) >= FEWEST)
     ratios = np.where(begins, ratios, -np.inf)
-    log_e = logsumexp(ratios, axis=0) if n else np.full(k, -np.inf)
-    start = np.argmax(ratios, axis=0) if n else np.zeros(k, dtype=int)
-    return ChangeEvidence(log_e, start, _confirmed(x, start))
+    start = np.argmax(ratios, axis=0)
+    return ChangeEvidence(logsumexp(ratios, axis=0), start, _confirmed(x, start))
 
 
 def isolated(values: np.ndarray) -> np.ndarray:
@@ -116,12 +112,6 @@ def median(values: np.ndarray) -> np.ndarray:
     return np.asarray((ranked[at // 2, columns] + ranked[(at + 1) // 2, columns]) / 2)
 
 
-def _weights(variances: np.ndarray, shown: np.ndarray) -> np.ndarray:
-    """Relate the variances (n, k) of the white noise to that of the median log; a quieter log counts as that one."""
-    known = np.where(shown & (variances > 0), variances, np.nan)
-    return np.fmax(known / median(known), 1.0)
-
-
 def _densities(y: np.ndarray, w: np.ndarray, shown: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Compute log p_0 (g, k), log p_j / p_0 (n, g, k), and whether the step at j goes up.
 
@@ -130,36 +120,33 @@ def _densities(y: np.ndarray, w: np.ndarray, shown: np.ndarray) -> tuple[np.ndar
     """
     n, k = y.shape
     rho, c = (np.array(part)[:, None] for part in zip(*GRID, strict=True))
-    a, state, P = (np.zeros((len(GRID), k)), np.zeros((len(GRID), k)), np.repeat(1.0 - c, k, axis=1))
+    a, state, log_det = (np.zeros((len(GRID), k)) for _ in range(3))
+    P = np.repeat(1.0 - c, k, axis=1)
     ones, scores, precision, decay, predicted = (np.zeros((n, len(GRID), k)) for _ in range(5))
-    log_det = np.zeros((len(GRID), k))
     for t in range(n):
-        there = shown[t]
         F = P + c * w[t]
-        gain = np.where(there, P / F, 0.0)
-        predicted[t], ones[t], scores[t] = a, 1.0 - a, y[t] - state
-        precision[t] = there / F
-        log_det += np.where(there, np.log(F), 0.0)
+        gain = np.where(shown[t], P / F, 0.0)
+        predicted[t], ones[t], scores[t], precision[t] = a, 1.0 - a, y[t] - state, shown[t] / F
+        log_det += np.where(shown[t], np.log(F), 0.0)
         a, state = rho * (a + gain * ones[t]), rho * (state + gain * scores[t])
         decay[t] = rho * (1 - gain)
         P = rho**2 * P * (1 - gain) + (1 - rho**2) * (1 - c)
     hh, hy = _from_each(ones**2 * precision), _from_each(ones * scores * precision)
-    B, C, E = (np.zeros_like(a) for _ in range(3))
-    r, b = np.zeros_like(ones), np.zeros_like(ones)
-    for t in range(n - 1, -1, -1):
+    whole = np.maximum(hh[0], 1e-300)
+    r, b, B, C, E = np.zeros_like(ones), np.zeros_like(ones), *np.zeros((3, len(GRID), k))
+    for t in reversed(range(n)):
+        a = predicted[t]
         B = ones[t] * precision[t] + decay[t] * B
         C = precision[t] + decay[t] ** 2 * C
         E = scores[t] * precision[t] + decay[t] * E
-        a = predicted[t]
         ch = hh[t] + a * B
-        r[t] = ch + a * B + a**2 * C - ch**2 / np.maximum(hh[0], 1e-300)
-        b[t] = hy[t] + a * E - ch * hy[0] / np.maximum(hh[0], 1e-300)
+        r[t] = np.maximum(ch + a * B + a**2 * C - ch**2 / whole, 0.0)
+        b[t] = hy[t] + a * E - ch * hy[0] / whole
     freedom = np.maximum(shown.sum(axis=0) - 1, 1)
-    S0 = np.maximum((scores**2 * precision).sum(axis=0) - hy[0] ** 2 / np.maximum(hh[0], 1e-300), 1e-12)
-    r = np.maximum(r, 0.0)
+    S0 = np.maximum((scores**2 * precision).sum(axis=0) - hy[0] ** 2 / whole, 1e-12)
     explained = b**2 * KAPPA**2 / (1 + r * KAPPA**2)
     ratios = -0.5 * np.log1p(r * KAPPA**2) - freedom / 2 * np.log1p(-np.minimum(explained / S0, 1 - 1e-12))
-    log_p0 = -0.5 * (log_det + np.log(np.maximum(hh[0], 1e-300)) + freedom * np.log(S0))
+    log_p0 = -0.5 * (log_det + np.log(whole) + freedom * np.log(S0))
     return log_p0, ratios, b > 0
 
 

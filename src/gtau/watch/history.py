@@ -10,20 +10,25 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
-import tempfile
-from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from datetime import date as calendar
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal
+from tempfile import TemporaryDirectory
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, FiniteFloat
+from pydantic import AliasChoices, Field, FiniteFloat
 
+from gtau.documents.validation import Keys, Positive
 from gtau.errors import GtauError
+from gtau.signals.reading.statements import Tolerances
+from gtau.watch.detectors import FEWEST
 
-HISTORY, LINES = "history.db", "history.jsonl"  # LINES: of earlier versions, read once
+HISTORY = "history.db"
+FALSE_ALARMS = "false_alarms_per_year"
 KEPT, SLACK = 4000, 1000  # logs kept one by one, and by how many more before they are condensed
 DIGITS = 32  # of a digest that are kept
 PATIENCE = 60.0  # s to wait for another program that writes
@@ -38,33 +43,28 @@ CREATE TABLE events (id INTEGER PRIMARY KEY, date TEXT, kind TEXT, subject TEXT,
 """
 
 
-class _Document(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+class WatchSettings(Keys):
+    """Head of a history: its model and charts, and what determines the time between false alarms, and the tolerances.
 
-
-class WatchSettings(_Document):
-    """Head of a history: the model, its charts, and the settings that determine the time between false alarms.
-
-    ``baseline`` logs set what is normal; of ``robots`` that send ``logs_per_year`` each there are ``false_alarms`` a
-    year. ``tolerances`` are those of the experiment file.
+    ``baseline`` logs set what is normal; of ``robots`` that send ``logs_per_year`` each there are so many false alarms.
     """
 
     model: str
     robot: str
     charts: tuple[str, ...]
-    baseline: int = 10
-    false_alarms: FiniteFloat = 1.0
-    robots: int = 1
-    logs_per_year: FiniteFloat = 365.0
-    tolerances: dict[str, FiniteFloat | None] = {}
+    baseline: Annotated[int, Field(ge=FEWEST)] = 10
+    false_alarms_per_year: Annotated[Positive, Field(validation_alias=AliasChoices(FALSE_ALARMS, "false_alarms"))] = 1.0
+    robots: Annotated[int, Field(ge=1)] = 1
+    logs_per_year: Positive = 365.0
+    tolerances: Tolerances = Tolerances()
 
     @property
     def limit(self) -> float:
         """Average number of logs between false alarms of one robot."""
-        return max(self.robots * self.logs_per_year / self.false_alarms, 1.0)
+        return max(self.robots * self.logs_per_year / self.false_alarms_per_year, 1.0)
 
 
-class Explained(_Document):
+class Explained(Keys):
     """One cause of an alarm: size with the half width of its 95 % interval, and its unit; ``and_also`` a second one."""
 
     kind: str
@@ -78,11 +78,11 @@ class Explained(_Document):
     and_also: Explained | None = None
 
 
-class Alarm(_Document):
+class Alarm(Keys):
     """An alarm: a ``change``, a quantity beyond ``tolerance``, or a ``log`` that is odd by itself and set aside.
 
-    ``explanations`` cannot be distinguished, the best first; ``since`` is the first log, ``date`` its date, ``charts``
-    are those that changed, and ``healthy`` and ``changed`` their means.
+    It lasts since a log and its date. ``explanations`` cannot be distinguished, the best first; ``charts`` are those
+    that changed, from their ``healthy`` to their ``changed`` means.
     """
 
     kind: Literal["change", "tolerance", "log"]
@@ -95,15 +95,29 @@ class Alarm(_Document):
 
 
 @dataclass(frozen=True, eq=False)
-class LogRow:
-    """A log, or ``count`` condensed ones: ``numbers`` hold values, standard deviations, unevenness and speeds."""
+class Logs:
+    """The N logs of a history by date: their numbers, as they came, names and dates, and of how many each is the mean.
 
-    id: int
-    log: str
-    date: str
-    count: int
-    numbers: np.ndarray
-    alarm: str = ""
+    Charts and their ``std`` (N, k), ``uneven`` and ``speeds`` (N, n) are those of :class:`LogStatistics`.
+    """
+
+    ids: np.ndarray
+    names: np.ndarray
+    dates: np.ndarray
+    counts: np.ndarray
+    charts: np.ndarray
+    std: np.ndarray
+    uneven: np.ndarray
+    speeds: np.ndarray
+
+    @property
+    def days(self) -> np.ndarray:
+        """Days (N,) since 1970."""
+        return self.dates.astype("U19").astype("datetime64[s]").astype(float) / 86400
+
+    def place(self, alarm: Alarm) -> int:
+        """Find the row since which there is an alarm, the first where that is condensed."""
+        return int(np.argmax((self.names == alarm.since) & (self.dates == alarm.date)))
 
 
 @dataclass(frozen=True)
@@ -114,183 +128,157 @@ class Event:
     date: str
     kind: str
     subject: str
-    note: str = ""
-    details: Any = None
-    undone: bool = False
+    note: str
+    undone: int
+    details: Any
 
 
-def open_history(folder: Path | None, settings: WatchSettings) -> sqlite3.Connection:
-    """Open the history in a folder, or make it there, in memory without a folder; raises GtauError."""
-    if folder is None:
-        return _made(settings, None)
-    path = folder / HISTORY
-    if not path.exists():
-        with closing(_made(settings, folder / LINES)) as made, _refusals(path):
-            _put(made.serialize(), path)
-    return _opened(path)
+class History:
+    """A history in a folder, begun with ``settings`` where there is none; in memory without a folder; GtauError."""
 
+    def __init__(self, folder: Path | None, settings: WatchSettings | None = None):
+        self.path = (folder or Path()) / HISTORY
+        with self._refusals():
+            if folder is None:
+                self._connect(":memory:", settings)
+                return
+            if settings and not self.path.exists():
+                with TemporaryDirectory(prefix=f".{HISTORY}.", dir=folder) as aside:
+                    self._connect(f"{aside}/{HISTORY}", settings)
+                    self._database.close()
+                    with suppress(FileExistsError):  # another program was faster
+                        os.link(f"{aside}/{HISTORY}", self.path)
+            if not self.path.stat().st_size:
+                raise GtauError(f"{self.path} is empty; restore it from a backup, or give another --out.")
+            self._connect(f"{self.path.absolute().as_uri()}?mode=rw")
+            if self._one("PRAGMA application_id") != APPLICATION:
+                raise GtauError(
+                    f"{self.path} is not a history of gtau; restore it from a backup, or give another --out."
+                )
+            self._database.executescript("PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL")
 
-def _made(settings: WatchSettings, lines: Path | None) -> sqlite3.Connection:
-    """Make a history in memory, with the entries of an earlier version's; raises GtauError."""
-    database = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
-    database.executescript(TABLES)
-    taken = lines is not None and lines.exists()
-    save_settings(database, _take_lines(database, lines, settings) if taken and lines else settings)
-    return database
+    def _connect(self, uri: str, settings: WatchSettings | None = None) -> None:
+        """Open a database, and begin a history in it if there are settings."""
+        self._database = sqlite3.connect(uri, PATIENCE, isolation_level=None, check_same_thread=False, uri=True)
+        if settings:
+            self._database.executescript(TABLES)
+            self.settings = settings
 
-
-def _put(content: bytes, path: Path) -> None:
-    """Write a file at once, unless another program has written it meanwhile."""
-    handle, part = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-            os.fsync(handle)
-        os.chmod(part, 0o644)
-        with suppress(FileExistsError):
-            os.link(part, path)
-    finally:
-        os.unlink(part)
-
-
-def _opened(path: Path) -> sqlite3.Connection:
-    """Open a history; raises GtauError where the file is none."""
-    with _refusals(path):
-        if not path.stat().st_size:
-            raise GtauError(f"{path} is empty; restore it from a backup, or give another --out.")
-        uri = f"{path.absolute().as_uri()}?mode=rw"
-        database = sqlite3.connect(uri, PATIENCE, isolation_level=None, check_same_thread=False, uri=True)
-        if database.execute("PRAGMA application_id").fetchone() != (APPLICATION,):
-            raise GtauError(f"{path} is not a history of gtau; restore it from a backup, or give another --out.")
-        database.execute("PRAGMA journal_mode = WAL")
-        database.execute("PRAGMA synchronous = FULL")
-    return database
-
-
-def _take_lines(database: sqlite3.Connection, path: Path, settings: WatchSettings) -> WatchSettings:
-    """Read a history of lines; a last line that was torn is left out with a note. Return its settings."""
-    *lines, torn = path.read_bytes().split(b"\n")
-    number = 1
-    try:
-        head = json.loads(lines[0]) if lines else None
-        for line in lines[1:]:
-            number += 1
-            entry = json.loads(line)
-            values = [[entry[key].get(name, np.nan) for name in settings.charts] for key in ("values", "std")]
-            late = np.array([-1.0 if name.startswith("delay_") else 1.0 for name in settings.charts])  # was the lead
-            numbers = np.concatenate([values[0] * late, values[1], [*entry["uneven"].values()] * 2])
-            numbers[-len(entry["uneven"]) :] = np.nan  # speeds were not kept
-            add_row(database, [entry["digest"]], entry["log"], entry["date"], numbers)
-            if entry.get("begins"):
-                add_event(database, entry["begins"], "reset", entry["begins"])
-        if not isinstance(head, dict) or head.get("schema_") != "gtau-watch/1":
-            raise ValueError("it does not begin with gtau-watch/1")
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise GtauError(
-            f"{path}, line {number} is damaged ({str(error) or 'empty'}); restore the file from a backup, or give "
-            "another --out."
-        ) from None
-    if torn:
-        add_event(database, calendar.today().isoformat(), "torn", path.name)
-    known = {name: head[name] for name in ("model", "baseline", "false_alarms", "robots", "logs_per_year")}
-    return settings.model_copy(update=known)
-
-
-@contextmanager
-def _refusals(path: Path) -> Iterator[None]:
-    """Turn errors of SQLite and of the system into one sentence."""
-    try:
-        yield
-    except sqlite3.Error as error:
-        advice = {"full": "free some space", "locked": "end the other program that writes it"}
-        hint = next((what for word, what in advice.items() if word in str(error)), "restore it from a backup")
-        raise GtauError(f"{path} cannot be used ({error}); {hint}, or give another --out.") from None
-    except OSError as error:
-        raise GtauError(f"{path} cannot be written ({error.strerror}); free some space or check the path.") from None
-
-
-@contextmanager
-def writing(database: sqlite3.Connection) -> Iterator[None]:
-    """Hold the lock of the history, and write all that is changed meanwhile, or nothing; raises GtauError."""
-    _, _, name = database.execute("PRAGMA database_list").fetchone()
-    with _refusals(Path(name or "history")):
-        database.execute("BEGIN IMMEDIATE")
+    @contextmanager
+    def _refusals(self) -> Iterator[None]:
+        """Turn errors of SQLite and of the system into one sentence."""
         try:
             yield
-            database.execute("COMMIT")
-        except BaseException:
-            if database.in_transaction:
-                database.execute("ROLLBACK")
-            raise
+        except sqlite3.Error as error:
+            advice = {"full": "free some space", "locked": "end the other program that writes it"}
+            hint = next((what for word, what in advice.items() if word in str(error)), "restore it from a backup")
+            raise GtauError(f"{self.path} cannot be used ({error}); {hint}, or give another --out.") from None
+        except OSError as error:
+            raise GtauError(
+                f"{self.path} cannot be written ({error.strerror}); free some space or check the path."
+            ) from None
+
+    @contextmanager
+    def writing(self) -> Iterator[None]:
+        """Hold the lock of the history, and write all that is changed meanwhile, or nothing; raises GtauError."""
+        with self._refusals():
+            self._database.execute("BEGIN IMMEDIATE")
+            try:
+                yield
+                self._database.execute("COMMIT")
+            except BaseException:
+                if self._database.in_transaction:
+                    self._database.execute("ROLLBACK")
+                raise
+
+    def _one(self, query: str, *values: Any) -> Any:
+        """Read the first value of the first row, None where there is none."""
+        return (self._database.execute(query, values).fetchone() or (None,))[0]
+
+    @property
+    def settings(self) -> WatchSettings:
+        """The head."""
+        return WatchSettings.model_validate_json(self._one("SELECT document FROM settings"))
+
+    @settings.setter
+    def settings(self, settings: WatchSettings) -> None:
+        self._database.execute("INSERT OR REPLACE INTO settings VALUES (0, ?)", (settings.model_dump_json(),))
+
+    def logs(self, charts: int, joints: int) -> Logs:
+        """Read the logs, of so many charts and joints."""
+        rows = self._database.execute("SELECT id, log, date, count, numbers FROM logs ORDER BY date, id").fetchall()
+        numbers = np.frombuffer(b"".join(row[-1] for row in rows)).reshape(len(rows), 2 * (charts + joints))
+        parts = np.split(numbers, [charts, 2 * charts, 2 * charts + joints], axis=1)
+        ids, counts = (np.array([row[k] for row in rows], dtype=int) for k in (0, 3))
+        names, dates = (np.array([row[k] for row in rows], dtype=str) for k in (1, 2))
+        return Logs(ids, names, dates, counts, *parts)
+
+    @property
+    def extent(self) -> tuple[int, str]:
+        """Number of logs, and date of the last."""
+        count, date = self._database.execute("SELECT total(count), max(date) FROM logs").fetchone()
+        return int(count), date or ""
+
+    @property
+    def events(self) -> list[Event]:
+        """What was done, the oldest first."""
+        columns = "SELECT id, date, kind, subject, note, undone, details FROM events ORDER BY id"
+        return [Event(*(*event[:6], json.loads(event[6]))) for event in self._database.execute(columns)]
+
+    @property
+    def alarm(self) -> Alarm | None:
+        """The state after the log that was added last."""
+        text = self._one("SELECT alarm FROM logs ORDER BY id DESC LIMIT 1")
+        return Alarm.model_validate_json(text) if text else None
+
+    @alarm.setter
+    def alarm(self, alarm: Alarm | None) -> None:
+        text = alarm.model_dump_json() if alarm else ""
+        self._database.execute("UPDATE logs SET alarm = ? WHERE id = (SELECT max(id) FROM logs)", (text,))
+
+    def seen(self, digest: str) -> bool:
+        """Return whether a log of this digest is in the history."""
+        return self._one("SELECT 1 FROM seen WHERE digest = ?", digest[:DIGITS]) is not None
+
+    def remember(self, log: str, digests: Iterable[str]) -> None:
+        """Recognise a log by these digests from now on, and drop the note that it could not be read."""
+        self._database.executemany("INSERT OR IGNORE INTO seen VALUES (?)", [(digest[:DIGITS],) for digest in digests])
+        self._database.execute("DELETE FROM events WHERE kind = 'refused' AND subject = ?", (log,))
+
+    def add_row(self, log: str, date: str, numbers: Sequence[np.ndarray]) -> int:
+        """Add a log; return its number."""
+        row = "INSERT INTO logs (log, date, count, numbers, alarm) VALUES (?, ?, 1, ?, '')"
+        return int(self._database.execute(row, (log, date, np.concatenate(numbers).tobytes())).lastrowid or 0)
+
+    def add_event(self, kind: str, subject: str, date: str = "", note: str = "", details: Any = None) -> None:
+        """Add an event, of this moment without a date."""
+        values = (date or now(), kind, subject, note, json.dumps(details))
+        self._database.execute("INSERT INTO events (date, kind, subject, note, details) VALUES (?, ?, ?, ?, ?)", values)
+
+    def undo(self, event: Event) -> None:
+        """Mark an event as undone, and go back to the alarm before it."""
+        self._database.execute("UPDATE events SET undone = 1 WHERE id = ?", (event.id,))
+        self.alarm = Alarm.model_validate_json(event.details["alarm"]) if event.details["alarm"] else None
+
+    def condense(self) -> None:
+        """Condense logs beyond the last ``KEPT`` to one row a day, whenever there are more by ``SLACK``."""
+        if self._one("SELECT count(*) FROM logs WHERE count = 1") <= KEPT + SLACK:
+            return
+        days = defaultdict[str, list[Any]](list)
+        for row in self._database.execute("SELECT id, log, date, count, numbers FROM logs ORDER BY id").fetchall()[
+            :-KEPT
+        ]:
+            days[row[2][:10]].append(row)
+        for day, rows in days.items():
+            ids, names, _, counts, numbers = zip(*rows, strict=True)
+            x = np.array([np.frombuffer(part) for part in numbers])
+            weights = np.isfinite(x) * np.array(counts)[:, None]
+            mean = (weights * np.nan_to_num(x)).sum(axis=0) / np.where(weights.any(axis=0), weights.sum(axis=0), np.nan)
+            self._database.executemany("DELETE FROM logs WHERE id = ?", [(number,) for number in ids])
+            condensed = (ids[-1], names[-1], day, sum(counts), mean.tobytes())
+            self._database.execute("INSERT INTO logs VALUES (?, ?, ?, ?, ?, '')", condensed)
 
 
-def settings_of(database: sqlite3.Connection) -> WatchSettings:
-    """Read the head."""
-    return WatchSettings.model_validate_json(database.execute("SELECT document FROM settings").fetchone()[0])
-
-
-def save_settings(database: sqlite3.Connection, settings: WatchSettings) -> None:
-    """Write the head."""
-    database.execute("INSERT OR REPLACE INTO settings VALUES (0, ?)", (settings.model_dump_json(),))
-
-
-def add_row(database: sqlite3.Connection, digests: list[str], log: str, date: str, numbers: np.ndarray) -> LogRow:
-    """Add a log, which is recognised by these digests."""
-    database.executemany("INSERT OR IGNORE INTO seen VALUES (?)", [(digest[:DIGITS],) for digest in digests])
-    values = (log, date, numbers.tobytes())
-    done = database.execute("INSERT INTO logs (log, date, count, numbers, alarm) VALUES (?, ?, 1, ?, '')", values)
-    return LogRow(int(done.lastrowid or 0), log, date, 1, numbers)
-
-
-def rows_after(database: sqlite3.Connection, row: int) -> Iterator[LogRow]:
-    """Read the logs that were added after that with the number ``row``."""
-    columns = "SELECT id, log, date, count, numbers, alarm FROM logs WHERE id > ? ORDER BY id"
-    for number, log, date, count, numbers, alarm in database.execute(columns, (row,)):
-        yield LogRow(number, log, date, count, np.frombuffer(numbers), alarm)
-
-
-def add_event(
-    database: sqlite3.Connection, date: str, kind: str, subject: str = "", note: str = "", details: Any = None
-) -> None:
-    """Add an event."""
-    values = (date, kind, subject, note, json.dumps(details))
-    database.execute("INSERT INTO events (date, kind, subject, note, details) VALUES (?, ?, ?, ?, ?)", values)
-
-
-def events_of(database: sqlite3.Connection) -> list[Event]:
-    """Read the events, the oldest first."""
-    found = database.execute("SELECT id, date, kind, subject, note, details, undone FROM events ORDER BY id")
-    return [
-        Event(number, date, kind, subject, note, json.loads(details), bool(undone))
-        for number, date, kind, subject, note, details, undone in found
-    ]
-
-
-def summary_of(folder: Path) -> tuple[WatchSettings, list[Event], int, LogRow | None]:
-    """Read the settings and events of a history, the number of its logs and the last of them; raises GtauError."""
-    with closing(_opened(folder / HISTORY)) as database:
-        (count, newest) = database.execute("SELECT total(count), max(id) FROM logs").fetchone()
-        last = next(rows_after(database, newest - 1), None) if newest is not None else None
-        return settings_of(database), events_of(database), int(count), last
-
-
-def condense(database: sqlite3.Connection) -> bool:
-    """Condense logs beyond the last ``KEPT`` to one row a day; return whether any were."""
-    ids = [number for (number,) in database.execute("SELECT id FROM logs ORDER BY id DESC")]
-    if len(ids) <= KEPT + SLACK:
-        return False
-    days: dict[str, list[LogRow]] = {}
-    for row in rows_after(database, -1):
-        if row.id < ids[KEPT - 1]:
-            days.setdefault(row.date[:10], []).append(row)
-    for day, rows in days.items():
-        count = np.array([row.count for row in rows], dtype=float)[:, None]
-        numbers = np.array([row.numbers for row in rows])
-        there = np.where(np.isfinite(numbers), count, 0.0)
-        mean = (there * np.nan_to_num(numbers)).sum(axis=0) / np.where(there.any(axis=0), there.sum(axis=0), np.nan)
-        database.executemany("DELETE FROM logs WHERE id = ?", [(row.id,) for row in rows])
-        database.execute(
-            "INSERT INTO logs VALUES (?, ?, ?, ?, ?, ?)",
-            (rows[-1].id, rows[-1].log, day, int(count.sum()), mean.tobytes(), rows[-1].alarm),
-        )
-    return True
+def now() -> str:
+    """Return the time, ISO 8601, in seconds."""
+    return datetime.now(UTC).isoformat(timespec="seconds")

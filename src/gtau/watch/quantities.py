@@ -18,7 +18,7 @@ off     offset of the current                        1
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -68,35 +68,26 @@ class Quantity:
 
     @property
     def group(self) -> str:
-        """``load``, or the kind itself."""
-        return self.kind if self.joint else "load"
+        """``load``, ``friction``, or the kind itself."""
+        return "load" if not self.joint else "friction" if self.kind in PLAIN_FRICTION else self.kind
 
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
     """Normal equations of a log, ``A^T A`` with ``A = [columns | y]``, rows divided by the model's own residual.
 
-    ``G`` (blocks, n, p + 1, p + 1) of the equations of each joint in each block that the jackknife leaves out;
-    ``rows`` (blocks, n) behind them; ``tau`` (n,) rms torque of each joint, ``sigma`` (n,) the residual by which its
-    rows are divided, N m or N, and ``speed`` (n,) its mean absolute velocity.
+    ``G`` (blocks, n, p + 1, p + 1) of the equations of each joint in each block that the jackknife leaves out,
+    ``rows`` (blocks, n) behind them; ``speed`` (n,) is the mean absolute velocity of each joint in its rows.
     """
 
     quantities: tuple[Quantity, ...]
     G: np.ndarray
     rows: np.ndarray
-    tau: np.ndarray
-    sigma: np.ndarray
     speed: np.ndarray
 
-    @property
-    def friction(self) -> list[int]:
-        """Columns of friction and offsets."""
-        return [k for k, quantity in enumerate(self.quantities) if quantity.group in PLAIN_FRICTION]
-
-    @property
-    def load(self) -> list[int]:
-        """Columns of the load."""
-        return [k for k, quantity in enumerate(self.quantities) if quantity.group == "load"]
+    def columns(self, group: str) -> list[int]:
+        """List the columns of a group of quantities."""
+        return [k for k, quantity in enumerate(self.quantities) if quantity.group == group]
 
     @property
     def charts(self) -> list[int]:
@@ -104,69 +95,56 @@ class NormalEquations:
         return [k for k, quantity in enumerate(self.quantities) if quantity.charted]
 
 
-def quantities_of(model: Result, of_load: Iterable[str]) -> tuple[Quantity, ...]:
-    """List the watched quantities of a model and the parameters ``of_load``, in the order of the columns."""
-    robot, motors = model.robot, model.robot.motors
-    units = {joint: ZERO_UNITS[robot.joint(joint).kind][0] for joint in motors}
-    return (
-        *(Quantity(kind, "", unit_of(kind, robot, robot.tool)) for kind in of_load),
-        *(Quantity("gain", joint, "1") for joint in motors),
-        *(Quantity("zero", joint, units[joint]) for joint in motors),
-        *(Quantity("delay", joint, "s") for joint in motors),
-        *(
-            Quantity(kind, joint, unit_of(kind, robot, joint))
-            for kind, joint in product(PLAIN_FRICTION, motors)
-            if Parameter(kind, joint) in model.base.standard
-        ),
-    )
+def quantities_of(model: Result) -> tuple[tuple[Quantity, ...], np.ndarray]:
+    """List the watched quantities of a model in the order of the columns, and the base columns (n_b, k) of a load."""
+    robot, standard = model.robot, model.base.standard
 
+    def unit(kind: str, joint: str) -> str:
+        if kind == "zero":
+            return ZERO_UNITS[robot.joint(joint).kind][0]
+        return {"gain": "1", "delay": "s"}.get(kind) or unit_of(kind, robot, joint)
 
-def charts_of(model: Result) -> tuple[Quantity, ...]:
-    """List the charts of a model."""
     (payload,) = payload_columns(model.idm, model.base, [Payload(name="load")])
-    quantities = quantities_of(model, [name.kind for name in payload.unknown])
-    return tuple(quantity for quantity in quantities if quantity.charted)
+    of_load = (Quantity(name.kind, "", unit(name.kind, robot.tool)) for name in payload.unknown)
+    of_joints = (
+        Quantity(kind, joint, unit(kind, joint))
+        for kind, joint in product(("gain", "zero", "delay", *PLAIN_FRICTION), robot.motors)
+        if kind not in PLAIN_FRICTION or Parameter(kind, joint) in standard
+    )
+    return (*of_load, *of_joints), payload.columns
+
+
+def identified(model: Result, quantity: Quantity) -> float:
+    """Return the identified value of a quantity of friction, 0 where there is none."""
+    estimate = model.friction_parameters.get(Parameter(quantity.kind, quantity.joint))
+    return 0.0 if estimate is None else estimate.value or 0.0
 
 
 def normal_equations(model: Result, run: Run) -> NormalEquations:
     """Reduce a log to the normal equations of the watched quantities; raises GtauError."""
-    if model.robot.floating:
-        raise GtauError(f"the base of robot '{model.robot.name}' floats; only robots with a fixed base are watched.")
-    if run.kind != model.kind:
-        raise GtauError(
-            f"run '{run.name}' holds {run.kind}s, but the model was identified from {model.kind}s; give a log of the "
-            "same kind."
-        )
-    idm, base = model.idm, model.base
-    run = run.ordered(idm.actuated, link_side=False)
-    check_wrenches(model.robot, run)
-    check_temperature_unit(model, run)
+    idm, base, n = model.idm, model.base, len(model.idm.actuated)
+    run = _suitable(model, run)
     preparation = at_rate_of([run], model.preparation)
     (prepared,) = prepare_runs(idm, [run], preparation)
-    decimator, n = preparation.at(run.rate).decimator, len(idm.actuated)
-    chi = loaded_parameters(model, run.payload, f"run '{run.name}'")
-    load, friction = np.array(transmitted(np, base.standard, chi)), friction_along(model, prepared, chi)
-    (payload,) = payload_columns(idm, base, [Payload(name="load")])
-    quantities, sigma = quantities_of(model, [name.kind for name in payload.unknown]), _sigma(model)
-    p = len(quantities)
-    G, rows = np.zeros((BLOCKS, n, p + 1, p + 1)), np.zeros((BLOCKS, n), dtype=int)
-    power, way = np.zeros(n), np.zeros(n)
+    decimator = preparation.at(run.rate).decimator
     blocks = block_of(block_edges(prepared), decimator.outputs(len(prepared)))
     if len(blocks) < FEWEST_ROWS:
-        least = run.time[-1] - run.time[0]
-        least *= FEWEST_ROWS / max(len(blocks), 1)
+        least = (run.time[-1] - run.time[0]) * FEWEST_ROWS / max(len(blocks), 1)
         raise TooShort(
             f"run '{run.name}' gives {len(blocks)} rows a joint at the rate of the identification, {FEWEST_ROWS} are "
             f"needed; give at least {np.ceil(least):.0f} s of motion."
         )
-    regressor = idm.columns(base.standard)
-    for part in stream_rows(idm, regressor, prepared, decimator, load, friction=friction):
-        A, tau = _columns(model, part, load, payload.columns, quantities, run.name)
+    chi = loaded_parameters(model, run.payload, f"run '{run.name}'")
+    load, friction = np.array(transmitted(np, base.standard, chi)), friction_along(model, prepared, chi)
+    (quantities, payload), sigma = quantities_of(model), _sigma(model)
+    p = len(quantities)
+    G, rows, way = np.zeros((BLOCKS, n, p + 1, p + 1)), np.zeros((BLOCKS, n), dtype=int), np.zeros(n)
+    for part in stream_rows(idm, idm.columns(base.standard), prepared, decimator, load, friction=friction):
+        A = _columns(model, part, load, payload, quantities, run.name)
         for j, kept in enumerate(part.keep[:n]):
             block = blocks[part.outputs][kept]
             add_products(G[:, j], A[j, kept] / sigma[j], block)
             np.add.at(rows[:, j], block, 1)
-            power[j] += float(np.sum(tau[j, kept] ** 2))
             way[j] += float(np.sum(np.abs(part.motion.yd[idm.layout.actuated[j], kept])))
     count = rows.sum(axis=0)
     if not (count >= FEWEST_ROWS).any():
@@ -174,8 +152,22 @@ def normal_equations(model: Result, run: Run) -> NormalEquations:
             f"run '{run.name}' has at most {count.max()} usable rows a joint, away from its reversals and gaps; give a "
             "longer log."
         )
-    count = np.maximum(count, 1)
-    return NormalEquations(quantities, G, rows, np.sqrt(power / count), sigma, way / count)
+    return NormalEquations(quantities, G, rows, way / np.maximum(count, 1))
+
+
+def _suitable(model: Result, run: Run) -> Run:
+    """Return the run with its joints in the order of the model's; raises GtauError where it is not of this model."""
+    if model.robot.floating:
+        raise GtauError(f"the base of robot '{model.robot.name}' floats; only robots with a fixed base are watched.")
+    if run.kind != model.kind:
+        raise GtauError(
+            f"run '{run.name}' holds {run.kind}s, but the model was identified from {model.kind}s; give a log of the "
+            "same kind."
+        )
+    run = run.ordered(model.robot.actuated, link_side=False)
+    check_wrenches(model.robot, run)
+    check_temperature_unit(model, run)
+    return run
 
 
 def _sigma(model: Result) -> np.ndarray:
@@ -187,51 +179,41 @@ def _sigma(model: Result) -> np.ndarray:
 
 def _columns(
     model: Result, part: Rows, load: np.ndarray, payload: np.ndarray, quantities: Sequence[Quantity], run: str
-) -> tuple[np.ndarray, np.ndarray]:
-    """Build rows ``[columns | y]`` (n, K, p + 1) and torques (n, K) of base parameters and payload (n_b, k)."""
-    idm = model.idm
-    n, regressor = len(idm.actuated), idm.columns(model.base.standard)
-    W = part.matrix(regressor, n)
-    assert part.friction is not None
+) -> np.ndarray:
+    """Build rows ``[columns | y]`` (n, K, p + 1) from base parameters (n_b,) and payload (n_b, k)."""
+    idm, standard = model.idm, model.base.standard
+    W = part.matrix(idm.columns(standard), len(idm.actuated))
     tau = W @ load - part.external + part.friction
-    delays = np.array([model.delays[joint].value or 0.0 for joint in idm.actuated])
+    gains, delays = model.gains[:, None], np.array([model.delays[joint].value or 0.0 for joint in idm.actuated])
     _, v_d, v_dd = part.currents
-    gains = model.gains[:, None]
-    measured = gains * np.einsum("ijk,ji->jk", part.currents, delayed(delays))
-    rate = gains * (v_d - delays[:, None] * v_dd)
-    A = np.zeros((n, len(part.time), len(quantities) + 1))
+    A = np.zeros((*tau.shape, len(quantities) + 1))
     A[..., : payload.shape[1]] = W @ payload
+    A[..., -1] = gains * np.einsum("ijk,ji->jk", part.currents, delayed(delays)) - tau
     zeros = _of_zeros(model, part, load, run)
-    for k, quantity in enumerate(quantities):
-        if not quantity.joint:
-            continue
+    for k, quantity in enumerate(quantities[payload.shape[1] :], start=payload.shape[1]):
         j = idm.actuated.index(quantity.joint)
         match quantity.kind:
             case "gain":
                 A[j, :, k] = -tau[j]
             case "delay":
-                A[j, :, k] = -rate[j]
+                A[j, :, k] = -gains[j] * (v_d[j] - delays[j] * v_dd[j])
             case "zero":
-                A[:, :, k] = zeros[j]
+                A[..., k] = zeros[j]
             case _:
-                A[:, :, k] = W[:, :, model.base.standard.index(quantity.name)]
-    A[..., -1] = measured - tau
-    return A, tau
+                A[..., k] = W[..., standard.index(quantity.name)]
+    return A
 
 
 def _of_zeros(model: Result, part: Rows, load: np.ndarray, run: str) -> np.ndarray:
     """Differentiate the torques (n, K) with respect to each encoder zero, (n, n, K), per degree or millimetre."""
-    idm = model.idm
-    n, actuated = len(idm.actuated), idm.layout.actuated
-    regressor, motion, labels = idm.columns(model.base.standard), part.motion, instants(run, part.time)
-    q, qd, qdd = (np.ascontiguousarray(states[actuated]) for states in (motion.c, motion.yd, motion.ydd))
+    idm, motion, labels = model.idm, part.motion, instants(run, part.time)
+    regressor = idm.columns(model.base.standard)
+    q, qd, qdd = (np.ascontiguousarray(states[idm.layout.actuated]) for states in (motion.c, motion.yd, motion.ydd))
     before = regressor.torques_along(idm.layout, motion, load)
-    columns = np.zeros((n, n, len(part.time)))
-    for j, joint in enumerate(idm.actuated):
-        moved = q.copy()
-        moved[j] += STEP
+    columns = np.zeros((len(q), *before.shape))
+    for j, (joint, shift) in enumerate(zip(idm.actuated, STEP * np.eye(len(q)), strict=True)):
         try:
-            c = idm.near(motion.c, moved, labels)
+            c = idm.near(motion.c, q + shift[:, None], labels)
         except GtauError:
             continue  # the loops do not close there: this zero is not watched
         along = regressor.torques_along(idm.layout, idm.rates(c, qd, qdd, labels), load)

@@ -16,9 +16,8 @@ import numpy as np
 
 from gtau.estimation.estimators.estimator import jackknife
 from gtau.estimation.results.result import Result
-from gtau.robots.parameter import torque_unit
 from gtau.signals.run import Run
-from gtau.watch.quantities import NormalEquations, Quantity, normal_equations
+from gtau.watch.quantities import NormalEquations, Quantity, normal_equations, quantities_of
 
 SPANNED = 1e-6  # of the square of a column: a smaller residual is linear dependence on the others
 SHOWN = 0.03  # of a joint's rms torque, by which a change of one standard deviation may at most move it
@@ -56,46 +55,45 @@ class LogStatistics:
         return np.where(self.shown, np.sqrt(np.diag(self.covariance)), np.nan)
 
     @property
-    def joints(self) -> tuple[str, ...]:
-        """Names of the n joints, those of the residuals."""
-        return tuple(chart.joint for chart in self.charts if chart.kind == RESIDUAL)
-
-    @property
     def shown(self) -> np.ndarray:
         """Mask (k,) of the charts that are observable in this motion."""
         return np.isfinite(self.values)
 
 
+def charts_of(model: Result) -> tuple[Quantity, ...]:
+    """List the charts of a model."""
+    quantities, _ = quantities_of(model)
+    residuals = (Quantity(RESIDUAL, joint, "log") for joint in model.robot.actuated)
+    return (*(quantity for quantity in quantities if quantity.charted), *residuals)
+
+
 def statistics_of(model: Result, run: Run) -> LogStatistics:
     """Compute the statistics of a finished log, whose payload is part of what is expected; raises GtauError."""
-    normal = normal_equations(model, run)
-    total, quantities, joints = normal.G.sum(axis=(0, 1)), normal.quantities, model.robot.actuated
+    normal, charts = normal_equations(model, run), charts_of(model)
+    total, blocks = normal.G.sum(axis=(0, 1)), np.arange(len(normal.G))
     C, usable = _combinations(total, normal)
-    p, k = len(quantities), len(normal.charts)
-    values = C @ total[:p, p]
-    residual, uneven = _residuals(normal, np.ones(len(normal.G), dtype=bool))
-    replicates = []
-    for block in np.flatnonzero(normal.rows.sum(axis=1)):
+    residual, uneven = _residuals(normal, blocks >= 0)
+    k, p, K = len(C), len(total) - 1, len(charts)
+    values, replicates = np.concatenate([C @ total[:p, p], residual]), []
+    for block in np.flatnonzero(normal.rows.any(axis=1)):
         rest = total - normal.G[block].sum(axis=0)
         without, fine = _combinations(rest, normal)
-        rms, _ = _residuals(normal, np.arange(len(normal.G)) != block)
-        replicates.append(np.concatenate([np.where(fine, without @ rest[:p, p], values), rms]))
-    every = np.concatenate([values, residual])
-    covariance = jackknife(np.array(replicates)) if len(replicates) > 1 else np.full((len(every),) * 2, np.inf)
+        residual, _ = _residuals(normal, blocks != block)
+        replicates.append(np.concatenate([np.where(fine, without @ rest[:p, p], values[:k]), residual]))
+    covariance = jackknife(np.array(replicates)) if len(replicates) > 1 else np.full((K, K), np.inf)
     std = np.sqrt(np.diag(covariance))
-    response = np.vstack([C @ total[:p, :p], np.zeros((len(joints), p))])
-    formula = np.zeros((len(every),) * 2)
+    response, formula = np.zeros((K, p)), np.zeros((K, K))
+    response[:k] = C @ total[:p, :p]
     formula[:k, :k] = response[:k] @ C.T
     formula[k:, k:] = np.diag(0.5 / np.maximum(normal.rows.sum(axis=0), 1))  # of the logarithm of an rms
-    visible = np.sqrt(np.diag(formula)[:k]) < _limits(normal)
-    shown = np.concatenate([usable & visible, np.isfinite(residual)]) & (std > 0) & np.isfinite(std)
-    residuals = (Quantity(RESIDUAL, joint, torque_unit(model.robot, joint)) for joint in joints)
+    shown = np.isfinite(values) & (std > 0) & np.isfinite(std)
+    shown[:k] &= usable & (np.sqrt(np.diag(formula)[:k]) < _limits(normal))
     return LogStatistics(
         run.name,
-        (*(quantities[c] for c in normal.charts), *residuals),
-        np.where(shown, every, np.nan),
+        charts,
+        np.where(shown, values, np.nan),
         np.where(shown[:, None] & shown, covariance, 0.0),
-        quantities,
+        normal.quantities,
         response,
         formula,
         uneven,
@@ -106,9 +104,8 @@ def statistics_of(model: Result, run: Run) -> LogStatistics:
 
 def _combinations(G: np.ndarray, normal: NormalEquations) -> tuple[np.ndarray, np.ndarray]:
     """Find the combinations C (k, p) with ``x = C A^T y`` of the charted quantities, and whether each is usable."""
-    p, friction, load = len(G) - 1, normal.friction, normal.load
-    combinations = np.zeros((p, p))
-    norms = np.sqrt(np.diag(G)[:p])
+    p, friction, load = len(G) - 1, normal.columns("friction"), normal.columns("load")
+    combinations, norms = np.zeros((p, p)), np.sqrt(np.diag(G)[:p])
     scale = np.where(norms > 0, norms, 1.0)
     N = G[:p, :p] / scale / scale[:, None]
     inverse = _inverse(N[np.ix_(friction, friction)])
@@ -129,13 +126,13 @@ def _combinations(G: np.ndarray, normal: NormalEquations) -> tuple[np.ndarray, n
 def _inverse(M: np.ndarray) -> np.ndarray:
     """Invert a symmetric matrix, directions without any effect left out."""
     values, vectors = np.linalg.eigh(M)
-    kept = values > 1e-10 * max(values[-1], 1e-300) if len(values) else np.zeros(0, dtype=bool)
+    kept = values > 1e-10 * values.max(initial=1e-290)
     return np.asarray((vectors[:, kept] / values[kept]) @ vectors[:, kept].T)
 
 
 def _residuals(normal: NormalEquations, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Compute each joint's log ratio of rms residuals, friction free, in the blocks ``used``, and its unevenness."""
-    friction, n = normal.friction, normal.G.shape[1]
+    friction, n = normal.columns("friction"), len(normal.speed)
     rms, uneven = np.full(n, np.nan), np.ones(n)
     for j in np.flatnonzero(normal.rows[used].sum(axis=0)):
         total, rows = normal.G[used, j].sum(axis=0), normal.rows[:, j]
@@ -151,10 +148,11 @@ def _residuals(normal: NormalEquations, used: np.ndarray) -> tuple[np.ndarray, n
 def _limits(normal: NormalEquations) -> np.ndarray:
     """Find the largest standard deviation of an observable chart: it moves no joint's torque by more than SHOWN.
 
-    It depends on the motion and the model's residual alone, so that a fault does not hide what the motion shows.
+    It depends on the motion and the model's residual alone, so that a fault does not hide what the motion shows. The
+    rms torque of a joint is that of the column of its gain.
     """
-    count = np.maximum(normal.rows.sum(axis=0), 1)
-    squares = np.einsum("sjpp->jp", normal.G)[:, normal.charts] / count[:, None]  # in units of sigma
-    share = np.sqrt(squares) * (normal.sigma / np.maximum(normal.tau, 1e-300))[:, None]
-    of_zeros = [LARGEST_ZERO if normal.quantities[k].kind == "zero" else np.inf for k in normal.charts]
-    return np.minimum(SHOWN / np.maximum(share.max(axis=0), 1e-300), of_zeros)
+    squares = np.einsum("sjpp->jp", normal.G)[:, :-1]
+    of_torque = np.diag(squares[:, normal.columns("gain")])
+    share = np.sqrt(squares / np.maximum(of_torque, 1e-300)[:, None]).max(axis=0)
+    largest = [LARGEST_ZERO if quantity.kind == "zero" else np.inf for quantity in normal.quantities]
+    return np.minimum(SHOWN / np.maximum(share, 1e-300), largest)[normal.charts]

@@ -128,13 +128,15 @@ def diagnose(
     )
 
 
-def channel_verdicts(fit: Fit, estimates: Estimates, findings: Sequence[Finding]) -> dict[Parameter, Verdict]:
-    """Judge the gains of the motors by findings on them, and the delays of all channels."""
+def channel_verdicts(
+    fit: Fit, estimates: Estimates, findings: Sequence[Finding], delayed: bool
+) -> dict[Parameter, Verdict]:
+    """Judge the gains of the motors by findings on them, and the delays of all channels, where any is ``delayed``."""
     gains = decide(motors(fit), findings, GOOD if fit.free_gains else GIVEN)
     unknowns = estimates.unknowns
     std = np.sqrt(np.diag(estimates.random))[unknowns.delays]
     period = 1 / min(run.rate for run in fit.dataset.runs)
-    delays = delay_verdicts(fit.system.problem, fit.solution, std, period) if std.any() else [GOOD] * len(std)
+    delays = delay_verdicts(fit.system.problem, fit.solution, std, period) if delayed else [GOOD] * len(std)
     of_delays = dict(zip(unknowns[unknowns.delays], delays, strict=True))
     return {Parameter("gain", joint): verdict for joint, verdict in gains.items()} | of_delays
 
@@ -269,7 +271,7 @@ def base_misfit(fit: Fit) -> dict[str, float]:
     residual, measured = fit.solution.sigma[rows] ** 2, problem.balance(theta)[rows] ** 2
     terms = problem.largest_terms(theta)[rows] ** 2
     parts = {"forces": slice(0, 3), "moments": slice(3, 6)} if len(rows) else {}
-    # of a base that hangs still at its centre of mass, the moment is noise
+    # on a base at rest, hung at its centre of mass, the measured moment is noise alone
     return {
         part: float(np.sqrt(residual[axes].sum() / max(measured[axes].sum(), terms[axes].sum() / 9, 1e-300)))
         for part, axes in parts.items()

@@ -82,29 +82,34 @@ def rank_meanings(dataset: Dataset, slowest: float) -> tuple[Finding, ...]:
     if not joints:
         return UNRANKED
     shares = np.array([joint.left(joint.effort) for joint in joints])  # (n, n + 1)
-    left, names = np.diag(shares), dataset.model.actuated
+    remaining, names = np.diag(shares), dataset.model.actuated
     counts = np.array([_independent(joint, j) for j, joint in enumerate(joints)])
     total = float(counts.sum())
 
-    def gain(after: np.ndarray, before: np.ndarray = left) -> float:
+    def gain(after: np.ndarray, before: np.ndarray = remaining) -> float:
         return float(counts @ np.log(np.maximum(before, TINY) / np.maximum(after, TINY)))
 
     def made(
-        kind: str, after: np.ndarray, altered: Sequence[int], chosen: int = 0, before: np.ndarray = left, **values: Any
+        kind: str,
+        after: np.ndarray,
+        altered: Sequence[int],
+        chosen: int = 0,
+        before: np.ndarray = remaining,
+        **values: Any,
     ) -> Finding:
         values["likelihood"] = gain(after, before) - chosen / 2 * float(np.log(total))
         values |= {"exchanged": float(after[altered].max()), "as_logged": float(before[altered].min())}
         return Finding(kind, tuple(names[j] for j in altered), values=values)
 
-    none = gain(np.full(len(left), float(MISFIT)))
+    none = gain(np.full(len(remaining), float(MISFIT)))
     meanings = [Finding(NONE, values={"likelihood": none})]
     meanings += _late(joints, shares, made)
     meanings += _permuted(shares, counts, made)
-    meanings += _magnitudes(joints, left, made)
+    meanings += _magnitudes(joints, remaining, made)
     alone = not dataset.robot.floating and not any(run.wrenches for run in dataset.runs)
     torques = alone and dataset.runs[0].kind == "torque"
     if torques and none < 0:
-        meanings += _among_joints(joints, left, made)
+        meanings += _among_joints(joints, remaining, made)
     gains = np.array([gain(_with_gravity(joints, share)) for share in SHARES])
     held = np.array(SHARES)[gains > gains.max() - LIKELY_SHARES]
     low, high = float(held.min()), float(held.max())
@@ -118,7 +123,7 @@ def rank_meanings(dataset: Dataset, slowest: float) -> tuple[Finding, ...]:
         near = max(abs(coefficient) - SIGN_STD * std, 0.0)  # a reversed column has gravity too
         missing = as_well and near < NO_GRAVITY and abs(coefficient) + SIGN_STD * std < WITH_GRAVITY
         if (turned := scale[0] / scale[1]) < -SIGN_STD:  # of the coefficient, at its size with either sign
-            values = {"likelihood": 2 * turned**2, "exchanged": float(left.max()), "as_logged": 1.0}
+            values = {"likelihood": 2 * turned**2, "exchanged": float(remaining.max()), "as_logged": 1.0}
             meanings.append(Finding(F.REVERSED, names, values=values))
     if alone and missing and without > MEANING_CLOSE:
         meanings.append(Finding(F.WITHOUT_GRAVITY, values={"likelihood": without}))
@@ -136,12 +141,12 @@ def _independent(joint: JointRows, j: int) -> float:
 
 def _late(joints: Sequence[JointRows], shares: np.ndarray, made: Maker) -> Iterator[Finding]:
     """Shift the columns that fit much better at a lag, of either sign, than at any delay that the model describes."""
-    left, shifted = np.diag(shares), shares[:, -1]
+    remaining, shifted = np.diag(shares), shares[:, -1]
     lags = [joint.lag for joint in joints]
-    late = [j for j, lag in enumerate(lags) if lag is not None and shifted[j] < LATE * left[j]]
+    late = [j for j, lag in enumerate(lags) if lag is not None and shifted[j] < LATE * remaining[j]]
     if late:
-        after = np.where(np.isin(range(len(left)), late), shifted, left)
-        of_joints = [lags[j] for j in late], shifted[late].tolist(), left[late].tolist()
+        after = np.where(np.isin(range(len(remaining)), late), shifted, remaining)
+        of_joints = [lags[j] for j in late], shifted[late].tolist(), remaining[late].tolist()
         yield made(F.LATE, after, late, len(late), late=of_joints)
 
 
@@ -156,14 +161,14 @@ def _permuted(shares: np.ndarray, counts: np.ndarray, made: Maker) -> Iterator[F
         yield made(F.SWAPPED, assigned, altered.tolist())
 
 
-def _magnitudes(joints: Sequence[JointRows], left: np.ndarray, made: Maker) -> Iterator[Finding]:
+def _magnitudes(joints: Sequence[JointRows], remaining: np.ndarray, made: Maker) -> Iterator[Finding]:
     """Give columns without negative values the signs with which the equations explain most of them."""
-    shares = left.copy()
+    shares = remaining.copy()
     for j, joint in enumerate(joints):
         effort = joint.effort[:, j]
         if effort.size and effort.min() > -HARDLY_NEGATIVE * effort.max():
             shares[j] = joint.left(_signed(joint.basis, effort))
-    altered = np.flatnonzero(shares < SWAPPED * left).tolist()
+    altered = np.flatnonzero(shares < SWAPPED * remaining).tolist()
     if altered:
         yield made(F.MAGNITUDES, shares, altered, len(altered))
 
@@ -184,7 +189,7 @@ def _signed(basis: np.ndarray, effort: np.ndarray) -> np.ndarray:
     return np.asarray(signs[part] * effort)
 
 
-def _among_joints(joints: Sequence[JointRows], left: np.ndarray, made: Maker) -> Iterator[Finding]:
+def _among_joints(joints: Sequence[JointRows], remaining: np.ndarray, made: Maker) -> Iterator[Finding]:
     """Exchange two columns, or reverse some, so that the parameters which the joints share explain them together."""
     n = len(joints)
     order, signs = np.arange(n), np.ones(n)
@@ -194,7 +199,7 @@ def _among_joints(joints: Sequence[JointRows], left: np.ndarray, made: Maker) ->
         if altered and np.all((after < SWAPPED * before)[altered]):
             yield made(kind, after, altered, chosen, before)
 
-    wrong = np.flatnonzero(before > np.maximum(RETRIED * left, GRAVITY_MISFIT)).tolist()
+    wrong = np.flatnonzero(before > np.maximum(RETRIED * remaining, GRAVITY_MISFIT)).tolist()
     for pair in combinations(range(n), 2):
         if set(pair) & set(wrong):
             other = order.copy()
@@ -222,23 +227,23 @@ def _together(joints: Sequence[JointRows], order: np.ndarray, signs: np.ndarray)
         rows[-1][:, joint.names] = R[:, :p]
         efforts.append(sign * R[:, 2 * p + column])
     norms = np.array([max(float(np.linalg.norm(effort)), 1e-300) for effort in efforts])
-    left = np.ones(len(joints))
+    remaining = np.ones(len(joints))
     for _ in range(REWEIGHTED):
-        weights = 1 / (norms * np.maximum(left, TINY))
+        weights = 1 / (norms * np.maximum(remaining, TINY))
         J, e = (np.concatenate([w * part for w, part in zip(weights, parts, strict=True)]) for parts in (rows, efforts))
         theta = least_squares_step(J, -e)
-        left = np.array([np.linalg.norm(v - A @ theta) for v, A in zip(efforts, rows, strict=True)]) / norms
-    return left
+        remaining = np.array([np.linalg.norm(v - A @ theta) for v, A in zip(efforts, rows, strict=True)]) / norms
+    return remaining
 
 
 def _with_gravity(joints: Sequence[JointRows], share: float) -> np.ndarray:
     """Fit the columns with a ``share`` of gravity, that of inertia being one: the shares that they leave (n,)."""
-    left = []
+    remaining = []
     for j, joint in enumerate(joints):
         R, p = joint.factor, len(joint.names)
         basis = basis_of(R[:, :p] - (1 - share) * R[:, p : 2 * p])
-        left.append(unexplained(basis, R[:, 2 * p + j]))
-    return np.array(left)
+        remaining.append(unexplained(basis, R[:, 2 * p + j]))
+    return np.array(remaining)
 
 
 def _by_file(

@@ -156,9 +156,9 @@ def _file_values(fit: Fit, identified: np.ndarray) -> tuple[np.ndarray, np.ndarr
     of_drives = base.matrix[:, [name.kind in DRIVE[1:] for name in names]]
     inertial = np.any(of_bodies, axis=1) & ~np.any(of_drives, axis=1)
     unknown, raised = np.any(unstated, axis=1), np.all(unstated >= 0, axis=1)
-    own = identified[: base.count]
-    values = np.where(inertial, values, own)
-    values = np.where(unknown, np.where(raised, np.maximum(values, own), own), values)
+    fitted = identified[: base.count]
+    values = np.where(inertial, values, fitted)
+    values = np.where(unknown, np.where(raised, np.maximum(values, fitted), fitted), values)
     return np.append(values, identified[base.count :]), inertial, np.asarray(unknown & inertial)
 
 
@@ -207,7 +207,7 @@ def _parameters(
 
     base, robot, places = fit.dataset.base, fit.dataset.robot, fit.system.problem.unknowns.places
     stated = stated_inertias(robot)
-    own = (base.matrix @ [stated.get(name, 0.0) for name in fit.dataset.model.parameter_names]).tolist()
+    fitted = (base.matrix @ [stated.get(name, 0.0) for name in fit.dataset.model.parameter_names]).tolist()
     tested: dict[Parameter, float] = {}
     audited: dict[Parameter, AuditedParameter] = {}
     for k in np.flatnonzero(inertial).tolist():
@@ -222,7 +222,7 @@ def _parameters(
             sizes = sizes_of(stated, body) if Parameter("m", body) in stated else None
             size = abs(of_file) if kind == "ia" else (sizes or {}).get(kind, 0.0)
             if unstated[k]:
-                entry = replace(entry, standing="not stated", stated=own[k] if kind in INERTIAL else None)
+                entry = replace(entry, standing="not stated", stated=fitted[k] if kind in INERTIAL else None)
             elif half <= max(size, abs(of_file)):
                 entry = replace(entry, z=(value - of_file) / float(np.hypot(std, prior_std)))
                 tested[name] = nu

@@ -144,9 +144,9 @@ class Linearised:
         """Orthonormal Jacobian W (W, c, p, r), ``W^T e`` (r,), and of what is left of e, ``W^T e`` and ``W^T W``."""
         W = self.jacobian @ self.back
         W_e = np.einsum("wjpk,wjp->k", W, self.errors)
-        left = self.errors - W @ W_e
-        W_left = np.einsum("wipk,wip->wk", W, left)
-        return W, W_e, left, W_left, np.einsum("wipk,wipl->wkl", W, W, optimize=True)
+        remaining = self.errors - W @ W_e
+        W_left = np.einsum("wipk,wip->wk", W, remaining)
+        return W, W_e, remaining, W_left, np.einsum("wipk,wipl->wkl", W, W, optimize=True)
 
     def score_tests(self, columns: slice, shared: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Test each candidate column alone, in each channel's equations alone or ``shared`` by all channels.
@@ -161,7 +161,7 @@ class Linearised:
             standard deviation, infinite where the other unknowns span the column, the share of the residual variance
             that goes with it, and by how much the other unknowns move for a unit of it, (m, n, k).
         """
-        W, W_e, left, W_left, W_W = self._white
+        W, W_e, remaining, W_left, W_W = self._white
         offered = self.offered[..., columns].swapaxes(2, 3)  # (W, c, m, p)
 
         def folded(of_channels: np.ndarray) -> np.ndarray:
@@ -171,7 +171,7 @@ class Linearised:
 
         # of each window, products of its column, (m, j) of joint j in all rows i, with W, itself and the residuals
         c_W, c_c = folded(offered @ W), folded(np.sum(offered**2, axis=-1))
-        c_e, c_left = (folded((offered @ e[..., None])[..., 0]) for e in (self.errors, left))
+        c_e, c_left = (folded((offered @ e[..., None])[..., 0]) for e in (self.errors, remaining))
         along, squares = c_W.sum(axis=0), c_c.sum(axis=0)
         rest = squares - np.sum(along**2, axis=-1)
         spanned = rest <= SPANNED * np.maximum(squares, 1e-300)

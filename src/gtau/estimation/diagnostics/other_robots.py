@@ -68,27 +68,27 @@ from gtau.signals.reading.statements import Payload
 def other_loads(fit: Fit) -> Alternative | None:
     """Find the runs whose bodies at the tool are other than declared, with their masses; None without any."""
     unrefined = fit.solve(fit.system.problem)  # residuals as those of the others
-    own = replace(fit, solution=replace(fit.solution, sigma=unrefined.sigma))
-    runs, carried, left = range(len(fit.dataset.runs)), tuple[int, ...](), 1.0
+    unaltered = replace(fit, solution=replace(fit.solution, sigma=unrefined.sigma))
+    runs, carried, remaining = range(len(fit.dataset.runs)), tuple[int, ...](), 1.0
     best: Fit | None = None
     while best is None or len(carried) < len(runs) - 1:
         wider = [(*carried, run) for run in runs if run not in carried]
         tried = {runs: other for runs in wider if (other := _loaded(fit, runs)) is not None}
-        ratios = {runs: residual_ratio(other, own) for runs, other in tried.items()}
+        ratios = {runs: residual_ratio(other, unaltered) for runs, other in tried.items()}
         least = min(ratios.values(), default=1.0)
-        if least > LOAD_LEFT * left:
+        if least > LOAD_LEFT * remaining:
             break
         # a body in some runs is one that the others lack: more is forgotten than taken away
         alike = [runs for runs, ratio in ratios.items() if ratio < LOAD_ALIKE * least]
         carried = max(alike, key=lambda runs: _added(tried[runs], runs)[-1])
-        best, left = tried[carried], ratios[carried]
+        best, remaining = tried[carried], ratios[carried]
     if best is None:
         return None
     masses, std = _added(best, carried), np.sqrt(np.diag(best.solution.jackknife))[_places(best, carried)]
     declared = [_declared(fit, run) for run in carried]
     if np.any(np.abs(masses) < np.maximum(REFUTED_STD * std, MASS_ABSENT * np.array(declared))):
         return None
-    return _of_bodies(best, own, carried, masses, std)
+    return _of_bodies(best, unaltered, carried, masses, std)
 
 
 def _loaded(fit: Fit, runs: tuple[int, ...]) -> Fit | None:
@@ -117,20 +117,20 @@ def _declared(fit: Fit, run: int) -> float:
     return 0.0 if payload is None else payload.mass or 0.0
 
 
-def _of_bodies(other: Fit, own: Fit, carried: Sequence[int], masses: np.ndarray, std: np.ndarray) -> Alternative:
+def _of_bodies(other: Fit, unaltered: Fit, carried: Sequence[int], masses: np.ndarray, std: np.ndarray) -> Alternative:
     from scipy.special import stdtrit
 
-    freedom = degrees_of_freedom(other.system.problem, other.solution, own.free_gains)
+    freedom = degrees_of_freedom(other.system.problem, other.solution, unaltered.free_gains)
     halves = std * stdtrit(freedom[_places(other, carried)], 0.975)
     bodies = []
     for number, more, half in zip(carried, masses.tolist(), halves.tolist(), strict=True):
-        run = own.dataset.runs[number]
+        run = unaltered.dataset.runs[number]
         declared = "" if run.payload is None or run.payload.mass is None else run.payload.name
         bodies.append({"run": run.name, "more": more, "half": half, "declared": declared})
-    helped = (other.solution.sigma / own.solution.sigma) ** 2 < LOAD_LEFT
-    joints = tuple(joint for joint, less in zip(own.system.problem.joints, helped, strict=False) if less)
-    cause = Finding(F.TOOL_BODY, joints, values={"bodies": bodies, "remains": residual_ratio(other, own)})
-    return of_refit(own, TOOL_BODIES, cause, other, own)
+    helped = (other.solution.sigma / unaltered.solution.sigma) ** 2 < LOAD_LEFT
+    joints = tuple(joint for joint, less in zip(unaltered.system.problem.joints, helped, strict=False) if less)
+    cause = Finding(F.TOOL_BODY, joints, values={"bodies": bodies, "remains": residual_ratio(other, unaltered)})
+    return of_refit(unaltered, TOOL_BODIES, cause, other, unaltered)
 
 
 Placed = TypeVar("Placed", Joint, Attachment)
@@ -234,14 +234,16 @@ def likeliest_gravity(fit: Fit, missing: bool, turned: bool, progress: Progress 
     if not windows:
         return None
     middle = replace(fit.dataset, prepared=PreparedRuns(windows))  # type: ignore[arg-type]  # used as prepared runs
-    own = _with_gravity(replace(fit, system=replace(fit.system, dataset=middle)), np.array(fit.dataset.robot.gravity))
-    without = _without_gravity(fit, own) if missing else None
-    other = _other_gravity(fit, own, progress) if turned else None
+    unaltered = _with_gravity(
+        replace(fit, system=replace(fit.system, dataset=middle)), np.array(fit.dataset.robot.gravity)
+    )
+    without = _without_gravity(fit, unaltered) if missing else None
+    other = _other_gravity(fit, unaltered, progress) if turned else None
     if without is None or other is None:
         return without or other
     alike = 1 / GRAVITY_ALIKE if fit.dataset.runs[0].kind == "torque" else GRAVITY_ALIKE
-    left, of_none = (effect.causes[0].values["remains"] for effect in (other, without))
-    return other if left < alike * of_none else without
+    remaining, of_none = (effect.causes[0].values["remains"] for effect in (other, without))
+    return other if remaining < alike * of_none else without
 
 
 def _with_gravity(fit: Fit, gravity: np.ndarray) -> Fit:
@@ -257,20 +259,26 @@ def _with_gravity(fit: Fit, gravity: np.ndarray) -> Fit:
     return fit_by(ml_or_wls(gains), fit.system.again(other, terms), fit.free_gains)
 
 
-def _without_gravity(fit: Fit, own: Fit) -> Alternative:
-    """Fit without gravity, for what that explains of each joint and how it moves the gains."""
-    other, n = _with_gravity(own, np.zeros(3)), len(own.gains)
-    ratio = (other.solution.sigma / own.solution.sigma)[:n]
-    most = max(np.sqrt(residual_ratio(other, own)), ratio.min())
-    return _of_gravity(fit, F.WITHOUT_GRAVITY, own, other, most)
+def _without_gravity(fit: Fit, unaltered: Fit) -> Alternative | None:
+    """Fit without gravity, for what that explains of each joint and how it moves the gains.
+
+    None where it explains less than with it: a joint alone may fit as well without, as other columns of its own stand
+    for its gravity.
+    """
+    other, n = _with_gravity(unaltered, np.zeros(3)), len(unaltered.gains)
+    if residual_ratio(other, unaltered) > 1 - REFUTED_SHARE:
+        return None
+    ratio = (other.solution.sigma / unaltered.solution.sigma)[:n]
+    most = max(np.sqrt(residual_ratio(other, unaltered)), ratio.min())
+    return _of_gravity(fit, F.WITHOUT_GRAVITY, unaltered, other, most)
 
 
-def _other_gravity(fit: Fit, own: Fit, progress: Progress) -> Alternative | None:
+def _other_gravity(fit: Fit, unaltered: Fit, progress: Progress) -> Alternative | None:
     """Find the gravity of the same strength, along an axis or free, that explains most of the residuals, if any does.
 
     Nothing is found where gravity is not seen, nor within the few degrees of which the linear test speaks.
     """
-    declared = np.array(own.dataset.robot.gravity)
+    declared = np.array(unaltered.dataset.robot.gravity)
     size = float(np.linalg.norm(declared))
     if not size:
         return None
@@ -278,32 +286,32 @@ def _other_gravity(fit: Fit, own: Fit, progress: Progress) -> Alternative | None
     for k, axis in enumerate(np.vstack([np.eye(3), -np.eye(3)])):
         progress("gravity along other axes", k, 6)
         try:
-            other = own if _degrees(axis, declared) < GRAVITY_LEAST else _with_gravity(own, size * axis)
+            other = unaltered if _degrees(axis, declared) < GRAVITY_LEAST else _with_gravity(unaltered, size * axis)
         except GtauError:
             continue  # with it, the data do not determine the gains
-        tried.append((residual_ratio(other, own), other))
+        tried.append((residual_ratio(other, unaltered), other))
     progress("gravity along other axes", 6, 6)
-    left, best = min([(1.0, own), *tried], key=lambda other: other[0])
-    alike = [other for rest, other in tried if rest <= GRAVITY_ALIKE * left]
+    remaining, best = min([(1.0, unaltered), *tried], key=lambda other: other[0])
+    alike = [other for rest, other in tried if rest <= GRAVITY_ALIKE * remaining]
     for better in _freely(best):
-        if residual_ratio(better, own) < (1 - REFUTED_SHARE) * left:
-            left, best, alike = residual_ratio(better, own), better, []
+        if residual_ratio(better, unaltered) < (1 - REFUTED_SHARE) * remaining:
+            remaining, best, alike = residual_ratio(better, unaltered), better, []
     gravity = np.array(best.dataset.robot.gravity)
-    if 1 - left < GRAVITY_SHARE or _degrees(gravity, declared) < GRAVITY_LEAST:
+    if 1 - remaining < GRAVITY_SHARE or _degrees(gravity, declared) < GRAVITY_LEAST:
         return None
     also = [list(other.dataset.robot.gravity) for other in alike if other is not best]
-    values = {"gravity": gravity.tolist(), "also": also, "floating": bool(own.dataset.robot.floating)}
-    return _of_gravity(fit, OTHER_GRAVITY.kind, own, best, np.sqrt(1 - GRAVITY_SHARE), **values)
+    values = {"gravity": gravity.tolist(), "also": also, "floating": bool(unaltered.dataset.robot.floating)}
+    return _of_gravity(fit, OTHER_GRAVITY.kind, unaltered, best, np.sqrt(1 - GRAVITY_SHARE), **values)
 
 
-def _of_gravity(fit: Fit, kind: str, own: Fit, other: Fit, most: float, **values: Any) -> Alternative:
+def _of_gravity(fit: Fit, kind: str, unaltered: Fit, other: Fit, most: float, **values: Any) -> Alternative:
     """Make the alternative of a fit; it is on the joints of whose residuals it leaves at ``most`` this ratio."""
-    joints, before = own.system.problem.joints, own.solution.sigma
-    shares, ratio = before / own.system.problem.balance(own.solution.theta), other.solution.sigma / before
+    joints, before = unaltered.system.problem.joints, unaltered.solution.sigma
+    shares, ratio = before / unaltered.system.problem.balance(unaltered.solution.theta), other.solution.sigma / before
     helped = [j for j in range(len(joints)) if ratio[j] <= most]
-    left = {joints[j]: [float(shares[j]), float(shares[j] * ratio[j])] for j in helped}
-    values |= {"left": left, "remains": residual_ratio(other, own)}
-    return of_refit(fit, GRAVITY.name, Finding(kind, tuple(left), values=values), other, own)
+    remaining = {joints[j]: [float(shares[j]), float(shares[j] * ratio[j])] for j in helped}
+    values |= {"left": remaining, "remains": residual_ratio(other, unaltered)}
+    return of_refit(fit, GRAVITY.name, Finding(kind, tuple(remaining), values=values), other, unaltered)
 
 
 def _freely(at: Fit) -> Iterator[Fit]:

@@ -314,8 +314,8 @@ def _freed(fit: Fit, method: str, payload: Payload, kind: str, accuracy: float) 
         "remains": residual_ratio(other, fit),
         "given": "" if fit.free_gains else fit.dataset.runs[0].kind,
     }
-    left = float(problem.total_rows @ np.log(other.solution.sigma))
-    return left, GOOD if small else known_verdict(tested, _explained(fit, other))
+    likelihood = float(problem.total_rows @ np.log(other.solution.sigma))
+    return likelihood, GOOD if small else known_verdict(tested, _explained(fit, other))
 
 
 def _explained(fit: Fit, other: Fit) -> tuple[str, ...]:

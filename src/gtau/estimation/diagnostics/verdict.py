@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit, Solution
-from gtau.estimation.regression.factors import SIGNALS, modelled
 from gtau.estimation.regression.problem import Estimates, Problem
 from gtau.estimation.thresholds.estimates import APART, NEGATIVE_STD, WEAK_PARAMETER
-from gtau.estimation.thresholds.logs import DELAY_MOTION, DELAY_STD
+from gtau.estimation.thresholds.logs import DELAY_STD
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.findings import Outcome as Outcome  # which verdicts have
@@ -121,31 +120,20 @@ def known_verdict(values: Mapping[str, Any], explained: tuple[str, ...] = ()) ->
 
 
 def delay_verdicts(problem: Problem, solution: Solution, std: np.ndarray, period: float) -> list[Verdict]:
-    """Judge the delay of every channel: of the joints' currents, and of torque sensors.
+    """Judge the delay of every channel, of the joints' currents and of torque sensors, by its ``std`` (c,), s.
 
-    A delay is read off the current's rate of change. Where a joint moves slowly, that is mostly noise, which looks the
-    same at any delay. What the expansion ``v - d v' + d^2/2 v''`` makes of the noise then places the minimum, and gives
-    it a curvature of its own: the standard deviation ``std`` (c,), s, means nothing. A delay within the ``period`` of
-    the samples, s, is believed whatever its relative standard deviation.
+    A delay lost in noise was not estimated. One within the ``period`` of the samples, s, is believed whatever its
+    relative standard deviation.
     """
-    v, rate, change = np.moveaxis(problem.blocks[..., SIGNALS], -1, 0)  # (U, c, p) each
-    e = v - modelled(problem.blocks, solution.theta) / solution.gains[:, None]
-    squares = np.einsum("ujp,ujp->uj", rate, rate)
-    # what is not motion is noise n, of which n n'' takes away on average what n'^2 adds (parts integrated)
-    of_motion = squares + np.einsum("ujp,ujp->uj", e, change)
-    share = of_motion.sum(axis=0) / np.maximum(squares.sum(axis=0), 1e-300)
-    # the error of a ratio, from its scatter over the units
-    error = np.linalg.norm(of_motion - share * squares, axis=0)
-    noise = of_motion.sum(axis=0) <= DELAY_MOTION * error
     size = np.abs(solution.delays)
     uncertain = (size > period) & (std > DELAY_STD * size)
     return [
         verdict_of(Finding(F.DELAY_NOISE))
-        if noise[k]
+        if not longest
         else verdict_of(Finding(F.DELAY_UNCERTAIN, values={"std": float(std[k])}))
         if uncertain[k]
         else GOOD
-        for k in range(len(std))
+        for k, longest in enumerate(problem.longest_delays)
     ]
 
 

@@ -7,6 +7,7 @@ from itertools import combinations
 import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit, Solution, Solve
+from gtau.estimation.estimators.newton import delays_lost_in_noise
 from gtau.estimation.regression.column_blocks import BEARING, TEMPERATURE_TERMS, all_terms
 from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.factors import delayed_signal, triangle
@@ -24,7 +25,8 @@ def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> Syste
     """Choose the friction terms from the data; load-dependent ones need the torques, and so a fit, first.
 
     Terms supported by the joints' own equations, but not identifiable from all equations, are left out. The data of the
-    system are streamed again where a joint has load-dependent friction.
+    system are streamed again where a joint has load-dependent friction. Delays lost in noise are not estimated: they
+    would be anything up to the longest, and other parameters with them.
     """
     per_run = len(dataset.runs) > 1
     sensors = [channel.name for channel in dataset.runs[0].channels if channel.kind.link_side]
@@ -53,7 +55,9 @@ def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> Syste
             system = dataset.system(terms, per_run)
     else:
         system = dataset.system(terms, per_run)
-    return system.again(terms=prune_friction_terms(system.problem, system.terms, solve))
+    system = system.again(terms=prune_friction_terms(system.problem, system.terms, solve))
+    lost = delays_lost_in_noise(system.problem, solve(system.problem))
+    return system.again(delays=~lost) if lost.any() else system
 
 
 def select_friction_terms(problem: Problem) -> tuple[tuple[Parameter, ...], float]:

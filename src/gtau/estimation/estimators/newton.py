@@ -14,6 +14,7 @@ import numpy as np
 from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.regression.factors import FIXED, MODEL, SIGNAL, SIGNALS, delayed_signal, modelled, triangle
 from gtau.estimation.regression.problem import Problem
+from gtau.estimation.thresholds.logs import DELAY_MOTION, MIRRORED
 
 STEPS = 200
 CONVERGED = 1e-9  # of a standard deviation: a smaller step ends the iteration
@@ -62,7 +63,7 @@ def jacobian(blocks: np.ndarray, values: np.ndarray, problem: Problem, free_gain
     if free_gains:
         parts.append(-modelled(blocks, theta)[..., None] * (eye * problem.unknown_gains))
     _, rate, change = np.moveaxis(blocks[..., SIGNALS], -1, 0)
-    shift = (delays[:, None] * change - rate) * (problem.slowest > 0)
+    shift = (delays[:, None] * change - rate) * (problem.longest_delays > 0)[:, None]
     parts.append(shift[..., None] * eye)
     return np.concatenate(parts, axis=-1)
 
@@ -125,7 +126,28 @@ def curvature_of_delays(blocks: np.ndarray, values: np.ndarray, problem: Problem
     overestimates the curvature, and its steps in the delays are a hundred times too short.
     """
     second = np.einsum("...jp,...jp->...j", residuals(blocks, values), blocks[..., -1])
-    return np.asarray(second * weights**2 * (problem.slowest > 0))
+    return np.asarray(second * weights**2 * (problem.longest_delays > 0))
+
+
+def delays_lost_in_noise(problem: Problem, solution: Solution) -> np.ndarray:
+    """Mark the channels whose current hardly changes but for its noise, and says nothing of the delay's sign, (c,).
+
+    A delay is read off the current's rate of change. Where a joint moves slowly, that is mostly noise, which looks the
+    same at any delay. What the expansion ``v - d v' + d^2/2 v''`` makes of the noise then places the minimum, and gives
+    it a curvature of its own. Noise is smoothed as well by the delay ``-d``, for which a motion is too late twice over.
+    """
+    rate, change = np.moveaxis(problem.blocks[..., SIGNALS], -1, 0)[1:]  # (U, c, p) each
+    squares = np.einsum("ujp,ujp->uj", rate, rate)
+    # what is not motion is noise n, of which n n'' takes away on average what n'^2 adds (parts integrated)
+    e = problem.blocks[..., SIGNAL] - modelled(problem.blocks, solution.theta) / solution.gains[:, None]
+    of_motion = squares + np.einsum("ujp,ujp->uj", e, change)
+    share = of_motion.sum(axis=0) / np.maximum(squares.sum(axis=0), 1e-300)
+    # the error of a ratio, from its scatter over the units
+    error = np.linalg.norm(of_motion - share * squares, axis=0)
+    own = zip(problem.own_currents, problem.own_delays, strict=True)
+    errors = np.array([[np.linalg.norm(delayed_signal(T, d)) for d in (delay, -delay)] for T, delay in own])
+    mirrored = errors[:, 0] >= (1 - MIRRORED) * errors[:, 1]
+    return np.asarray((of_motion.sum(axis=0) <= DELAY_MOTION * error) & mirrored)
 
 
 def whitening(rows: np.ndarray, curvature: np.ndarray) -> np.ndarray:

@@ -98,11 +98,11 @@ def first_stage(problem: Problem, solution: Solution, lack: float) -> tuple[floa
         return np.inf, bias[: len(problem.joints)]
     _, s, Vt = np.linalg.svd(currents - U @ (U.T @ currents), full_matrices=False)
     ends = np.cumsum([len(part) for part in parts])
-    own = [
+    local = [
         len(columns) - np.sum(U[end - len(part) : end] ** 2)
         for columns, part, end in zip(problem.own_columns, parts, ends, strict=True)
     ]
-    bias[free] = -Vt.T @ ((Vt @ np.array(own)[free]) / np.maximum(s, np.finfo(float).tiny) ** 2)
+    bias[free] = -Vt.T @ ((Vt @ np.array(local)[free]) / np.maximum(s, np.finfo(float).tiny) ** 2)
     return float(s[-1] ** 2 / instruments), bias[: len(problem.joints)]
 
 

@@ -205,8 +205,8 @@ class FrictionLaw:
         """Compute the scale factor of each force (joints + n,): 1, or less where it adds more power than allowed."""
         groups = self.groups if math is np else math.DM(self.groups)
         power = forces * speeds
-        taken, given = groups @ math.fmax(power, 0.0), groups @ math.fmax(-power, 0.0)
-        allowed = groups.T @ (taken / math.fmax(math.fmax(taken, given), LEAST_POWER))
+        drawn, given = groups @ math.fmax(power, 0.0), groups @ math.fmax(-power, 0.0)
+        allowed = groups.T @ (drawn / math.fmax(math.fmax(drawn, given), LEAST_POWER))
         return 1.0 - (1.0 - allowed) * math.fmax(-math.sign(power), 0.0)
 
     def logged(self, joint: str) -> str:

@@ -95,7 +95,7 @@ class FrictionFit:
     structures: tuple[Structure, ...]
     names: tuple[tuple[int, str], ...]
     x: np.ndarray
-    left: np.ndarray
+    residual: np.ndarray
     errors: np.ndarray
     M: np.ndarray
 
@@ -118,8 +118,8 @@ def fit(group: FrictionGroup, structures: tuple[Structure, ...]) -> FrictionFit:
     positive = nnls(np.hstack([R, -R[:, free]]), d)[0][: len(listed)] > 0
     active = positive | np.isin(np.arange(len(listed)), free)
     index = np.append(np.flatnonzero(active), len(listed))
-    x, left, errors = left_out(G[..., index[:, None], index])
-    return FrictionFit(structures, tuple(listed[a] for a in np.flatnonzero(active)), x, left, errors, M[:, active])
+    x, residual, errors = left_out(G[..., index[:, None], index])
+    return FrictionFit(structures, tuple(listed[a] for a in np.flatnonzero(active)), x, residual, errors, M[:, active])
 
 
 def columns_of(group: FrictionGroup, structures: tuple[Structure, ...]) -> tuple[list[tuple[int, str]], np.ndarray]:
@@ -272,8 +272,8 @@ def with_shapes(group: FrictionGroup, candidate: FrictionFit) -> FrictionFit:
                 names.append((s, kind))
                 columns.append(slope[:, None])
     M = np.hstack(columns)
-    x, left, errors = left_out(reduced(group, M))
-    return FrictionFit(candidate.structures, tuple(names), x, left, errors, M)
+    x, residual, errors = left_out(reduced(group, M))
+    return FrictionFit(candidate.structures, tuple(names), x, residual, errors, M)
 
 
 def shape_values(group: FrictionGroup, s: int, kind: str) -> np.ndarray:

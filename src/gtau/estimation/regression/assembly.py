@@ -32,7 +32,7 @@ def assemble_problem(
     effects: Sequence[ColumnBlock],
     channels: Sequence[Channel],
     factors: Sequence[Factors],
-    slowest: float,
+    longest_delays: np.ndarray | float,
     temperatures: Sequence[np.ndarray] | None = None,
     motions: Sequence[int] | None = None,
 ) -> Problem:
@@ -40,9 +40,9 @@ def assemble_problem(
 
     A payload is a further body on the robot's tool (eq. 18), so its columns are combinations of the base columns, and
     each run's factor becomes a block of the problem by one product with a small matrix. Factors are one a run, of
-    ``channels``; ``slowest`` is the longest delay that can be described, s, 0 for none. ``temperatures`` are
-    differences (blocks, n) of the joints' temperatures from their means in each run; ``motions`` a number for each
-    run, the same for runs that repeat a motion, whose blocks are left out together.
+    ``channels``, each with its longest delay (s, 0 for none). ``temperatures`` are differences (blocks, n) of the
+    joints' temperatures from their means in each run; ``motions`` a number for each run, the same for runs that repeat
+    a motion, whose blocks are left out together.
     """
     blocks: list[np.ndarray] = []
     merged: list[list[np.ndarray]] = []
@@ -65,7 +65,7 @@ def assemble_problem(
         tuple(channels),
         np.concatenate(blocks)[filled],
         rows[filled],
-        slowest,
+        np.broadcast_to(longest_delays, len(channels)),
         clusters=clusters[filled],
         factored=tuple(triangle(*parts) for parts in zip(*merged, strict=True)) if merged else None,
     )
@@ -83,13 +83,13 @@ def plain_problem(
     base: BaseParameters,
     factors: Sequence[Factors],
     payloads: Sequence[Payload | None],
-    slowest: float = 0.0,
+    longest_delays: float = 0.0,
 ) -> Problem:
     """Assemble the problem of runs with the channels of the motors alone, whose friction drifts from run to run."""
     channels = channels_of(model.actuated, model.robot.base)
     effects = column_blocks(base, channels, payload_columns(model, base, payloads), (), len(factors))
     require_base_wrench(model, factors)
-    problem = assemble_problem(effects, channels, factors, slowest)
+    problem = assemble_problem(effects, channels, factors, longest_delays)
     return problem.without(unexcited(problem))
 
 

@@ -124,14 +124,14 @@ class Dataset:
         self,
         terms: tuple[Parameter, ...] = (),
         per_run: bool = False,
-        delays: bool = True,
+        delays: bool | np.ndarray = True,
         payloads: Sequence[Payload | None] | None = None,
     ) -> System:
         """Assemble the estimation problem; raises GtauError.
 
         ``terms`` are those of friction beyond the paper's (viscous and Coulomb friction and an offset), which may
-        drift between runs if ``per_run``. Currents are not delayed without ``delays``. ``payloads`` replace those of
-        the runs.
+        drift between runs if ``per_run``. ``delays`` marks the channels (c,) whose delay is estimated, or all or none.
+        ``payloads`` replace those of the runs.
         """
         measured = self.runs[0].channels
         channels = [channel for channel in measured if channel.kind.modelled]
@@ -141,9 +141,9 @@ class Dataset:
         of_payloads = payload_columns(self.model, self.base, payloads)
         effects = column_blocks(self.base, channels, of_payloads, terms, len(self.runs) if per_run else 1)
         require_base_wrench(self.model, self.factors)
-        slowest = 0.5 / (2 * np.pi * self.preparation.bandwidth) if delays else 0.0
+        longest = 0.5 / (2 * np.pi * self.preparation.bandwidth) * np.asarray(delays)
         warm = None if self.temperatures is None else self.temperatures.of_blocks
-        plain = assemble_problem(effects, channels, self.factors, slowest, warm, self.prepared.places[0].tolist())
+        plain = assemble_problem(effects, channels, self.factors, longest, warm, self.prepared.places[0].tolist())
         known = known_equations(self.base, self.model.parameter_names, plain.parameters, self.priors)
         if self.reference is not None:
             known = np.vstack([known, self.reference.among(plain.parameters)])
@@ -235,11 +235,13 @@ class System:
         dataset: Dataset | None = None,
         terms: tuple[Parameter, ...] | None = None,
         payloads: Sequence[Payload | None] | None = None,
+        delays: np.ndarray | None = None,
     ) -> System:
-        """Assemble the same effects for another dataset, with other friction terms or other payloads."""
+        """Assemble the same effects for another dataset, with other friction terms, payloads or delayed channels."""
         per_run = any(name.run is not None for name in self.whole.parameters)
         terms = self.terms if terms is None else terms
-        return (dataset or self.dataset).system(terms, per_run, self.whole.slowest > 0, payloads)
+        delays = self.whole.longest_delays > 0 if delays is None else delays
+        return (dataset or self.dataset).system(terms, per_run, delays, payloads)
 
     def map(self, run: int, above: np.ndarray | None = None) -> np.ndarray:
         """Map the columns of the factors of a run to those of ``whole``, for every channel, (c, p, n_theta + 4).

@@ -135,8 +135,8 @@ class Problem:
         (U, c, p, n_theta + 4), rows or triangular factors.
     rows : ndarray
         (U, c) number of equations behind each block.
-    slowest : float
-        Longest delay (s) that the expansion in derivatives can describe; 0 for a problem without delays.
+    longest_delays : ndarray
+        Longest delays (s) that the expansion in derivatives can describe, (c,); 0 where none is estimated.
     known : ndarray
         (k, n_theta + 1) further equations ``[P | y]``, of known parameters: ``P theta = y`` with errors of unit
         variance.
@@ -152,7 +152,7 @@ class Problem:
     channels: tuple[Channel, ...]
     blocks: np.ndarray
     rows: np.ndarray
-    slowest: float
+    longest_delays: np.ndarray
     known: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     wrenches: tuple[str, ...] = ()
     clusters: np.ndarray | None = None
@@ -248,7 +248,7 @@ class Problem:
         """Delay of each channel (s), (c,), with the best fit of its own model.
 
         Minimises the residual of ``v - d v' + d^2/2 v''`` outside the joint's regressor, from the
-        (3, 3) triangles alone. Zero where the minimum lies outside +-``slowest``.
+        (3, 3) triangles alone. Zero where the minimum lies outside +-``longest_delays``.
         """
         delays = np.zeros(len(self.channels))
         for j, T in enumerate(self.own_currents):
@@ -259,7 +259,7 @@ class Problem:
             quartic = np.array([r2 @ r2 / 4, -(r1 @ r2), r1 @ r1 + r @ r2, -2 * (r @ r1), r @ r])
             stationary = np.roots(np.polyder(quartic))
             real = stationary[np.abs(stationary.imag) < 1e-12].real
-            real = real[np.abs(real) < self.slowest]  # none of them without delays
+            real = real[np.abs(real) < self.longest_delays[j]]  # none of them without a delay
             if real.size:
                 delays[j] = real[np.argmin(np.polyval(quartic, real))]
         return delays

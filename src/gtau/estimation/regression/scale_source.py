@@ -29,8 +29,8 @@ def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | Non
     if not elsewhere and not weighed:
         raise GtauError(
             f"method '{method}' needs a scale to find the drive gains, and no run has a payload of known mass; "
-            "add 'payload: {name: ..., mass: ...}' to a loaded run, torque sensors ('joint_torque' under 'signals'), "
-            f"or known parameters ('priors'), {other}."
+            "add 'payload: {name: ..., mass: ...}' to a loaded run (--payload LOG=KG with logs), torque sensors "
+            f"('joint_torque' under 'signals'), or known parameters ('priors'), {other}."
         )
     if not elsewhere and len({None if payload is None else payload.name for payload in payloads}) < 2:
         raise GtauError(
@@ -39,8 +39,8 @@ def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | Non
             f"add a run without payload, {other}."
         )
     if problem.wrenches and problem.unknown_gains.all() and not (len(problem.known) or weighed):
-        own, answered = unexplained_wrench_share(problem)
-        if own < OWN_BODY and answered < ANSWERED:
+        by_own_columns, answered = unexplained_wrench_share(problem)
+        if by_own_columns < OWN_BODY and answered < ANSWERED:
             raise GtauError(_always_carried(problem.wrenches, other))
     if len(problem.parameters) in independent_columns(_with_scale(problem))[0]:
         return

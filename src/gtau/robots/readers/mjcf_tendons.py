@@ -63,7 +63,7 @@ def site_springs(file: MjcfFile, carried: Mapping[int, Attachment]) -> tuple[lis
         if _is_spring(file.spec, actuator):
             force = np.asarray(actuator.biasprm[:3], dtype=float)
             forces[actuator.target] = forces.get(actuator.target, np.zeros(3)) + force
-    taken = {name_in(model, "joint", k) for k in range(model.njnt)} | {at.body for at in carried.values()}
+    names = {name_in(model, "joint", k) for k in range(model.njnt)} | {at.body for at in carried.values()}
     for tendon in file.spec.tendons:
         k, c = np.ravel(tendon.stiffness), np.ravel(tendon.damping)
         rest = np.ravel(tendon.springlength)
@@ -74,7 +74,7 @@ def site_springs(file: MjcfFile, carried: Mapping[int, Attachment]) -> tuple[lis
         if tendon.name in straight and linear and any(has.values()):
             sites = (model.site(name).id for name in straight[tendon.name])
             a, b = (attached_site(model, site, carried) for site in sites)
-            name = f"tendon {tendon.name}" if tendon.name in taken else tendon.name
+            name = f"tendon {tendon.name}" if tendon.name in names else tendon.name
             if a.body != b.body:
                 springs.append(Spring(name, a, b, tuple(kind for kind in SPRING if has[kind])))
         elif k.any() or c.any() or tendon.frictionloss:

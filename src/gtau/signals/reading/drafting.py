@@ -270,7 +270,7 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
         "reference": f"{first} are references, not measurements",
     }
     other = "torque" if draft.kind == "current" else "current"
-    advice = UNSURE | {"kind": f"if they are {other}s, correct it by --kind {other}"}
+    advice = UNSURE | {"kind": f"if they are {other}s, state --kind {other}"}
     notes = [(assumed[key], advice[key]) for key in draft.open if key in assumed]
     named = [run[0] for run in draft.logs if run[0] not in draft.stated]
     if loads := [f"{path.name} {mass:g} kg" for path in named if isfinite(mass := draft.masses.get(path, nan))]:
@@ -294,7 +294,7 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
     return tuple(Finding(F.DRAFT, values={"what": what, "action": action}, source=str(file)) for what, action in notes)
 
 
-STATE = "correct them by --payload LOG=KG (0 for none)"
+STATE = "correct this by --payload LOG=KG (0 for none)"
 
 
 def _first(columns: Iterable[str]) -> str:
