@@ -10,14 +10,14 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
-from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from datetime import UTC, datetime
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import AliasChoices, Field, FiniteFloat
@@ -94,8 +94,7 @@ class Alarm(Keys):
     changed: tuple[FiniteFloat, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class Logs:
+class Logs(NamedTuple):
     """The N logs of a history by date: their numbers, as they came, names and dates, and of how many each is the mean.
 
     Charts and their ``std`` (N, k), ``uneven`` and ``speeds`` (N, n) are those of :class:`LogStatistics`.
@@ -120,9 +119,8 @@ class Logs:
         return int(np.argmax((self.names == alarm.since) & (self.dates == alarm.date)))
 
 
-@dataclass(frozen=True)
-class Event:
-    """Something that was done: its kind, the log or joint that it is about, a note, and details as data."""
+class Event(NamedTuple):
+    """Something that was done: its kind, the log or date that it is about, a note, and details as data."""
 
     id: int
     date: str
@@ -169,27 +167,19 @@ class History:
         """Turn errors of SQLite and of the system into one sentence."""
         try:
             yield
-        except sqlite3.Error as error:
-            advice = {"full": "free some space", "locked": "end the other program that writes it"}
-            hint = next((what for word, what in advice.items() if word in str(error)), "restore it from a backup")
-            raise GtauError(f"{self.path} cannot be used ({error}); {hint}, or give another --out.") from None
-        except OSError as error:
+        except (sqlite3.Error, OSError) as error:
+            why = getattr(error, "strerror", None) or error
             raise GtauError(
-                f"{self.path} cannot be written ({error.strerror}); free some space or check the path."
+                f"{self.path} cannot be used ({why}); free some space, end other programs that write it, or restore it "
+                "from a backup."
             ) from None
 
     @contextmanager
     def writing(self) -> Iterator[None]:
         """Hold the lock of the history, and write all that is changed meanwhile, or nothing; raises GtauError."""
-        with self._refusals():
+        with self._refusals(), self._database:
             self._database.execute("BEGIN IMMEDIATE")
-            try:
-                yield
-                self._database.execute("COMMIT")
-            except BaseException:
-                if self._database.in_transaction:
-                    self._database.execute("ROLLBACK")
-                raise
+            yield
 
     def _one(self, query: str, *values: Any) -> Any:
         """Read the first value of the first row, None where there is none."""
@@ -215,9 +205,8 @@ class History:
 
     @property
     def extent(self) -> tuple[int, str]:
-        """Number of logs, and date of the last."""
-        count, date = self._database.execute("SELECT total(count), max(date) FROM logs").fetchone()
-        return int(count), date or ""
+        """Number of logs, and date of the last, empty without one."""
+        return int(self._one("SELECT total(count) FROM logs")), self._one("SELECT max(date) FROM logs") or ""
 
     @property
     def events(self) -> list[Event]:
@@ -264,17 +253,15 @@ class History:
         """Condense logs beyond the last ``KEPT`` to one row a day, whenever there are more by ``SLACK``."""
         if self._one("SELECT count(*) FROM logs WHERE count = 1") <= KEPT + SLACK:
             return
-        days = defaultdict[str, list[Any]](list)
-        for row in self._database.execute("SELECT id, log, date, count, numbers FROM logs ORDER BY id").fetchall()[
-            :-KEPT
-        ]:
-            days[row[2][:10]].append(row)
-        for day, rows in days.items():
-            ids, names, _, counts, numbers = zip(*rows, strict=True)
-            x = np.array([np.frombuffer(part) for part in numbers])
-            weights = np.isfinite(x) * np.array(counts)[:, None]
-            mean = (weights * np.nan_to_num(x)).sum(axis=0) / np.where(weights.any(axis=0), weights.sum(axis=0), np.nan)
-            self._database.executemany("DELETE FROM logs WHERE id = ?", [(number,) for number in ids])
+        columns = "SELECT id, log, substr(date, 1, 10), count, numbers FROM logs ORDER BY id"
+        rows = self._database.execute(columns).fetchall()[:-KEPT]
+        self._database.execute("DELETE FROM logs WHERE id <= ?", (rows[-1][0],))
+        for day, of_day in groupby(sorted(rows, key=itemgetter(2)), itemgetter(2)):
+            ids, names, _, counts, parts = zip(*of_day, strict=True)
+            numbers = np.array([np.frombuffer(part) for part in parts])
+            weights = np.isfinite(numbers) * np.array(counts)[:, None]
+            total = (weights * np.nan_to_num(numbers)).sum(axis=0)
+            mean = total / np.where(weights.any(axis=0), weights.sum(axis=0), np.nan)
             condensed = (ids[-1], names[-1], day, sum(counts), mean.tobytes())
             self._database.execute("INSERT INTO logs VALUES (?, ?, ?, ?, ?, '')", condensed)
 

@@ -23,8 +23,6 @@ from gtau.watch.history import Alarm, History, WatchSettings, now
 from gtau.watch.statistics import LogStatistics, charts_of, statistics_of
 from gtau.watch.table import View, view_of
 
-DONE = ("acknowledge", "forget", "reset")  # events that can be undone
-
 
 class Status(BaseModel):
     """The log that was added last: estimates and standard deviations of the charts that it shows, and the state after.
@@ -129,24 +127,9 @@ class Watch:
     def update(self, run: Run, digest: str = "", date: str = "") -> Status:
         """Add a finished log; one whose samples are in the history is not added again.
 
-        Parameters
-        ----------
-        run : Run
-            From :func:`gtau.read_run`. Its payload, if any, is part of what is expected.
-        digest : str
-            Identifies the log, beside its samples.
-        date : str
-            Time of recording, ISO 8601; now if omitted.
-
-        Returns
-        -------
-        Status
-            State after the log.
-
-        Raises
-        ------
-        GtauError
-            If the log does not fit the model; the history is then unchanged.
+        The payload of the ``run`` is part of what is expected. A ``digest`` identifies the log beside its samples; it was
+        recorded at a ``date`` (ISO 8601), now if omitted. Raises GtauError where it does not fit the model; the history
+        is then unchanged.
         """
         samples = run_digest(run)
         log = None if self.history.seen(samples) else statistics_of(self.model, run)
@@ -236,7 +219,8 @@ class Watch:
 
         Raises GtauError where nothing was.
         """
-        done = [event for event in self.events if event.subject == subject and event.kind in DONE and not event.undone]
+        of_subject = [event for event in self.events if event.subject == subject and not event.undone]
+        done = [event for event in of_subject if "alarm" in (event.details or {})]  # by the user
         if not done:
             raise UnknownName(f"nothing was done about '{subject}'; give a log or a date of the report's events.")
         with self.history.writing():
