@@ -263,7 +263,7 @@ def test_histories_are_refused_where_they_do_not_suit(model: Result, healthy: li
         Watch(model).update(replace(day(0), kind="torque"))
     other = tmp_path / "other"
     other.mkdir()
-    for content, sentence in ((b"", "is empty"), (b"t,q1,q2\n" * 1000, "cannot be used")):
+    for content, sentence in ((b"", "is not a history"), (b"t,q1,q2\n" * 1000, "cannot be used")):
         (other / "history.db").write_bytes(content)
         with pytest.raises(GtauError, match=sentence):
             Watch(model, other)

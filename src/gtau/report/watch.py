@@ -14,10 +14,9 @@ from gtau.errors import GtauError
 from gtau.findings.words import filled, phrase, to_width
 from gtau.report.chart import Axis, Chart, Panel, Rule, Series
 from gtau.report.page import Column, Kind, Page, Table, Text, page, section, table
-from gtau.watch.alarms import visible_changes
+from gtau.watch.alarms import FEWEST_OF_WEEK, beyond, visible_changes, week_of
 from gtau.watch.history import HISTORY, Alarm, Event, Explained, History
 from gtau.watch.quantities import Quantity
-from gtau.watch.table import FEWEST_OF_WEEK, beyond, week_of
 from gtau.watch.watch import Status, Watch
 
 SHOWN = {"1": ("%", 100.0), "s": ("ms", 1000.0)}

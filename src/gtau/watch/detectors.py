@@ -69,7 +69,12 @@ def evidence(
     begins = shown & (np.cumsum(shown, axis=0) > learning) & moving & (shown.sum(axis=0) >= FEWEST)
     ratios = np.where(begins, ratios, -np.inf)
     start = np.argmax(ratios, axis=0)
-    return ChangeEvidence(logsumexp(ratios, axis=0), start, _confirmed(x, start))
+    after = np.arange(len(x))[:, None] >= start
+    healthy, changed = (mean_of(np.where(part, x, np.nan)) for part in (~after, after))
+    position = (x - healthy) / np.where(changed != healthy, changed - healthy, np.inf)
+    newest = shown & (np.cumsum(shown[::-1], axis=0)[::-1] <= 2)
+    confirmed = (newest & after & (position > 0.5)).sum(axis=0) == 2
+    return ChangeEvidence(logsumexp(ratios, axis=0), start, confirmed)
 
 
 def isolated(values: np.ndarray) -> np.ndarray:
@@ -135,16 +140,6 @@ def _densities(y: np.ndarray, w: np.ndarray, shown: np.ndarray) -> tuple[np.ndar
     ratios = -0.5 * np.log1p(r * KAPPA**2) - freedom / 2 * np.log1p(-np.minimum(explained / S0, 1 - 1e-12))
     log_p0 = -0.5 * (log_det + np.log(whole) + freedom * np.log(S0))
     return log_p0, ratios, b > 0
-
-
-def _confirmed(x: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Return whether the last two logs of each chart are both nearer to the mean after ``start`` than before."""
-    after = np.arange(len(x))[:, None] >= start
-    healthy, changed = (mean_of(np.where(part, x, np.nan)) for part in (~after, after))
-    position = (x - healthy) / np.where(changed != healthy, changed - healthy, np.inf)
-    newest = np.isfinite(x) & (np.cumsum(np.isfinite(x)[::-1], axis=0)[::-1] <= 2)
-    agreeing = newest & after & (position > 0.5)
-    return np.asarray(agreeing.sum(axis=0) == 2)
 
 
 def mean_of(x: np.ndarray) -> np.ndarray:

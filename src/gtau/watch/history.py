@@ -146,21 +146,20 @@ class History:
                     self._database.close()
                     with suppress(FileExistsError):  # another program was faster
                         os.link(f"{aside}/{HISTORY}", self.path)
-            if not self.path.stat().st_size:
-                raise GtauError(f"{self.path} is empty; restore it from a backup, or give another --out.")
             self._connect(f"{self.path.absolute().as_uri()}?mode=rw")
-            if self._one("PRAGMA application_id") != APPLICATION:
+            if not self.path.stat().st_size or self._one("PRAGMA application_id") != APPLICATION:
                 raise GtauError(
                     f"{self.path} is not a history of gtau; restore it from a backup, or give another --out."
                 )
             self._database.executescript("PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL")
+            self.settings = WatchSettings.model_validate_json(self._one("SELECT document FROM settings"))
 
     def _connect(self, uri: str, settings: WatchSettings | None = None) -> None:
         """Open a database, and begin a history in it if there are settings."""
         self._database = sqlite3.connect(uri, PATIENCE, isolation_level=None, check_same_thread=False, uri=True)
         if settings:
             self._database.executescript(TABLES)
-            self.settings = settings
+            self.save(settings)
 
     @contextmanager
     def _refusals(self) -> Iterator[None]:
@@ -185,14 +184,10 @@ class History:
         """Read the first value of the first row, None where there is none."""
         return (self._database.execute(query, values).fetchone() or (None,))[0]
 
-    @property
-    def settings(self) -> WatchSettings:
-        """The head."""
-        return WatchSettings.model_validate_json(self._one("SELECT document FROM settings"))
-
-    @settings.setter
-    def settings(self, settings: WatchSettings) -> None:
+    def save(self, settings: WatchSettings) -> None:
+        """Write the head."""
         self._database.execute("INSERT OR REPLACE INTO settings VALUES (0, ?)", (settings.model_dump_json(),))
+        self.settings = settings
 
     def logs(self, charts: int, joints: int) -> Logs:
         """Read the logs, of so many charts and joints."""

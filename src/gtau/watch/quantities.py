@@ -72,29 +72,6 @@ class Quantity:
         return "load" if not self.joint else "friction" if self.kind in PLAIN_FRICTION else self.kind
 
 
-@dataclass(frozen=True, eq=False)
-class NormalEquations:
-    """Normal equations of a log, ``A^T A`` with ``A = [columns | y]``, rows divided by the model's own residual.
-
-    ``G`` (blocks, n, p + 1, p + 1) of the equations of each joint in each block that the jackknife leaves out,
-    ``rows`` (blocks, n) behind them; ``speed`` (n,) is the mean absolute velocity of each joint in its rows.
-    """
-
-    quantities: tuple[Quantity, ...]
-    G: np.ndarray
-    rows: np.ndarray
-    speed: np.ndarray
-
-    def columns(self, group: str) -> list[int]:
-        """List the columns of a group of quantities."""
-        return [k for k, quantity in enumerate(self.quantities) if quantity.group == group]
-
-    @property
-    def charts(self) -> list[int]:
-        """Columns of the charts."""
-        return [k for k, quantity in enumerate(self.quantities) if quantity.charted]
-
-
 def quantities_of(model: Result) -> tuple[tuple[Quantity, ...], np.ndarray]:
     """List the watched quantities of a model in the order of the columns, and the base columns (n_b, k) of a load."""
     robot, standard = model.robot, model.base.standard
@@ -120,8 +97,13 @@ def identified(model: Result, quantity: Quantity) -> float:
     return 0.0 if estimate is None else estimate.value or 0.0
 
 
-def normal_equations(model: Result, run: Run) -> NormalEquations:
-    """Reduce a log to the normal equations of the watched quantities; raises GtauError."""
+def normal_equations(model: Result, run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Reduce a log to the normal equations ``A^T A``, ``A = [columns | y]``, of the watched quantities.
+
+    Return those of each joint in each block that the jackknife leaves out (blocks, n, p + 1, p + 1), whose rows are
+    divided by the model's own residual; the number of rows (blocks, n) behind them; and the mean absolute velocity (n,)
+    of each joint in its rows. Raises GtauError.
+    """
     idm, base, n = model.idm, model.base, len(model.idm.actuated)
     run = _suitable(model, run)
     preparation = at_rate_of([run], model.preparation)
@@ -136,7 +118,9 @@ def normal_equations(model: Result, run: Run) -> NormalEquations:
         )
     chi = loaded_parameters(model, run.payload, f"run '{run.name}'")
     load, friction = np.array(transmitted(np, base.standard, chi)), friction_along(model, prepared, chi)
-    (quantities, payload), sigma = quantities_of(model), _sigma(model)
+    (quantities, payload), rms = quantities_of(model), {error.joint: error.rms for error in model.residuals}
+    middle = float(np.median([*rms.values()])) if rms else 1.0
+    sigma = [rms.get(joint) or middle or 1.0 for joint in idm.actuated]  # torque residuals of the identification
     p = len(quantities)
     G, rows, way = np.zeros((BLOCKS, n, p + 1, p + 1)), np.zeros((BLOCKS, n), dtype=int), np.zeros(n)
     for part in stream_rows(idm, idm.columns(base.standard), prepared, decimator, load, friction=friction):
@@ -152,7 +136,7 @@ def normal_equations(model: Result, run: Run) -> NormalEquations:
             f"run '{run.name}' has at most {count.max()} usable rows a joint, away from its reversals and gaps; give a "
             "longer log."
         )
-    return NormalEquations(quantities, G, rows, way / np.maximum(count, 1))
+    return G, rows, way / np.maximum(count, 1)
 
 
 def _suitable(model: Result, run: Run) -> Run:
@@ -168,13 +152,6 @@ def _suitable(model: Result, run: Run) -> Run:
     check_wrenches(model.robot, run)
     check_temperature_unit(model, run)
     return run
-
-
-def _sigma(model: Result) -> np.ndarray:
-    """Take the torque residual (n,) of the identification; of a joint without one the median of the others."""
-    known = {error.joint: error.rms for error in model.residuals}
-    middle = float(np.median([*known.values()])) if known else 1.0
-    return np.array([known.get(joint) or middle or 1.0 for joint in model.robot.actuated])
 
 
 def _columns(

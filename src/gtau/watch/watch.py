@@ -18,10 +18,9 @@ from gtau.estimation.results.result import Result
 from gtau.model.interpreter.program import single_threaded_blas
 from gtau.signals.reading.statements import Tolerances
 from gtau.signals.run import Run
-from gtau.watch.alarms import accepted, judge
+from gtau.watch.alarms import View, accepted, judge, view_of
 from gtau.watch.history import Alarm, History, WatchSettings, now
 from gtau.watch.statistics import LogStatistics, charts_of, statistics_of
-from gtau.watch.table import View, view_of
 
 
 class Status(BaseModel):
@@ -79,30 +78,28 @@ class Watch:
     ):
         self.model, self.charts = model, charts_of(model)
         given = {name: value for name, value in settings.items() if value is not None}
-        head = {
-            "model": model_digest(model),
-            "robot": model.robot.name,
-            "charts": [chart.name for chart in self.charts],
-        }
+        document = to_document(model)
+        identity = {key: document[key] for key in ("robot_file", "drive_gains", "parameters") if key in document}
+        digest = hashlib.sha256(repr(identity).encode()).hexdigest()
+        head = {"model": digest, "robot": model.robot.name, "charts": [chart.name for chart in self.charts]}
         begun = read_group(WatchSettings, "settings", {**head, **given})
         folder = None if out is None else folder_of(out)
         self.history = History(folder, begun)
-        self.settings = self.history.settings
-        if self.settings.model != begun.model:
-            robot = self.settings.robot
+        known = self.history.settings
+        if known.model != begun.model:
             raise GtauError(
-                f"{folder} holds the history of another model, of robot '{robot}'; give that, or another --out."
+                f"{folder} holds the history of another model, of robot '{known.robot}'; give that, or another --out."
             )
         for name, value in given.items():
-            if (before := getattr(self.settings, name)) != value:
+            if (before := getattr(known, name)) != value:
                 raise GtauError(
                     f"{folder} was begun with --{name.replace('_', '-')} {before:g}, not {value:g}: another value "
                     "would change what its alarms mean; leave the option out, or give another --out."
                 )
         if tolerances is not None:
-            self.settings = self.settings.model_copy(update={"tolerances": tolerances})
             with self.history.writing():
-                self.history.settings = self.settings
+                self.history.save(known.model_copy(update={"tolerances": tolerances}))
+        self.settings = self.history.settings
         self._read()
 
     def _read(self) -> None:
@@ -111,7 +108,7 @@ class Watch:
         self.view = self._viewed()
 
     def _viewed(self) -> View:
-        return view_of(self.model, self.charts, self.settings, self.history)
+        return view_of(self.model, self.charts, self.history)
 
     @property
     def count(self) -> int:
@@ -127,11 +124,12 @@ class Watch:
     def update(self, run: Run, digest: str = "", date: str = "") -> Status:
         """Add a finished log; one whose samples are in the history is not added again.
 
-        The payload of the ``run`` is part of what is expected. A ``digest`` identifies the log beside its samples; it was
-        recorded at a ``date`` (ISO 8601), now if omitted. Raises GtauError where it does not fit the model; the history
-        is then unchanged.
+        The payload of the ``run`` is part of what is expected. A ``digest`` identifies the log beside its samples, and
+        a ``date`` is when it was recorded (ISO 8601), now if omitted. Raises GtauError where the log does not fit the
+        model; the history is then unchanged.
         """
-        samples = run_digest(run)
+        arrays = (run.time, run.position, run.command)
+        samples = hashlib.sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()
         log = None if self.history.seen(samples) else statistics_of(self.model, run)
         return self._add(run.name, log, date or now(), samples, digest or samples)
 
@@ -234,16 +232,3 @@ class Watch:
             self.history.add_event(kind, subject, note=note, details=details)
             self.history.alarm = alarm
         self._read()
-
-
-def model_digest(model: Result) -> str:
-    """Compute the digest that identifies a model: its robot, gains and parameters."""
-    document = to_document(model)
-    known = {key: document[key] for key in ("robot_file", "drive_gains", "parameters") if key in document}
-    return hashlib.sha256(repr(known).encode()).hexdigest()
-
-
-def run_digest(run: Run) -> str:
-    """Compute the SHA-256 of the samples of a run."""
-    samples = (run.time, run.position, run.command)
-    return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in samples)).hexdigest()
