@@ -31,7 +31,7 @@ from gtau.documents.files import folder_of, write_atomically
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.identify import identify
 from gtau.estimation.results.estimate import Estimate, TorqueError
-from gtau.estimation.results.predicted import torque_errors
+from gtau.estimation.results.predicted import Prediction, torque_errors
 from gtau.estimation.results.result import Result
 from gtau.progress import Progress, silent
 from gtau.report.chart import Chart, intervals
@@ -44,7 +44,6 @@ from gtau.signals.reading.experiment import read_experiment
 from gtau.simulation.closed_loop import sample
 from gtau.simulation.simulation_file import read_simulation
 from gtau.simulation.trajectories import make_trajectory
-from gtau.uses.prediction import Prediction
 from gtau.uses.weigh import weigh
 
 DURATION = 20.0  # s, the paper's exciting trajectories

@@ -156,6 +156,28 @@ def test_two_pairs_of_one_robot_agree_within_their_intervals(ur10e: Result, fold
     assert 0.5 < np.sqrt(np.mean(np.square(z))) < 1.3
 
 
+@pytest.mark.slow
+def test_a_second_pair_narrows_gains_as_the_page_says(ur10e: Result, folder: Path) -> None:
+    text = (folder / "ur10e.yaml").read_text()
+    second = "\n".join(line for line in text.splitlines() if "20_02_19_14harm50sec" in line)
+    second = second.replace("20_02_19_14harm50secLoad", "20_01_31-load").replace(
+        "20_02_19_14harm50sec", "20_01_31-unload"
+    )
+    (folder / "both.yaml").write_text(text.replace("validation:", f"{second}\nvalidation:"))
+    both = identify(folder / "both.yaml")
+    page = (PAGE.parents[1] / "do" / "trust-a-result.md").read_text(encoding="utf-8")
+    shown = re.search(r"two wrist gains of a UR10e\s+from ([\d.]+) and ([\d.]+) % to ([\d.]+) and ([\d.]+) %", page)
+    assert shown is not None
+    halves = [
+        100 * (high - low) / 2 / gain.value
+        for result in (ur10e, both)
+        for joint in ("wrist_1_joint", "wrist_3_joint")
+        for gain in [result.drive_gains[joint]]
+        for low, high in [gain.interval()]
+    ]
+    assert [float(number) for number in shown.groups()] == pytest.approx(halves, rel=0.1)
+
+
 def test_ur10e_friction_takes_energy_beyond_the_logged_speeds(ur10e: Result) -> None:
     """Cubic terms of the shoulder are negative: at 3.1 rad/s, its limit, the polynomials would propel by 90 N m."""
     plain = of_equations(ur10e)

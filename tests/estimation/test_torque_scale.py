@@ -164,4 +164,9 @@ def test_the_airbot_reports_too_little_at_joints_2_and_3(shared: Path) -> None:
     free, loaded = (read_run(folder / f"chirp_{name}.csv", signals) for name in ("unloaded", "loaded_480g"))
     robot = load_robot(str(folder / "airbot_play_v3_0_gripper.urdf"))
     found = identify(robot, [free, replace(loaded, payload=Payload(name="load", mass=0.48))])
+    page = (Path(__file__).parents[2] / "docs" / "do" / "torque-scale.md").read_text(encoding="utf-8")
+    written = yaml.safe_load(torque_scale_text(found))["torque_scale"]
+    for joint, shown in yaml.safe_load(page.split("```yaml\n")[1].split("```")[0])["torque_scale"].items():
+        assert shown["state"] == written[joint]["state"]
+        assert (shown["factor"] or 0.0) == pytest.approx(written[joint]["factor"] or 0.0, rel=0.02)
     assert [each.joint for each in torque_scales(found) if each.state == "wrong"] == ["joint2", "joint3"]

@@ -50,7 +50,7 @@ def _encoder_zeros(at: FitWindow) -> CandidateColumns:
 
 
 def _position_scales(at: FitWindow) -> CandidateColumns:
-    """Scale a joint's positions, velocities and accelerations, as a wrong gear ratio does."""
+    """Add a scale error of a joint's positions, velocities and accelerations, as of a wrong gear ratio."""
     joints = np.eye(len(at.fit.dataset.model.actuated))
     return _with_positions(at, 1 + STEP * PER_CENT * joints, 0 * joints)
 
