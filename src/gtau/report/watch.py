@@ -22,7 +22,6 @@ from gtau.watch.watch import Status, Watch
 SHOWN = {"1": ("%", 100.0), "s": ("ms", 1000.0)}
 """Units that are shown as others, and the factors to them."""
 STATES = ("replace", "check", "baseline", "OK")  # those to look after first
-REPLACED = ("gain", "friction")  # causes in drives, which are repaired or replaced where they are beyond tolerance
 DRAWN = 400  # points of a panel, beyond which days are averaged
 SPREAD = 1.5  # times what nine of ten logs stay within, that a panel shows at least
 
@@ -68,8 +67,8 @@ def state_of(alarm: Alarm | None, events: Iterable[Event], complete: bool) -> st
     if alarm is None:
         refused = any(event.kind == "refused" for event in events)
         return "check" if refused else "OK" if complete else "baseline"
-    worn = any(cause.kind in REPLACED and cause.joint for cause in alarm.explanations[:1])
-    return "replace" if alarm.kind == "tolerance" and worn else "check"
+    worn = any(cause.kind in ("gain", "friction") and cause.joint for cause in alarm.explanations[:1])
+    return "replace" if alarm.kind == "tolerance" and worn else "check"  # the drive
 
 
 def verdict_text(watch: Watch) -> Text:

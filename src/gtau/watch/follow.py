@@ -1,9 +1,8 @@
 """Follow a robot in production: a folder of finished logs, or a growing text log, block by block.
 
-Each block goes through the batch pipeline as a log of its own, so that its numbers are those of finished logs; they
-come as soon as the block is whole. Blocks are recognised by their content: after an end at any moment, following the
-same folder or file again goes on behind the last block of the history. A log that is rotated, cut or replaced is
-followed from its beginning.
+Each block is a log of its own, so that its numbers are those of finished logs. Blocks are recognised by their content:
+after an end at any moment, following the same folder or file again goes on behind the last block of the history. A log
+that is rotated, cut or replaced is followed from its beginning.
 """
 
 from __future__ import annotations

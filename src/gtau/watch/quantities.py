@@ -105,7 +105,16 @@ def normal_equations(model: Result, run: Run) -> tuple[np.ndarray, np.ndarray, n
     of each joint in its rows. Raises GtauError.
     """
     idm, base, n = model.idm, model.base, len(model.idm.actuated)
-    run = _suitable(model, run)
+    if model.robot.floating:
+        raise GtauError(f"the base of robot '{model.robot.name}' floats; only robots with a fixed base are watched.")
+    if run.kind != model.kind:
+        raise GtauError(
+            f"run '{run.name}' holds {run.kind}s, but the model was identified from {model.kind}s; give a log of the "
+            "same kind."
+        )
+    run = run.ordered(idm.actuated, link_side=False)
+    check_wrenches(model.robot, run)
+    check_temperature_unit(model, run)
     preparation = at_rate_of([run], model.preparation)
     (prepared,) = prepare_runs(idm, [run], preparation)
     decimator = preparation.at(run.rate).decimator
@@ -137,21 +146,6 @@ def normal_equations(model: Result, run: Run) -> tuple[np.ndarray, np.ndarray, n
             "longer log."
         )
     return G, rows, way / np.maximum(count, 1)
-
-
-def _suitable(model: Result, run: Run) -> Run:
-    """Return the run with its joints in the order of the model's; raises GtauError where it is not of this model."""
-    if model.robot.floating:
-        raise GtauError(f"the base of robot '{model.robot.name}' floats; only robots with a fixed base are watched.")
-    if run.kind != model.kind:
-        raise GtauError(
-            f"run '{run.name}' holds {run.kind}s, but the model was identified from {model.kind}s; give a log of the "
-            "same kind."
-        )
-    run = run.ordered(model.robot.actuated, link_side=False)
-    check_wrenches(model.robot, run)
-    check_temperature_unit(model, run)
-    return run
 
 
 def _columns(

@@ -18,7 +18,7 @@ from gtau.estimation.results.result import Result
 from gtau.model.interpreter.program import single_threaded_blas
 from gtau.signals.reading.statements import Tolerances
 from gtau.signals.run import Run
-from gtau.watch.alarms import View, accepted, judge, view_of
+from gtau.watch.alarms import accepted, judge, view_of
 from gtau.watch.history import Alarm, History, WatchSettings, now
 from gtau.watch.statistics import LogStatistics, charts_of, statistics_of
 
@@ -55,17 +55,12 @@ class Watch:
     model : Result
         From :func:`gtau.identify` or :meth:`gtau.Result.load`.
     out : path, optional
-        Folder of the history, continued if it exists; in memory if omitted.
+        Folder of the history, continued if it exists; in memory if omitted. GtauError where it is of another model.
     tolerances : Tolerances, optional
         Those of an experiment file.
     settings : int or float, optional
         ``baseline`` (number of healthy logs that form it, 10 if omitted), ``false_alarms_per_year`` of the whole fleet
-        (1), ``robots`` in it (1) and ``logs_per_year`` of each (365). They stand in the history.
-
-    Raises
-    ------
-    GtauError
-        The history belongs to another model or other settings.
+        (1), ``robots`` in it (1) and ``logs_per_year`` of each (365). They stand in the history: others are refused.
     """
 
     @takes(model=("the result of gtau.identify or gtau.Result.load", (Result,)))
@@ -105,10 +100,7 @@ class Watch:
     def _read(self) -> None:
         """Take what is in the history, whichever program has added it."""
         self.events, self.alarm = self.history.events, self.history.alarm
-        self.view = self._viewed()
-
-    def _viewed(self) -> View:
-        return view_of(self.model, self.charts, self.history)
+        self.view = view_of(self.model, self.charts, self.history)
 
     @property
     def count(self) -> int:
@@ -146,7 +138,7 @@ class Watch:
             if log is not None and not known:
                 before = history.alarm
                 number = history.add_row(name, date, [log.values, log.std, log.uneven, log.speed])
-                view = self._viewed()
+                view = view_of(self.model, self.charts, history)
                 ids = view.logs.ids.tolist()
                 alarm, inside = judge(self.model, view, log, ids.index(number), before)
                 if before is not None and inside is not None:
