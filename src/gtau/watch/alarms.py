@@ -115,12 +115,11 @@ def view_of(model: Result, charts: Sequence[Quantity], history: History) -> View
     parts = [Quantity("friction", charts[k].joint, "1") if friction[k] else charts[k] for k in range(len(charts))]
     quantities = tuple(dict.fromkeys(parts))
     speed = dict(zip(model.robot.actuated, np.nan_to_num(median(logs.speeds), nan=1.0), strict=True))
-    S, sizes = np.zeros((len(charts), len(quantities))), np.ones(len(charts))  # combinations of charts
+    S = np.zeros((len(charts), len(quantities)))  # combinations of charts
     for k, chart in enumerate(charts):
         S[k, quantities.index(parts[k])] = speed[chart.joint] if chart.kind == "fv" else 1.0
-        if friction[k]:
-            sizes[k] = identified(model, chart)
-    S /= np.where(sizes @ S > 0, sizes @ S, np.nan)
+    total = np.array([identified(model, charts[k].name) if friction[k] else 1.0 for k in range(len(charts))]) @ S
+    S /= np.where(total > 0, total, np.nan)
     shown = np.isfinite(logs.charts).astype(float) @ (S != 0) > 0
     values = np.where(shown, np.nan_to_num(logs.charts) @ S, np.nan)
     std = np.where(shown, np.nan_to_num(logs.std) @ np.abs(S), np.nan)
@@ -193,6 +192,8 @@ def _fresh(model: Result, view: View, log: LogStatistics) -> Alarm | None:
 
 def _is_beyond(view: View, cause: Explained, far: np.ndarray) -> bool:
     """Return whether a cause, or that beside it, is beyond tolerance, and so is its own quantity by ``far`` (m,)."""
+    if cause.kind == "rate":
+        return True  # it makes the others wrong
     kind = "friction" if cause.quantity in PLAIN_FRICTION else cause.quantity
     size = np.inf if cause.kind == "units" else abs(cause.size if cause.relative is None else cause.relative)
     concerned = [cause.joint in ("", quantity.joint) for quantity in view.quantities] & view.of_kind(kind)
@@ -249,9 +250,9 @@ def _alarm(kind: str, model: Result, view: View, log: LogStatistics, columns: np
 
 
 def week_of(view: View, since: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Average the logs of the last week, at least the last few, and compute half the 95 % interval of the mean.
+    """Average the logs of the last week, at least the last few, ``since`` a row; also half the 95 % interval (m,).
 
-    Only logs ``since`` a row count, such as that of a change. Both are (m,), NaN without enough logs.
+    Both are NaN without enough logs.
     """
     days = view.logs.days
     seen = np.isfinite(view.counted) & (np.arange(len(days)) >= since)[:, None]
@@ -277,8 +278,8 @@ def beyond(view: View, since: int = 0, times: float = 1.0) -> np.ndarray:
 def visible_changes(view: View) -> np.ndarray:
     """Compute the smallest sudden change of each quantity (m, 2) found within a week and a month, NaN where none is.
 
-    The last logs are followed by as many as such a period brings, with the same scatter about the changed mean, and
-    judged by the detector and by the tolerance.
+    The last logs are followed by as many as such a period brings, with the same scatter, and judged by the detector and
+    by the tolerance.
     """
     rows = view.there[-MOST:]
     x, std = view.compared[rows], view.std[rows]

@@ -1,4 +1,4 @@
-"""Causes of a change: competing hypotheses of gain, load, friction, warming, zero, delay, clock, units and contact.
+"""Causes of a change: competing hypotheses of gain, load, friction, warming, zero, delay, clock, units, contact.
 
 A single change of one kind moves all charts in a known way (``response``). Each hypothesis is fitted to the difference
 between the logs after the change and those before it, or the model, by generalised least squares, with the covariance
@@ -34,7 +34,7 @@ POOR = 3.0  # misfit per chart of one cause, above which two are tried
 SECOND = 0.3  # of its misfit, below which two explain the change
 CORRELATED = 5.7  # logs that count as one: (1 + rho) / (1 - rho) of a correlation of 0.7
 REACH = 1.0  # m at most from the flange to the centre of mass of a load
-LARGEST = {"zero": (-20.0, 20.0), "delay": (-0.2, 0.2)}  # deg or mm, and s
+LARGEST = {"zero": (-20.0, 20.0), "delay": (-0.2, 0.2), "rate": (-0.5, 0.5)}  # deg or mm, s, share
 STOPPED = -1.1  # share of friction, of which no more than all can go
 LEADING = ("m", "fs")  # stated first
 RESCALED = 2.0  # a gain that changes by a larger factor is a unit or a sign of the channel
@@ -114,7 +114,8 @@ def _stated(
     """State the parameter of a hypothesis whose interval does not hold 0: the first, unless only another is certain."""
     kind, joint, columns = hypothesis
     quantities = [log.quantities[k] for k in np.argmax(np.abs(columns), axis=0)]
-    certain = [k for k, quantity in enumerate(quantities) if quantity.charted and abs(sizes[k]) > halves[k]]
+    stated = [k for k, quantity in enumerate(quantities) if quantity.charted or kind == "rate"]
+    certain = [k for k in stated if abs(sizes[k]) > halves[k]]
     if not certain:
         return None
     t = np.abs(sizes) / np.where(halves > 0, halves, np.inf)
@@ -126,7 +127,7 @@ def _stated(
             size, half = size / apparent, half / apparent**2
         else:
             kind, size = "units", apparent
-    known = identified(model, quantity) if kind == "friction" else 1.0 if kind == "warming" else 0.0
+    known = identified(model, quantity.name) if kind == "friction" else 1.0 if kind == "warming" else 0.0
     least, most = LARGEST.get(quantity.kind, (-np.inf, np.inf))
     if kind == "load":
         least, most = (-log.payload if quantity.kind == "m" else -heaviest * REACH) - half, heaviest
@@ -155,7 +156,8 @@ def _hypotheses(model: Result, quantities: tuple[Quantity, ...]) -> Iterator[Hyp
     if len({quantity.joint for quantity in quantities} - {""}) > 1:
         for kind, group in (("clock", "delay"), ("gain", "gain")):
             yield kind, "", np.array([[float(quantity.group == group)] for quantity in quantities])
-        yield "warming", "", np.array([[identified(model, quantity) * quantity.charted] for quantity in quantities])
+        friction = [identified(model, quantity.name) * quantity.charted for quantity in quantities]
+        yield "warming", "", np.array(friction)[:, None]
 
 
 def contacts_of(log: LogStatistics, uneven: np.ndarray) -> tuple[Explained, ...]:

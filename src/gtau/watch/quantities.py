@@ -11,6 +11,7 @@ load    mass, first moments, inertia on the tool     those of the payload (eq. 1
 gain    drive gain, at fixed inertia                 ``-tau_model``
 zero    encoder zero                                 ``d tau / d q``
 delay   lag of the current behind the position       ``-g v'``
+rate    clock that is fast, by a share               ``tau`` at speeds that are as much higher
 fv, fs  viscous and Coulomb friction                 ``qd``, ``sign(qd)``
 off     offset of the current                        1
 ======  ===========================================  ==============================
@@ -19,6 +20,7 @@ off     offset of the current                        1
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import product
 
@@ -39,7 +41,7 @@ from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 from gtau.uses.prediction import check_temperature_unit, friction_along, loaded_parameters
 
-STEP = 1e-3  # rad or m, of an encoder zero: torques are linear over this
+STEP = 1e-3  # rad or m of an encoder zero, or share of the rate: torques are linear over this
 FEWEST_ROWS = 50  # of a joint in a log, as in an identification
 ZERO_UNITS = {"revolute": ("deg", np.pi / 180), "prismatic": ("mm", 1e-3)}
 
@@ -57,19 +59,20 @@ class Quantity:
     unit: str
 
     @property
-    def name(self) -> str:
+    def name(self) -> Parameter:
         """Name in tables and files, such as ``gain_elbow``."""
         return Parameter(self.kind, self.joint or "load")
 
     @property
     def charted(self) -> bool:
-        """Whether it has a chart: inertia of the load and offsets are estimated with the others."""
+        """Whether it has a chart: inertia of the load and offsets are estimated with others, a rate is a cause only."""
         return self.kind != "off" if self.joint else self.kind in ("m", "mx", "my", "mz")
 
     @property
     def group(self) -> str:
         """``load``, ``friction``, or the kind itself."""
-        return "load" if not self.joint else "friction" if self.kind in PLAIN_FRICTION else self.kind
+        whole = "rate" if self.kind == "rate" else "load"
+        return whole if not self.joint else "friction" if self.kind in PLAIN_FRICTION else self.kind
 
 
 def quantities_of(model: Result) -> tuple[tuple[Quantity, ...], np.ndarray]:
@@ -88,12 +91,12 @@ def quantities_of(model: Result) -> tuple[tuple[Quantity, ...], np.ndarray]:
         for kind, joint in product(("gain", "zero", "delay", *PLAIN_FRICTION), robot.motors)
         if kind not in PLAIN_FRICTION or Parameter(kind, joint) in standard
     )
-    return (*of_load, *of_joints), payload.columns
+    return (*of_load, *of_joints, Quantity("rate", "", "1")), payload.columns
 
 
-def identified(model: Result, quantity: Quantity) -> float:
-    """Return the identified value of a quantity of friction, 0 where there is none."""
-    estimate = model.friction_parameters.get(Parameter(quantity.kind, quantity.joint))
+def identified(model: Result, name: Parameter) -> float:
+    """Return the identified value of a parameter of friction, 0 where there is none."""
+    estimate = model.friction_parameters.get(name)
     return 0.0 if estimate is None else estimate.value or 0.0
 
 
@@ -160,8 +163,9 @@ def _columns(
     A = np.zeros((*tau.shape, len(quantities) + 1))
     A[..., : payload.shape[1]] = W @ payload
     A[..., -1] = gains * np.einsum("ijk,ji->jk", part.currents, delayed(delays)) - tau
-    zeros = _of_zeros(model, part, load, run)
-    for k, quantity in enumerate(quantities[payload.shape[1] :], start=payload.shape[1]):
+    zeros, rate = _of_motion(model, part, load, run)
+    A[..., -2] = rate + W @ [identified(model, name) * (name.kind == "fv") for name in standard]
+    for k, quantity in enumerate(quantities[payload.shape[1] : -1], start=payload.shape[1]):
         j = idm.actuated.index(quantity.joint)
         match quantity.kind:
             case "gain":
@@ -175,18 +179,20 @@ def _columns(
     return A
 
 
-def _of_zeros(model: Result, part: Rows, load: np.ndarray, run: str) -> np.ndarray:
-    """Differentiate the torques (n, K) with respect to each encoder zero, (n, n, K), per degree or millimetre."""
+def _of_motion(model: Result, part: Rows, load: np.ndarray, run: str) -> tuple[np.ndarray, np.ndarray]:
+    """Differentiate the torques (n, K) by each encoder zero (n, n, K), per degree or millimetre, and by the rate."""
     idm, motion, labels = model.idm, part.motion, instants(run, part.time)
     regressor = idm.columns(model.base.standard)
     q, qd, qdd = (np.ascontiguousarray(states[idm.layout.actuated]) for states in (motion.c, motion.yd, motion.ydd))
     before = regressor.torques_along(idm.layout, motion, load)
-    columns = np.zeros((len(q), *before.shape))
+
+    def change(c: np.ndarray, faster: float) -> np.ndarray:
+        moved = idm.rates(c, faster * qd, faster**2 * qdd, labels)
+        return np.asarray((regressor.torques_along(idm.layout, moved, load) - before) / STEP)
+
+    zeros = np.zeros((len(q), *before.shape))
     for j, (joint, shift) in enumerate(zip(idm.actuated, STEP * np.eye(len(q)), strict=True)):
-        try:
+        with suppress(GtauError):  # the loops may not close there: this zero is not watched
             c = idm.path(q + shift[:, None], labels, motion.c[:, 0])
-        except GtauError:
-            continue  # the loops do not close there: this zero is not watched
-        along = regressor.torques_along(idm.layout, idm.rates(c, qd, qdd, labels), load)
-        columns[j] = (along - before) / STEP * ZERO_UNITS[model.robot.joint(joint).kind][1]
-    return columns
+            zeros[j] = change(c, 1.0) * ZERO_UNITS[model.robot.joint(joint).kind][1]
+    return zeros, change(motion.c, 1 + STEP)
