@@ -28,7 +28,7 @@ FEWEST_OF_WEEK = 3  # logs of a week; fewer are filled up with earlier ones
 ODD = 5.0  # standard deviations, and tolerances from the model where there are too few logs to compare with
 COMMON = 3  # joints from which the friction of all has a median that one of them does not set
 LOUDER = float(np.log(2))  # growth of a residual that counts as odd
-HEAVIEST = 100.0  # kg of a load, where the rated payload is not stated
+RATED = 50.0  # kg of a payload, where it is not stated; no load is twice as heavy
 SIZES = np.geomspace(0.5, 60.0, 25)  # changes of which the smallest visible is one, in standard deviations
 PERIODS = (7, 30)  # days in which it is visible
 MOST = 120  # last logs that the imagined ones follow
@@ -212,9 +212,8 @@ def accepted(view: View, alarm: Alarm) -> dict[str, Any]:
     """Take what has changed as the new reference: the first log of an alarm, and the means by quantity since then."""
     first = view.logs.place(alarm)
     moved, means = evidence_of(view).log_e > 0, mean_of(view.counted[first:])
-    changed = [k for k, name in enumerate(view.names) if moved[k] or name in alarm.charts]
-    known = {view.names[k]: float(means[k]) for k in changed if np.isfinite(means[k])}
-    return {"first": int(view.logs.ids[first]), "changed": known}
+    changed = [k for k, name in enumerate(view.names) if np.isfinite(means[k]) and (moved[k] or name in alarm.charts)]
+    return {"first": int(view.logs.ids[first]), "changed": {view.names[k]: float(means[k]) for k in changed}}
 
 
 def _last(x: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -235,9 +234,8 @@ def _alarm(kind: str, model: Result, view: View, log: LogStatistics, columns: np
     causes: tuple[Explained, ...] = ()
     if not view.of_kind(RESIDUAL)[columns].all():
         of_charts = np.zeros(logs.charts.shape[1]) if by_model else mean_of(logs.charts[before])
-        rated = view.settings.tolerances.rated_payload
-        heaviest = 2 * rated if rated else HEAVIEST
-        causes = causes_of(model, log, logs.charts[before], logs.charts[after], of_charts, heaviest)
+        rated = view.settings.tolerances.rated_payload or RATED
+        causes = causes_of(model, log, logs.charts[before], logs.charts[after], of_charts, 2 * rated)
     return Alarm(
         kind=kind,  # type: ignore[arg-type]  # pydantic checks it
         explanations=causes or contacts_of(log, np.nanmax(logs.uneven[before], axis=0, initial=1.0)),

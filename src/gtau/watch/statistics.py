@@ -113,24 +113,20 @@ def _of(quantities: Sequence[Quantity], group: str) -> list[int]:
 
 def _combinations(G: np.ndarray, quantities: Sequence[Quantity]) -> tuple[np.ndarray, np.ndarray]:
     """Find the combinations C (k, p) with ``x = C A^T y`` of the charted quantities, and whether each is usable."""
-    p, friction, load = len(quantities), _of(quantities, "friction"), _of(quantities, "load")
-    charted = [quantity.charted for quantity in quantities]
-    combinations, norms = np.zeros((p, p)), np.sqrt(np.diag(G)[:p])
-    scale = np.where(norms > 0, norms, 1.0)
-    N = G[:p, :p] / scale / scale[:, None]
-    inverse = inverse_of(N[np.ix_(friction, friction)])
-    combinations[np.ix_(friction, friction)] = inverse
-    usable = norms > 0
-    usable[friction] &= np.diag(inverse) < 1 / SPANNED
-    of_friction = inverse @ N[friction]  # (f, p)
+    friction, load, norms = _of(quantities, "friction"), _of(quantities, "load"), np.sqrt(np.diag(G)[:-1])
+    charted, scale = [quantity.charted for quantity in quantities], np.where(norms > 0, norms, 1.0)
+    N = G[:-1, :-1] / scale / scale[:, None]
+    of_itself = inverse_of(N[np.ix_(friction, friction)])
+    of_friction = of_itself @ N[friction]  # (f, p)
     rest = N - N[:, friction] @ of_friction
-    for group in (*([k] for k in range(p) if k not in (*friction, *load)), load):
-        M = rest[np.ix_(group, group)]
-        inverse = inverse_of(M)
-        usable[group] &= (np.diag(M) > SPANNED) & (np.diag(inverse) < 1 / SPANNED)
-        combinations[np.ix_(group, group)] = inverse
-        combinations[np.ix_(group, friction)] = -inverse @ of_friction[:, group].T
-    return (combinations / scale / scale[:, None])[charted], usable[charted]
+    inverse = np.diag(1 / np.maximum(np.diag(rest), SPANNED))  # each by itself, but the load together
+    inverse[np.ix_(load, load)] = inverse_of(rest[np.ix_(load, load)])
+    inverse[friction] = 0.0
+    usable = (norms > 0) & (np.diag(rest) > SPANNED) & (np.diag(inverse) < 1 / SPANNED)
+    usable[friction] = (norms[friction] > 0) & (np.diag(of_itself) < 1 / SPANNED)
+    inverse[:, friction] = -inverse @ of_friction.T
+    inverse[np.ix_(friction, friction)] = of_itself
+    return (inverse / scale / scale[:, None])[charted], usable[charted]
 
 
 def _residuals(
