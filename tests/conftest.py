@@ -10,8 +10,9 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 # The tests fill all cores with processes of their own: there BLAS threads only wait for each other (a QR of 4500 x 220
-# takes 2.5 s with two threads on two busy cores and 0.02 s with one). Programs that tests start inherit the variable.
+# takes 2.5 s with two threads on two busy cores and 0.02 s with one). Programs that tests start inherit the variables.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("GTAU_THREADS", "1")
 threadpool_limits(1, "blas")
 
 

@@ -142,6 +142,7 @@ def test_a_current_halved_in_one_run_of_a_ur10e_is_named(folder: Path) -> None:
     assert elbow.verdict.finding.causes[0].kind is F.GAIN_CHANGE
 
 
+@pytest.mark.slow
 def test_two_pairs_of_one_robot_agree_within_their_intervals(ur10e: Result, folder: Path) -> None:
     """Another day and other motions: differences over their standard deviations have an rms near one."""
     text = (folder / "ur10e.yaml").read_text()
@@ -221,6 +222,7 @@ def test_ur10e_watched_over_its_weeks_raises_no_alarm_until_it_is_loaded(
     assert abs(load.size - 2.805) < load.half
 
 
+@pytest.mark.slow
 def test_ur10e_by_total_least_squares(folder: Path, ur10e: Result) -> None:
     """The two smallest singular values are close, but only the gain that the data hardly fix suffers from it."""
     result = identify(folder / "ur10e.yaml", method="tls")

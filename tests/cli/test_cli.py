@@ -45,8 +45,11 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_experiment(folder, plant)
     write_log(folder / "unknown.csv", plant.run("unknown", payload=LEAD, seed=4))
     (folder / "weighing.yaml").write_text(WEIGHING)
-    result = CliRunner().invoke(app, ["identify", str(folder / "experiment.yaml"), "--out", str(folder)])
-    assert result.exit_code == 0, result.stderr
+    arguments = ["identify", str(folder / "experiment.yaml"), "--out", str(folder / "deep" / "out"), "--verbose"]
+    result = CliRunner().invoke(app, arguments)
+    assert (result.exit_code, result.stderr) == (0, "")
+    (folder / "printed.txt").write_text(result.stdout)
+    (folder / "model.json").symlink_to(folder / "deep" / "out" / "model.json")
     return folder
 
 
@@ -86,18 +89,16 @@ def document(*arguments: str) -> dict:
 
 
 def test_identify_writes_and_prints(here: Path) -> None:
-    result = run("identify", "experiment.yaml", "--out", "deep/out", "--verbose")
-    assert result.exit_code == 0
-    assert result.stderr == ""
+    printed = (here / "printed.txt").read_text()
     assert {file.name for file in (here / "deep" / "out").iterdir()} == {
         "model.json",
         "report.html",
         "summary.txt",
         "singularities.parquet",
     }
-    assert (here / "deep" / "out" / "summary.txt").read_text() in result.stdout
-    assert "Drive gains" in result.stdout
-    assert "written: deep/out/model.json" in result.stdout
+    assert (here / "deep" / "out" / "summary.txt").read_text() in printed
+    assert "Drive gains" in printed
+    assert re.search(r"written: \S*deep/out/model.json", printed)
 
 
 def test_identify_writes_to_result_without_being_told_where_and_prints_what_it_writes(here: Path) -> None:
@@ -533,9 +534,6 @@ def test_as_a_program(here: Path) -> None:
     stdout, stderr = (process := start(here, "identify", "experiment.yaml", "--json", "--out", "out")).communicate()
     assert (process.returncode, stderr) == (0, "")
     assert json.loads(stdout) == json.loads((here / "out" / "model.json").read_text())
-    stdout, stderr = (process := start(here, "identify", "nowhere.yaml")).communicate()
-    assert (process.returncode, stdout) == (2, "")
-    assert stderr.startswith("gtau: nowhere.yaml cannot be read: no such file or directory; ")
     stdout, stderr = (process := start(here, "identify", "experiment.yaml", "--method", "foo", "--json")).communicate()
     assert process.returncode == 2
     assert json.loads(stdout)["error"] in stderr
@@ -546,6 +544,8 @@ SIGNS = """
 import pathlib, gtau.estimation.{module} as module
 def signing(*arguments, _original=module.{function}, **options):
     pathlib.Path("begun").touch()
+    for _ in range(1000):
+        sorted(range(100_000))  # it is interrupted at work
     return _original(*arguments, **options)
 module.{function} = signing
 """
@@ -555,10 +555,8 @@ module.{function} = signing
     ("module", "function"), [("preconditions", "reduce_runs"), ("regression.plausibility", "prepare")]
 )
 def test_interrupted_as_a_program(here: Path, module: str, function: str) -> None:
-    write_log(here / "long.csv", Plant().run("long", seconds=300.0, seed=1))
-    (here / "long.yaml").write_text(EXPERIMENT.replace("free.csv", "long.csv"))
     first = SIGNS.format(module=module, function=function)
-    process = start(here, "identify", "long.yaml", "--out", "out", first=first)
+    process = start(here, "identify", "experiment.yaml", "--out", "out", first=first)
     wait_until((here / "begun").exists, process)
     process.send_signal(signal.SIGINT)
     stdout, stderr = process.communicate(timeout=60)

@@ -19,7 +19,8 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 
 LIMIT = 10.0  # s to end, on a busy machine; on an idle one less than one
 SLOW = "import gtau.fleet.fleet, process_functions; gtau.fleet.fleet.identify_member = process_functions.slow_member"
-RARER = [("SIGINT", False), ("SIGTERM", True), ("SIGHUP", False), ("SIGHUP", True), ("SIGKILL", True)]
+USUAL = [("SIGINT", True), ("SIGKILL", False)]
+ENDINGS = [(name, group) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGKILL") for group in (False, True)]
 FINISHED = "gtau: interrupted; finished robots stay in out/models, and the same command continues with the others.\n"
 
 
@@ -45,10 +46,7 @@ def working_fleet(folder: Path, *options: str) -> Iterator[tuple[subprocess.Pope
 
 @pytest.mark.parametrize(
     ("name", "whole_group"),
-    [
-        *[("SIGINT", True), ("SIGTERM", False), ("SIGKILL", False)],
-        *[pytest.param(*each, marks=pytest.mark.slow) for each in RARER],
-    ],
+    [end if end in USUAL else pytest.param(*end, marks=pytest.mark.slow) for end in ENDINGS],
 )
 def test_workers_end_with_the_program(tmp_path: Path, name: str, whole_group: bool) -> None:
     """A supervisor or a terminal that closes signals the whole group, ``kill`` the program alone."""

@@ -370,6 +370,7 @@ def test_one_command_from_episodes(tmp_path: Path, motion: Any, monkeypatch: pyt
     assert gains == pytest.approx({"a1": 8.0, "a2": 5.0}, rel=0.01)
 
 
+@pytest.mark.slow
 def test_the_airbot_pair(shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What its N m are worth, in one command: joints 2 and 3 lift, and need about 1.2 to 1.7 times what is reported."""
     monkeypatch.chdir(tmp_path)

@@ -121,7 +121,7 @@ def test_joints_faster_than_their_limits_are_found_by_check_and_by_identify(fold
         assert checked.worst == Severity.WARNING
         limits = [note for note in checked.notes if f"times its limit of {float(limit):.4g} rad/s" in str(note)]
         assert len(limits) >= 2
-        assert set(limits) <= set(findings(identify(path)))
+    assert set(limits) <= set(findings(identify(path)))
 
 
 def test_the_scale_of_the_gains_is_checked_before_they_are_identified(folder: Path) -> None:

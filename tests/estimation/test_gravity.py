@@ -30,11 +30,11 @@ from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import Run
 
 
-def found(robot: Robot, runs: list[Run]) -> Alternative | None:
+def found(robot: Robot, runs: list[Run], missing: bool = False) -> Alternative | None:
     dataset = reduce_runs(robot, runs)
     gains = np.ones(len(robot.actuated)) if runs[0].kind == "torque" else None
     system = dataset.system(per_run=len(runs) > 1)
-    return likeliest_gravity(fit_by(ml_or_wls(gains), system, gains is None), missing=False, turned=True)
+    return likeliest_gravity(fit_by(ml_or_wls(gains), system, gains is None), missing, turned=not missing)
 
 
 def axis(gravity: Gravity) -> np.ndarray:
@@ -105,6 +105,18 @@ def test_other_robots(robot: Robot, true: Gravity, currents: bool, also: int) ->
     assert max(axis(each) @ axis(true) for each in gravities) > 0.999
 
 
+def test_gravity_is_not_missing_where_the_logs_contradict_it() -> None:
+    """Whatever the ranking of efforts says: it asks each joint alone, some of whose columns may stand for its gravity.
+
+    Of an Orthoglide in MuJoCo, played well, all intervals once were +-180 % and more for this.
+    """
+    robot = load_robot("orthoglide")
+    assert found(robot, logged(robot, robot.gravity, currents=True), missing=True) is None
+    without = found(robot, logged(robot, (0.0, 0.0, 0.0), currents=True), missing=True)
+    assert without is not None
+    assert without.causes[0].values["remains"] < 0.1
+
+
 def test_a_direction_between_the_axes() -> None:
     robot, true = scara(), (0.4 * G, -0.6 * G, -np.sqrt(1 - 0.52) * G)
     other = found(robot, logged(robot, true, currents=True))
@@ -112,17 +124,17 @@ def test_a_direction_between_the_axes() -> None:
     assert axis(other.causes[0].values["gravity"]) @ axis(true) > np.cos(np.radians(2))
 
 
-@pytest.mark.parametrize("currents", [False, True], ids=["torques", "currents"])
 @pytest.mark.parametrize(
-    "robot",
+    ("robot", "currents"),
     [
-        scara(),
-        load_robot("five-bar"),
-        replace(load_robot("five-bar"), name="flat", gravity=(0.0, G, 0.0)),
-        load_robot("ur10e"),
-        pytest.param(load_robot("orthoglide"), marks=pytest.mark.slow),
+        (scara(), False),
+        (load_robot("five-bar"), True),
+        (replace(load_robot("five-bar"), name="flat", gravity=(0.0, G, 0.0)), True),
+        (load_robot("ur10e"), False),
+        pytest.param(load_robot("ur10e"), True, marks=pytest.mark.slow),
+        pytest.param(load_robot("orthoglide"), True, marks=pytest.mark.slow),
     ],
-    ids=lambda robot: robot.name,
+    ids=lambda value: {True: "currents", False: "torques"}[value] if isinstance(value, bool) else value.name,
 )
 def test_healthy_robots_keep_their_gravity(robot: Robot, currents: bool) -> None:
     """Also where gravity is not seen, or is no more than an offset of a joint."""

@@ -28,6 +28,12 @@ def true(tmp_path_factory: pytest.TempPathFactory) -> Robot:
     return robot(tmp_path_factory.mktemp("true"))
 
 
+@pytest.fixture(scope="module")
+def heavier(true: Robot, tmp_path_factory: pytest.TempPathFactory) -> Result:
+    """With a file whose third link is too heavy."""
+    return identified(robot(tmp_path_factory.mktemp("heavier"), {"j3": 1.3 * MASSES["j3"]}), plant(true))
+
+
 def test_a_file_that_is_right_is_not_contradicted(true: Robot) -> None:
     """All parameters are tested together at 5 %: of three sets of logs at most one may have a contradiction."""
     audits = [identified(true, plant(true), (seed, seed + 1)).audit for seed in (1, 3, 5)]
@@ -41,9 +47,8 @@ def test_a_file_that_is_right_is_not_contradicted(true: Robot) -> None:
         assert 0.5 < np.sqrt(np.mean(np.square(z))) < 1.5
 
 
-def test_the_link_whose_mass_is_wrong_is_named(true: Robot, tmp_path: Path) -> None:
-    result = identified(robot(tmp_path, {"j3": 1.3 * MASSES["j3"]}), plant(true))
-    audit = result.audit
+def test_the_link_whose_mass_is_wrong_is_named(true: Robot, heavier: Result) -> None:
+    result, audit = heavier, heavier.audit
     assert audit.stated_error > 3 * audit.identified_error
     assert [each.name for each in audit.links] == ["j3"]
     assert audit.links[0].error < 1.1 * audit.identified_error
@@ -63,10 +68,9 @@ def test_the_link_whose_mass_is_wrong_is_named(true: Robot, tmp_path: Path) -> N
     assert f"{said}: mx_0, mx_1" in listed.items[0].points
 
 
-def test_the_audit_is_in_the_file_of_the_model(true: Robot, tmp_path: Path) -> None:
-    result = identified(robot(tmp_path, {"j3": 1.3 * MASSES["j3"]}), plant(true))
-    result.save(tmp_path / "model.json")
-    assert Result.load(tmp_path / "model.json").audit == result.audit
+def test_the_audit_is_in_the_file_of_the_model(heavier: Result, tmp_path: Path) -> None:
+    heavier.save(tmp_path / "model.json")
+    assert Result.load(tmp_path / "model.json").audit == heavier.audit
 
 
 def test_a_file_without_inertias_is_passed_over(true: Robot, tmp_path: Path) -> None:

@@ -65,4 +65,3 @@ def test_currents_of_one_joint_in_another_unit_are_asked_about() -> None:
     assert result.drive_gains["right"].value == pytest.approx(GAINS[1] / 60, rel=0.01)
     stated = identify(ROBOT, runs, prior_gains={"left": GAINS[0], "right": GAINS[1] / 60})
     assert stated.accepted
-    assert identify(ROBOT, logs(0.0, 0.0)).accepted

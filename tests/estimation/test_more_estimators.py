@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +51,12 @@ def data(runs: list[Run]) -> Dataset:
     return reduce_runs(FIVE_BAR, runs)
 
 
+@pytest.fixture(scope="module")
+def identified(runs: list[Run]) -> Callable[[str], Result]:
+    """What an estimator identifies, once."""
+    return cache(lambda method: identify(FIVE_BAR, runs, method=method))
+
+
 def gain_errors(result: Result) -> np.ndarray:
     """Errors of the gains in standard deviations."""
     found = [result.drive_gains[joint] for joint in JOINTS]
@@ -56,8 +64,8 @@ def gain_errors(result: Result) -> np.ndarray:
 
 
 @pytest.mark.parametrize("method", [each.name for each in estimators().values() if each.gains != Gains.GIVEN])
-def test_every_estimator_finds_the_gains(method: str, runs: list[Run]) -> None:
-    result = identify(FIVE_BAR, runs, method=method)
+def test_every_estimator_finds_the_gains(method: str, identified: Callable[[str], Result]) -> None:
+    result = identified(method)
     assert result.method == method
     assert (np.abs(gain_errors(result)) < 4).all()
     assert result.summary()
@@ -123,8 +131,8 @@ def test_outliers_move_maximum_likelihood_and_not_huber(rng: np.random.Generator
         assert (robust.drive_gains[joint].std or 0.0) < 0.5 * (plain.drive_gains[joint].std or 0.0)
 
 
-def test_without_outliers_huber_is_nearly_maximum_likelihood(runs: list[Run]) -> None:
-    plain, robust = identify(FIVE_BAR, runs), identify(FIVE_BAR, runs, method="huber")
+def test_without_outliers_huber_is_nearly_maximum_likelihood(identified: Callable[[str], Result]) -> None:
+    plain, robust = identified("ml"), identified("huber")
     for joint in JOINTS:
         a, b = plain.drive_gains[joint], robust.drive_gains[joint]
         assert abs((a.value or 0.0) - (b.value or 0.0)) < 0.7 * (a.std or 0.0)
@@ -161,9 +169,8 @@ def test_prior_equations_are_further_rows(data: Dataset) -> None:
     assert np.sqrt(solution.covariance[k, k]) == pytest.approx(std / np.sqrt(2), rel=0.05)
 
 
-def test_a_stated_prior_counts_with_its_deviation(runs: list[Run]) -> None:
-    plain = identify(FIVE_BAR, runs)
-    std = plain.equation_friction["fs_left"].std or 0.0
+def test_a_stated_prior_counts_with_its_deviation(runs: list[Run], identified: Callable[[str], Result]) -> None:
+    std = identified("ml").equation_friction["fs_left"].std or 0.0
     sure = identify(FIVE_BAR, runs, priors={"fs_left": Prior(value=0.8, std=std / 100)})
     assert sure.equation_friction["fs_left"].value == pytest.approx(0.8, abs=std / 30)
     assert (sure.equation_friction["fs_left"].std or 0.0) == pytest.approx(std / 100, rel=0.2)
@@ -184,8 +191,8 @@ def test_the_unknowns_give_the_problem_s_parameters(data: Dataset) -> None:
 # Reduction
 
 
-def test_the_price_of_the_reduction_is_said(runs: list[Run]) -> None:
-    result = identify(FIVE_BAR, runs)
+def test_the_price_of_the_reduction_is_said(identified: Callable[[str], Result]) -> None:
+    result = identified("ml")
     loss = result.statistics["reduction_loss"]
     assert -1 < loss < 6  # with fewer parameters the same squares may make a smaller standard deviation
     assert f"raises the torque residual of the worst joint by {loss:.2g} %" in " ".join(result.summary().split())

@@ -41,11 +41,7 @@ def experiment(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize(
     "method",
-    [
-        "ml",
-        "wls",
-        *(pytest.param(m, marks=pytest.mark.slow) for m in NAMES if m not in ("ml", "wls")),
-    ],
+    ["ml", *(pytest.param(m, marks=pytest.mark.slow) for m in NAMES if m != "ml")],
 )
 def test_compare_says_what_identify_says(method: str, experiment: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gtau.estimation.compare.NAMES", (method,))

@@ -242,15 +242,15 @@ def test_the_checks_of_a_fit_may_run_in_any_order(fault: str, runs: list[Run], m
     """The same verdicts where the one decision sees the findings backwards."""
     priors = {"left": 9.0 * GAINS[0], "right": GAINS[1]} if fault == "prior" else None
     logged = [replace(run, command=run.command * [1.0, -1.0]) for run in runs[:1]] if fault == "sign" else runs[:1]
-    forwards = identify(FIVE_BAR, [*logged, *runs[1:]], prior_gains=priors)
 
-    def backwards(joints: Sequence[str], findings: Iterable[Finding], otherwise: Verdict) -> dict[str, Verdict]:
-        return decide(joints, reversed(list(findings)), otherwise)
+    def either_way(joints: Sequence[str], findings: Iterable[Finding], otherwise: Verdict) -> dict[str, Verdict]:
+        forwards = list(findings)
+        assert decide(joints, forwards[::-1], otherwise) == decide(joints, forwards, otherwise)
+        return decide(joints, forwards, otherwise)
 
-    monkeypatch.setattr(gtau.estimation.diagnostics.diagnose, "decide", backwards)
-    again = identify(FIVE_BAR, [*logged, *runs[1:]], prior_gains=priors)
-    verdicts = [gain.verdict for gain in forwards.drive_gains.values()]
-    assert verdicts == [gain.verdict for gain in again.drive_gains.values()]
+    monkeypatch.setattr(gtau.estimation.diagnostics.diagnose, "decide", either_way)
+    result = identify(FIVE_BAR, [*logged, *runs[1:]], prior_gains=priors)
+    verdicts = [gain.verdict for gain in result.drive_gains.values()]
     assert ({verdict.outcome for verdict in verdicts} == {Outcome.GOOD}) == (fault == "none")
 
 

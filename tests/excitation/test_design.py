@@ -69,9 +69,16 @@ def table_of(outlook: Outlook, name: str) -> Table:
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory) -> Design:
+def search(tmp_path_factory) -> tuple[Design, list[tuple[str, int, int]]]:
+    """A design and the progress of its search."""
     task, _ = read_design(write(tmp_path_factory.mktemp("design"), DESIGN))
-    return design(task, starts=2)
+    seen: list[tuple[str, int, int]] = []
+    return design(task, starts=1, progress=lambda *each: seen.append(each)), seen
+
+
+@pytest.fixture(scope="module")
+def found(search: tuple[Design, list[tuple[str, int, int]]]) -> Design:
+    return search[0]
 
 
 @pytest.mark.slow
@@ -217,10 +224,8 @@ def test_a_stopped_design_is_the_best_so_far_and_within_the_limits(tmp_path: Pat
     assert "the search was cut short" in plain(design_page(Outlook(stopped, {})))
 
 
-def test_progress_counts_iterations(tmp_path: Path) -> None:
-    task, _ = read_design(write(tmp_path, DESIGN))
-    seen: list[tuple[str, int, int]] = []
-    found = design(task, starts=1, progress=lambda *each: seen.append(each))
+def test_progress_counts_iterations(search: tuple[Design, list[tuple[str, int, int]]]) -> None:
+    found, seen = search
     assert not found.cut_short
     done = [each[1] for each in seen]
     assert done == sorted(done)

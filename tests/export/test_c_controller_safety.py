@@ -28,7 +28,7 @@ def smooth(parameters: np.ndarray, names: list[str]) -> np.ndarray:
     return np.where([name.startswith(("fs", "fl")) for name in names], 0.0, parameters)
 
 
-@pytest.mark.parametrize("name", ["ur10e", "five-bar"])
+@pytest.mark.parametrize("name", ["five-bar", pytest.param("ur10e", marks=pytest.mark.slow)])
 def test_bad_inputs_have_a_status_and_safe_currents(name: str, sanitized: str, tmp_path: Path) -> None:
     robot = next(robot for robot in ROBOTS if robot.name == name)
     result = model_of(robot)

@@ -26,7 +26,8 @@ def test_an_item_that_kills_its_process_is_reported_and_the_others_are_done() ->
     assert results == {k: k * k for k in range(8) if k != 3}
 
 
-def test_a_process_has_one_thread() -> None:
+def test_a_process_has_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("GTAU_THREADS", raising=False)
     with processes(2) as mapper:
         assert dict(mapper(limits, range(2))) == {0: "1", 1: "1"}
 

@@ -30,7 +30,7 @@ from gtau.model.home import close_home, load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import Coordinates
 from gtau.model.loop_closure import loop_errors
-from gtau.model.loops import CONDITION, advance, follow
+from gtau.model.loops import CONDITION, advance, displaced, follow
 from gtau.model.singularities import random_motion
 from gtau.robots.robot import Coupling, Limits, Pose, Robot
 
@@ -178,6 +178,8 @@ def test_a_path_goes_on_from_where_it_stopped():
     whole = path_of(robot, q)
     rest = path_of(robot, q[600:], start=whole[:, 599])
     assert_allclose(rest, whole[:, 600:], atol=1e-10)
+    beside = displaced(model(robot).loops, path_of(robot, q + 0.01, start=whole[:, 0]), q.T, str)
+    assert_allclose(beside, whole, atol=1e-10)
 
 
 def test_angles_of_thousands_of_turns_are_no_reason_to_refuse():
@@ -427,6 +429,8 @@ def test_a_pose_out_of_reach_names_sample_and_pose():
     assert "check the units, signs and zeros" in message
     labels = [f"t = {time:.3f} s of run.csv" for time in times]
     assert "at t = 3.217 s of run.csv (" in refusal(path_of, robot, q, labels=labels.__getitem__)
+    loops, start = model(robot).loops, np.tile(model(robot).loops.home[:, None], (1, 2))
+    assert "at sample of 1 (" in refusal(displaced, loops, start, q[[0, 3217]].T, "sample of {}".format)
 
 
 @pytest.mark.parametrize("bad", [0, 1, 250, 598, 599])

@@ -8,9 +8,9 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 import pytest
-from engines import Mujoco, Pinocchio, closed_motion, closed_torques, random_parameters, tree_torques
+from engines import Mujoco, Pinocchio, closed_torques, random_parameters, tree_torques
 from numpy.testing import assert_allclose
-from robots_for_tests import ROBOTS, SERIAL, home, random_samples, seven_r, trajectory
+from robots_for_tests import ROBOTS, SERIAL, random_samples, seven_r, trajectory
 from scipy.spatial.transform import Rotation
 
 from gtau.errors import GtauError
@@ -217,45 +217,10 @@ def test_base_parameters_give_the_torques(robot, rng):
     assert np.abs(W[:, :, idle]).max(initial=0.0) <= 1e-12 * np.abs(W).max()
 
 
-@pytest.mark.parametrize(
-    ("name", "parameters", "count"),
-    [
-        ("orthoglide", "all", 61),
-        ("orthoglide", "inertial", 34),
-        ("five-bar", "all", 25),
-        ("five-bar", "inertial", 11),
-        ("ur10e", "all", 58),
-        ("ur10e", "inertial", 36),
-    ],
-)
-def test_number_of_base_parameters(name, parameters, count):
-    assert base_of(load_robot(name), parameters).count == count
-
-
 @pytest.mark.parametrize("name", ["five-bar", "ur10e"])
 def test_regroupings_do_not_depend_on_the_random_states(name):
     robot = load_robot(name)
     assert base_parameters(model(robot), seed=1).regroupings == base_of(robot).regroupings
-
-
-@pytest.mark.parametrize(("name", "count"), [("orthoglide", 61), ("five-bar", 25), ("ur10e", 58)])
-def test_number_of_base_parameters_by_an_engine(name, count, rng):
-    """The torques of random parameter vectors, by Pinocchio, span as many dimensions as there are base parameters.
-
-    The Orthoglide's platform is left out: only its mass acts, and that as the mass of link 41 does.
-    """
-    robot = load_robot(name)
-    n = len(robot.actuated)
-    samples = -(-(count + 3) // n)
-    bounds = np.array([robot.joint(joint).limits.position for joint in robot.actuated])
-    q = 0.9 * rng.uniform(*bounds.T, (samples, n)) + 0.1 * home(robot)
-    qd, qdd = rng.normal(size=(2, samples, n)) * np.array([[[1.0]], [[10.0]]])
-    motion = closed_motion(robot, random_parameters(robot, rng), q, qd, qdd)
-    vectors = [random_parameters(robot, rng) for _ in range(count + 3)]
-    forces = [tree_torques(robot, chi, motion.q, motion.qd, motion.qdd) for chi in vectors]
-    tau = np.array([np.einsum("sjn,sj->sn", motion.J, each).ravel() for each in forces])
-    sizes = np.linalg.svd(tau / np.linalg.norm(tau, axis=0), compute_uv=False)
-    assert sizes[count - 1] > 1e4 * sizes[count]
 
 
 def test_regroupings_of_the_orthoglide():

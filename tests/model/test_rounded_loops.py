@@ -72,7 +72,7 @@ def names(robot: Robot) -> tuple[str, ...]:
 @pytest.mark.parametrize("robot", [load_robot("five-bar"), locomotive()], ids=lambda robot: robot.name)
 def test_digits_change_no_base_parameter(robot: Robot) -> None:
     exact = names(robot)
-    for digits in DIGITS:
+    for digits in (DIGITS[0], 7, DIGITS[-1]):
         found = close_home(written(robot, digits))
         assert "as the numbers in the file are rounded; placements in the loops were moved by up to" in found.notes[0]
         assert " mm, as the" in found.notes[0]

@@ -11,9 +11,8 @@ from free_flyer import free_flyer_model, free_state, pinocchio_state
 from robots_for_tests import four_bar, hexapod, planar_3rrr, seven_r, tree, two_platforms
 
 from gtau.model.home import load_robot
-from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.kinematics import poses
-from gtau.model.loops import Motion
 from gtau.model.singularities import random_motion
 from gtau.robots.floating import float_base
 from gtau.robots.placement import WrenchFrame
@@ -32,11 +31,10 @@ ROBOTS = [
 ]
 
 
-def torques_of(model: InverseDynamics, frames: list[WrenchFrame], motion: Motion, wrenches: np.ndarray) -> np.ndarray:
+def torques_of(model: InverseDynamics, entries: np.ndarray, columns: Regressor, wrenches: np.ndarray) -> np.ndarray:
     """Torques (n, N) of wrenches (6 k, N)."""
-    columns = model.wrenches(frames)
-    tau = np.zeros((len(model.actuated), motion.c.shape[1]))
-    for entry, row, column in zip(columns(model.layout, motion), columns.rows, columns.columns, strict=True):
+    tau = np.zeros((len(model.actuated), wrenches.shape[1]))
+    for entry, row, column in zip(entries, columns.rows, columns.columns, strict=True):
         tau[row] += entry * wrenches[column]
     return tau
 
@@ -49,21 +47,26 @@ def test_the_weight_of_a_body_is_a_wrench(robot: Robot, rng: np.random.Generator
     motion = random_motion(model, 10, rng)
     at_rest = replace(motion, yd=np.zeros_like(motion.yd), ydd=np.zeros_like(motion.ydd))
     felt = False
-    for body in [body for body in model.robot.bodies if f"m_{body}" in model.parameter_names]:
+    bodies = [body for body in model.robot.bodies if f"m_{body}" in model.parameter_names]
+    frames = [WrenchFrame(body, of_world) for body in bodies for of_world in (False, True)]
+    columns = model.wrenches(frames)
+    entries, at = columns(model.layout, at_rest), [poses(model.layout, c) for c in motion.c.T]
+    for b, body in enumerate(bodies):
         mass, first = rng.uniform(1, 3), rng.normal(size=3)
         chi = dict(zip((f"{kind}_{body}" for kind in ("m", "mx", "my", "mz")), (mass, *first), strict=True))
         full = model.full
         vector = np.array([chi.get(name, 0.0) for name in model.parameter_names])
         held = full.torques(full(model.layout, at_rest), vector, len(model.actuated))
         own, world = [], []
-        for c in motion.c.T:
-            R, p = poses(model.layout, c)[body]
+        for R, p in (pose[body] for pose in at):
             own.append(np.concatenate([np.cross(first, R.T @ gravity), mass * R.T @ gravity]))
             world.append(np.concatenate([np.cross(mass * p + R @ first, gravity), mass * gravity]))
         scale = np.abs(held).max()
         felt = felt or scale > 1
-        for frame, wrenches in ((WrenchFrame(body), own), (WrenchFrame(body, of_world=True), world)):
-            found = torques_of(model, [frame], at_rest, np.array(wrenches).T)
+        for k, wrench in ((2 * b, own), (2 * b + 1, world)):
+            wrenches = np.zeros((6 * len(frames), len(wrench)))
+            wrenches[6 * k : 6 * k + 6] = np.array(wrench).T
+            found = torques_of(model, entries, columns, wrenches)
             assert found == pytest.approx(-held, abs=1e-11 * (1 + scale))
     assert felt
 
@@ -76,7 +79,8 @@ def test_wrenches_on_two_feet_are_those_of_pinocchio(rng: np.random.Generator) -
     q, qd, qdd = (each.T for each in 0.7 * rng.normal(size=(3, len(model.actuated), 8)))
     wrenches = rng.normal(size=(12, 8))
     motion = model.motion(*(each.T.copy() for each in (q, qd, qdd)))
-    found = torques_of(model, frames, motion, wrenches)
+    columns = model.wrenches(frames)
+    found = torques_of(model, columns(model.layout, motion), columns, wrenches)
     pinocchio = free_flyer_model(robot)
     data = pinocchio.createData()
     joint = {name: number for number, name in enumerate(pinocchio.names)}

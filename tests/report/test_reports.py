@@ -100,7 +100,7 @@ addEventListener("load", async () => {
 
 @pytest.fixture(scope="module")
 def reports(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder in which every command has written its report."""
+    """A folder in which every command can write its report."""
     folder = tmp_path_factory.mktemp("reports")
     plant = Plant(delays=(1e-3, 1e-3), noise=0.01)
     write_experiment(folder, plant)
@@ -115,14 +115,6 @@ def reports(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / robot).mkdir()
         for name in ("free.csv", "loaded.csv", "check.csv", "experiment.yaml"):
             (folder / robot / name).symlink_to(folder / name)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        patch.setattr("gtau.estimation.compare.NAMES", ("ml", "wls"))
-        for command in COMMANDS.values():
-            patch.setattr("sys.argv", ["gtau", *command.split()])
-            done = CliRunner().invoke(app, command.split())
-            assert done.exit_code == 0, done.stderr
-            assert f"written: {command.split('--out ')[1].split()[0]}/report.html" in done.stdout
     return folder
 
 
@@ -151,7 +143,19 @@ class Links(HTMLParser):
 
 
 def text_of(reports: Path, command: str) -> str:
-    return (reports / command / "report.html").read_text(encoding="utf-8")
+    """The report of a command, which runs where it has not yet; two of them read the model of the first."""
+    file = reports / command / "report.html"
+    if command in ("validate", "payload"):
+        text_of(reports, "identify")
+    if not file.exists():
+        with pytest.MonkeyPatch.context() as patch:
+            patch.chdir(reports)
+            patch.setattr("gtau.estimation.compare.NAMES", ("ml", "wls"))
+            patch.setattr("sys.argv", ["gtau", *COMMANDS[command].split()])
+            done = CliRunner().invoke(app, COMMANDS[command].split())
+        assert done.exit_code == 0, done.stderr
+        assert f"written: {command}/report.html" in done.stdout
+    return file.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from gtau.robots.robot import DRIVE, GROUND, INERTIAL, ROTATIONS, TRANSLATIONS, Joint, Robot
+from gtau.robots.robot import DRIVE, GROUND, INERTIAL, ROTATIONS, TRANSLATIONS, Robot
 
 Parameters = Mapping[str, float]
 MASSLESS = 1e-14
@@ -277,7 +277,7 @@ def closed_states(
     free = np.setdiff1d(np.arange(tree.nv), actuated)
     home = tree.neutral()
     home[tree.joint_q] = [joint.home for joint in robot.joints]
-    home = _close(tree, robot, home, free)
+    home = _close(tree, robot, home, free, 1e-13)
     samples = []
     for goal, velocity, acceleration in zip(q, qd, qdd, strict=True):
         y = home
@@ -285,7 +285,7 @@ def closed_states(
         for part in np.linspace(0.05, 1.0, 20):  # small steps from home keep the assembly mode
             y = y.copy()
             y[tree.joint_q[moved]] = start + part * (goal - start)
-            y = _close(tree, robot, y, free)
+            y = _close(tree, robot, y, free, 1e-13 if part == 1.0 else 1e-4)
         _, C, _ = _constraint(tree, robot, y, np.zeros(tree.nv))
         J = np.zeros((tree.nv, actuated.size))
         J[actuated] = np.eye(actuated.size)
@@ -327,11 +327,8 @@ def _torques(robot: Robot, tree: Pinocchio | Mujoco, chi: Parameters, state: Clo
 
 
 def _drive(robot: Robot, chi: Parameters, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
-    def force(joint: Joint, velocity: float, acceleration: float) -> float:
-        ia, fv, fs, off = (chi.get(f"{kind}_{joint.name}", 0.0) for kind in DRIVE)
-        return ia * acceleration + fv * velocity + fs * np.sign(velocity) + off
-
-    return np.array([force(*each) for each in zip(robot.joints, qd, qdd, strict=True)])
+    ia, fv, fs, off = np.array([[chi.get(f"{kind}_{joint.name}", 0.0) for joint in robot.joints] for kind in DRIVE])
+    return ia * qdd + fv * qd + fs * np.sign(qd) + off
 
 
 def _constraint(
@@ -364,11 +361,11 @@ def _solve(A: np.ndarray, B: np.ndarray) -> np.ndarray:
     return solution
 
 
-def _close(tree: Pinocchio | Mujoco, robot: Robot, y: np.ndarray, free: np.ndarray) -> np.ndarray:
+def _close(tree: Pinocchio | Mujoco, robot: Robot, y: np.ndarray, free: np.ndarray, within: float) -> np.ndarray:
     rest = np.zeros(tree.nv)
     for _ in range(30):
         error, C, _ = _constraint(tree, robot, y, rest)
-        if np.abs(error).max(initial=0.0) < 1e-13:
+        if np.abs(error).max(initial=0.0) < within:
             return y
         step = rest.copy()
         step[free] = -_solve(C[:, free], error)

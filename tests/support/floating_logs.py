@@ -84,8 +84,8 @@ def simulated(
     for number, name in enumerate(("trunk", *GAINS), start=1):
         model.appendBodyToJoint(number, inertia_of(chi, name), pin.SE3.Identity())
     data = model.createData()
-    hook, plate, sole, world = np.zeros((4, len(t), 6))
-    tau, quaternion = np.zeros((len(t), 3)), []
+    base, of_base, sole, world = np.zeros((4, len(t), 6))  # forces and moments about origins
+    tau, R = np.zeros((len(t), 3)), np.zeros((len(t), 3, 3))
     for k in range(len(t)):
         state = free_state(q[k, :6], qd[k, :6], qdd[k, :6])
         at = pinocchio_state(state, q[k, 6:], qd[k, 6:], qdd[k, 6:])
@@ -96,13 +96,13 @@ def simulated(
         if tool:
             on_foot = -(TOOL * data.a_gf[4] + data.v[4].cross(TOOL * data.v[4]))
         found = pin.rnea(model, data, *at, [pin.Force.Zero()] * 4 + [on_foot])
-        force, moment, tau[k] = found[:3], found[3:6], found[6:]
-        sole[k] = [*on_foot.linear, *(on_foot.angular - np.cross(SOLE, on_foot.linear))]
-        of_world = data.oMi[4].act(on_foot)
-        world[k] = [*of_world.linear, *(of_world.angular - np.cross(PLATE, of_world.linear))]
-        hook[k] = [*force, *(moment - np.cross(HOOK, force))]
-        plate[k] = [*(state.R @ force), *(state.R @ moment + np.cross(state.p - PLATE, state.R @ force))]
-        quaternion.append(Rotation.from_matrix(state.R).as_quat(scalar_first=True))
+        tau[k], R[k] = found[6:], state.R
+        base[k], of_base[k], sole[k] = found[:6], data.oMi[1].act(pin.Force(found[:6])).vector, on_foot.vector
+        world[k] = data.oMi[4].act(on_foot).vector
+    hook, plate, sole, world = (
+        np.hstack([wrench[:, :3], wrench[:, 3:] - np.cross(point, wrench[:, :3])])
+        for wrench, point in ((base, HOOK), (of_base, PLATE), (sole, SOLE), (world, PLATE))
+    )
     for j, joint in enumerate(GAINS):
         tau[:, j] += DRIVE["ia"] * qdd[:, 6 + j] + DRIVE["fv"] * qd[:, 6 + j] + DRIVE["fs"] * np.sign(qd[:, 6 + j])
         tau[:, j] += DRIVE["off"]
@@ -110,7 +110,7 @@ def simulated(
     columns = {"t": t}
     for names, values, noise in (
         ("px py pz", 1e3 * q[:, :3], 0.05),  # mm
-        ("qw qx qy qz", np.array(quaternion), 1e-4),
+        ("qw qx qy qz", Rotation.from_matrix(R).as_quat(scalar_first=True), 1e-4),
         ("hx hy hz", hook[:, :3], 0.5),
         ("hmx hmy hmz", hook[:, 3:], 0.05),
         ("gx gy gz", plate[:, :3], 0.5),

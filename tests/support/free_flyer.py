@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from scipy.spatial.transform import Rotation
 
 from gtau.robots.robot import GROUND, INERTIAL, Robot
 
@@ -37,26 +36,21 @@ class FreeState:
 
 def free_state(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> FreeState:
     """The free body from coordinates, rates and accelerations (6,) of the six joints."""
-
-    def columns(angles: np.ndarray) -> np.ndarray:
-        turned_z = Rotation.from_euler("z", angles[2]).as_matrix().T
-        turned_yz = turned_z @ Rotation.from_euler("y", angles[1]).as_matrix().T
-        return np.column_stack([turned_yz @ [1, 0, 0], turned_z @ [0, 1, 0], [0, 0, 1]])
-
-    angles, rates, step = q[3:], qd[3:], 1e-4
-    E = columns(angles)
-    # of fourth order, along the rates: exact to 1e-13 for these sines
-    ahead = [columns(angles + k * step * rates) for k in (-2, -1, 1, 2)]
-    E_d = (ahead[0] - 8 * ahead[1] + 8 * ahead[2] - ahead[3]) / (12 * step)
-    R = Rotation.from_euler("XYZ", angles).as_matrix()
+    (a, b, c), rates = q[3:], qd[3:]
+    (_, sb, sc), (_, cb, cc), (_, b_d, c_d) = np.sin(q[3:]), np.cos(q[3:]), rates
+    E = np.array([[cc * cb, sc, 0.0], [-sc * cb, cc, 0.0], [sb, 0.0, 1.0]])
+    by_b = np.array([[-cc * sb, 0.0, 0.0], [sc * sb, 0.0, 0.0], [cb, 0.0, 0.0]])
+    by_c = np.array([[-sc * cb, cc, 0.0], [-cc * cb, -sc, 0.0], [0.0, 0.0, 0.0]])
+    E_d = by_b * b_d + by_c * c_d
+    R = pin.exp3(np.array([a, 0.0, 0.0])) @ pin.exp3(np.array([0.0, b, 0.0])) @ pin.exp3(np.array([0.0, 0.0, c]))
     return FreeState(R, q[:3], E @ rates, qd[:3], E @ qdd[3:] + E_d @ rates, qdd[:3], E)
 
 
 def pinocchio_state(state: FreeState, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> tuple[np.ndarray, ...]:
     """Configuration, velocity and acceleration in Pinocchio, whose free flyer stands first; joints (n,) as they are."""
     v = state.R.T @ state.v
-    a = state.R.T @ state.a - np.cross(state.omega, v)  # a spatial acceleration
-    quaternion = Rotation.from_matrix(state.R).as_quat()
+    a = state.R.T @ state.a - pin.skew(state.omega) @ v  # a spatial acceleration
+    quaternion = pin.Quaternion(state.R).coeffs()
     return (
         np.concatenate([state.p, quaternion, q]),
         np.concatenate([v, state.omega, qd]),

@@ -146,7 +146,7 @@ def test_c_observes_what_python_observes(name: str, slides: bool, tmp_path: Path
     np.testing.assert_allclose(c.along(time, q, current, 4.0), expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize("name", ["ur10e", "five-bar"])
+@pytest.mark.parametrize("name", ["five-bar", pytest.param("ur10e", marks=pytest.mark.slow)])
 def test_bad_inputs_have_a_status_and_do_not_count(name: str, tmp_path: Path) -> None:
     robot = BY_NAME[name]
     result = model_of(robot)

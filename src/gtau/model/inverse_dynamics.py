@@ -17,7 +17,7 @@ from gtau.errors import GtauError, UnknownName
 from gtau.model.dynamics import parameter_names, torques, wrench_torques
 from gtau.model.interpreter.program import NONE, Program, compile_program, share
 from gtau.model.kinematics import Coordinates, placements, shifted
-from gtau.model.loops import Labels, Loops, Motion, close_loops, differentiate, follow, numbers
+from gtau.model.loops import Labels, Loops, Motion, close_loops, differentiate, displaced, follow, numbers
 from gtau.robots.parameter import Parameter
 from gtau.robots.placement import WRENCH, WrenchFrame
 from gtau.robots.robot import Robot
@@ -183,6 +183,10 @@ class InverseDynamics:
     def path(self, q: np.ndarray, labels: Labels | None = None, start: np.ndarray | None = None) -> np.ndarray:
         """Compute the configurations (n_c, N) of :meth:`motion`."""
         return q if self.loops is None else follow(self.loops, q, labels, start)
+
+    def near(self, c: np.ndarray, q: np.ndarray, labels: Labels) -> np.ndarray:
+        """Compute the configurations (n_c, N) at positions ``q`` (n, N) close to those of ``c``, sample by sample."""
+        return q if self.loops is None else displaced(self.loops, c, q, labels)
 
     def rates(self, c: np.ndarray, qd: np.ndarray, qdd: np.ndarray, labels: Labels | None = None) -> Motion:
         """Compute the state of the whole virtual tree at configurations ``c`` (n_c, N) from :meth:`path`."""

@@ -159,6 +159,15 @@ def advance(loops: Loops, c: np.ndarray, q: np.ndarray, shortest: float = SHORTE
     return c, reached
 
 
+def displaced(loops: Loops, c: np.ndarray, q: np.ndarray, labels: Labels) -> np.ndarray:
+    """Move from closed ``c`` (n_c, N) straight to ``q`` (n, N); raises GtauError where the loops do not close."""
+    c, reached = advance(loops, c, q)
+    if not reached.all():
+        first = int(np.argmin(reached))
+        raise _unreachable(loops, q[:, first], labels(first))
+    return c
+
+
 def follow(
     loops: Loops,
     q: np.ndarray,

@@ -18,7 +18,7 @@ from gtau.estimation.friction.law import SHAPES, transmitted
 from gtau.estimation.regression.column_blocks import TEMPERATURE_TERMS, known_values
 from gtau.estimation.regression.dataset import at_rate_of
 from gtau.estimation.regression.plausibility import check_wrenches, motor_to_joint_speed
-from gtau.estimation.regression.rows import Law, stream_torques
+from gtau.estimation.regression.rows import Law, instants, stream_torques
 from gtau.estimation.results.result import Result
 from gtau.model.inverse_dynamics import one_or_many
 from gtau.model.loops import Motion
@@ -252,7 +252,11 @@ def with_prediction_cutoffs(result: Result, runs: Sequence[Run]) -> Result:
 
 def _squares(result: Result, cutoff: float, prepared: PreparedRun, chi: np.ndarray) -> np.ndarray:
     """Sum squares (n,) of the errors against the raw torques, with positions behind a ``cutoff`` (Hz)."""
-    wide = replace(prepared, cutoffs=(cutoff,) * len(prepared.run.joints))
+    idm, wide = result.idm, replace(prepared, cutoffs=(cutoff,) * len(prepared.run.joints))
+    if idm in prepared.paths:  # along positions behind the previous cut-off
+        labels = instants(prepared.run.name, wide.time)
+        wide.paths[idm] = idm.near(prepared.paths[idm], wide.all_samples.q.T.copy(), labels)
     predicted, _, measured = joint_torques(result, wide, chi)
+    prepared.paths.update(wide.paths)
     valid = prepared.valid()[:, : len(measured)].T
     return np.asarray(np.sum((measured - predicted) ** 2, axis=1, where=valid))

@@ -193,6 +193,6 @@ def _of_motion(model: Result, part: Rows, load: np.ndarray, run: str) -> tuple[n
     zeros = np.zeros((len(q), *before.shape))
     for j, (joint, shift) in enumerate(zip(idm.actuated, STEP * np.eye(len(q)), strict=True)):
         with suppress(GtauError):  # the loops may not close there: this zero is not watched
-            c = idm.path(q + shift[:, None], labels, motion.c[:, 0])
+            c = idm.near(motion.c, q + shift[:, None], labels)
             zeros[j] = change(c, 1.0) * ZERO_UNITS[model.robot.joint(joint).kind][1]
     return zeros, change(motion.c, 1 + STEP)

@@ -211,7 +211,10 @@ def linearise(fit: Fit, windows: Windows, offer: Offer | None = None) -> Lineari
 def stacked_triangles(reduced: Sequence[Sequence[np.ndarray]]) -> np.ndarray:
     """Stack the triangles (., columns) of W windows and c channels, (W, c, p, columns), filled up with zero rows."""
     height = max(len(R) for of_window in reduced for R in of_window)
-    return np.stack([[np.pad(R, ((0, height - len(R)), (0, 0))) for R in of_window] for of_window in reduced])
+    T = np.zeros((len(reduced), len(reduced[0]), height, reduced[0][0].shape[1]))
+    for w, c in np.ndindex(T.shape[:2]):
+        T[w, c, : len(reduced[w][c])] = reduced[w][c]
+    return T
 
 
 def weighted(fit: Fit, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

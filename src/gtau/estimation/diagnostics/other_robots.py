@@ -259,9 +259,15 @@ def _with_gravity(fit: Fit, gravity: np.ndarray) -> Fit:
     return fit_by(ml_or_wls(gains), fit.system.again(other, terms), fit.free_gains)
 
 
-def _without_gravity(fit: Fit, unaltered: Fit) -> Alternative:
-    """Fit without gravity, for what that explains of each joint and how it moves the gains."""
+def _without_gravity(fit: Fit, unaltered: Fit) -> Alternative | None:
+    """Fit without gravity, for what that explains of each joint and how it moves the gains.
+
+    None where it explains less than with it: a joint alone may fit as well without, as other columns of its own stand
+    for its gravity.
+    """
     other, n = _with_gravity(unaltered, np.zeros(3)), len(unaltered.gains)
+    if residual_ratio(other, unaltered) > 1 - REFUTED_SHARE:
+        return None
     ratio = (other.solution.sigma / unaltered.solution.sigma)[:n]
     most = max(np.sqrt(residual_ratio(other, unaltered)), ratio.min())
     return _of_gravity(fit, F.WITHOUT_GRAVITY, unaltered, other, most)

@@ -14,7 +14,7 @@ import numpy as np
 from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.regression.factors import FIXED, MODEL, SIGNAL, SIGNALS, delayed_signal, modelled, triangle
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.thresholds.logs import DELAY_MOTION
+from gtau.estimation.thresholds.logs import DELAY_MOTION, MIRRORED
 
 STEPS = 200
 CONVERGED = 1e-9  # of a standard deviation: a smaller step ends the iteration
@@ -130,11 +130,11 @@ def curvature_of_delays(blocks: np.ndarray, values: np.ndarray, problem: Problem
 
 
 def delays_lost_in_noise(problem: Problem, solution: Solution) -> np.ndarray:
-    """Mark the channels whose current hardly changes but for its noise, (c,).
+    """Mark the channels whose current hardly changes but for its noise, and says nothing of the delay's sign, (c,).
 
     A delay is read off the current's rate of change. Where a joint moves slowly, that is mostly noise, which looks the
     same at any delay. What the expansion ``v - d v' + d^2/2 v''`` makes of the noise then places the minimum, and gives
-    it a curvature of its own.
+    it a curvature of its own. Noise is smoothed as well by the delay ``-d``, for which a motion is too late twice over.
     """
     rate, change = np.moveaxis(problem.blocks[..., SIGNALS], -1, 0)[1:]  # (U, c, p) each
     squares = np.einsum("ujp,ujp->uj", rate, rate)
@@ -144,7 +144,10 @@ def delays_lost_in_noise(problem: Problem, solution: Solution) -> np.ndarray:
     share = of_motion.sum(axis=0) / np.maximum(squares.sum(axis=0), 1e-300)
     # the error of a ratio, from its scatter over the units
     error = np.linalg.norm(of_motion - share * squares, axis=0)
-    return np.asarray(of_motion.sum(axis=0) <= DELAY_MOTION * error)
+    own = zip(problem.own_currents, problem.own_delays, strict=True)
+    errors = np.array([[np.linalg.norm(delayed_signal(T, d)) for d in (delay, -delay)] for T, delay in own])
+    mirrored = errors[:, 0] >= (1 - MIRRORED) * errors[:, 1]
+    return np.asarray((of_motion.sum(axis=0) <= DELAY_MOTION * error) & mirrored)
 
 
 def whitening(rows: np.ndarray, curvature: np.ndarray) -> np.ndarray:

@@ -26,7 +26,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.regression.factors import EXTRA, FIXED, KNOWN, SIGNALS
 from gtau.estimation.regression.rows import TERMS
-from gtau.estimation.regression.run_blocks import BLOCKS
+from gtau.estimation.regression.run_blocks import BLOCKS, PreparedRuns
 from gtau.model.base_parameters import BaseParameters, independent_columns, seen_by_sensor
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter
@@ -254,11 +254,8 @@ class Temperatures:
         return np.array([means.get(joint, 0.0) for joint in logged.joints])
 
 
-def temperatures_of(prepared: Sequence[PreparedRun], edges: Sequence[np.ndarray]) -> Temperatures | None:
-    """Compute the differences in all runs, with the ``edges`` of their blocks; None without temperatures.
-
-    Raises GtauError.
-    """
+def temperatures_of(prepared: PreparedRuns) -> Temperatures | None:
+    """Compute the differences in all runs; None without temperatures. Raises GtauError."""
     logged = [run.run.temperature for run in prepared if run.run.temperature is not None]
     if not logged:
         return None
@@ -267,7 +264,7 @@ def temperatures_of(prepared: Sequence[PreparedRun], edges: Sequence[np.ndarray]
         raise GtauError(f"run '{lacking}' has no temperature, but other runs have; log it in all runs, or in none.")
     joints, means = prepared[0].run.joints, []
     known = [joint for joint in joints if all(joint in temperature.of_joint for temperature in logged)]
-    for run, temperature, cut in zip(prepared, logged, edges, strict=True):
+    for run, temperature, cut in zip(prepared, logged, prepared.edges, strict=True):
         share = np.interp(np.linspace(0, BLOCKS, BLOCKS * INSTANTS), np.arange(BLOCKS + 1), cut)
         time = run.time[0] + share * (run.time[-1] - run.time[0])
         along = [temperature.at(joint, time).reshape(BLOCKS, INSTANTS).mean(axis=1) for joint in known]

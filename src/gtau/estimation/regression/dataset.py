@@ -103,7 +103,7 @@ class Dataset:
     @cached_property
     def temperatures(self) -> Temperatures | None:
         """Differences of the joints from their mean temperatures, where these are logged."""
-        return temperatures_of(self.prepared, self.prepared.edges)
+        return temperatures_of(self.prepared)
 
     def windows(self, pieces: int = 1) -> Windows:
         """Cut the middle of every run into windows; see :func:`.run_blocks.central_windows`."""

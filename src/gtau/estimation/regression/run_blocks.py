@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 
@@ -44,10 +43,9 @@ def block_edges(prepared: PreparedRun | SampleWindow) -> np.ndarray:
     """
     at, awake = prepared.awake()
     weight = np.ones(len(awake))
-    moving = np.concatenate([[-1], np.flatnonzero(awake), [len(awake)]]).tolist()
-    for before, after in pairwise(moving):
-        if at[after] - at[before + 1] > BLOCK_REST * at[-1] / BLOCKS:
-            weight[before + 1 : after] = ASLEEP
+    moving = np.concatenate([[-1], np.flatnonzero(awake), [len(awake)]])
+    for k in np.flatnonzero(at[moving[1:]] - at[moving[:-1] + 1] > BLOCK_REST * at[-1] / BLOCKS):
+        weight[moving[k] + 1 : moving[k + 1]] = ASLEEP
     along = np.cumsum([0.0, *(np.diff(at) * weight)])
     return np.asarray(np.interp(np.linspace(0.0, along[-1], BLOCKS + 1), along, at / at[-1]))
 

@@ -52,6 +52,13 @@ DELAY_MOTION = Threshold(
     faulty="Rokae: 14 ms of joint 1 lost in noise; estimated, the error of unused samples is 46 %, else 31 %",
     evidence="shared logs, tests/acceptance/test_slow_logs.py",
 )
+MIRRORED = Threshold(
+    0.05,
+    "share of a joint's error by which that at the negative delay must be larger for the delay to be real",
+    healthy="0.057 (a five-bar of 0.2 s, 1 ms), 0.45 (xMate7 Pro, 15 ms), of channels whose rate of change is noise",
+    faulty="0.00 to 0.045 (Panda at 30 Hz, UPV, joints 1 of Rokae and KUKA)",
+    evidence="shared logs, tests/cli/test_cli.py",
+)
 DELAY_STD = Threshold(
     0.25,
     "relative standard deviation of a delay longer than a sample that is believed",

@@ -132,7 +132,7 @@ def aligned(rows: int) -> np.ndarray:
 
 def address(array: np.ndarray) -> int:
     """Return the address of an array's first entry."""
-    where: int = array.__array_interface__["data"][0]
+    where: int = array.ctypes.data
     return where
 
 

@@ -111,10 +111,12 @@ def differentiate(x: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
     either end repeat their neighbours' values.
     """
     y = x / 12.0
-    first = (y[:-4] - 8 * y[1:-3] + 8 * y[3:-1] - y[4:]) * rate
-    second = (-y[:-4] + 16 * y[1:-3] - 30 * y[2:-2] + 16 * y[3:-1] - y[4:]) * rate**2
-    ends = [(STENCIL, STENCIL)] + [(0, 0)] * (x.ndim - 1)
-    return np.pad(first, ends, mode="edge"), np.pad(second, ends, mode="edge")
+    first, second = np.empty_like(y), np.empty_like(y)
+    first[2:-2] = (y[:-4] - 8 * y[1:-3] + 8 * y[3:-1] - y[4:]) * rate
+    second[2:-2] = (-y[:-4] + 16 * y[1:-3] - 30 * y[2:-2] + 16 * y[3:-1] - y[4:]) * rate**2
+    for derivative in (first, second):
+        derivative[:STENCIL], derivative[-STENCIL:] = derivative[STENCIL], derivative[-STENCIL - 1]
+    return first, second
 
 
 def position_filter(
@@ -245,8 +247,9 @@ class Decimator:
 
     def near(self, usable: np.ndarray) -> np.ndarray:
         """Mark the samples (N,) or (N, n) with no unusable sample and no end of the log within ``guard``."""
-        ends = [(self.guard + 1, self.guard), *[(0, 0)] * (usable.ndim - 1)]
-        masked = np.cumsum(~np.pad(usable, ends), axis=0)
+        masked = np.ones((len(usable) + 2 * self.guard + 1, *usable.shape[1:]), dtype=bool)
+        masked[self.guard + 1 : self.guard + 1 + len(usable)] = ~usable
+        masked = np.cumsum(masked, axis=0)
         return masked[2 * self.guard + 1 :] == masked[: -2 * self.guard - 1]
 
     def keep(self, usable: np.ndarray, outputs: slice | None = None) -> np.ndarray:

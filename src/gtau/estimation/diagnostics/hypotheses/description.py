@@ -67,8 +67,8 @@ def _with_positions(at: FitWindow, factors: np.ndarray, shifts: np.ndarray) -> C
     for column, factor, shift in zip(columns, factors, shifts, strict=True):
         q, qd, qdd = window.q * factor + shift, window.qd * factor, window.qdd * factor
         moved, labels = replace(window, q=q, qd=qd, qdd=qdd, part_of=None), instants(window.run.name, window.time)
-        try:  # from near the first configuration, so that loops are closed as before
-            path = model.path(np.ascontiguousarray(q.T), labels, at.motion.c[:, 0])
+        try:  # from each configuration, so that loops are closed as before
+            path = model.near(at.motion.c, np.ascontiguousarray(q.T), labels)
             after = at.torques_along(motion_along(model, moved, path), at.values)
         except GtauError:
             continue  # the loops do not close there: nothing is said of this joint
