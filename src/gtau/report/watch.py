@@ -121,14 +121,9 @@ def _quantities(watch: Watch) -> Iterator[Table | Text]:
     first, others = np.flatnonzero(shown & far), np.flatnonzero(shown & ~far)
     faint = frozenset(range(len(first), len(first) + len(others)))
     yield table(columns, map(row, [*first, *others]), name="quantities", faint=faint)
-    yield Text(
-        "Changes since the identification, or since they were acknowledged: mean of the last week ± half its 95 % "
-        "interval. Beyond tolerance: the whole interval is outside. Visible: the smallest sudden change that would be "
-        "found within a week and within a month of such logs."
-    )
+    yield Text(phrase("watched quantities"))
     if hidden := ", ".join(_shown(view.quantities[k])[0] for k in np.flatnonzero(~shown)):
-        remedy = "A reference motion from 'gtau excite' shows them."
-        yield Text(f"Not visible with this motion: {hidden}. {remedy}", style="soft")
+        yield Text(f"Not visible with this motion: {hidden}. {phrase('reference motion')}", style="soft")
 
 
 def watch_report(watch: Watch) -> Page:

@@ -39,7 +39,6 @@ STOPPED = -1.1  # share of friction, of which no more than all can go
 LEADING = ("m", "fs")  # stated first
 RESCALED = 2.0  # a gain that changes by a larger factor is a unit or a sign of the channel
 
-
 Hypothesis = tuple[str, str, np.ndarray]
 """A kind of change, its joint, and combinations (p, c) of the quantities; those may be stated that have charts."""
 
@@ -61,10 +60,8 @@ def causes_of(
     share = sum(1 / max(len(logs) / CORRELATED, 1.0) for logs in (complete, after))
     sigma = share * _covariance(complete, log.formula[np.ix_(rows, rows)])
     L = np.linalg.cholesky(sigma + 1e-12 * np.diag(np.diag(sigma)))
-    change, response = (
-        np.linalg.solve(L, mean_of(after[:, rows]) - healthy[rows]),
-        np.linalg.solve(L, log.response[rows]),
-    )
+    change = np.linalg.solve(L, mean_of(after[:, rows]) - healthy[rows])
+    response = np.linalg.solve(L, log.response[rows])
 
     def fit(*several: Hypothesis) -> Explained | None:
         """Fit one hypothesis or two at once; None where one is not plausible."""

@@ -171,8 +171,7 @@ def _lines(text: bytes, count: int) -> bytes:
 
 def _replaced(log: Path, file: BinaryIO) -> bool:
     """Return whether a log is no longer the file that is read, or has been cut."""
-    try:
-        state, opened = log.stat(), os.fstat(file.fileno())
-    except FileNotFoundError:
-        return True
-    return (state.st_ino, state.st_dev) != (opened.st_ino, opened.st_dev) or state.st_size < file.tell()
+    with suppress(FileNotFoundError):
+        state = log.stat()
+        return not os.path.samestat(state, os.fstat(file.fileno())) or state.st_size < file.tell()
+    return True

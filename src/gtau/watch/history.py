@@ -22,7 +22,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import AliasChoices, Field, FiniteFloat
 
-from gtau.documents.validation import Keys, Positive
+from gtau.documents.validation import Keys, Positive, read_group
 from gtau.errors import GtauError
 from gtau.signals.reading.statements import Tolerances
 from gtau.watch.detectors import FEWEST
@@ -152,7 +152,8 @@ class History:
                     f"{self.path} is not a history of gtau; restore it from a backup, or give another --out."
                 )
             self._database.executescript("PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL")
-            self.settings = WatchSettings.model_validate_json(self._one("SELECT document FROM settings"))
+            document = json.loads(self._one("SELECT document FROM settings"))
+            self.settings = read_group(WatchSettings, str(self.path), document)
 
     def _connect(self, uri: str, settings: WatchSettings | None = None) -> None:
         """Open a database, and begin a history in it if there are settings."""

@@ -88,7 +88,7 @@ class Watch:
         for name, value in given.items():
             if (before := getattr(known, name)) != value:
                 raise GtauError(
-                    f"{folder} was begun with --{name.replace('_', '-')} {before:g}, not {value:g}: another value "
+                    f"{folder} was begun with --{name.replace('_', '-')} {before}, not {value}: another value "
                     "would change what its alarms mean; leave the option out, or give another --out."
                 )
         if tolerances is not None:
