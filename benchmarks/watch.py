@@ -91,6 +91,8 @@ def with_fault(model: Result, run: Run, fault: Fault) -> Run:
             position[:, j] -= fault.size * np.pi / 180
         case "lag":
             current = np.stack([np.interp(run.time - fault.size, run.time, column) for column in current.T], axis=1)
+        case "clock":
+            run = replace(run, time=(1 + fault.size) * run.time)
     return replace(run, position=position, command=current)
 
 
@@ -142,7 +144,8 @@ def faults(names: list[str], seeds: int, data: Path) -> None:
     for name in names:
         model, run = reference(name, data)
         healthy = statistics_of(model, run)
-        common = [*(Fault("load", -1, size) for size in (0.2, 0.5, 1.0)), *(Fault("lag", -1, s) for s in (0.005, 0.02))]
+        sizes = {"load": (0.2, 0.5, 1.0), "lag": (0.005, 0.02), "clock": (0.01, 0.05)}
+        common = [Fault(kind, -1, size) for kind, listed in sizes.items() for size in listed]
         for fault in [*common, *(f for j in range(len(model.robot.actuated)) for f in faults_of(model, j))]:
             row = fault_row(model, healthy, statistics_of(model, with_fault(model, run, fault)), fault, seeds)
             print(f"| {name} | {row} |", flush=True)
@@ -164,7 +167,7 @@ def fault_row(model: Result, healthy: LogStatistics, faulty: LogStatistics, faul
                 break
             if k >= HEALTHY + 1 and alarm is not None:
                 first.append(k - HEALTHY + 1)
-                kind = {"lag": "clock"}.get(fault.kind, fault.kind)
+                kind = {"lag": "clock", "clock": "rate"}.get(fault.kind, fault.kind)
                 named += any((cause.kind, cause.joint) == (kind, joint) for cause in alarm.explanations)
                 break
     words = f"{fault.kind} {fault.size:+g}{f', over {fault.ramp} days' if fault.ramp else ''}"

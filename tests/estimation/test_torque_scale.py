@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 import yaml
 from five_bar_logs import CHI, STEEL, Plant, five_bar, path
+from gravity_logs import logged, scara
 
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.alternatives import TORQUE_SCALE
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
 from gtau.estimation.results.conclusions import headline
@@ -20,6 +22,7 @@ from gtau.estimation.results.result import Result
 from gtau.estimation.results.torque_scale import torque_scale_text, torque_scales
 from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
+from gtau.robots.robot import STANDARD_GRAVITY
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run, read_run
 from gtau.uses.identified import identified
@@ -174,3 +177,18 @@ def test_the_airbot_reports_too_little_at_joints_2_and_3(shared: Path) -> None:
         "joint2",  # 3.5 standard deviations from 1, the limit of what is called wrong
         "joint3",
     }
+
+
+@pytest.mark.parametrize("joint", ["1", "2"])
+def test_one_joint_in_another_scale_is_named_without_any_payload(joint: str) -> None:
+    """Two joints of a SCARA feel the same links: each is in another scale than the other."""
+    robot, gravity = scara(), (0.0, 0.0, -STANDARD_GRAVITY)
+    runs = logged(robot, gravity, currents=False)
+    assert identify(robot, runs).accepted
+    at = robot.actuated.index(joint)
+    factors = np.where(np.arange(len(robot.actuated)) == at, 0.7, 1.0)
+    result = identify(robot, [replace(run, command=np.asarray(run.command) * factors) for run in runs])
+    named = {name: gain.verdict.finding for name, gain in result.drive_gains.items() if gain.verdict.finding}
+    (finding,) = named.values()
+    assert set(named) < {"1", "2"}
+    assert finding.causes[0].kind == TORQUE_SCALE

@@ -135,7 +135,7 @@ def test_what_was_wrong_from_the_first_log_is_beyond_tolerance(model: Result) ->
         assert wide.update_statistics(log, f"{k}", f"2026-01-{k + 1:02d}").healthy
 
 
-def test_contacts_and_lags_are_named(model: Result, healthy: list[LogStatistics]) -> None:
+def test_contacts_lags_and_clocks_are_named(model: Result, healthy: list[LogStatistics]) -> None:
     def bumped(k: int) -> Run:
         current = day(k).command.copy()
         current[1000 + 200 * (k % 7) :][:250, 0] += 0.5  # A, for half a second
@@ -144,13 +144,20 @@ def test_contacts_and_lags_are_named(model: Result, healthy: list[LogStatistics]
     def late(k: int, samples: int = 2) -> Run:
         return replace(day(k), command=np.roll(day(k).command, samples, axis=0))
 
-    for make, kind, joint in ((bumped, "contact", "left"), (late, "clock", "")):
+    def fast(k: int) -> Run:
+        return replace(day(k), time=1.05 * day(k).time)
+
+    sizes = {}
+    for make, kind, joint in ((bumped, "contact", "left"), (fast, "rate", ""), (late, "clock", "")):
         watch = watched(model, healthy)
         for k in range(100, 104):
             status = watch.update_statistics(statistics_of(model, make(k)), f"{k}", f"2026-02-{k - 99:02d}")
         (named,) = status.alarm.explanations
         assert (named.kind, named.joint) == (kind, joint)
-    assert named.size == pytest.approx(0.004, abs=3e-4)
+        sizes[kind] = named.size
+    assert sizes["contact"] > 2
+    assert sizes["rate"] == pytest.approx(0.05, abs=0.003)  # it is not quite linear
+    assert sizes["clock"] == pytest.approx(0.004, abs=3e-4)
     assert "lag of all currents +3.9" in alarm_words(status.alarm)[0]
     watch = watched(model, healthy)
     for k in range(100, 103):
@@ -263,7 +270,7 @@ def test_histories_are_refused_where_they_do_not_suit(model: Result, healthy: li
         Watch(model).update(replace(day(0), kind="torque"))
     other = tmp_path / "other"
     other.mkdir()
-    for content, sentence in ((b"", "is empty"), (b"t,q1,q2\n" * 1000, "cannot be used")):
+    for content, sentence in ((b"", "is not a history"), (b"t,q1,q2\n" * 1000, "cannot be used")):
         (other / "history.db").write_bytes(content)
         with pytest.raises(GtauError, match=sentence):
             Watch(model, other)

@@ -301,7 +301,7 @@ def use(
     from gtau.estimation.results.result import Result
     from gtau.report.torques import external_page
     from gtau.uses.external_torques import torques_along_log, write_table
-    from gtau.uses.runs import carrying, read_log
+    from gtau.uses.runs import read_log
 
     if force_only and frame is None:
         raise GtauError(
@@ -311,8 +311,7 @@ def use(
     at = None if frame is None else _frame(result, frame, experiment)
     with progress_bar() as progress:
         progress("torques along the log", 0, 1)
-        run = read_log(result, log, experiment)
-        run = run if payload is None else carrying(result, run, payload)
+        run = read_log(result, log, experiment, payload=payload)
         torques = torques_along_log(result, run, at, force_only, observer)
     if out is not None:
         write_table(torques, out)

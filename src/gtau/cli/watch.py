@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,47 +15,37 @@ from gtau.documents.files import refuse_as_folder
 from gtau.errors import GtauError
 
 if TYPE_CHECKING:
-    from gtau.estimation.results.result import Result
-    from gtau.signals.run import Run
-    from gtau.watch.follow import Skipped
+    from gtau.watch.follow import Read, Skipped
     from gtau.watch.watch import Status, Watch
 
 Watched = Annotated[Path, argument("MODEL.json|DIR", "What 'gtau identify' wrote, or a folder of histories: one page.")]
-Logs = Annotated[list[Path] | None, argument("LOG...", "Finished logs, or folders of them.")]
 HistoryFolder = Annotated[Path, option("DIR", "Folder of the history, continued if it exists, and of report.html.")]
-Baseline = Annotated[int | None, option("NUMBER", "Number of healthy logs that form the baseline (10).")]
 FalseAlarms = Annotated[float | None, option("NUMBER", "False alarms a year of the whole fleet (1).", min=1e-6)]
-Robots = Annotated[int | None, option("NUMBER", "Number of robots in the fleet (1).", min=1)]
-LogsPerYear = Annotated[float | None, option("NUMBER", "Logs a year of each robot (365).", min=1.0)]
 Reset = Annotated[str | None, option("DATE", "Begin a new baseline with the first log from this date on.")]
 Acknowledge = Annotated[str | None, option("NOTE", "End the alarm: what has changed is the new reference.")]
 Forget = Annotated[str | None, option("LOG", "Leave out a log that was not of this robot or of this state.")]
-Undo = Annotated[str | None, option("LOG|DATE", "Undo what was last done about a log or a date.")]
-Follow = Annotated[
-    bool, option("", "Follow one folder of finished logs, or a growing text log, until Ctrl-C.", "--follow")
-]
+Following = "Follow one folder of finished logs, or a growing text log, until Ctrl-C."
 Block = Annotated[float, option("SECONDS", "Length of the blocks of a growing log.", min=10.0, max=60.0)]
-JsonLines = Annotated[bool, option("", "Print a line of JSON for each log instead of a table.", "--json")]
 
 
 @refusing
 def watch(
     model: Watched,
-    logs: Logs = None,
+    logs: Annotated[list[Path] | None, argument("LOG...", "Finished logs, or folders of them.")] = None,
     out: HistoryFolder = Path("history"),
     experiment: Columns = None,
     payload: CarriedPayload = None,
-    baseline: Baseline = None,
+    baseline: Annotated[int | None, option("NUMBER", "Number of healthy logs that form the baseline (10).")] = None,
     false_alarms_per_year: FalseAlarms = None,
-    robots: Robots = None,
-    logs_per_year: LogsPerYear = None,
+    robots: Annotated[int | None, option("NUMBER", "Number of robots in the fleet (1).", min=1)] = None,
+    logs_per_year: Annotated[float | None, option("NUMBER", "Logs a year of each robot (365).", min=1.0)] = None,
     reset: Reset = None,
     acknowledge: Acknowledge = None,
     forget: Forget = None,
-    undo: Undo = None,
-    follow: Follow = False,
+    undo: Annotated[str | None, option("LOG|DATE", "Undo what was last done about a log or a date.")] = None,
+    follow: Annotated[bool, option("", Following, "--follow")] = False,
     block: Block = 30.0,
-    json_: JsonLines = False,
+    json_: Annotated[bool, option("", "Print a line of JSON for each log instead of a table.", "--json")] = False,
 ) -> None:
     """Watch a robot: compare its logs with its model and with each other, and name what has changed.
 
@@ -71,9 +61,8 @@ def watch(
         return
     refuse_as_folder(out)
     from gtau.estimation.results.result import Result
-    from gtau.report.watch import watch_page, watch_report
-    from gtau.report.write import write_report
     from gtau.signals.reading.experiment import read_experiment
+    from gtau.uses.runs import read_log
     from gtau.watch.follow import follow as blocks
     from gtau.watch.follow import logs_of
     from gtau.watch.watch import Watch
@@ -86,32 +75,18 @@ def watch(
     given = [] if follow else logs_of(sources)
     result = Result.load(model)
     tolerances = None if experiment is None else read_experiment(experiment).tolerances
-    settings = {"baseline": baseline, "false_alarms_per_year": false_alarms_per_year}
-    watched = Watch(result, out, tolerances, **settings, robots=robots, logs_per_year=logs_per_year)
+    settings = {"false_alarms_per_year": false_alarms_per_year, "robots": robots, "logs_per_year": logs_per_year}
+    watched = Watch(result, out, tolerances, baseline=baseline, **settings)
     for what, subject in done.items():
         if subject is not None:
             getattr(watched, what)(subject)
-    read, inputs = partial(_read, result, experiment, payload), (("model", model), *(("log", log) for log in given))
+    read = partial(read_log, result, experiment=experiment, payload=payload)
     statuses = blocks(watched, sources[0], read, block) if follow else _taken(watched, given, read)
-
-    def report() -> list[Path]:
-        return [write_report(watch_report(watched), out, seconds(), inputs), watched.history.path]
-
-    aside = _tell(statuses, report, json_, follow)
-    answer(False, dict, None if json_ else lambda: watch_page(watched), [] if json_ else report())
-    if watched.alarm is not None or aside:
+    if _told(watched, statuses, (model, *given), json_, follow):
         raise typer.Exit(3)
 
 
-def _read(result: Result, experiment: Path | None, payload: str | None, log: Path) -> Run:
-    """Read a log, with the payload that the robot carries."""
-    from gtau.uses.runs import carrying, read_log
-
-    run = read_log(result, log, experiment)
-    return run if payload is None else carrying(result, run, payload)
-
-
-def _taken(watched: Watch, logs: list[Path], read: Callable[[Path], Run]) -> Iterator[Status | Skipped]:
+def _taken(watched: Watch, logs: list[Path], read: Read) -> Iterator[Status | Skipped]:
     """Add logs in the order of their dates."""
     from gtau.watch.follow import date_of, take
 
@@ -122,29 +97,41 @@ def _taken(watched: Watch, logs: list[Path], read: Callable[[Path], Run]) -> Ite
                 yield status
 
 
-def _tell(statuses: Iterator[Status | Skipped], report: Callable[[], list[Path]], as_json: bool, follow: bool) -> bool:
-    """Print a line for each log: that is set aside, as JSON, or that is followed. Return whether one was set aside.
+def _told(
+    watched: Watch, statuses: Iterator[Status | Skipped], files: tuple[Path, ...], as_json: bool, follow: bool
+) -> bool:
+    """Print a line for each log that is set aside or followed, or for all as JSON, then the page of the last.
 
-    Write a report when the state of a robot that is followed changes, and at Ctrl-C.
+    Write a report at the end, at Ctrl-C, and when the state of a robot that is followed changes. Return whether the
+    robot needs attention.
     """
-    from gtau.report.watch import status_words
+    from gtau.report.watch import status_words, watch_page, watch_report
+    from gtau.report.write import write_report
     from gtau.watch.follow import Skipped
 
-    aside, healthy = False, True
+    inputs, history = tuple(zip(("model", *["log"] * len(files)), files, strict=False)), watched.history.path
+
+    def report() -> list[Path]:
+        return [write_report(watch_report(watched), history.parent, seconds(), inputs), history]
+
+    aside, healthy = False, watched.alarm is None
     try:
         for status in statuses:
             if isinstance(status, Skipped):
                 aside, line = True, {"log": status.log, "skipped": status.why}
                 print(json.dumps(line) if as_json else f"{status.log}: {status.why}", flush=True)
-                continue
-            if as_json or follow:
+            elif as_json or follow:
                 print(status.model_dump_json() if as_json else status_words(status), flush=True)
-            if follow and healthy != status.healthy:
-                healthy = status.healthy
+            if follow and healthy != (watched.alarm is None):
+                healthy = not healthy
                 report()
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"all finished logs are in {report()[-1]}") from None
-    return aside
+        report()
+        raise KeyboardInterrupt(f"all finished logs are in {history}") from None
+    written = report()
+    if not as_json:
+        answer(False, dict, lambda: watch_page(watched), written)
+    return aside or watched.alarm is not None
 
 
 def _fleet(folder: Path, as_json: bool) -> None:

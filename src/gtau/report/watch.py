@@ -5,28 +5,23 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from gtau.documents.files import in_order
 from gtau.errors import GtauError
-from gtau.findings.words import filled, to_width
+from gtau.findings.words import filled, phrase, to_width
 from gtau.report.chart import Axis, Chart, Panel, Rule, Series
 from gtau.report.page import Column, Kind, Page, Table, Text, page, section, table
-from gtau.watch.alarms import visible_changes
+from gtau.watch.alarms import FEWEST_OF_WEEK, beyond, visible_changes, week_of
 from gtau.watch.history import HISTORY, Alarm, Event, Explained, History
 from gtau.watch.quantities import Quantity
-from gtau.watch.table import FEWEST_OF_WEEK, beyond, week_of
 from gtau.watch.watch import Status, Watch
 
-SAFETY = (
-    "This is not a safety function: it detects wear and mistakes between logs and protects nobody. Keep the robot's "
-    "own safety functions."
-)
 SHOWN = {"1": ("%", 100.0), "s": ("ms", 1000.0)}
 """Units that are shown as others, and the factors to them."""
 STATES = ("replace", "check", "baseline", "OK")  # those to look after first
-REPLACED = ("gain", "friction")  # causes in drives, which are repaired or replaced where they are beyond tolerance
 DRAWN = 400  # points of a panel, beyond which days are averaged
 SPREAD = 1.5  # times what nine of ten logs stay within, that a panel shows at least
 
@@ -52,16 +47,13 @@ def alarm_words(alarm: Alarm) -> tuple[str, tuple[str, ...]]:
     causes = "; or ".join(map(explained_words, alarm.explanations)) or "no cause fits"
     if len(alarm.explanations) > 1:
         causes += " (these causes cannot be distinguished)"
+    values = {"causes": causes, "listed": ", ".join(alarm.charts[:5]), **dict(alarm)}
+    head, action = filled(f"alarm {alarm.kind}", values)
     parts = [cause for explained in alarm.explanations for cause in (explained, explained.and_also) if cause]
     to_do = [*dict.fromkeys(_said(cause)[1] for cause in parts)] or ["Identify again and compare both models."]
-    listed = ", ".join(alarm.charts[:5])
     if alarm.kind == "log":
-        head = f"Log {alarm.since} is odd by itself and set aside ({listed}): {causes}."
-        return head, ("Repeat it; if the next log agrees, both count.", *to_do)
-    what = "is beyond its tolerances" if alarm.kind == "tolerance" else "has changed"
-    head = f"The robot {what} since {alarm.date[:10]} ({alarm.since}): {causes}."
-    accept = "Once it is explained, accept it by --acknowledge NOTE; after maintenance begin anew by --reset DATE."
-    return head, (f"Quantities: {listed}.", *to_do, accept)
+        return head, (action, *to_do)
+    return head, (f"Quantities: {values['listed']}.", *to_do, action)
 
 
 def status_words(status: Status) -> str:
@@ -75,27 +67,18 @@ def state_of(alarm: Alarm | None, events: Iterable[Event], complete: bool) -> st
     if alarm is None:
         refused = any(event.kind == "refused" for event in events)
         return "check" if refused else "OK" if complete else "baseline"
-    worn = any(cause.kind in REPLACED and cause.joint for cause in alarm.explanations[:1])
-    return "replace" if alarm.kind == "tolerance" and worn else "check"
+    worn = any(cause.kind in ("gain", "friction") and cause.joint for cause in alarm.explanations[:1])
+    return "replace" if alarm.kind == "tolerance" and worn else "check"  # the drive
 
 
 def verdict_text(watch: Watch) -> Text:
     """State whether the robot is the one that was identified."""
-    rate = watch.settings
-    fleet = f"{rate.robots} robots send" if rate.robots > 1 else "the robot sends"
-    promise = (
-        f"False alarms of changes: on average {rate.false_alarms_per_year:.3g} a year if {fleet} "
-        f"{rate.logs_per_year:g} logs a year and healthy logs scatter as an autoregression of correlation up to 0.98 "
-        "beside white noise; the evidence page says what was measured for other kinds of scatter."
-    )
+    values = {"count": watch.count, "enough": FEWEST_OF_WEEK, "phase": watch.phase, **dict(watch.settings)}
+    (head, promise), points = filled("watched", values), tuple[str, ...]()
     if watch.alarm is not None:
         head, points = alarm_words(watch.alarm)
-        return Text(head, (*points, promise, SAFETY), "bad")
-    within = "Within tolerance of the model. " if watch.count >= FEWEST_OF_WEEK else ""
-    if watch.phase == "baseline":
-        words = f"{within}Baseline of {watch.count} of {rate.baseline} healthy logs."
-        return Text(words, (promise, SAFETY), "neutral")
-    return Text(f"{within}No change since the baseline, {watch.count} logs.", (promise, SAFETY), "good")
+    style: Any = "bad" if watch.alarm else "neutral" if watch.phase == "baseline" else "good"
+    return Text(head, (*points, promise, phrase("no safety function")), style)
 
 
 def watch_page(watch: Watch) -> Page:
@@ -138,14 +121,9 @@ def _quantities(watch: Watch) -> Iterator[Table | Text]:
     first, others = np.flatnonzero(shown & far), np.flatnonzero(shown & ~far)
     faint = frozenset(range(len(first), len(first) + len(others)))
     yield table(columns, map(row, [*first, *others]), name="quantities", faint=faint)
-    yield Text(
-        "Changes since the identification, or since they were acknowledged: mean of the last week ± half its 95 % "
-        "interval. Beyond tolerance: the whole interval is outside. Visible: the smallest sudden change that would be "
-        "found within a week and within a month of such logs."
-    )
+    yield Text(phrase("watched quantities"))
     if hidden := ", ".join(_shown(view.quantities[k])[0] for k in np.flatnonzero(~shown)):
-        remedy = "A reference motion from 'gtau excite' shows them."
-        yield Text(f"Not visible with this motion: {hidden}. {remedy}", style="soft")
+        yield Text(f"Not visible with this motion: {hidden}. {phrase('reference motion')}", style="soft")
 
 
 def watch_report(watch: Watch) -> Page:
@@ -221,5 +199,5 @@ def fleet_page(lines: Sequence[Mapping[str, str]]) -> Page:
     waiting = sum(line["state"] in STATES[:2] for line in lines)
     words = f"{waiting} of {len(lines)} robots need attention." if waiting else f"All {len(lines)} robots are OK."
     robots = table([Column(title) for title in lines[0]], [[*line.values()] for line in lines], name="robots")
-    verdict = Text(words, (SAFETY,), "bad" if waiting else "good")
+    verdict = Text(words, (phrase("no safety function"),), "bad" if waiting else "good")
     return page("Watching a fleet", section("Verdict", verdict, id="verdict"), section("Robots", robots, id="robots"))

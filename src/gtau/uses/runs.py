@@ -17,12 +17,20 @@ from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run, read_run
 
 
-def read_log(model: Result, log: str | Path, experiment: str | Path | None = None, part: Part = WHOLE) -> Run:
-    """Read a log, or a ``part`` of it, to be used with a model; raises GtauError.
+def read_log(
+    model: Result,
+    log: str | Path,
+    experiment: str | Path | None = None,
+    part: Part = WHOLE,
+    payload: str | None = None,
+) -> Run:
+    """Read a log, or a ``part`` of it, to be used with a model, of which it carries a ``payload``; raises GtauError.
 
     The ``signals`` and ``units`` of an experiment file name the columns; without it they are ``t``, and for each joint
     ``q`` and ``v`` with the joint's name (``tau`` where the model was identified from torques), SI units.
     """
+    if payload is not None:
+        return carrying(model, read_log(model, log, experiment, part), payload)
     if experiment is not None:
         described = read_experiment(experiment)
         return read_run(log, described.signals, None, described.units, settings=described.preparation, part=part)

@@ -1,24 +1,149 @@
-"""Judge a robot after a log: beyond tolerance, changed, odd by itself, repaired or healthy."""
+"""Judge a robot after a log: beyond tolerance, changed, odd by itself, repaired or healthy.
+
+Quantities are the charts of the logs, but friction is one a joint: Coulomb and viscous together, at the mean speed of
+the motion and relative to the model's, as a motion hardly separates the two. Warming changes the friction of all
+joints by one factor; their median is that factor, and what is compared from log to log is what exceeds it.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.special import stdtrit
 
 from gtau.estimation.results.result import Result
 from gtau.robots.robot import PLAIN_FRICTION
 from gtau.watch.causes import causes_of, contacts_of
-from gtau.watch.detectors import FEWEST, WINDOW, ChangeEvidence, evidence, mean_of, median
-from gtau.watch.history import Alarm, Explained
+from gtau.watch.detectors import FEWEST, WINDOW, ChangeEvidence, alone, evidence, far_off, mean_of, median
+from gtau.watch.history import Alarm, Explained, History, Logs, WatchSettings
+from gtau.watch.quantities import Quantity, identified
 from gtau.watch.statistics import RESIDUAL, LogStatistics
-from gtau.watch.table import WEEK, View, beyond, week_of
 
-HEAVIEST = 100.0  # kg of a load, where the rated payload is not stated
+WEEK, WEEKLY = 7.0, 7  # days, and logs that count as a week where they have one date
+FEWEST_OF_WEEK = 3  # logs of a week; fewer are filled up with earlier ones
+ODD = 5.0  # standard deviations, and tolerances from the model where there are too few logs to compare with
+COMMON = 3  # joints from which the friction of all has a median that one of them does not set
+LOUDER = float(np.log(2))  # growth of a residual that counts as odd
+RATED = 50.0  # kg of a payload, where it is not stated; no load is twice as heavy
 SIZES = np.geomspace(0.5, 60.0, 25)  # changes of which the smallest visible is one, in standard deviations
 PERIODS = (7, 30)  # days in which it is visible
 MOST = 120  # last logs that the imagined ones follow
-WEEKLY = 7  # logs that count as a week where they have one date
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """The ``logs`` of a history, and what is judged of them.
+
+    ``values`` and ``std`` (N, m) are those of the quantities, NaN where not counted. They have a ``tolerance`` about a
+    ``reference`` (m,) and, where they are relative to an identified gain, its standard deviation ``of_model``.
+    """
+
+    settings: WatchSettings
+    logs: Logs
+    quantities: tuple[Quantity, ...]
+    values: np.ndarray
+    std: np.ndarray
+    tolerance: np.ndarray
+    reference: np.ndarray
+    of_model: np.ndarray
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the quantities."""
+        return [quantity.name for quantity in self.quantities]
+
+    @cached_property
+    def odd(self) -> np.ndarray:
+        """Values (N, m) by which a log is odd by itself: far off both the others and what its tolerance allows.
+
+        The next log confirms it where that is far off on the same side. Where there are too few logs to compare with,
+        they are compared with the model.
+        """
+        shown = np.isfinite(self.values)
+        few = shown.sum(axis=0) < FEWEST
+        change = self.values - np.where(few, self.reference, median(self.values))
+        size, material = np.abs(change), np.where(self.of_kind(RESIDUAL), LOUDER, self.tolerance)
+        known = self.of_kind("m", "gain")  # of which the model is right in other motions too
+        far = np.where(few, known & (size > ODD * material), far_off(self.values) & (size > material))
+        far &= size > ODD * np.nan_to_num(self.std)
+        rows, odd = shown.any(axis=1), np.zeros(shown.shape, dtype=bool)
+        single = alone(np.where(far, np.sign(change), 0.0)[rows])
+        odd[rows] = single & ~(far[rows] & ~single).any(axis=1, keepdims=True)
+        return odd
+
+    @cached_property
+    def counted(self) -> np.ndarray:
+        """Values (N, m) without those of odd logs, which count nowhere."""
+        return np.where(self.odd.any(axis=1, keepdims=True), np.nan, self.values)
+
+    @cached_property
+    def compared(self) -> np.ndarray:
+        """Values (N, m) that are compared from log to log: friction less the factor common to all joints."""
+        x, friction = self.counted.copy(), self.of_kind("friction")
+        rows = np.isfinite(x[:, friction]).sum(axis=1) >= COMMON
+        x[np.ix_(rows, friction)] -= median(x[np.ix_(rows, friction)].T)[:, None]
+        return x
+
+    @cached_property
+    def there(self) -> np.ndarray:
+        """Rows of the logs that count since the last maintenance."""
+        return np.flatnonzero(np.isfinite(self.counted).any(axis=1))
+
+    @property
+    def baseline(self) -> int:
+        """Number of logs that count since the last maintenance."""
+        return int(self.logs.counts[self.there].sum())
+
+    @property
+    def limit(self) -> float:
+        """Logarithm of the limit of each quantity's e-detector, which grows with their number."""
+        return float(np.log(self.settings.limit * max(np.isfinite(self.values).any(axis=0).sum(), 1)))
+
+    def of_kind(self, *kinds: str) -> np.ndarray:
+        """Find the quantities (m,) of these kinds."""
+        return np.array([quantity.kind in kinds for quantity in self.quantities])
+
+
+def view_of(model: Result, charts: Sequence[Quantity], history: History) -> View:
+    """Take the logs that count after what was done: maintenance, forgotten and repaired logs, new references."""
+    logs, limits = history.logs(len(charts), len(model.robot.actuated)), history.settings.tolerances
+    friction = [chart.group == "friction" for chart in charts]
+    parts = [Quantity("friction", charts[k].joint, "1") if friction[k] else charts[k] for k in range(len(charts))]
+    quantities = tuple(dict.fromkeys(parts))
+    speed = dict(zip(model.robot.actuated, np.nan_to_num(median(logs.speeds), nan=1.0), strict=True))
+    S = np.zeros((len(charts), len(quantities)))  # combinations of charts
+    for k, chart in enumerate(charts):
+        S[k, quantities.index(parts[k])] = speed[chart.joint] if chart.kind == "fv" else 1.0
+    total = np.array([identified(model, charts[k].name) if friction[k] else 1.0 for k in range(len(charts))]) @ S
+    S /= np.where(total > 0, total, np.nan)
+    shown = np.isfinite(logs.charts).astype(float) @ (S != 0) > 0
+    values = np.where(shown, np.nan_to_num(logs.charts) @ S, np.nan)
+    std = np.where(shown, np.nan_to_num(logs.std) @ np.abs(S), np.nan)
+    accepted = {"m": limits.mass, **limits.model_dump(include={"gain", "friction", "zero", "delay"})}
+    tolerance = np.array([accepted.get(quantity.kind, np.inf) for quantity in quantities])
+    vague = median(std) > np.maximum(tolerance, np.abs(median(values)) / ODD)
+    tolerance[vague] = np.inf  # one log does not determine these, and errors of the model exceed them
+    of_gains = {joint: (gain.std or 0.0) / abs(gain.value or 1.0) for joint, gain in model.drive_gains.items()}
+    of_model = np.array([of_gains.get(quantity.joint, 0.0) * (quantity.kind == "gain") for quantity in quantities])
+    view = View(history.settings, logs, quantities, values, std, tolerance, np.zeros(len(quantities)), of_model)
+    for event in history.events:
+        if event.undone:
+            continue
+        if event.kind == "reset" and (logs.dates >= event.subject).any():
+            values[logs.dates < event.subject] = np.nan
+        elif event.kind == "forget":
+            values[logs.names == event.subject] = np.nan
+        elif event.kind == "repaired":
+            values[(logs.ids >= event.details["first"]) & (logs.ids < event.details["inside"])] = np.nan
+        elif event.kind == "acknowledge":
+            changed = [view.names.index(name) for name in event.details["changed"]]
+            values[np.ix_(logs.ids < event.details["first"], changed)] = np.nan
+            view.reference[changed] = [*event.details["changed"].values()]
+    return view
 
 
 def judge(
@@ -32,27 +157,43 @@ def judge(
         previous = None
     if view.odd[row].any():
         return previous or _alarm("log", model, view, log, np.flatnonzero(view.odd[row]), row), None
-    if previous is not None and len(back := _back(view, previous)):
-        spent = np.ptp(view.logs.days[back])
-        repaired = spent >= WEEK or (spent < 1 and len(back) >= WEEKLY)
-        return (None, int(back[0])) if repaired else (previous, None)
-    since = {} if previous is None else {"since": previous.since, "date": previous.date}
-    changed, start = _changes(view)
+    if previous is not None:
+        healthy, changed = np.array(previous.healthy), np.array(previous.changed)
+        x = view.compared[:, [view.names.index(name) for name in previous.charts]]
+        back = _last(x, (np.abs(x - healthy) / np.abs(changed - healthy) > 0.5).any(axis=1))
+        if len(back):  # all of these are nearer to the healthy means
+            spent = np.ptp(view.logs.days[back])
+            repaired = spent >= WEEK or (spent < 1 and len(back) >= WEEKLY)
+            return (None, int(back[0])) if repaired else (previous, None)
+    alarm = _fresh(model, view, log)
+    if alarm is not None and previous is not None:
+        alarm = alarm.model_copy(update={"since": previous.since, "date": previous.date})
+    return alarm or previous, None
+
+
+def _fresh(model: Result, view: View, log: LogStatistics) -> Alarm | None:
+    """Raise the alarm beyond tolerance, or of a change, that the logs give by themselves."""
+    start, changed = 0, np.zeros(0, dtype=int)
+    if view.baseline > view.settings.baseline:
+        proof = evidence_of(view)
+        found = (proof.log_e >= view.limit) & proof.confirmed
+        changed = np.array([k for k in np.argsort(-proof.log_e) if found[k]], dtype=int)
+        if len(changed):
+            start = int(view.there[-WINDOW:][proof.start[changed[0]]])
     if (far := beyond(view, start)).any():
         x = np.abs(view.counted - view.reference)[:, far]
-        rows = _last(x, ~(x > view.tolerance[far]).any(axis=1))
-        first = int(rows[0]) if len(rows) else int(view.there[-1])
-        alarm = _alarm("tolerance", model, view, log, np.flatnonzero(far), first)
+        last = [*_last(x, ~(x > view.tolerance[far]).any(axis=1)), view.there[-1]]
+        alarm = _alarm("tolerance", model, view, log, np.flatnonzero(far), int(last[0]))
         causes = alarm.explanations  # where none fits, it may be the motion
         if any(_is_beyond(view, cause, far) for cause in causes) or (not causes and beyond(view, start, 2.0).any()):
-            return alarm.model_copy(update=since), None
-    if len(changed):
-        return _alarm("change", model, view, log, changed, start).model_copy(update=since), None
-    return previous, None
+            return alarm
+    return _alarm("change", model, view, log, changed, start) if len(changed) else None
 
 
 def _is_beyond(view: View, cause: Explained, far: np.ndarray) -> bool:
     """Return whether a cause, or that beside it, is beyond tolerance, and so is its own quantity by ``far`` (m,)."""
+    if cause.kind == "rate":
+        return True  # it makes the others wrong
     kind = "friction" if cause.quantity in PLAIN_FRICTION else cause.quantity
     size = np.inf if cause.kind == "units" else abs(cause.size if cause.relative is None else cause.relative)
     concerned = [cause.joint in ("", quantity.joint) for quantity in view.quantities] & view.of_kind(kind)
@@ -67,33 +208,12 @@ def evidence_of(view: View) -> ChangeEvidence:
     return evidence(view.compared[rows], view.std[rows] ** 2, learning, view.of_kind(RESIDUAL))
 
 
-def _changes(view: View) -> tuple[np.ndarray, int]:
-    """Find the quantities that have changed, the leading one first, and the first log of its change."""
-    columns, start = np.zeros(0, dtype=int), 0
-    if view.baseline > view.settings.baseline:
-        proof = evidence_of(view)
-        changed = (proof.log_e >= view.limit) & proof.confirmed
-        columns = np.array([k for k in np.argsort(-proof.log_e) if changed[k]], dtype=int)
-        if len(columns):
-            start = int(view.there[-WINDOW:][proof.start[columns[0]]])
-    return columns, start
-
-
 def accepted(view: View, alarm: Alarm) -> dict[str, Any]:
     """Take what has changed as the new reference: the first log of an alarm, and the means by quantity since then."""
     first = view.logs.place(alarm)
     moved, means = evidence_of(view).log_e > 0, mean_of(view.counted[first:])
-    changed = [k for k, name in enumerate(view.names) if moved[k] or name in alarm.charts]
-    known = {view.names[k]: float(means[k]) for k in changed if np.isfinite(means[k])}
-    return {"first": int(view.logs.ids[first]), "changed": known}
-
-
-def _back(view: View, alarm: Alarm) -> np.ndarray:
-    """Find the last logs whose quantities are all nearer to their healthy means than to those of an alarm."""
-    healthy, changed = np.array(alarm.healthy), np.array(alarm.changed)
-    x = view.compared[:, [view.names.index(name) for name in alarm.charts]]
-    far = np.abs(x - healthy) / np.abs(changed - healthy) > 0.5
-    return _last(x, far.any(axis=1))
+    changed = [k for k, name in enumerate(view.names) if np.isfinite(means[k]) and (moved[k] or name in alarm.charts)]
+    return {"first": int(view.logs.ids[first]), "changed": {view.names[k]: float(means[k]) for k in changed}}
 
 
 def _last(x: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -114,9 +234,8 @@ def _alarm(kind: str, model: Result, view: View, log: LogStatistics, columns: np
     causes: tuple[Explained, ...] = ()
     if not view.of_kind(RESIDUAL)[columns].all():
         of_charts = np.zeros(logs.charts.shape[1]) if by_model else mean_of(logs.charts[before])
-        rated = view.settings.tolerances.rated_payload
-        heaviest = 2 * rated if rated else HEAVIEST
-        causes = causes_of(model, log, logs.charts[before], logs.charts[after], of_charts, heaviest)
+        rated = view.settings.tolerances.rated_payload or RATED
+        causes = causes_of(model, log, logs.charts[before], logs.charts[after], of_charts, 2 * rated)
     return Alarm(
         kind=kind,  # type: ignore[arg-type]  # pydantic checks it
         explanations=causes or contacts_of(log, np.nanmax(logs.uneven[before], axis=0, initial=1.0)),
@@ -128,11 +247,37 @@ def _alarm(kind: str, model: Result, view: View, log: LogStatistics, columns: np
     )
 
 
+def week_of(view: View, since: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Average the logs of the last week, at least the last few, ``since`` a row; also half the 95 % interval (m,).
+
+    Both are NaN without enough logs.
+    """
+    days = view.logs.days
+    seen = np.isfinite(view.counted) & (np.arange(len(days)) >= since)[:, None]
+    recent = (days > days.max(initial=-np.inf) - WEEK)[:, None]
+    part = seen & (recent | (np.cumsum(seen[::-1], axis=0)[::-1] <= FEWEST_OF_WEEK))
+    x, n = np.where(part, view.counted, np.nan), part.sum(axis=0)
+    mean, freedom = mean_of(x), np.maximum(n - 1, 1)
+    scatter = np.nansum((x - mean) ** 2, axis=0) / freedom
+    friction = view.of_kind("friction")  # whose two parts compensate each other
+    jackknife = np.where(friction, 0.0, mean_of(np.where(part, np.nan_to_num(view.std) ** 2, np.nan)))
+    of_mean = stdtrit(freedom, 0.975) * np.sqrt(np.fmax(scatter, jackknife) / np.maximum(n, 1))
+    half = np.hypot(of_mean, 1.96 * view.of_model)
+    few = n < FEWEST_OF_WEEK
+    return np.where(few, np.nan, mean), np.where(few, np.nan, half)
+
+
+def beyond(view: View, since: int = 0, times: float = 1.0) -> np.ndarray:
+    """Find the quantities (m,) that are beyond so many ``times`` their tolerance with their whole interval."""
+    mean, half = week_of(view, since)
+    return np.asarray(np.abs(mean - view.reference) - half > times * view.tolerance)
+
+
 def visible_changes(view: View) -> np.ndarray:
     """Compute the smallest sudden change of each quantity (m, 2) found within a week and a month, NaN where none is.
 
-    The last logs are followed by as many as such a period brings, with the same scatter about the changed mean, and
-    judged by the detector and by the tolerance.
+    The last logs are followed by as many as such a period brings, with the same scatter, and judged by the detector and
+    by the tolerance.
     """
     rows = view.there[-MOST:]
     x, std = view.compared[rows], view.std[rows]

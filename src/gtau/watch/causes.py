@@ -1,4 +1,4 @@
-"""Causes of a change: competing hypotheses of gain, load, friction, warming, zero, delay, clock, units and contact.
+"""Causes of a change: competing hypotheses of gain, load, friction, warming, zero, delay, clock, units, contact.
 
 A single change of one kind moves all charts in a known way (``response``). Each hypothesis is fitted to the difference
 between the logs after the change and those before it, or the model, by generalised least squares, with the covariance
@@ -13,15 +13,13 @@ deviations of the logs with the correlations that independent residuals would gi
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator
 from itertools import combinations
 
 import numpy as np
 from scipy.stats import t as student
 
 from gtau.estimation.results.result import Result
-from gtau.signals.reading.statements import FIRST_MOMENTS
 from gtau.watch.detectors import FEWEST, mean_of
 from gtau.watch.history import Explained
 from gtau.watch.quantities import Quantity, identified
@@ -35,30 +33,14 @@ EXPLAINED = 0.5  # minimum explained share of the squared change
 POOR = 3.0  # misfit per chart of one cause, above which two are tried
 SECOND = 0.3  # of its misfit, below which two explain the change
 CORRELATED = 5.7  # logs that count as one: (1 + rho) / (1 - rho) of a correlation of 0.7
-REACH = 1.0  # m from the flange to the centre of mass of a load
-LARGEST = {"zero": (-20.0, 20.0), "delay": (-0.2, 0.2)}  # deg or mm, and s
+REACH = 1.0  # m at most from the flange to the centre of mass of a load
+LARGEST = {"zero": (-20.0, 20.0), "delay": (-0.2, 0.2), "rate": (-0.5, 0.5)}  # deg or mm, s, share
 STOPPED = -1.1  # share of friction, of which no more than all can go
 LEADING = ("m", "fs")  # stated first
 RESCALED = 2.0  # a gain that changes by a larger factor is a unit or a sign of the channel
 
-
 Hypothesis = tuple[str, str, np.ndarray]
 """A kind of change, its joint, and combinations (p, c) of the quantities; those may be stated that have charts."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Change:
-    """Whitened ``values`` (r,) of a change of charts, and their ``response`` (r, p) to the quantities.
-
-    ``logs`` before it set the scatter, and ``bounds`` hold the sizes by kind of quantity that a robot can have.
-    """
-
-    model: Result
-    quantities: tuple[Quantity, ...]
-    values: np.ndarray
-    response: np.ndarray
-    logs: int
-    bounds: Mapping[str, tuple[float, float]]
 
 
 def causes_of(
@@ -78,78 +60,84 @@ def causes_of(
     share = sum(1 / max(len(logs) / CORRELATED, 1.0) for logs in (complete, after))
     sigma = share * _covariance(complete, log.formula[np.ix_(rows, rows)])
     L = np.linalg.cholesky(sigma + 1e-12 * np.diag(np.diag(sigma)))
-    values = np.linalg.solve(L, mean_of(after[:, rows]) - healthy[rows])
-    bounds = LARGEST | {"m": (-log.payload, heaviest)}
-    bounds |= dict.fromkeys(FIRST_MOMENTS, (-heaviest * REACH, heaviest * REACH))
-    change = _Change(model, log.quantities, values, np.linalg.solve(L, log.response[rows]), len(complete), bounds)
+    change = np.linalg.solve(L, mean_of(after[:, rows]) - healthy[rows])
+    response = np.linalg.solve(L, log.response[rows])
+
+    def fit(*several: Hypothesis) -> Explained | None:
+        """Fit one hypothesis or two at once; None where one is not plausible."""
+        ends = np.cumsum([columns.shape[1] for *_, columns in several])[:-1]
+        sizes, halves, misfit = _fit(change, response @ np.hstack([columns for *_, columns in several]), len(complete))
+        parts = zip(several, np.split(sizes, ends), np.split(halves, ends), strict=True)
+        first, *second = [_stated(model, log, heaviest, misfit, *part) for part in parts]
+        if first is None or None in second:
+            return None
+        return first.model_copy(update={"and_also": second[0]}) if second else first
+
     hypotheses = list(_hypotheses(model, log.quantities))
-    fits = [fit for hypothesis in hypotheses if (fit := _fit(change, hypothesis))]
-    squares = float(values @ values)
-    single = min((fit.misfit for fit in fits), default=squares)
+    fits = [cause for hypothesis in hypotheses if (cause := fit(hypothesis))]
+    squares = float(change @ change)
+    single = min((cause.misfit for cause in fits), default=squares)
     if single > POOR * len(rows):
-        pairs = [_fit(change, *pair) for pair in combinations(hypotheses, 2)]
-        fits = [fit for fit in pairs if fit and fit.misfit < SECOND * single] or fits
-    fits.sort(key=lambda fit: fit.misfit)
+        pairs = [fit(*pair) for pair in combinations(hypotheses, 2)]
+        fits = [cause for cause in pairs if cause and cause.misfit < SECOND * single] or fits
+    fits.sort(key=lambda cause: cause.misfit)
     if not fits or fits[0].misfit - PER_PARAMETER > (1 - EXPLAINED) * squares:
         return ()
     scale = max(1.0, fits[0].misfit / max(len(rows) - 1, 1))  # large changes are not exactly linear
-    return tuple(fit for fit in fits if fit.misfit - fits[0].misfit < CLOSE * scale)
+    return tuple(cause for cause in fits if cause.misfit - fits[0].misfit < CLOSE * scale)
 
 
-def _fit(change: _Change, *several: Hypothesis) -> Explained | None:
-    """Fit one hypothesis or two at once; None where a size is not plausible."""
-    S = change.response @ np.hstack([columns for *_, columns in several])
+def _fit(y: np.ndarray, S: np.ndarray, logs: int) -> tuple[np.ndarray, np.ndarray, float]:
+    """Compute sizes (c,), halves of their intervals, and the misfit of a whitened change ``y``; ``logs`` scatter."""
     norms = np.linalg.norm(S, axis=0)
     norms[norms == 0] = np.inf
-    x, _, rank, _ = np.linalg.lstsq(S / norms, change.values, rcond=1e-6)
-    misfit = float(np.sum((change.values - S / norms @ x) ** 2))
-    variances = np.diag(np.linalg.pinv((S / norms).T @ (S / norms), rcond=1e-8))
-    factor = float(student.ppf(0.975, max(change.logs - 1, FEWEST)))
-    scatter = max(1.0, misfit / max(len(change.values) - int(rank), 1))
-    halves = factor * np.sqrt(variances * scatter) / norms
-    ends = np.cumsum([columns.shape[1] for *_, columns in several])[:-1]
-    parts = zip(several, np.split(x / norms, ends), np.split(halves, ends), strict=True)
-    first, *second = [_stated(change, *part, misfit + PER_PARAMETER * int(rank)) for part in parts]
-    if first is None or None in second:
-        return None
-    return first.model_copy(update={"and_also": second[0]}) if second else first
+    S = S / norms
+    x, _, rank, _ = np.linalg.lstsq(S, y, rcond=1e-6)
+    misfit = float(np.sum((y - S @ x) ** 2))
+    variances = np.diag(np.linalg.pinv(S.T @ S, rcond=1e-8)) * max(1.0, misfit / max(len(y) - int(rank), 1))
+    factor = student.ppf(0.975, max(logs - 1, FEWEST))
+    return x / norms, factor * np.sqrt(variances) / norms, misfit + PER_PARAMETER * int(rank)
 
 
 def _stated(
-    change: _Change, hypothesis: Hypothesis, sizes: np.ndarray, halves: np.ndarray, misfit: float
+    model: Result,
+    log: LogStatistics,
+    heaviest: float,
+    misfit: float,
+    hypothesis: Hypothesis,
+    sizes: np.ndarray,
+    halves: np.ndarray,
 ) -> Explained | None:
     """State the parameter of a hypothesis whose interval does not hold 0: the first, unless only another is certain."""
     kind, joint, columns = hypothesis
-    of = [change.quantities[k] for k in np.argmax(np.abs(columns), axis=0)]
-    t = {k: abs(sizes[k]) / halves[k] for k in range(len(of)) if of[k].charted and abs(sizes[k]) > halves[k]}
-    if not t:
+    quantities = [log.quantities[k] for k in np.argmax(np.abs(columns), axis=0)]
+    stated = [k for k, quantity in enumerate(quantities) if quantity.charted or kind == "rate"]
+    certain = [k for k in stated if abs(sizes[k]) > halves[k]]
+    if not certain:
         return None
-    first = next(iter(t))
-    at = first if t[first] > CERTAIN / 2 else max(t, key=lambda k: t[k])
-    size, half, quantity, relative = float(sizes[at]), float(halves[at]), of[at], None
-    least, most = change.bounds.get(quantity.kind, (-np.inf, np.inf))
+    t = np.abs(sizes) / np.where(halves > 0, halves, np.inf)
+    at = certain[0] if t[certain[0]] > CERTAIN / 2 else max(certain, key=lambda k: t[k])
+    size, half, quantity = float(sizes[at]), float(halves[at]), quantities[at]
     if kind == "gain":  # the apparent torque of the current is that of the model over 1 + delta
         apparent = 1 - size
         if 1 / RESCALED < apparent < RESCALED:
             size, half = size / apparent, half / apparent**2
         else:
             kind, size = "units", apparent
-    elif kind == "friction" and (known := identified(change.model, quantity)):
-        relative = size / known
-    if (
-        not least - half * (kind == "load") <= size <= most
-        or (size if kind == "warming" else relative or 0.0) < STOPPED
-    ):
+    known = identified(model, quantity.name) if kind == "friction" else 1.0 if kind == "warming" else 0.0
+    least, most = LARGEST.get(quantity.kind, (-np.inf, np.inf))
+    if kind == "load":
+        least, most = (-log.payload if quantity.kind == "m" else -heaviest * REACH) - half, heaviest
+    if not least <= size <= most or (known and size / known < STOPPED):
         return None
-    unit = "1" if kind in ("warming", "units") else quantity.unit
     return Explained(
         kind=kind,
         joint=joint,
         quantity=quantity.kind,
         size=size,
         half=half,
-        unit=unit,
-        relative=relative,
+        unit="1" if kind in ("warming", "units") else quantity.unit,
+        relative=size / known if known and joint else None,
         misfit=misfit,
     )
 
@@ -165,7 +153,8 @@ def _hypotheses(model: Result, quantities: tuple[Quantity, ...]) -> Iterator[Hyp
     if len({quantity.joint for quantity in quantities} - {""}) > 1:
         for kind, group in (("clock", "delay"), ("gain", "gain")):
             yield kind, "", np.array([[float(quantity.group == group)] for quantity in quantities])
-        yield "warming", "", np.array([[identified(model, quantity) * quantity.charted] for quantity in quantities])
+        friction = [identified(model, quantity.name) * quantity.charted for quantity in quantities]
+        yield "warming", "", np.array(friction)[:, None]
 
 
 def contacts_of(log: LogStatistics, uneven: np.ndarray) -> tuple[Explained, ...]:

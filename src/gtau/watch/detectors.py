@@ -19,14 +19,14 @@ over all j is an e-detector of the kind Shiryaev-Roberts (Shin, Ramdas and Rinal
 compared with a limit of its own, the number of charts times that of the robot: no filtration is shared, so that no
 adjuster between filtrations is needed, and by the union bound the robot's alarms are no more frequent than stated.
 
-Two guards only delay alarms: the last two logs must both be nearer to the changed mean than to the healthy one, and
-a log that is far off alone (``isolated``) counts as missing until the next one confirms it.
+Two guards only delay alarms: the last two logs must both be nearer to the changed mean than to the healthy one
+(``confirmed``), and a log that is far off alone (``isolated``) counts as missing until the next one confirms it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp, stdtrit
@@ -38,13 +38,8 @@ WINDOW = 400  # last logs that are compared
 RARE = 1e-6  # probability beyond which a log is far off, by Student's t
 
 
-@dataclass(frozen=True, eq=False)
-class ChangeEvidence:
-    """Evidence of a change of each of k charts over n logs.
-
-    ``log_e`` (k,) is the logarithm of the e-detector, ``start`` (k,) the likeliest first log of a change, and
-    ``confirmed`` (k,) whether the last two logs are both nearer to the changed mean.
-    """
+class ChangeEvidence(NamedTuple):
+    """Of each of k charts the logarithm of the e-detector, the likeliest first log of a change, and the first guard."""
 
     log_e: np.ndarray
     start: np.ndarray
@@ -56,15 +51,9 @@ def evidence(
 ) -> ChangeEvidence:
     """Compute the e-detectors of charts; see the head of this module.
 
-    Parameters
-    ----------
-    values, variances : ndarray
-        At least one log by charts (n, k), oldest first, NaN where a log does not show a chart, and their variances by
-        the jackknife.
-    learning : int
-        Number of logs of a chart before which no change begins.
-    rising : ndarray, optional
-        Mask (k,) of the charts of which only growth counts, such as residuals.
+    There is at least one log. ``values`` (n, k) are NaN where a log does not show a chart, ``variances`` (n, k) those
+    of the jackknife. No change begins before ``learning`` logs of a chart; of charts that are ``rising`` (k,), such as
+    residuals, only growth counts.
     """
     x = np.where(isolated(values), np.nan, values)
     shown, mean = np.isfinite(x), mean_of(x)
@@ -80,7 +69,12 @@ def evidence(
     begins = shown & (np.cumsum(shown, axis=0) > learning) & moving & (shown.sum(axis=0) >= FEWEST)
     ratios = np.where(begins, ratios, -np.inf)
     start = np.argmax(ratios, axis=0)
-    return ChangeEvidence(logsumexp(ratios, axis=0), start, _confirmed(x, start))
+    after = np.arange(len(x))[:, None] >= start
+    healthy, changed = (mean_of(np.where(part, x, np.nan)) for part in (~after, after))
+    position = (x - healthy) / np.where(changed != healthy, changed - healthy, np.inf)
+    newest = shown & (np.cumsum(shown[::-1], axis=0)[::-1] <= 2)
+    confirmed = (newest & after & (position > 0.5)).sum(axis=0) == 2
+    return ChangeEvidence(logsumexp(ratios, axis=0), start, confirmed)
 
 
 def isolated(values: np.ndarray) -> np.ndarray:
@@ -90,16 +84,14 @@ def isolated(values: np.ndarray) -> np.ndarray:
 
 def far_off(values: np.ndarray) -> np.ndarray:
     """Find values (n, k) that are further from the median than scatter explains."""
-    middle, count = median(values), np.isfinite(values).sum(axis=0)
-    spread = 1.4826 * median(np.abs(values - middle))
-    distant = np.abs(values - middle) > stdtrit(np.maximum(count - 1, 1), 1 - RARE) * spread
-    return np.asarray(distant & (count >= FEWEST))
+    distance, count = np.abs(values - median(values)), np.isfinite(values).sum(axis=0)
+    far = distance > stdtrit(np.maximum(count - 1, 1), 1 - RARE) * 1.4826 * median(distance)
+    return np.asarray(far & (count >= FEWEST))
 
 
 def alone(side: np.ndarray) -> np.ndarray:
     """Find the logs (n, k) whose ``side`` (-1, 0 or 1) is not 0, nor that of the log before or after."""
-    none = np.zeros((1, side.shape[1]))
-    before, after = np.vstack([none, side[:-1]]), np.vstack([side[1:], none])
+    before, after = np.pad(side, ((1, 1), (0, 0)))[:-2], np.pad(side, ((1, 1), (0, 0)))[2:]
     return np.asarray((side != 0) & (side != before) & (side != after))
 
 
@@ -131,7 +123,7 @@ def _densities(y: np.ndarray, w: np.ndarray, shown: np.ndarray) -> tuple[np.ndar
         a, state = rho * (a + gain * ones[t]), rho * (state + gain * scores[t])
         decay[t] = rho * (1 - gain)
         P = rho**2 * P * (1 - gain) + (1 - rho**2) * (1 - c)
-    hh, hy = _from_each(ones**2 * precision), _from_each(ones * scores * precision)
+    hh, hy = (np.cumsum((ones * part * precision)[::-1], axis=0)[::-1] for part in (ones, scores))  # from each log on
     whole = np.maximum(hh[0], 1e-300)
     r, b, B, C, E = np.zeros_like(ones), np.zeros_like(ones), *np.zeros((3, len(GRID), k))
     for t in reversed(range(n)):
@@ -150,23 +142,7 @@ def _densities(y: np.ndarray, w: np.ndarray, shown: np.ndarray) -> tuple[np.ndar
     return log_p0, ratios, b > 0
 
 
-def _from_each(products: np.ndarray) -> np.ndarray:
-    """Sum from each log to the last (n, ...)."""
-    return np.asarray(np.cumsum(products[::-1], axis=0)[::-1])
-
-
-def _confirmed(x: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Return whether the last two logs of each chart are both nearer to the mean after ``start`` than before."""
-    after = np.arange(len(x))[:, None] >= start
-    healthy, changed = (mean_of(np.where(part, x, np.nan)) for part in (~after, after))
-    position = (x - healthy) / np.where(changed != healthy, changed - healthy, np.inf)
-    newest = np.isfinite(x) & (np.cumsum(np.isfinite(x)[::-1], axis=0)[::-1] <= 2)
-    agreeing = newest & after & (position > 0.5)
-    return np.asarray(agreeing.sum(axis=0) == 2)
-
-
 def mean_of(x: np.ndarray) -> np.ndarray:
     """Average logs (n, k) without those that are NaN; NaN where there is none."""
-    there = np.isfinite(x)
-    count = there.sum(axis=0)
-    return np.where(count > 0, np.where(there, x, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)
+    count = np.isfinite(x).sum(axis=0)
+    return np.asarray(np.nansum(x, axis=0) / np.where(count > 0, count, np.nan))

@@ -1,9 +1,8 @@
 """Follow a robot in production: a folder of finished logs, or a growing text log, block by block.
 
-Each block goes through the batch pipeline as a log of its own, so that its numbers are those of finished logs; they
-come as soon as the block is whole. Blocks are recognised by their content: after an end at any moment, following the
-same folder or file again goes on behind the last block of the history. A log that is rotated, cut or replaced is
-followed from its beginning.
+Each block is a log of its own, so that its numbers are those of finished logs. Blocks are recognised by their content:
+after an end at any moment, following the same folder or file again goes on behind the last block of the history. A log
+that is rotated, cut or replaced is followed from its beginning.
 """
 
 from __future__ import annotations
@@ -172,8 +171,7 @@ def _lines(text: bytes, count: int) -> bytes:
 
 def _replaced(log: Path, file: BinaryIO) -> bool:
     """Return whether a log is no longer the file that is read, or has been cut."""
-    try:
-        state, opened = log.stat(), os.fstat(file.fileno())
-    except FileNotFoundError:
-        return True
-    return (state.st_ino, state.st_dev) != (opened.st_ino, opened.st_dev) or state.st_size < file.tell()
+    with suppress(FileNotFoundError):
+        state = log.stat()
+        return not os.path.samestat(state, os.fstat(file.fileno())) or state.st_size < file.tell()
+    return True

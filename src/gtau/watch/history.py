@@ -10,19 +10,19 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
-from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from datetime import UTC, datetime
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import AliasChoices, Field, FiniteFloat
 
-from gtau.documents.validation import Keys, Positive
+from gtau.documents.validation import Keys, Positive, read_group
 from gtau.errors import GtauError
 from gtau.signals.reading.statements import Tolerances
 from gtau.watch.detectors import FEWEST
@@ -94,8 +94,7 @@ class Alarm(Keys):
     changed: tuple[FiniteFloat, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class Logs:
+class Logs(NamedTuple):
     """The N logs of a history by date: their numbers, as they came, names and dates, and of how many each is the mean.
 
     Charts and their ``std`` (N, k), ``uneven`` and ``speeds`` (N, n) are those of :class:`LogStatistics`.
@@ -120,9 +119,8 @@ class Logs:
         return int(np.argmax((self.names == alarm.since) & (self.dates == alarm.date)))
 
 
-@dataclass(frozen=True)
-class Event:
-    """Something that was done: its kind, the log or joint that it is about, a note, and details as data."""
+class Event(NamedTuple):
+    """Something that was done: its kind, the log or date that it is about, a note, and details as data."""
 
     id: int
     date: str
@@ -148,61 +146,49 @@ class History:
                     self._database.close()
                     with suppress(FileExistsError):  # another program was faster
                         os.link(f"{aside}/{HISTORY}", self.path)
-            if not self.path.stat().st_size:
-                raise GtauError(f"{self.path} is empty; restore it from a backup, or give another --out.")
             self._connect(f"{self.path.absolute().as_uri()}?mode=rw")
-            if self._one("PRAGMA application_id") != APPLICATION:
+            if not self.path.stat().st_size or self._one("PRAGMA application_id") != APPLICATION:
                 raise GtauError(
                     f"{self.path} is not a history of gtau; restore it from a backup, or give another --out."
                 )
             self._database.executescript("PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL")
+            document = json.loads(self._one("SELECT document FROM settings"))
+            self.settings = read_group(WatchSettings, str(self.path), document)
 
     def _connect(self, uri: str, settings: WatchSettings | None = None) -> None:
         """Open a database, and begin a history in it if there are settings."""
         self._database = sqlite3.connect(uri, PATIENCE, isolation_level=None, check_same_thread=False, uri=True)
         if settings:
             self._database.executescript(TABLES)
-            self.settings = settings
+            self.save(settings)
 
     @contextmanager
     def _refusals(self) -> Iterator[None]:
         """Turn errors of SQLite and of the system into one sentence."""
         try:
             yield
-        except sqlite3.Error as error:
-            advice = {"full": "free some space", "locked": "end the other program that writes it"}
-            hint = next((what for word, what in advice.items() if word in str(error)), "restore it from a backup")
-            raise GtauError(f"{self.path} cannot be used ({error}); {hint}, or give another --out.") from None
-        except OSError as error:
+        except (sqlite3.Error, OSError) as error:
+            why = getattr(error, "strerror", None) or error
             raise GtauError(
-                f"{self.path} cannot be written ({error.strerror}); free some space or check the path."
+                f"{self.path} cannot be used ({why}); free some space, end other programs that write it, or restore it "
+                "from a backup."
             ) from None
 
     @contextmanager
     def writing(self) -> Iterator[None]:
         """Hold the lock of the history, and write all that is changed meanwhile, or nothing; raises GtauError."""
-        with self._refusals():
+        with self._refusals(), self._database:
             self._database.execute("BEGIN IMMEDIATE")
-            try:
-                yield
-                self._database.execute("COMMIT")
-            except BaseException:
-                if self._database.in_transaction:
-                    self._database.execute("ROLLBACK")
-                raise
+            yield
 
     def _one(self, query: str, *values: Any) -> Any:
         """Read the first value of the first row, None where there is none."""
         return (self._database.execute(query, values).fetchone() or (None,))[0]
 
-    @property
-    def settings(self) -> WatchSettings:
-        """The head."""
-        return WatchSettings.model_validate_json(self._one("SELECT document FROM settings"))
-
-    @settings.setter
-    def settings(self, settings: WatchSettings) -> None:
+    def save(self, settings: WatchSettings) -> None:
+        """Write the head."""
         self._database.execute("INSERT OR REPLACE INTO settings VALUES (0, ?)", (settings.model_dump_json(),))
+        self.settings = settings
 
     def logs(self, charts: int, joints: int) -> Logs:
         """Read the logs, of so many charts and joints."""
@@ -215,9 +201,8 @@ class History:
 
     @property
     def extent(self) -> tuple[int, str]:
-        """Number of logs, and date of the last."""
-        count, date = self._database.execute("SELECT total(count), max(date) FROM logs").fetchone()
-        return int(count), date or ""
+        """Number of logs, and date of the last, empty without one."""
+        return int(self._one("SELECT total(count) FROM logs")), self._one("SELECT max(date) FROM logs") or ""
 
     @property
     def events(self) -> list[Event]:
@@ -264,17 +249,15 @@ class History:
         """Condense logs beyond the last ``KEPT`` to one row a day, whenever there are more by ``SLACK``."""
         if self._one("SELECT count(*) FROM logs WHERE count = 1") <= KEPT + SLACK:
             return
-        days = defaultdict[str, list[Any]](list)
-        for row in self._database.execute("SELECT id, log, date, count, numbers FROM logs ORDER BY id").fetchall()[
-            :-KEPT
-        ]:
-            days[row[2][:10]].append(row)
-        for day, rows in days.items():
-            ids, names, _, counts, numbers = zip(*rows, strict=True)
-            x = np.array([np.frombuffer(part) for part in numbers])
-            weights = np.isfinite(x) * np.array(counts)[:, None]
-            mean = (weights * np.nan_to_num(x)).sum(axis=0) / np.where(weights.any(axis=0), weights.sum(axis=0), np.nan)
-            self._database.executemany("DELETE FROM logs WHERE id = ?", [(number,) for number in ids])
+        columns = "SELECT id, log, substr(date, 1, 10), count, numbers FROM logs ORDER BY id"
+        rows = self._database.execute(columns).fetchall()[:-KEPT]
+        self._database.execute("DELETE FROM logs WHERE id <= ?", (rows[-1][0],))
+        for day, of_day in groupby(sorted(rows, key=itemgetter(2)), itemgetter(2)):
+            ids, names, _, counts, parts = zip(*of_day, strict=True)
+            numbers = np.array([np.frombuffer(part) for part in parts])
+            weights = np.isfinite(numbers) * np.array(counts)[:, None]
+            total = (weights * np.nan_to_num(numbers)).sum(axis=0)
+            mean = total / np.where(weights.any(axis=0), weights.sum(axis=0), np.nan)
             condensed = (ids[-1], names[-1], day, sum(counts), mean.tobytes())
             self._database.execute("INSERT INTO logs VALUES (?, ?, ?, ?, ?, '')", condensed)
 

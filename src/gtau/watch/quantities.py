@@ -11,6 +11,7 @@ load    mass, first moments, inertia on the tool     those of the payload (eq. 1
 gain    drive gain, at fixed inertia                 ``-tau_model``
 zero    encoder zero                                 ``d tau / d q``
 delay   lag of the current behind the position       ``-g v'``
+rate    clock that is fast, by a share               ``tau`` at speeds that are as much higher
 fv, fs  viscous and Coulomb friction                 ``qd``, ``sign(qd)``
 off     offset of the current                        1
 ======  ===========================================  ==============================
@@ -19,6 +20,7 @@ off     offset of the current                        1
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import product
 
@@ -39,7 +41,7 @@ from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 from gtau.uses.prediction import check_temperature_unit, friction_along, loaded_parameters
 
-STEP = 1e-3  # rad or m, of an encoder zero: torques are linear over this
+STEP = 1e-3  # rad or m of an encoder zero, or share of the rate: torques are linear over this
 FEWEST_ROWS = 50  # of a joint in a log, as in an identification
 ZERO_UNITS = {"revolute": ("deg", np.pi / 180), "prismatic": ("mm", 1e-3)}
 
@@ -57,42 +59,20 @@ class Quantity:
     unit: str
 
     @property
-    def name(self) -> str:
+    def name(self) -> Parameter:
         """Name in tables and files, such as ``gain_elbow``."""
         return Parameter(self.kind, self.joint or "load")
 
     @property
     def charted(self) -> bool:
-        """Whether it has a chart: inertia of the load and offsets are estimated with the others."""
+        """Whether it has a chart: inertia of the load and offsets are estimated with others, a rate is a cause only."""
         return self.kind != "off" if self.joint else self.kind in ("m", "mx", "my", "mz")
 
     @property
     def group(self) -> str:
         """``load``, ``friction``, or the kind itself."""
-        return "load" if not self.joint else "friction" if self.kind in PLAIN_FRICTION else self.kind
-
-
-@dataclass(frozen=True, eq=False)
-class NormalEquations:
-    """Normal equations of a log, ``A^T A`` with ``A = [columns | y]``, rows divided by the model's own residual.
-
-    ``G`` (blocks, n, p + 1, p + 1) of the equations of each joint in each block that the jackknife leaves out,
-    ``rows`` (blocks, n) behind them; ``speed`` (n,) is the mean absolute velocity of each joint in its rows.
-    """
-
-    quantities: tuple[Quantity, ...]
-    G: np.ndarray
-    rows: np.ndarray
-    speed: np.ndarray
-
-    def columns(self, group: str) -> list[int]:
-        """List the columns of a group of quantities."""
-        return [k for k, quantity in enumerate(self.quantities) if quantity.group == group]
-
-    @property
-    def charts(self) -> list[int]:
-        """Columns of the charts."""
-        return [k for k, quantity in enumerate(self.quantities) if quantity.charted]
+        whole = "rate" if self.kind == "rate" else "load"
+        return whole if not self.joint else "friction" if self.kind in PLAIN_FRICTION else self.kind
 
 
 def quantities_of(model: Result) -> tuple[tuple[Quantity, ...], np.ndarray]:
@@ -111,19 +91,33 @@ def quantities_of(model: Result) -> tuple[tuple[Quantity, ...], np.ndarray]:
         for kind, joint in product(("gain", "zero", "delay", *PLAIN_FRICTION), robot.motors)
         if kind not in PLAIN_FRICTION or Parameter(kind, joint) in standard
     )
-    return (*of_load, *of_joints), payload.columns
+    return (*of_load, *of_joints, Quantity("rate", "", "1")), payload.columns
 
 
-def identified(model: Result, quantity: Quantity) -> float:
-    """Return the identified value of a quantity of friction, 0 where there is none."""
-    estimate = model.friction_parameters.get(Parameter(quantity.kind, quantity.joint))
+def identified(model: Result, name: Parameter) -> float:
+    """Return the identified value of a parameter of friction, 0 where there is none."""
+    estimate = model.friction_parameters.get(name)
     return 0.0 if estimate is None else estimate.value or 0.0
 
 
-def normal_equations(model: Result, run: Run) -> NormalEquations:
-    """Reduce a log to the normal equations of the watched quantities; raises GtauError."""
+def normal_equations(model: Result, run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Reduce a log to the normal equations ``A^T A``, ``A = [columns | y]``, of the watched quantities.
+
+    Return those of each joint in each block that the jackknife leaves out (blocks, n, p + 1, p + 1), whose rows are
+    divided by the model's own residual; the number of rows (blocks, n) behind them; and the mean absolute velocity (n,)
+    of each joint in its rows. Raises GtauError.
+    """
     idm, base, n = model.idm, model.base, len(model.idm.actuated)
-    run = _suitable(model, run)
+    if model.robot.floating:
+        raise GtauError(f"the base of robot '{model.robot.name}' floats; only robots with a fixed base are watched.")
+    if run.kind != model.kind:
+        raise GtauError(
+            f"run '{run.name}' holds {run.kind}s, but the model was identified from {model.kind}s; give a log of the "
+            "same kind."
+        )
+    run = run.ordered(idm.actuated, link_side=False)
+    check_wrenches(model.robot, run)
+    check_temperature_unit(model, run)
     preparation = at_rate_of([run], model.preparation)
     (prepared,) = prepare_runs(idm, [run], preparation)
     decimator = preparation.at(run.rate).decimator
@@ -136,7 +130,9 @@ def normal_equations(model: Result, run: Run) -> NormalEquations:
         )
     chi = loaded_parameters(model, run.payload, f"run '{run.name}'")
     load, friction = np.array(transmitted(np, base.standard, chi)), friction_along(model, prepared, chi)
-    (quantities, payload), sigma = quantities_of(model), _sigma(model)
+    (quantities, payload), rms = quantities_of(model), {error.joint: error.rms for error in model.residuals}
+    middle = float(np.median([*rms.values()])) if rms else 1.0
+    sigma = [rms.get(joint) or middle or 1.0 for joint in idm.actuated]  # torque residuals of the identification
     p = len(quantities)
     G, rows, way = np.zeros((BLOCKS, n, p + 1, p + 1)), np.zeros((BLOCKS, n), dtype=int), np.zeros(n)
     for part in stream_rows(idm, idm.columns(base.standard), prepared, decimator, load, friction=friction):
@@ -152,29 +148,7 @@ def normal_equations(model: Result, run: Run) -> NormalEquations:
             f"run '{run.name}' has at most {count.max()} usable rows a joint, away from its reversals and gaps; give a "
             "longer log."
         )
-    return NormalEquations(quantities, G, rows, way / np.maximum(count, 1))
-
-
-def _suitable(model: Result, run: Run) -> Run:
-    """Return the run with its joints in the order of the model's; raises GtauError where it is not of this model."""
-    if model.robot.floating:
-        raise GtauError(f"the base of robot '{model.robot.name}' floats; only robots with a fixed base are watched.")
-    if run.kind != model.kind:
-        raise GtauError(
-            f"run '{run.name}' holds {run.kind}s, but the model was identified from {model.kind}s; give a log of the "
-            "same kind."
-        )
-    run = run.ordered(model.robot.actuated, link_side=False)
-    check_wrenches(model.robot, run)
-    check_temperature_unit(model, run)
-    return run
-
-
-def _sigma(model: Result) -> np.ndarray:
-    """Take the torque residual (n,) of the identification; of a joint without one the median of the others."""
-    known = {error.joint: error.rms for error in model.residuals}
-    middle = float(np.median([*known.values()])) if known else 1.0
-    return np.array([known.get(joint) or middle or 1.0 for joint in model.robot.actuated])
+    return G, rows, way / np.maximum(count, 1)
 
 
 def _columns(
@@ -189,8 +163,9 @@ def _columns(
     A = np.zeros((*tau.shape, len(quantities) + 1))
     A[..., : payload.shape[1]] = W @ payload
     A[..., -1] = gains * np.einsum("ijk,ji->jk", part.currents, delayed(delays)) - tau
-    zeros = _of_zeros(model, part, load, run)
-    for k, quantity in enumerate(quantities[payload.shape[1] :], start=payload.shape[1]):
+    zeros, rate = _of_motion(model, part, load, run)
+    A[..., -2] = rate + W @ [identified(model, name) * (name.kind == "fv") for name in standard]
+    for k, quantity in enumerate(quantities[payload.shape[1] : -1], start=payload.shape[1]):
         j = idm.actuated.index(quantity.joint)
         match quantity.kind:
             case "gain":
@@ -204,18 +179,20 @@ def _columns(
     return A
 
 
-def _of_zeros(model: Result, part: Rows, load: np.ndarray, run: str) -> np.ndarray:
-    """Differentiate the torques (n, K) with respect to each encoder zero, (n, n, K), per degree or millimetre."""
+def _of_motion(model: Result, part: Rows, load: np.ndarray, run: str) -> tuple[np.ndarray, np.ndarray]:
+    """Differentiate the torques (n, K) by each encoder zero (n, n, K), per degree or millimetre, and by the rate."""
     idm, motion, labels = model.idm, part.motion, instants(run, part.time)
     regressor = idm.columns(model.base.standard)
     q, qd, qdd = (np.ascontiguousarray(states[idm.layout.actuated]) for states in (motion.c, motion.yd, motion.ydd))
     before = regressor.torques_along(idm.layout, motion, load)
-    columns = np.zeros((len(q), *before.shape))
+
+    def change(c: np.ndarray, faster: float) -> np.ndarray:
+        moved = idm.rates(c, faster * qd, faster**2 * qdd, labels)
+        return np.asarray((regressor.torques_along(idm.layout, moved, load) - before) / STEP)
+
+    zeros = np.zeros((len(q), *before.shape))
     for j, (joint, shift) in enumerate(zip(idm.actuated, STEP * np.eye(len(q)), strict=True)):
-        try:
+        with suppress(GtauError):  # the loops may not close there: this zero is not watched
             c = idm.near(motion.c, q + shift[:, None], labels)
-        except GtauError:
-            continue  # the loops do not close there: this zero is not watched
-        along = regressor.torques_along(idm.layout, idm.rates(c, qd, qdd, labels), load)
-        columns[j] = (along - before) / STEP * ZERO_UNITS[model.robot.joint(joint).kind][1]
-    return columns
+            zeros[j] = change(c, 1.0) * ZERO_UNITS[model.robot.joint(joint).kind][1]
+    return zeros, change(motion.c, 1 + STEP)

@@ -10,19 +10,22 @@ Standard deviations are those of the block jackknife over blocks of the log, as 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from gtau.estimation.estimators.estimator import jackknife
 from gtau.estimation.results.result import Result
 from gtau.signals.run import Run
-from gtau.watch.quantities import NormalEquations, Quantity, normal_equations, quantities_of
+from gtau.watch.quantities import Quantity, normal_equations, quantities_of
 
 SPANNED = 1e-6  # of the square of a column: a smaller residual is linear dependence on the others
 SHOWN = 0.03  # of a joint's rms torque, by which a change of one standard deviation may at most move it
 LARGEST_ZERO = 1.0  # deg or mm: an encoder zero with a larger standard deviation is not observable
 RESIDUAL = "rms"  # kind of the residual's charts
+inverse_of = partial(np.linalg.pinv, rcond=1e-10, hermitian=True)  # directions without any effect are left out
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,90 +72,88 @@ def charts_of(model: Result) -> tuple[Quantity, ...]:
 
 def statistics_of(model: Result, run: Run) -> LogStatistics:
     """Compute the statistics of a finished log, whose payload is part of what is expected; raises GtauError."""
-    normal, charts = normal_equations(model, run), charts_of(model)
-    total, blocks = normal.G.sum(axis=(0, 1)), np.arange(len(normal.G))
-    C, usable = _combinations(total, normal)
-    residual, uneven = _residuals(normal, blocks >= 0)
-    k, p, K = len(C), len(total) - 1, len(charts)
+    G, rows, speed = normal_equations(model, run)
+    (quantities, _), charts = quantities_of(model), charts_of(model)
+    total, blocks = G.sum(axis=(0, 1)), np.arange(len(G))
+    C, usable = _combinations(total, quantities)
+    residual, uneven = _residuals(G, rows, quantities, blocks >= 0)
+    k, p, K = len(C), len(quantities), len(charts)
     values, replicates = np.concatenate([C @ total[:p, p], residual]), []
-    for block in np.flatnonzero(normal.rows.any(axis=1)):
-        rest = total - normal.G[block].sum(axis=0)
-        without, fine = _combinations(rest, normal)
-        residual, _ = _residuals(normal, blocks != block)
+    for block in np.flatnonzero(rows.any(axis=1)):
+        rest = total - G[block].sum(axis=0)
+        without, fine = _combinations(rest, quantities)
+        residual, _ = _residuals(G, rows, quantities, blocks != block)
         replicates.append(np.concatenate([np.where(fine, without @ rest[:p, p], values[:k]), residual]))
     covariance = jackknife(np.array(replicates)) if len(replicates) > 1 else np.full((K, K), np.inf)
     std = np.sqrt(np.diag(covariance))
     response, formula = np.zeros((K, p)), np.zeros((K, K))
     response[:k] = C @ total[:p, :p]
     formula[:k, :k] = response[:k] @ C.T
-    formula[k:, k:] = np.diag(0.5 / np.maximum(normal.rows.sum(axis=0), 1))  # of the logarithm of an rms
+    formula[k:, k:] = np.diag(0.5 / np.maximum(rows.sum(axis=0), 1))  # of the logarithm of an rms
     shown = np.isfinite(values) & (std > 0) & np.isfinite(std)
-    shown[:k] &= usable & (np.sqrt(np.diag(formula)[:k]) < _limits(normal))
+    shown[:k] &= usable & (np.sqrt(np.diag(formula)[:k]) < _limits(G, quantities))
     return LogStatistics(
         run.name,
         charts,
         np.where(shown, values, np.nan),
         np.where(shown[:, None] & shown, covariance, 0.0),
-        normal.quantities,
+        quantities,
         response,
         formula,
         uneven,
-        normal.speed,
+        speed,
         0.0 if run.payload is None else run.payload.mass or model.payload(run.payload.name)["m"],
     )
 
 
-def _combinations(G: np.ndarray, normal: NormalEquations) -> tuple[np.ndarray, np.ndarray]:
+def _of(quantities: Sequence[Quantity], group: str) -> list[int]:
+    """List the columns of a group of quantities."""
+    return [k for k, quantity in enumerate(quantities) if quantity.group == group]
+
+
+def _combinations(G: np.ndarray, quantities: Sequence[Quantity]) -> tuple[np.ndarray, np.ndarray]:
     """Find the combinations C (k, p) with ``x = C A^T y`` of the charted quantities, and whether each is usable."""
-    p, friction, load = len(G) - 1, normal.columns("friction"), normal.columns("load")
-    combinations, norms = np.zeros((p, p)), np.sqrt(np.diag(G)[:p])
-    scale = np.where(norms > 0, norms, 1.0)
-    N = G[:p, :p] / scale / scale[:, None]
-    inverse = _inverse(N[np.ix_(friction, friction)])
-    combinations[np.ix_(friction, friction)] = inverse
-    usable = norms > 0
-    usable[friction] &= np.diag(inverse) < 1 / SPANNED
-    of_friction = inverse @ N[friction]  # (f, p)
+    friction, load, norms = _of(quantities, "friction"), _of(quantities, "load"), np.sqrt(np.diag(G)[:-1])
+    charted, scale = [quantity.charted for quantity in quantities], np.where(norms > 0, norms, 1.0)
+    N = G[:-1, :-1] / scale / scale[:, None]
+    of_itself = inverse_of(N[np.ix_(friction, friction)])
+    of_friction = of_itself @ N[friction]  # (f, p)
     rest = N - N[:, friction] @ of_friction
-    for group in (*([k] for k in range(p) if k not in (*friction, *load)), load):
-        M = rest[np.ix_(group, group)]
-        inverse = _inverse(M)
-        usable[group] &= (np.diag(M) > SPANNED) & (np.diag(inverse) < 1 / SPANNED)
-        combinations[np.ix_(group, group)] = inverse
-        combinations[np.ix_(group, friction)] = -inverse @ of_friction[:, group].T
-    return (combinations / scale / scale[:, None])[normal.charts], usable[normal.charts]
+    inverse = np.diag(1 / np.maximum(np.diag(rest), SPANNED))  # each by itself, but the load together
+    inverse[np.ix_(load, load)] = inverse_of(rest[np.ix_(load, load)])
+    inverse[friction] = 0.0
+    usable = (norms > 0) & (np.diag(rest) > SPANNED) & (np.diag(inverse) < 1 / SPANNED)
+    usable[friction] = (norms[friction] > 0) & (np.diag(of_itself) < 1 / SPANNED)
+    inverse[:, friction] = -inverse @ of_friction.T
+    inverse[np.ix_(friction, friction)] = of_itself
+    return (inverse / scale / scale[:, None])[charted], usable[charted]
 
 
-def _inverse(M: np.ndarray) -> np.ndarray:
-    """Invert a symmetric matrix, directions without any effect left out."""
-    values, vectors = np.linalg.eigh(M)
-    kept = values > 1e-10 * values.max(initial=1e-290)
-    return np.asarray((vectors[:, kept] / values[kept]) @ vectors[:, kept].T)
-
-
-def _residuals(normal: NormalEquations, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _residuals(
+    G: np.ndarray, rows: np.ndarray, quantities: Sequence[Quantity], used: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Compute each joint's log ratio of rms residuals, friction free, in the blocks ``used``, and its unevenness."""
-    friction, n = normal.columns("friction"), len(normal.speed)
+    friction, n = _of(quantities, "friction"), rows.shape[1]
     rms, uneven = np.full(n, np.nan), np.ones(n)
-    for j in np.flatnonzero(normal.rows[used].sum(axis=0)):
-        total, rows = normal.G[used, j].sum(axis=0), normal.rows[:, j]
+    for j in np.flatnonzero(rows[used].any(axis=0)):
+        total, count = G[used, j].sum(axis=0), rows[:, j]
         x = np.zeros(len(total))
-        x[friction], x[-1] = -_inverse(total[np.ix_(friction, friction)]) @ total[friction, -1], 1.0
-        rms[j] = 0.5 * np.log(max(float(x @ total @ x), 1e-300) / rows[used].sum())
-        squares = np.einsum("p,spq,q->s", x, normal.G[:, j], x)
-        of_blocks = np.sqrt(np.maximum(squares, 0.0) / np.maximum(rows, 1))[rows > 0]
+        x[friction], x[-1] = -inverse_of(total[np.ix_(friction, friction)]) @ total[friction, -1], 1.0
+        rms[j] = 0.5 * np.log(max(float(x @ total @ x), 1e-300) / count[used].sum())
+        squares = np.einsum("p,spq,q->s", x, G[:, j], x)
+        of_blocks = np.sqrt(np.maximum(squares, 0.0) / np.maximum(count, 1))[count > 0]
         uneven[j] = of_blocks.max() / max(np.median(of_blocks), 1e-300)
     return rms, uneven
 
 
-def _limits(normal: NormalEquations) -> np.ndarray:
+def _limits(G: np.ndarray, quantities: Sequence[Quantity]) -> np.ndarray:
     """Find the largest standard deviation of an observable chart: it moves no joint's torque by more than SHOWN.
 
     It depends on the motion and the model's residual alone, so that a fault does not hide what the motion shows. The
     rms torque of a joint is that of the column of its gain.
     """
-    squares = np.einsum("sjpp->jp", normal.G)[:, :-1]
-    of_torque = np.diag(squares[:, normal.columns("gain")])
+    squares = np.einsum("sjpp->jp", G)[:, :-1]
+    of_torque = np.diag(squares[:, _of(quantities, "gain")])
     share = np.sqrt(squares / np.maximum(of_torque, 1e-300)[:, None]).max(axis=0)
-    largest = [LARGEST_ZERO if quantity.kind == "zero" else np.inf for quantity in normal.quantities]
-    return np.minimum(SHOWN / np.maximum(share, 1e-300), largest)[normal.charts]
+    largest = [LARGEST_ZERO if quantity.kind == "zero" else np.inf for quantity in quantities]
+    return np.minimum(SHOWN / np.maximum(share, 1e-300), largest)[[quantity.charted for quantity in quantities]]

@@ -18,12 +18,9 @@ from gtau.estimation.results.result import Result
 from gtau.model.interpreter.program import single_threaded_blas
 from gtau.signals.reading.statements import Tolerances
 from gtau.signals.run import Run
-from gtau.watch.alarms import accepted, judge
+from gtau.watch.alarms import accepted, judge, view_of
 from gtau.watch.history import Alarm, History, WatchSettings, now
 from gtau.watch.statistics import LogStatistics, charts_of, statistics_of
-from gtau.watch.table import View, view_of
-
-DONE = ("acknowledge", "forget", "reset")  # events that can be undone
 
 
 class Status(BaseModel):
@@ -58,17 +55,12 @@ class Watch:
     model : Result
         From :func:`gtau.identify` or :meth:`gtau.Result.load`.
     out : path, optional
-        Folder of the history, continued if it exists; in memory if omitted.
+        Folder of the history, continued if it exists; in memory if omitted. GtauError where it is of another model.
     tolerances : Tolerances, optional
         Those of an experiment file.
     settings : int or float, optional
         ``baseline`` (number of healthy logs that form it, 10 if omitted), ``false_alarms_per_year`` of the whole fleet
-        (1), ``robots`` in it (1) and ``logs_per_year`` of each (365). They stand in the history.
-
-    Raises
-    ------
-    GtauError
-        The history belongs to another model or other settings.
+        (1), ``robots`` in it (1) and ``logs_per_year`` of each (365). They stand in the history: others are refused.
     """
 
     @takes(model=("the result of gtau.identify or gtau.Result.load", (Result,)))
@@ -81,39 +73,34 @@ class Watch:
     ):
         self.model, self.charts = model, charts_of(model)
         given = {name: value for name, value in settings.items() if value is not None}
-        head = {
-            "model": model_digest(model),
-            "robot": model.robot.name,
-            "charts": [chart.name for chart in self.charts],
-        }
+        document = to_document(model)
+        identity = {key: document[key] for key in ("robot_file", "drive_gains", "parameters") if key in document}
+        digest = hashlib.sha256(repr(identity).encode()).hexdigest()
+        head = {"model": digest, "robot": model.robot.name, "charts": [chart.name for chart in self.charts]}
         begun = read_group(WatchSettings, "settings", {**head, **given})
         folder = None if out is None else folder_of(out)
         self.history = History(folder, begun)
-        self.settings = self.history.settings
-        if self.settings.model != begun.model:
-            robot = self.settings.robot
+        known = self.history.settings
+        if known.model != begun.model:
             raise GtauError(
-                f"{folder} holds the history of another model, of robot '{robot}'; give that, or another --out."
+                f"{folder} holds the history of another model, of robot '{known.robot}'; give that, or another --out."
             )
         for name, value in given.items():
-            if (before := getattr(self.settings, name)) != value:
+            if (before := getattr(known, name)) != value:
                 raise GtauError(
-                    f"{folder} was begun with --{name.replace('_', '-')} {before:g}, not {value:g}: another value "
+                    f"{folder} was begun with --{name.replace('_', '-')} {before}, not {value}: another value "
                     "would change what its alarms mean; leave the option out, or give another --out."
                 )
         if tolerances is not None:
-            self.settings = self.settings.model_copy(update={"tolerances": tolerances})
             with self.history.writing():
-                self.history.settings = self.settings
+                self.history.save(known.model_copy(update={"tolerances": tolerances}))
+        self.settings = self.history.settings
         self._read()
 
     def _read(self) -> None:
         """Take what is in the history, whichever program has added it."""
         self.events, self.alarm = self.history.events, self.history.alarm
-        self.view = self._viewed()
-
-    def _viewed(self) -> View:
-        return view_of(self.model, self.charts, self.settings, self.history)
+        self.view = view_of(self.model, self.charts, self.history)
 
     @property
     def count(self) -> int:
@@ -129,26 +116,12 @@ class Watch:
     def update(self, run: Run, digest: str = "", date: str = "") -> Status:
         """Add a finished log; one whose samples are in the history is not added again.
 
-        Parameters
-        ----------
-        run : Run
-            From :func:`gtau.read_run`. Its payload, if any, is part of what is expected.
-        digest : str
-            Identifies the log, beside its samples.
-        date : str
-            Time of recording, ISO 8601; now if omitted.
-
-        Returns
-        -------
-        Status
-            State after the log.
-
-        Raises
-        ------
-        GtauError
-            If the log does not fit the model; the history is then unchanged.
+        The payload of the ``run`` is part of what is expected. A ``digest`` identifies the log beside its samples, and
+        a ``date`` is when it was recorded (ISO 8601), now if omitted. Raises GtauError where the log does not fit the
+        model; the history is then unchanged.
         """
-        samples = run_digest(run)
+        arrays = (run.time, run.position, run.command)
+        samples = hashlib.sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()
         log = None if self.history.seen(samples) else statistics_of(self.model, run)
         return self._add(run.name, log, date or now(), samples, digest or samples)
 
@@ -165,7 +138,7 @@ class Watch:
             if log is not None and not known:
                 before = history.alarm
                 number = history.add_row(name, date, [log.values, log.std, log.uneven, log.speed])
-                view = self._viewed()
+                view = view_of(self.model, self.charts, history)
                 ids = view.logs.ids.tolist()
                 alarm, inside = judge(self.model, view, log, ids.index(number), before)
                 if before is not None and inside is not None:
@@ -236,7 +209,8 @@ class Watch:
 
         Raises GtauError where nothing was.
         """
-        done = [event for event in self.events if event.subject == subject and event.kind in DONE and not event.undone]
+        of_subject = [event for event in self.events if event.subject == subject and not event.undone]
+        done = [event for event in of_subject if "alarm" in (event.details or {})]  # by the user
         if not done:
             raise UnknownName(f"nothing was done about '{subject}'; give a log or a date of the report's events.")
         with self.history.writing():
@@ -250,16 +224,3 @@ class Watch:
             self.history.add_event(kind, subject, note=note, details=details)
             self.history.alarm = alarm
         self._read()
-
-
-def model_digest(model: Result) -> str:
-    """Compute the digest that identifies a model: its robot, gains and parameters."""
-    document = to_document(model)
-    known = {key: document[key] for key in ("robot_file", "drive_gains", "parameters") if key in document}
-    return hashlib.sha256(repr(known).encode()).hexdigest()
-
-
-def run_digest(run: Run) -> str:
-    """Compute the SHA-256 of the samples of a run."""
-    samples = (run.time, run.position, run.command)
-    return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in samples)).hexdigest()

@@ -31,7 +31,8 @@ CERTAIN = 1e9  # log factor that stands for certainty
 SHOWN = float("inf")
 """Plausible size of what a test of its own shows to be significant."""
 GAIN_CHANGE, LENGTHS, TOOL_BODIES, RIPPLE = "gain change", "lengths", "tool bodies", "position ripple"
-"""Names of what tests of their own look for."""
+TORQUE_SCALE = "torque scale"
+"""Names of hypotheses that others ask for."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gtau.estimation.diagnostics.alternatives import friction_levels, rms_speeds, rms_torques
+from gtau.estimation.diagnostics.alternatives import TORQUE_SCALE, friction_levels, rms_speeds, rms_torques
 from gtau.estimation.diagnostics.effort import stated_meaning
 from gtau.estimation.diagnostics.examine import Examination
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
@@ -52,6 +52,7 @@ from gtau.estimation.thresholds.estimates import (
     MISFIT_GIVEN,
     NAMED_SHARE,
     NEGATIVE_STD,
+    OTHER_SCALE,
 )
 from gtau.estimation.thresholds.logs import ALIKE, BEYOND_GEARS, FRICTIONLESS, GEARED, MODEL_RESIDUAL
 from gtau.findings import Finding
@@ -222,6 +223,14 @@ def _given_gains(fit: Fit, examined: Examination, payloads: Mapping[str, Verdict
         if cause.values.get("remains", best) < best:
             values = {"size": part.size, "unit": part.unit, "share": part.share}
             yield Finding(F.REFUTED, cause.joints, values=values, causes=part.causes, size=part.share)
+    scaled = [
+        effect
+        for effect in examined.alternatives
+        if effect.hypothesis == TORQUE_SCALE and effect.std and abs(effect.size) - 3 * effect.std > OTHER_SCALE
+    ]  # of one joint; the others then seem to have the inverse
+    for worst in sorted(scaled, key=lambda effect: -effect.share)[:1]:
+        values = {"size": worst.size, "unit": worst.unit, "share": worst.share}
+        yield Finding(F.REFUTED, worst.causes[0].joints, values=values, causes=worst.causes, size=worst.share)
     for joint, share in zip(fit.system.problem.joints, misfit, strict=True):
         if share > MISFIT_GIVEN:
             yield of_payload.get(joint, _unexplained(fit, joint, share))

@@ -23,6 +23,7 @@ import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import (
     GAIN_CHANGE,
+    TORQUE_SCALE,
     Alternative,
     Hypothesis,
     candidate,
@@ -159,6 +160,22 @@ def _gain_drift(at: FitWindow) -> CandidateColumns:
 
 
 GAIN_DRIFT = Hypothesis("gain drift", False, _gain_drift, (DRIFTING_CONSTANT,), description=True)
+
+OTHER_SCALE = candidate(
+    TORQUE_SCALE,
+    Threshold(0.1, "relative error of one joint's torques, or of its given gain", evidence="experience"),
+    unit=RELATIVE,
+)
+
+
+def _torque_scale(at: FitWindow) -> CandidateColumns:
+    """Add another scale of one joint's torques: links that joints share would have another inertia at each."""
+    return lambda rows: at.torques(rows)[:, :, None]
+
+
+TORQUE_SCALES = Hypothesis(
+    TORQUE_SCALE, False, _torque_scale, lambda fit: () if fit.free_gains else (OTHER_SCALE,), description=True
+)
 
 FILTER_OR_ELASTICITY = candidate(
     "current lag",
