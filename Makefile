@@ -20,6 +20,7 @@ demo: $(READY)
 test: lint tests
 
 tests: $(TOOLS)
+	@$(BIN)/python -c "from gtau.model.interpreter.compiled import loops; loops()" # once, not by each process of pytest
 	$(BIN)/pytest -n auto --dist loadfile -m "not slow"
 
 slow: $(TOOLS)

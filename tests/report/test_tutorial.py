@@ -30,6 +30,7 @@ def gtau(*arguments: str) -> str:
     return done.output
 
 
+@pytest.mark.slow
 def test_the_logs_are_small_and_made_by_the_simulator(tmp_path: Path) -> None:
     """Other processors round a position to the next quantum of the encoder at times, to which the controller reacts."""
     gtau("simulate", str(SOURCE / "simulation.yaml"), "--out", str(tmp_path))

@@ -206,7 +206,7 @@ def test_the_panda_was_polled_at_a_regular_rate(shared: Path) -> None:
     assert clock.period == pytest.approx(1e-3, rel=1e-4)
 
 
-@pytest.mark.parametrize("run", range(1, 5))
+@pytest.mark.parametrize("run", [1, 4])
 def test_packets_of_all_sizes_lack_no_sample(shared: Path, run: int) -> None:
     """All 20,001 samples of each log are there, one by one for a while, then up to 8 at once."""
     signals = {"time": "t", "position": {"a": "q_shoulder"}, "current": {"a": "i_shoulder"}}

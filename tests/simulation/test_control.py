@@ -357,6 +357,7 @@ def test_passive_joints_keep_to_their_limits_too(tmp_path):
         simulate_experiment(written(tmp_path, robot="narrow.yaml"), tmp_path, silent)
 
 
+@pytest.mark.slow
 def test_the_mujoco_engine_makes_the_same_run(tmp_path):
     from gtau.simulation.experiment_files import make_run
 
