@@ -176,8 +176,8 @@ def _fresh(model: Result, view: View, log: LogStatistics) -> Alarm | None:
     start, changed = 0, np.zeros(0, dtype=int)
     if view.baseline > view.settings.baseline:
         proof = evidence_of(view)
-        found = (proof.log_e >= view.limit) & proof.confirmed
-        changed = np.array([k for k in np.argsort(-proof.log_e) if found[k]], dtype=int)
+        certain = (proof.log_e >= view.limit) & proof.confirmed
+        changed = np.array([k for k in np.argsort(-proof.log_e) if certain[k]], dtype=int)
         if len(changed):
             start = int(view.there[-WINDOW:][proof.start[changed[0]]])
     if (far := beyond(view, start)).any():
@@ -294,7 +294,7 @@ def visible_changes(view: View) -> np.ndarray:
         after = np.resize(before[-logs:], (logs, before.shape[1])) + sizes.ravel()
         values = np.vstack([before, after])
         proof = evidence(values, np.resize(white, values.shape) ** 2, FEWEST)
-        found = ((proof.log_e >= view.limit) & proof.confirmed).reshape(sizes.shape)
-        change = np.where(found, sizes, np.inf).min(axis=1)
+        certain = ((proof.log_e >= view.limit) & proof.confirmed).reshape(sizes.shape)
+        change = np.where(certain, sizes, np.inf).min(axis=1)
         smallest[columns, p] = np.minimum(smallest[columns, p], change)
     return np.where(np.isfinite(smallest), smallest, np.nan)

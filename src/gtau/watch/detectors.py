@@ -124,7 +124,7 @@ def _densities(y: np.ndarray, w: np.ndarray, shown: np.ndarray) -> tuple[np.ndar
         decay[t] = rho * (1 - gain)
         P = rho**2 * P * (1 - gain) + (1 - rho**2) * (1 - c)
     hh, hy = (np.cumsum((ones * part * precision)[::-1], axis=0)[::-1] for part in (ones, scores))  # from each log on
-    whole = np.maximum(hh[0], 1e-300)
+    information = np.maximum(hh[0], 1e-300)
     r, b, B, C, E = np.zeros_like(ones), np.zeros_like(ones), *np.zeros((3, len(GRID), k))
     for t in reversed(range(n)):
         a = predicted[t]
@@ -132,13 +132,13 @@ def _densities(y: np.ndarray, w: np.ndarray, shown: np.ndarray) -> tuple[np.ndar
         C = precision[t] + decay[t] ** 2 * C
         E = scores[t] * precision[t] + decay[t] * E
         ch = hh[t] + a * B
-        r[t] = np.maximum(ch + a * B + a**2 * C - ch**2 / whole, 0.0)
-        b[t] = hy[t] + a * E - ch * hy[0] / whole
+        r[t] = np.maximum(ch + a * B + a**2 * C - ch**2 / information, 0.0)
+        b[t] = hy[t] + a * E - ch * hy[0] / information
     freedom = np.maximum(shown.sum(axis=0) - 1, 1)
-    S0 = np.maximum((scores**2 * precision).sum(axis=0) - hy[0] ** 2 / whole, 1e-12)
+    S0 = np.maximum((scores**2 * precision).sum(axis=0) - hy[0] ** 2 / information, 1e-12)
     explained = b**2 * KAPPA**2 / (1 + r * KAPPA**2)
     ratios = -0.5 * np.log1p(r * KAPPA**2) - freedom / 2 * np.log1p(-np.minimum(explained / S0, 1 - 1e-12))
-    log_p0 = -0.5 * (log_det + np.log(whole) + freedom * np.log(S0))
+    log_p0 = -0.5 * (log_det + np.log(information) + freedom * np.log(S0))
     return log_p0, ratios, b > 0
 
 

@@ -71,8 +71,9 @@ class Quantity:
     @property
     def group(self) -> str:
         """``load``, ``friction``, or the kind itself."""
-        whole = "rate" if self.kind == "rate" else "load"
-        return whole if not self.joint else "friction" if self.kind in PLAIN_FRICTION else self.kind
+        if self.kind in PLAIN_FRICTION:
+            return "friction"
+        return self.kind if self.joint or self.kind == "rate" else "load"
 
 
 def quantities_of(model: Result) -> tuple[tuple[Quantity, ...], np.ndarray]:

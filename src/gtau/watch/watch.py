@@ -24,19 +24,21 @@ from gtau.watch.statistics import LogStatistics, charts_of, statistics_of
 
 
 class Status(BaseModel):
-    """The log that was added last: estimates and standard deviations of the charts that it shows, and the state after.
+    """What is said of a log: estimates and standard deviations of the charts that it shows, and the state after it.
 
-    Its ``phase`` is ``baseline``, ``watching`` or ``aside``; ``copied`` says that the log given was in the history.
+    Its ``phase`` is ``baseline``, ``watching`` or ``aside``; one that cannot be used, such as that of a robot at rest,
+    is ``skipped`` for a reason. ``copied`` says that it was in the history; then it is the log that was added last.
     """
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
     log: str
     date: str
-    phase: str
-    values: dict[str, FiniteFloat]
-    std: dict[str, FiniteFloat]
+    phase: str = "aside"
+    values: dict[str, FiniteFloat] = {}
+    std: dict[str, FiniteFloat] = {}
     alarm: Alarm | None = None
+    skipped: str = ""
     copied: bool = Field(default=False, exclude=True)
 
     @property
