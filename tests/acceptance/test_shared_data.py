@@ -129,6 +129,7 @@ def test_the_page_shows_the_gains_that_are_found(orthoglide: Result, ur10e: Resu
         assert float(std) == pytest.approx(gain.std, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_current_halved_in_one_run_of_a_ur10e_is_named(folder: Path) -> None:
     """With all friction terms its likelihood has no maximum; with those that the data support it has one."""
     experiment = read_experiment(folder / "ur10e.yaml")

@@ -68,6 +68,7 @@ def test_gravity_is_missing_only_where_its_coefficient_is_zero(torques: Run) -> 
     assert (ranking[0].kind, stated_meaning(ranking).values["gravity"][0]) == (F.WITHOUT_GRAVITY, 0.0)
 
 
+@pytest.mark.slow
 def test_currents_without_gravity_are_not_taken_for_a_wrong_length() -> None:
     result = identify(ROBOT, logged(ROBOT, FREE, currents=True))
     verdicts = [gain.verdict.finding for gain in result.drive_gains.values() if gain.verdict.finding]

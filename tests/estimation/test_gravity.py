@@ -60,6 +60,7 @@ def test_an_arm_on_a_wall_is_named() -> None:
     assert {each.verdict.outcome for each in good.drive_gains.values()} == {Outcome.GIVEN}
 
 
+@pytest.mark.slow
 def test_another_gravity_that_turns_all_gains_is_named_before_their_signs(shared: Path) -> None:
     """A planar arm that is declared on its side."""
     folder = shared / "idle_and_bursts" / "arm_idle"

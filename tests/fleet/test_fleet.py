@@ -206,10 +206,10 @@ def test_a_fleet_file(cells: Path, tmp_path: Path) -> None:
     (tmp_path / "fleet.yaml").write_text(f"experiment: one.yaml\nfolders: {cells}/robot_[12]\n")
     members = read_fleet([tmp_path / "fleet.yaml"])
     assert [(m.name, m.logs) for m in members] == [(f"robot_{k}", cells / f"robot_{k}") for k in (1, 2)]
-    reports = identify_fleet(members, tmp_path, serial_map)
+    (report,) = identify_fleet(members[1:], tmp_path, serial_map)
     alone = identify(cells / "robot_2" / "experiment.yaml")
-    assert reports[1].model is not None
-    assert reports[1].model["drive_gains"][0]["value"] == alone.drive_gains["left"].value
+    assert report.model is not None
+    assert report.model["drive_gains"][0]["value"] == alone.drive_gains["left"].value
 
 
 @pytest.mark.parametrize(

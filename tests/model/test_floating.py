@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from free_flyer import regressor
-from robots_for_tests import hexapod, seven_r, tree
+from robots_for_tests import four_bar, hexapod, planar_3rrr, seven_r, tree
 
 from gtau.errors import GtauError
 from gtau.model.base_parameters import base_parameters, independent_columns
@@ -80,10 +81,11 @@ def test_a_base_that_floats_tells_more_than_one_that_is_fixed() -> None:
     assert not [name for name in names if name.startswith(("ia_base", "fv_base", "fs_base", "off_base"))]
 
 
-def test_loops_may_stand_on_a_base_that_floats(rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("make", [four_bar, pytest.param(hexapod, marks=pytest.mark.slow)])
+def test_loops_may_stand_on_a_base_that_floats(make: Callable[[], Robot], rng: np.random.Generator) -> None:
     """With the base at rest its six joints change nothing of the loops; their rows carry the whole weight."""
-    fixed = close_home(hexapod())
-    floating = close_home(float_base(hexapod()))
+    fixed = close_home(make())
+    floating = close_home(float_base(make()))
     one, other = InverseDynamics(fixed), InverseDynamics(floating)
     motion = random_motion(one, 5, rng)
     q, qd, qdd = (each[one.layout.actuated].T for each in (motion.c, motion.yd, motion.ydd))
@@ -115,8 +117,6 @@ def test_a_spring_inside_the_robot_does_not_push_its_base(rng: np.random.Generat
 
 
 def test_platforms_that_the_ground_guides_cannot_float() -> None:
-    from robots_for_tests import planar_3rrr
-
     with pytest.raises(GtauError, match=r"moves in .* of the ground alone, which a floating base carries along"):
         float_base(planar_3rrr())
     with pytest.raises(GtauError, match="its base 'base' floats already"):

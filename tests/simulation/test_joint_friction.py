@@ -159,6 +159,7 @@ def test_smaller_steps_of_mujoco_converge_to_the_plant(monkeypatch: pytest.Monke
 HARDWARE = {joint: {"gain": gain, "position_quantum": 1e-6} for joint, gain in (("left", 2.5), ("right", 4.0))}
 
 
+@pytest.mark.slow
 def test_an_identified_model_is_simulated_with_its_friction(tmp_path: Path) -> None:
     """And predicts what it simulates."""
     shapes = {Parameter("width", "left"): 1.5e-3, Parameter("vs", "right"): 0.2}

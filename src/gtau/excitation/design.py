@@ -143,7 +143,8 @@ def design(
     if failure is not None:
         raise GtauError(
             f"robot '{robot}': no motion within the limits was found: the {failure.what} must be {failure.allowed}, "
-            f"and the nearest motion reaches {failure.reached:.4g}; relax this limit, or those that conflict with it."
+            f"and the nearest motion reaches {failure.reached:.4g}; relax it or those that conflict with it, or "
+            "start from another pose ('rest')."
         )
     raise GtauError(
         f"robot '{robot}': the loops cannot be closed around the middle of the position limits or of the workspace; "

@@ -7,7 +7,8 @@ and every displacement above rounding is reported in a note of the robot.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import astuple, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -110,6 +111,11 @@ def close_home(robot: Robot) -> Robot:
     moved within its assembly mode until it is well-conditioned. Coordinates in no loop stay, but within limits. Raises
     GtauError where the loops close nowhere, or only far from the home that the file gives.
     """
+    return _home_closed(robot, astuple(robot.file))  # of robots that are equal, files may state other things
+
+
+@lru_cache(maxsize=16)
+def _home_closed(robot: Robot, written: tuple[Any, ...]) -> Robot:
     if not (robot.closures or robot.couplings):
         return _within_limits(robot, set())
     errors = loop_errors(Coordinates(robot))

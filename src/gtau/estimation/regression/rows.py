@@ -166,7 +166,7 @@ def configurations(idm: InverseDynamics, window: SampleWindow) -> np.ndarray:
 def _along_whole(idm: InverseDynamics, prepared: PreparedRun | SampleWindow) -> np.ndarray:
     """Compute the configurations along a whole run, which factors, friction and windows of hypotheses share."""
     if idm not in prepared.paths:
-        samples = prepared.samples()
+        samples = prepared.all_samples if isinstance(prepared, PreparedRun) else prepared
         prepared.paths[idm] = idm.path(samples.q.T.copy(), instants(prepared.run.name, samples.time))
     return prepared.paths[idm]
 
