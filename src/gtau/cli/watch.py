@@ -66,7 +66,8 @@ def watch(
     from gtau.watch.follow import logs_of
     from gtau.watch.watch import Watch
 
-    sources, done = logs or [], {"reset": reset, "acknowledge": acknowledge, "forget": forget, "undo": undo}
+    sources = logs or []
+    done = {"reset": reset, "acknowledge": acknowledge, "forget": forget, "undo": undo}
     if follow and len(sources) != 1:
         raise GtauError("--follow takes one folder or one growing text log; give it alone.")
     if not (sources or any(done.values())):
@@ -105,7 +106,8 @@ def _told(watched: Watch, statuses: Iterator[Status], files: tuple[Path, ...], a
     from gtau.report.watch import status_words, watch_page, watch_report
     from gtau.report.write import write_report
 
-    inputs, history = tuple(zip(("model", *["log"] * len(files)), files, strict=False)), watched.history.path
+    history = watched.history.path
+    inputs = tuple(("log" if k else "model", file) for k, file in enumerate(files))
 
     def report() -> list[Path]:
         return [write_report(watch_report(watched), history.parent, seconds(), inputs), history]

@@ -159,7 +159,8 @@ def _history(watch: Watch, k: int) -> Panel:
     reach = max(SPREAD * float(np.percentile(np.abs(y - middle), 90)), 1e-9)
     band = None
     if np.isfinite(tolerance):
-        band, reach = (middle - tolerance, middle + tolerance), max(reach, 1.3 * tolerance)
+        band = (middle - tolerance, middle + tolerance)
+        reach = max(reach, 1.3 * tolerance)
     outside = np.abs(y - middle) > reach
     drawn = np.clip(y, middle - reach, middle + reach)
     series = [Series("", days[~outside], drawn[~outside], "predicted", "disc")]

@@ -84,22 +84,24 @@ def isolated(values: np.ndarray) -> np.ndarray:
 
 def far_off(values: np.ndarray) -> np.ndarray:
     """Find values (n, k) that are further from the median than scatter explains."""
-    distance, count = np.abs(values - median(values)), np.isfinite(values).sum(axis=0)
+    distance = np.abs(values - median(values))
+    count = np.isfinite(values).sum(axis=0)
     far = distance > stdtrit(np.maximum(count - 1, 1), 1 - RARE) * 1.4826 * median(distance)
     return np.asarray(far & (count >= FEWEST))
 
 
 def alone(side: np.ndarray) -> np.ndarray:
     """Find the logs (n, k) whose ``side`` (-1, 0 or 1) is not 0, nor that of the log before or after."""
-    before, after = np.pad(side, ((1, 1), (0, 0)))[:-2], np.pad(side, ((1, 1), (0, 0)))[2:]
-    return np.asarray((side != 0) & (side != before) & (side != after))
+    padded = np.pad(side, ((1, 1), (0, 0)))
+    return np.asarray((side != 0) & (side != padded[:-2]) & (side != padded[2:]))
 
 
 def median(values: np.ndarray) -> np.ndarray:
     """Take the median (k,) of the values (n, k) that are not NaN; NaN where there is none."""
     if not len(values):
         return np.full(values.shape[1], np.nan)
-    ranked, at = np.sort(values, axis=0), np.maximum(np.isfinite(values).sum(axis=0) - 1, 0)
+    ranked = np.sort(values, axis=0)
+    at = np.maximum(np.isfinite(values).sum(axis=0) - 1, 0)
     columns = np.arange(values.shape[1])
     return np.asarray((ranked[at // 2, columns] + ranked[(at + 1) // 2, columns]) / 2)
 

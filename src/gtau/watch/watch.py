@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
@@ -194,7 +194,7 @@ class Watch:
         if self.alarm is None or self.alarm.kind == "log":
             advice = "" if self.alarm is None else f"; forget the log '{self.alarm.since}' instead"
             raise GtauError(f"there is no alarm to acknowledge{advice or '; watch further logs first'}.")
-        self._do("acknowledge", self.alarm.since, note=note, **accepted(self.view, self.alarm))
+        self._do("acknowledge", self.alarm.since, note=note, details=accepted(self.view, self.alarm))
 
     @takes(log=TEXT)
     def forget(self, log: str) -> None:
@@ -219,10 +219,12 @@ class Watch:
             self.history.undo(done[-1])
         self._read()
 
-    def _do(self, kind: str, subject: str, alarm: Alarm | None = None, note: str = "", **details: Any) -> None:
+    def _do(
+        self, kind: str, subject: str, alarm: Alarm | None = None, note: str = "", details: Mapping[str, object] = {}
+    ) -> None:
         """Note an event, and the alarm that remains after it."""
         with self.history.writing():
-            details["alarm"] = self.alarm and self.alarm.model_dump_json()
-            self.history.add_event(kind, subject, note=note, details=details)
+            before = self.alarm and self.alarm.model_dump_json()
+            self.history.add_event(kind, subject, note=note, details={**details, "alarm": before})
             self.history.alarm = alarm
         self._read()
