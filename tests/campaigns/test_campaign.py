@@ -187,8 +187,13 @@ def test_the_larger_part_of_the_worst_interval_decides() -> None:
     assert decide(result_of(gain("a", 1.0, 0.005, 0.005)), 3.0, first, None).kind == "confirm"
     five = [round_of("random part") for _ in range(5)]
     assert decide(result_of(gain("a", 1.0, 0.03, 0.01)), 3.0, five, None).say.startswith("five rounds are over")
-    again = [round_of("first", 6.3), round_of("model part")]
-    assert decide(result_of(gain("a", 1.0, 0.01, 0.03)), 3.0, again, None).kind == "stopped"
+    wide = result_of(gain("a", 1.0, 0.01, 0.03))
+    once = [round_of("first", 6.3), round_of("model part")]
+    assert decide(wide, 3.0, once, None).kind == "model part"
+    twice = [round_of("first", 6.3), round_of("model part", 6.3), round_of("model part")]
+    assert decide(wide, 3.0, twice, None).kind == "stopped"
+    narrowed = [round_of("first", 14.0), round_of("model part", 6.3), round_of("model part")]
+    assert decide(wide, 3.0, narrowed, None).kind == "model part"
 
 
 def test_an_effect_that_the_data_show_twice_ends_the_campaign() -> None:
