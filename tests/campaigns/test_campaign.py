@@ -39,6 +39,7 @@ from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent
 from gtau.report.render.terminal import plain
+from gtau.robots.readers.native_text import write_native
 
 PLAYER = Path(__file__).parents[2] / "examples" / "players" / "play_mujoco.py"
 DESIGN = """robot: five-bar
@@ -150,7 +151,7 @@ def test_another_robot_or_payload_than_the_folder_has_is_refused(copied: Path, t
 
 def test_a_robot_file_is_named_from_the_new_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "arm.yaml").write_text("robot: arm")
+    write_native(load_robot("five-bar"), tmp_path / "arm.yaml")
     for _ in range(2):  # the same command again is harmless
         assert read_settings(Path("camp"), "arm.yaml", 2.0, 4.0).accuracy == 4
     file = read_design_file(Path("camp"))
