@@ -275,7 +275,9 @@ def test_no_motion_through_a_wall_or_the_robot_itself(tmp_path: Path) -> None:
         check(1.3, 0.0, 3.1)
 
 
-@pytest.mark.parametrize(("robot", "payload", "says"), [("nosuch", 1.0, "no robot is called"), ("five-bar", 0.0, "0.0 is out of range")])
+@pytest.mark.parametrize(
+    ("robot", "payload", "says"), [("nosuch", 1.0, "no robot is called"), ("five-bar", 0.0, "0.0 is out of range")]
+)
 def test_a_campaign_that_cannot_begin_leaves_nothing(tmp_path: Path, robot: str, payload: float, says: str) -> None:
     with pytest.raises(GtauError, match=says):
         campaign(tmp_path / "camp", robot=robot, payload=payload)
