@@ -278,7 +278,7 @@ def kills(count: int, data: Path) -> None:
                 work(STORE / "many")
                 os._exit(0)
             children.append(child)
-        clock.sleep(float(rng.uniform(0, 6 * length / count)))
+        clock.sleep(float(rng.uniform(0, 20 * length / count)))
         for child in children:
             os.kill(child, signal.SIGKILL)
             os.waitpid(child, 0)

@@ -39,6 +39,7 @@ from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent
 from gtau.report.render.terminal import plain
+from gtau.robots.readers.native_text import write_native
 
 PLAYER = Path(__file__).parents[2] / "examples" / "players" / "play_mujoco.py"
 DESIGN = """robot: five-bar
@@ -150,7 +151,7 @@ def test_another_robot_or_payload_than_the_folder_has_is_refused(copied: Path, t
 
 def test_a_robot_file_is_named_from_the_new_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "arm.yaml").write_text("robot: arm")
+    write_native(load_robot("five-bar"), tmp_path / "arm.yaml")
     for _ in range(2):  # the same command again is harmless
         assert read_settings(Path("camp"), "arm.yaml", 2.0, 4.0).accuracy == 4
     file = read_design_file(Path("camp"))
@@ -187,8 +188,13 @@ def test_the_larger_part_of_the_worst_interval_decides() -> None:
     assert decide(result_of(gain("a", 1.0, 0.005, 0.005)), 3.0, first, None).kind == "confirm"
     five = [round_of("random part") for _ in range(5)]
     assert decide(result_of(gain("a", 1.0, 0.03, 0.01)), 3.0, five, None).say.startswith("five rounds are over")
-    again = [round_of("first", 6.3), round_of("model part")]
-    assert decide(result_of(gain("a", 1.0, 0.01, 0.03)), 3.0, again, None).kind == "stopped"
+    wide = result_of(gain("a", 1.0, 0.01, 0.03))
+    once = [round_of("first", 6.3), round_of("model part")]
+    assert decide(wide, 3.0, once, None).kind == "model part"
+    twice = [round_of("first", 6.3), round_of("model part", 6.3), round_of("model part")]
+    assert decide(wide, 3.0, twice, None).kind == "stopped"
+    narrowed = [round_of("first", 14.0), round_of("model part", 6.3), round_of("model part")]
+    assert decide(wide, 3.0, narrowed, None).kind == "model part"
 
 
 def test_an_effect_that_the_data_show_twice_ends_the_campaign() -> None:
@@ -269,7 +275,9 @@ def test_no_motion_through_a_wall_or_the_robot_itself(tmp_path: Path) -> None:
         check(1.3, 0.0, 3.1)
 
 
-@pytest.mark.parametrize(("robot", "payload", "says"), [("nosuch", 1.0, "no robot is called"), ("five-bar", 0.0, "")])
+@pytest.mark.parametrize(
+    ("robot", "payload", "says"), [("nosuch", 1.0, "no robot is called"), ("five-bar", 0.0, "0.0 is out of range")]
+)
 def test_a_campaign_that_cannot_begin_leaves_nothing(tmp_path: Path, robot: str, payload: float, says: str) -> None:
     with pytest.raises(GtauError, match=says):
         campaign(tmp_path / "camp", robot=robot, payload=payload)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -15,7 +14,7 @@ from gtau.documents.files import refuse_as_folder
 from gtau.errors import GtauError
 
 if TYPE_CHECKING:
-    from gtau.watch.follow import Read, Skipped
+    from gtau.watch.follow import Read
     from gtau.watch.watch import Status, Watch
 
 Watched = Annotated[Path, argument("MODEL.json|DIR", "What 'gtau identify' wrote, or a folder of histories: one page.")]
@@ -67,7 +66,8 @@ def watch(
     from gtau.watch.follow import logs_of
     from gtau.watch.watch import Watch
 
-    sources, done = logs or [], {"reset": reset, "acknowledge": acknowledge, "forget": forget, "undo": undo}
+    sources = logs or []
+    done = {"reset": reset, "acknowledge": acknowledge, "forget": forget, "undo": undo}
     if follow and len(sources) != 1:
         raise GtauError("--follow takes one folder or one growing text log; give it alone.")
     if not (sources or any(done.values())):
@@ -86,7 +86,7 @@ def watch(
         raise typer.Exit(3)
 
 
-def _taken(watched: Watch, logs: list[Path], read: Read) -> Iterator[Status | Skipped]:
+def _taken(watched: Watch, logs: list[Path], read: Read) -> Iterator[Status]:
     """Add logs in the order of their dates."""
     from gtau.watch.follow import date_of, take
 
@@ -97,9 +97,7 @@ def _taken(watched: Watch, logs: list[Path], read: Read) -> Iterator[Status | Sk
                 yield status
 
 
-def _told(
-    watched: Watch, statuses: Iterator[Status | Skipped], files: tuple[Path, ...], as_json: bool, follow: bool
-) -> bool:
+def _told(watched: Watch, statuses: Iterator[Status], files: tuple[Path, ...], as_json: bool, follow: bool) -> bool:
     """Print a line for each log that is set aside or followed, or for all as JSON, then the page of the last.
 
     Write a report at the end, at Ctrl-C, and when the state of a robot that is followed changes. Return whether the
@@ -107,9 +105,9 @@ def _told(
     """
     from gtau.report.watch import status_words, watch_page, watch_report
     from gtau.report.write import write_report
-    from gtau.watch.follow import Skipped
 
-    inputs, history = tuple(zip(("model", *["log"] * len(files)), files, strict=False)), watched.history.path
+    history = watched.history.path
+    inputs = tuple(("log" if k else "model", file) for k, file in enumerate(files))
 
     def report() -> list[Path]:
         return [write_report(watch_report(watched), history.parent, seconds(), inputs), history]
@@ -117,10 +115,8 @@ def _told(
     aside, healthy = False, watched.alarm is None
     try:
         for status in statuses:
-            if isinstance(status, Skipped):
-                aside, line = True, {"log": status.log, "skipped": status.why}
-                print(json.dumps(line) if as_json else f"{status.log}: {status.why}", flush=True)
-            elif as_json or follow:
+            aside = aside or bool(status.skipped)
+            if as_json or follow or status.skipped:
                 print(status.model_dump_json() if as_json else status_words(status), flush=True)
             if follow and healthy != (watched.alarm is None):
                 healthy = not healthy

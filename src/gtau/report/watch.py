@@ -57,9 +57,9 @@ def alarm_words(alarm: Alarm) -> tuple[str, tuple[str, ...]]:
 
 
 def status_words(status: Status) -> str:
-    """Describe the state after a log in a line."""
+    """Describe what is said of a log in a line."""
     healthy = "no change" if status.phase == "watching" else status.phase
-    return f"{status.log}: {alarm_words(status.alarm)[0] if status.alarm else healthy}"
+    return f"{status.log}: {status.skipped or (alarm_words(status.alarm)[0] if status.alarm else healthy)}"
 
 
 def state_of(alarm: Alarm | None, events: Iterable[Event], complete: bool) -> str:
@@ -159,7 +159,8 @@ def _history(watch: Watch, k: int) -> Panel:
     reach = max(SPREAD * float(np.percentile(np.abs(y - middle), 90)), 1e-9)
     band = None
     if np.isfinite(tolerance):
-        band, reach = (middle - tolerance, middle + tolerance), max(reach, 1.3 * tolerance)
+        band = (middle - tolerance, middle + tolerance)
+        reach = max(reach, 1.3 * tolerance)
     outside = np.abs(y - middle) > reach
     drawn = np.clip(y, middle - reach, middle + reach)
     series = [Series("", days[~outside], drawn[~outside], "predicted", "disc")]

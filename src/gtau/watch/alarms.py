@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy.special import stdtrit
@@ -66,7 +65,8 @@ class View:
         shown = np.isfinite(self.values)
         few = shown.sum(axis=0) < FEWEST
         change = self.values - np.where(few, self.reference, median(self.values))
-        size, material = np.abs(change), np.where(self.of_kind(RESIDUAL), LOUDER, self.tolerance)
+        size = np.abs(change)
+        material = np.where(self.of_kind(RESIDUAL), LOUDER, self.tolerance)
         known = self.of_kind("m", "gain")  # of which the model is right in other motions too
         far = np.where(few, known & (size > ODD * material), far_off(self.values) & (size > material))
         far &= size > ODD * np.nan_to_num(self.std)
@@ -110,7 +110,7 @@ class View:
 
 def view_of(model: Result, charts: Sequence[Quantity], history: History) -> View:
     """Take the logs that count after what was done: maintenance, forgotten and repaired logs, new references."""
-    logs, limits = history.logs(len(charts), len(model.robot.actuated)), history.settings.tolerances
+    logs = history.logs(len(charts), len(model.robot.actuated))
     friction = [chart.group == "friction" for chart in charts]
     parts = [Quantity("friction", charts[k].joint, "1") if friction[k] else charts[k] for k in range(len(charts))]
     quantities = tuple(dict.fromkeys(parts))
@@ -123,6 +123,7 @@ def view_of(model: Result, charts: Sequence[Quantity], history: History) -> View
     shown = np.isfinite(logs.charts).astype(float) @ (S != 0) > 0
     values = np.where(shown, np.nan_to_num(logs.charts) @ S, np.nan)
     std = np.where(shown, np.nan_to_num(logs.std) @ np.abs(S), np.nan)
+    limits = history.settings.tolerances
     accepted = {"m": limits.mass, **limits.model_dump(include={"gain", "friction", "zero", "delay"})}
     tolerance = np.array([accepted.get(quantity.kind, np.inf) for quantity in quantities])
     vague = median(std) > np.maximum(tolerance, np.abs(median(values)) / ODD)
@@ -130,9 +131,7 @@ def view_of(model: Result, charts: Sequence[Quantity], history: History) -> View
     of_gains = {joint: (gain.std or 0.0) / abs(gain.value or 1.0) for joint, gain in model.drive_gains.items()}
     of_model = np.array([of_gains.get(quantity.joint, 0.0) * (quantity.kind == "gain") for quantity in quantities])
     view = View(history.settings, logs, quantities, values, std, tolerance, np.zeros(len(quantities)), of_model)
-    for event in history.events:
-        if event.undone:
-            continue
+    for event in (event for event in history.events if not event.undone):
         if event.kind == "reset" and (logs.dates >= event.subject).any():
             values[logs.dates < event.subject] = np.nan
         elif event.kind == "forget":
@@ -176,8 +175,8 @@ def _fresh(model: Result, view: View, log: LogStatistics) -> Alarm | None:
     start, changed = 0, np.zeros(0, dtype=int)
     if view.baseline > view.settings.baseline:
         proof = evidence_of(view)
-        found = (proof.log_e >= view.limit) & proof.confirmed
-        changed = np.array([k for k in np.argsort(-proof.log_e) if found[k]], dtype=int)
+        certain = (proof.log_e >= view.limit) & proof.confirmed
+        changed = np.array([k for k in np.argsort(-proof.log_e) if certain[k]], dtype=int)
         if len(changed):
             start = int(view.there[-WINDOW:][proof.start[changed[0]]])
     if (far := beyond(view, start)).any():
@@ -208,7 +207,7 @@ def evidence_of(view: View) -> ChangeEvidence:
     return evidence(view.compared[rows], view.std[rows] ** 2, learning, view.of_kind(RESIDUAL))
 
 
-def accepted(view: View, alarm: Alarm) -> dict[str, Any]:
+def accepted(view: View, alarm: Alarm) -> dict[str, object]:
     """Take what has changed as the new reference: the first log of an alarm, and the means by quantity since then."""
     first = view.logs.place(alarm)
     moved, means = evidence_of(view).log_e > 0, mean_of(view.counted[first:])
@@ -229,7 +228,8 @@ def _alarm(kind: str, model: Result, view: View, log: LogStatistics, columns: np
     if kind == "log":
         x, before, after = view.values, rows, np.array([start])
     by_model = kind == "tolerance" or len(before) < FEWEST
-    healthy, changed = view.reference if by_model else mean_of(x[before]), mean_of(x[after])
+    healthy = view.reference if by_model else mean_of(x[before])
+    changed = mean_of(x[after])
     columns = columns[np.isfinite(healthy[columns]) & np.isfinite(changed[columns])]
     causes: tuple[Explained, ...] = ()
     if not view.of_kind(RESIDUAL)[columns].all():
@@ -284,8 +284,8 @@ def visible_changes(view: View) -> np.ndarray:
     if len(rows) < FEWEST:
         return np.full((x.shape[1], len(PERIODS)), np.nan)
     scale = 1.4826 * median(np.abs(x - median(x)))
-    _, half = week_of(view)
-    smallest = np.tile((view.tolerance + np.nan_to_num(half, nan=np.inf))[:, None], len(PERIODS))
+    half = np.nan_to_num(week_of(view)[1], nan=np.inf)
+    smallest = np.tile((view.tolerance + half)[:, None], len(PERIODS))
     columns = np.flatnonzero(scale > 0)
     sizes = np.outer(scale[columns], SIZES)
     before, white = (np.repeat(part[:, columns], len(SIZES), axis=1) for part in (x, std))
@@ -294,7 +294,7 @@ def visible_changes(view: View) -> np.ndarray:
         after = np.resize(before[-logs:], (logs, before.shape[1])) + sizes.ravel()
         values = np.vstack([before, after])
         proof = evidence(values, np.resize(white, values.shape) ** 2, FEWEST)
-        found = ((proof.log_e >= view.limit) & proof.confirmed).reshape(sizes.shape)
-        change = np.where(found, sizes, np.inf).min(axis=1)
+        certain = ((proof.log_e >= view.limit) & proof.confirmed).reshape(sizes.shape)
+        change = np.where(certain, sizes, np.inf).min(axis=1)
         smallest[columns, p] = np.minimum(smallest[columns, p], change)
     return np.where(np.isfinite(smallest), smallest, np.nan)

@@ -163,8 +163,10 @@ def contacts_of(log: LogStatistics, uneven: np.ndarray) -> tuple[Explained, ...]
     j = int(np.argmax(ratio))
     if ratio[j] < UNEVEN:
         return ()
-    size, joint = float(ratio[j]), [chart.joint for chart in log.charts if chart.kind == RESIDUAL][j]
-    return (Explained(kind="contact", joint=joint, quantity=RESIDUAL, size=size, half=0, unit="1", misfit=0),)
+    joint = [chart.joint for chart in log.charts if chart.kind == RESIDUAL][j]
+    return (
+        Explained(kind="contact", joint=joint, quantity=RESIDUAL, size=float(ratio[j]), half=0, unit="1", misfit=0),
+    )
 
 
 def _covariance(values: np.ndarray, formula: np.ndarray) -> np.ndarray:

@@ -84,22 +84,24 @@ def isolated(values: np.ndarray) -> np.ndarray:
 
 def far_off(values: np.ndarray) -> np.ndarray:
     """Find values (n, k) that are further from the median than scatter explains."""
-    distance, count = np.abs(values - median(values)), np.isfinite(values).sum(axis=0)
+    distance = np.abs(values - median(values))
+    count = np.isfinite(values).sum(axis=0)
     far = distance > stdtrit(np.maximum(count - 1, 1), 1 - RARE) * 1.4826 * median(distance)
     return np.asarray(far & (count >= FEWEST))
 
 
 def alone(side: np.ndarray) -> np.ndarray:
     """Find the logs (n, k) whose ``side`` (-1, 0 or 1) is not 0, nor that of the log before or after."""
-    before, after = np.pad(side, ((1, 1), (0, 0)))[:-2], np.pad(side, ((1, 1), (0, 0)))[2:]
-    return np.asarray((side != 0) & (side != before) & (side != after))
+    padded = np.pad(side, ((1, 1), (0, 0)))
+    return np.asarray((side != 0) & (side != padded[:-2]) & (side != padded[2:]))
 
 
 def median(values: np.ndarray) -> np.ndarray:
     """Take the median (k,) of the values (n, k) that are not NaN; NaN where there is none."""
     if not len(values):
         return np.full(values.shape[1], np.nan)
-    ranked, at = np.sort(values, axis=0), np.maximum(np.isfinite(values).sum(axis=0) - 1, 0)
+    ranked = np.sort(values, axis=0)
+    at = np.maximum(np.isfinite(values).sum(axis=0) - 1, 0)
     columns = np.arange(values.shape[1])
     return np.asarray((ranked[at // 2, columns] + ranked[(at + 1) // 2, columns]) / 2)
 
@@ -124,7 +126,7 @@ def _densities(y: np.ndarray, w: np.ndarray, shown: np.ndarray) -> tuple[np.ndar
         decay[t] = rho * (1 - gain)
         P = rho**2 * P * (1 - gain) + (1 - rho**2) * (1 - c)
     hh, hy = (np.cumsum((ones * part * precision)[::-1], axis=0)[::-1] for part in (ones, scores))  # from each log on
-    whole = np.maximum(hh[0], 1e-300)
+    information = np.maximum(hh[0], 1e-300)
     r, b, B, C, E = np.zeros_like(ones), np.zeros_like(ones), *np.zeros((3, len(GRID), k))
     for t in reversed(range(n)):
         a = predicted[t]
@@ -132,13 +134,13 @@ def _densities(y: np.ndarray, w: np.ndarray, shown: np.ndarray) -> tuple[np.ndar
         C = precision[t] + decay[t] ** 2 * C
         E = scores[t] * precision[t] + decay[t] * E
         ch = hh[t] + a * B
-        r[t] = np.maximum(ch + a * B + a**2 * C - ch**2 / whole, 0.0)
-        b[t] = hy[t] + a * E - ch * hy[0] / whole
+        r[t] = np.maximum(ch + a * B + a**2 * C - ch**2 / information, 0.0)
+        b[t] = hy[t] + a * E - ch * hy[0] / information
     freedom = np.maximum(shown.sum(axis=0) - 1, 1)
-    S0 = np.maximum((scores**2 * precision).sum(axis=0) - hy[0] ** 2 / whole, 1e-12)
+    S0 = np.maximum((scores**2 * precision).sum(axis=0) - hy[0] ** 2 / information, 1e-12)
     explained = b**2 * KAPPA**2 / (1 + r * KAPPA**2)
     ratios = -0.5 * np.log1p(r * KAPPA**2) - freedom / 2 * np.log1p(-np.minimum(explained / S0, 1 - 1e-12))
-    log_p0 = -0.5 * (log_det + np.log(whole) + freedom * np.log(S0))
+    log_p0 = -0.5 * (log_det + np.log(information) + freedom * np.log(S0))
     return log_p0, ratios, b > 0
 
 

@@ -13,7 +13,7 @@ import re
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, date, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -34,14 +34,6 @@ CHUNK = 1 << 20  # bytes read at once
 
 Read = Callable[[Path], Run]
 _DATE = re.compile(r"(?<!\d)(\d{4}|\d{2})[-_](\d{2})[-_](\d{2})(?!\d)|(?<!\d)(20\d{2})(\d{2})(\d{2})(?!\d)")
-
-
-@dataclass(frozen=True)
-class Skipped:
-    """A log that is set aside, or a block without information, such as that of a robot at rest, and the reason."""
-
-    log: str
-    why: str
 
 
 def logs_of(paths: Iterable[Path]) -> list[Path]:
@@ -78,7 +70,7 @@ def digest_of(path: Path) -> str:
     return digest.hexdigest()
 
 
-def take(watch: Watch, log: Path, read: Read) -> Status | Skipped | None:
+def take(watch: Watch, log: Path, read: Read) -> Status | None:
     """Add a finished log; one that cannot be read is set aside with the reason. None where its samples are known."""
     try:
         digest = digest_of(log)
@@ -87,13 +79,13 @@ def take(watch: Watch, log: Path, read: Read) -> Status | Skipped | None:
         status = watch.update(replace(read(log), name=log.stem), digest, date_of(log))
     except GtauError as refusal:
         watch.set_aside(log.stem, str(refusal))
-        return Skipped(log.stem, str(refusal))
+        return Status(log=log.stem, date=now(), alarm=watch.alarm, skipped=str(refusal))
     return None if status.copied else status
 
 
 def follow(
     watch: Watch, source: Path, read: Read, seconds: float, ended: Callable[[], bool] = lambda: False
-) -> Iterator[Status | Skipped]:
+) -> Iterator[Status]:
     """Add what is new at a source, for as long as it takes; raises GtauError.
 
     ``read`` reads a log, blocks of a growing one are ``seconds`` long, and where nothing is new ``ended`` says whether
@@ -110,7 +102,7 @@ def follow(
             time.sleep(POLL)
 
 
-def _folder(watch: Watch, folder: Path, read: Read) -> Iterator[Status | Skipped | None]:
+def _folder(watch: Watch, folder: Path, read: Read) -> Iterator[Status | None]:
     """Add the logs of a folder once they are finished; yield None after each look at it."""
     done: dict[Path, tuple[int, float]] = {}
     while True:
@@ -124,7 +116,7 @@ def _folder(watch: Watch, folder: Path, read: Read) -> Iterator[Status | Skipped
         yield None
 
 
-def _growing(watch: Watch, log: Path, read: Read, seconds: float) -> Iterator[Status | Skipped | None]:
+def _growing(watch: Watch, log: Path, read: Read, seconds: float) -> Iterator[Status | None]:
     """Add the blocks of a log, and of what takes its place when it is rotated; yield None where it does not grow."""
     number = 0
     with TemporaryDirectory() as temporary:
@@ -151,7 +143,7 @@ def _growing(watch: Watch, log: Path, read: Read, seconds: float) -> Iterator[St
                         yield None
 
 
-def _block(watch: Watch, part: Path, read: Read, block: bytes, name: str) -> Status | Skipped | None:
+def _block(watch: Watch, part: Path, read: Read, block: bytes, name: str) -> Status | None:
     """Add a block; raises GtauError where no block of this length can be used."""
     digest = hashlib.sha256(block).hexdigest()
     if watch.history.seen(digest):
@@ -161,7 +153,7 @@ def _block(watch: Watch, part: Path, read: Read, block: bytes, name: str) -> Sta
     except TooShort as refusal:
         raise GtauError(f"blocks are too short: {refusal}") from None
     except GtauError as refusal:
-        return Skipped(name, str(refusal))
+        return Status(log=name, date=now(), alarm=watch.alarm, skipped=str(refusal))
 
 
 def _lines(text: bytes, count: int) -> bytes:

@@ -71,8 +71,9 @@ class Quantity:
     @property
     def group(self) -> str:
         """``load``, ``friction``, or the kind itself."""
-        whole = "rate" if self.kind == "rate" else "load"
-        return whole if not self.joint else "friction" if self.kind in PLAIN_FRICTION else self.kind
+        if self.kind in PLAIN_FRICTION:
+            return "friction"
+        return self.kind if self.joint or self.kind == "rate" else "load"
 
 
 def quantities_of(model: Result) -> tuple[tuple[Quantity, ...], np.ndarray]:
@@ -129,12 +130,15 @@ def normal_equations(model: Result, run: Run) -> tuple[np.ndarray, np.ndarray, n
             f"needed; give at least {np.ceil(least):.0f} s of motion."
         )
     chi = loaded_parameters(model, run.payload, f"run '{run.name}'")
-    load, friction = np.array(transmitted(np, base.standard, chi)), friction_along(model, prepared, chi)
-    (quantities, payload), rms = quantities_of(model), {error.joint: error.rms for error in model.residuals}
+    load = np.array(transmitted(np, base.standard, chi))
+    friction = friction_along(model, prepared, chi)
+    quantities, payload = quantities_of(model)
+    rms = {error.joint: error.rms for error in model.residuals}
     middle = float(np.median([*rms.values()])) if rms else 1.0
     sigma = [rms.get(joint) or middle or 1.0 for joint in idm.actuated]  # torque residuals of the identification
     p = len(quantities)
-    G, rows, way = np.zeros((BLOCKS, n, p + 1, p + 1)), np.zeros((BLOCKS, n), dtype=int), np.zeros(n)
+    G, way = np.zeros((BLOCKS, n, p + 1, p + 1)), np.zeros(n)
+    rows = np.zeros((BLOCKS, n), dtype=int)
     for part in stream_rows(idm, idm.columns(base.standard), prepared, decimator, load, friction=friction):
         A = _columns(model, part, load, payload, quantities, run.name)
         for j, kept in enumerate(part.keep[:n]):
@@ -158,7 +162,8 @@ def _columns(
     idm, standard = model.idm, model.base.standard
     W = part.matrix(idm.columns(standard), len(idm.actuated))
     tau = W @ load - part.external + part.friction
-    gains, delays = model.gains[:, None], np.array([model.delays[joint].value or 0.0 for joint in idm.actuated])
+    gains = model.gains[:, None]
+    delays = np.array([model.delays[joint].value or 0.0 for joint in idm.actuated])
     _, v_d, v_dd = part.currents
     A = np.zeros((*tau.shape, len(quantities) + 1))
     A[..., : payload.shape[1]] = W @ payload

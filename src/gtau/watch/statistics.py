@@ -113,8 +113,10 @@ def _of(quantities: Sequence[Quantity], group: str) -> list[int]:
 
 def _combinations(G: np.ndarray, quantities: Sequence[Quantity]) -> tuple[np.ndarray, np.ndarray]:
     """Find the combinations C (k, p) with ``x = C A^T y`` of the charted quantities, and whether each is usable."""
-    friction, load, norms = _of(quantities, "friction"), _of(quantities, "load"), np.sqrt(np.diag(G)[:-1])
-    charted, scale = [quantity.charted for quantity in quantities], np.where(norms > 0, norms, 1.0)
+    friction, load = _of(quantities, "friction"), _of(quantities, "load")
+    charted = [quantity.charted for quantity in quantities]
+    norms = np.sqrt(np.diag(G)[:-1])
+    scale = np.where(norms > 0, norms, 1.0)
     N = G[:-1, :-1] / scale / scale[:, None]
     of_itself = inverse_of(N[np.ix_(friction, friction)])
     of_friction = of_itself @ N[friction]  # (f, p)

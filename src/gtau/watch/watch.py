@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
@@ -24,19 +24,21 @@ from gtau.watch.statistics import LogStatistics, charts_of, statistics_of
 
 
 class Status(BaseModel):
-    """The log that was added last: estimates and standard deviations of the charts that it shows, and the state after.
+    """What is said of a log: estimates and standard deviations of the charts that it shows, and the state after it.
 
-    Its ``phase`` is ``baseline``, ``watching`` or ``aside``; ``copied`` says that the log given was in the history.
+    Its ``phase`` is ``baseline``, ``watching`` or ``aside``; one that cannot be used, such as that of a robot at rest,
+    is ``skipped`` for a reason. ``copied`` says that it was in the history; then it is the log that was added last.
     """
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
     log: str
     date: str
-    phase: str
-    values: dict[str, FiniteFloat]
-    std: dict[str, FiniteFloat]
+    phase: str = "aside"
+    values: dict[str, FiniteFloat] = {}
+    std: dict[str, FiniteFloat] = {}
     alarm: Alarm | None = None
+    skipped: str = ""
     copied: bool = Field(default=False, exclude=True)
 
     @property
@@ -192,7 +194,7 @@ class Watch:
         if self.alarm is None or self.alarm.kind == "log":
             advice = "" if self.alarm is None else f"; forget the log '{self.alarm.since}' instead"
             raise GtauError(f"there is no alarm to acknowledge{advice or '; watch further logs first'}.")
-        self._do("acknowledge", self.alarm.since, note=note, **accepted(self.view, self.alarm))
+        self._do("acknowledge", self.alarm.since, note=note, details=accepted(self.view, self.alarm))
 
     @takes(log=TEXT)
     def forget(self, log: str) -> None:
@@ -217,10 +219,12 @@ class Watch:
             self.history.undo(done[-1])
         self._read()
 
-    def _do(self, kind: str, subject: str, alarm: Alarm | None = None, note: str = "", **details: Any) -> None:
+    def _do(
+        self, kind: str, subject: str, alarm: Alarm | None = None, note: str = "", details: Mapping[str, object] = {}
+    ) -> None:
         """Note an event, and the alarm that remains after it."""
         with self.history.writing():
-            details["alarm"] = self.alarm and self.alarm.model_dump_json()
-            self.history.add_event(kind, subject, note=note, details=details)
+            before = self.alarm and self.alarm.model_dump_json()
+            self.history.add_event(kind, subject, note=note, details={**details, "alarm": before})
             self.history.alarm = alarm
         self._read()
