@@ -76,6 +76,8 @@ def numbers(text: str) -> set[int]:
 def citations(path: Path) -> Iterator[tuple[int, str]]:
     """Equations cited in a module, each with the name of the function or class; an empty name for the module's own."""
     source = path.read_text(encoding="utf-8")
+    if not numbers(source):
+        return
     tree = ast.parse(source)
     places = list(_places(tree, ""))
     for name, node in places:
