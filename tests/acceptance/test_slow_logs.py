@@ -10,7 +10,7 @@ from gtau.demo.orthoglide import standard_parameters
 from gtau.estimation.diagnostics.log_checks import lack_of_fit
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.maximum_likelihood import ml
-from gtau.estimation.estimators.newton import FLATTEST, curved
+from gtau.estimation.estimators.newton import FLATTEST, curved, delays_lost_in_noise
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.model.home import load_robot
@@ -66,8 +66,14 @@ def test_gains_of_slow_logs(rate: float, slowest: float, seconds: float, noise: 
         assert abs((gain.value or 0.0) - GAIN) < 3.5 * (gain.std or 0.0) < 0.15 * GAIN
 
 
+def test_delays_lost_in_noise_are_told_from_those_that_are_not() -> None:
+    """They would be anything up to the longest: 13 ms here, where there is none."""
+    problem = reduce_runs(ROBOT, logs(20.0, 0.05, 100.0, 5e-2)).system(per_run=True).problem
+    assert delays_lost_in_noise(problem, ml(problem)).tolist() == [True, True, False]
+
+
+@pytest.mark.slow
 def test_a_delay_lost_in_noise_is_not_estimated() -> None:
-    """It would be anything up to the longest: 13 ms here, where there is none."""
     delays = identify(ROBOT, logs(20.0, 0.05, 100.0, 5e-2)).delays
     assert {joint for joint, delay in delays.items() if delay.value == 0.0} == {"11", "12"}
     assert {delays[joint].verdict.outcome for joint in ("11", "12")} == {Outcome.NOT_IDENTIFIABLE}
