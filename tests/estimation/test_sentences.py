@@ -83,6 +83,10 @@ SENTENCES = [  # finding, reason, advice
     (Finding(F.UNEXPLAINED, ("left",), values={"share": 0.31, "kind": "current", "given": False}),
      "the model leaves 31 % of the joint's current unexplained",
      "check that the position and current columns are of the same joint in all runs, and check their signs and units"),
+    (Finding(F.UNEXPLAINED, ("left",), values={"share": 0.31, "kind": "current", "given": False, "stated": True}),
+     "the model leaves 31 % of the joint's current unexplained",
+     "check the known parameters, on which the scale rests ('priors', 'prior_inertias' and the inertias in the robot's "
+     "file), then the columns, their signs and units"),
     (Finding(F.UNEXPLAINED, ("left",), values={"share": 0.61, "kind": "torque", "given": True}),
      "the model leaves 61 % of the joint's torque unexplained",
      "check the position and torque columns, their signs and units, the clock of the log, and 'preparation'"),

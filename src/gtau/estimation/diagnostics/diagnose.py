@@ -188,7 +188,8 @@ def _estimated_gains(
 
 def _unexplained(fit: Fit, joint: str, share: float) -> Finding:
     values = {"share": float(share), "kind": fit.dataset.runs[0].kind, "given": not fit.free_gains}
-    return Finding(F.UNEXPLAINED, (joint,), values=values)
+    stated = bool(len(fit.system.problem.known)) and not fit.system.payloads
+    return Finding(F.UNEXPLAINED, (joint,), values=values | ({"stated": True} if stated else {}))
 
 
 def _widest(examined: Examination, estimates: Estimates, row: int) -> tuple[F, tuple[Finding, ...]]:
