@@ -53,6 +53,7 @@ from gtau.estimation.thresholds.estimates import (
     NAMED_SHARE,
     NEGATIVE_STD,
     OTHER_SCALE,
+    REFUTED_SHARE,
 )
 from gtau.estimation.thresholds.logs import ALIKE, BEYOND_GEARS, FRICTIONLESS, GEARED, MODEL_RESIDUAL
 from gtau.findings import Finding
@@ -227,7 +228,9 @@ def _given_gains(fit: Fit, examined: Examination, payloads: Mapping[str, Verdict
     scaled = [
         effect
         for effect in examined.alternatives
-        if effect.hypothesis == TORQUE_SCALE and effect.std and abs(effect.size) - 3 * effect.std > OTHER_SCALE
+        if effect.hypothesis == TORQUE_SCALE
+        and effect.share > REFUTED_SHARE
+        and abs(effect.size) - 3 * (effect.std or np.inf) > OTHER_SCALE
     ]  # of one joint; the others then seem to have the inverse
     for worst in sorted(scaled, key=lambda effect: -effect.share)[:1]:
         values = {"size": worst.size, "unit": worst.unit, "share": worst.share}
