@@ -208,6 +208,18 @@ def test_friction_of_a_bearing_is_found_where_there_is_some() -> None:
         assert np.abs(scores([fit], ARM_GAINS)).max() < 4
 
 
+def test_friction_of_a_bearing_is_that_of_the_sensor_alone(tmp_path: Path) -> None:
+    """The step of friction over all samples is that of motors; measured logs of a Rokae with sensors were refused."""
+    plant = replace(arm(), sensors=("2",), bearing=0.4)
+    result = identify(ARM, [plant.run(1), plant.run(2)])
+    assert result.curves
+    assert not any("sensor" in name for name in result.equation_friction)
+    (sensor,) = result.sensors
+    assert sensor.parameters["fs_2_sensor"].value == pytest.approx(0.4, rel=0.1)
+    result.save(tmp_path / "model.json")
+    assert "fs_2_sensor" in Result.load(tmp_path / "model.json").sensors[0].parameters
+
+
 # What the scale rests on
 
 

@@ -135,7 +135,8 @@ def evidence(
     """Collect what speaks for and against the estimates, those of the equations among them."""
     dataset, temperatures = fit.dataset, reference_temperatures(fit)
     replaced = {name for name in dataset.base.names if name.kind in PLAIN_FRICTION and name.body in curves}
-    replaced |= set(fit.system.terms if curves else ())
+    sensors = {channel.name for channel in fit.system.problem.channels if channel.kind.link_side}
+    replaced |= {term for term in fit.system.terms if curves and term.body not in sensors}
     along = [
         (prepared, dataset.preparation.at(prepared.run.rate).decimator, factors.distances)
         for prepared, factors in zip(dataset.prepared, dataset.factors, strict=True)

@@ -281,8 +281,8 @@ GRAVITY_MISFIT = Threshold(
 OTHER_SCALE = Threshold(
     0.2,
     "other scale of one joint's torques, of itself and beyond three standard deviations, that contradicts them",
-    healthy="up to 0.15 (KUKA), 0.12 (Panda), 0.10 and less (TX40, Rokae, xMate7 Pro, UPV): 56 joints; more on a leg of "
-    "an Aliengo, of whose residuals it explains nothing",
+    healthy="up to 0.15 (KUKA), 0.12 (Panda), 0.10 and less (TX40, Rokae, xMate7 Pro, UPV): 56 joints; more on a leg "
+    "of an Aliengo, of whose residuals it explains nothing",
     faulty="0.32 to 0.35 (torques of one joint times 0.7: Panda j2, j3, j4, TX40 motor 3), 0.12 and none (its motors "
     "2 and 4)",
     evidence="those logs as they are, and altered",
