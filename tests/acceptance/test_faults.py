@@ -142,12 +142,12 @@ FAULTS: dict[str, tuple[Fault, Outcome, set[F]]] = {
     "an unloaded run declared loaded": (
         lambda runs: (ROBOT, only(runs, 1, lambda run: replace(run, payload=runs[2].payload))),
         Outcome.WEAK,
-        ANY_PAYLOAD,
+        ANY_PAYLOAD | {F.TOOL_BODY},
     ),
     "a loaded run declared unloaded": (
         lambda runs: (ROBOT, only(runs, 2, lambda run: replace(run, payload=None))),
         Outcome.WEAK,
-        ANY_PAYLOAD,
+        ANY_PAYLOAD | {F.TOOL_BODY},
     ),
     "gravity along another axis": (lambda runs: (turned(ROBOT), runs), Outcome.CONTRADICTORY, GRAVITY),
     "gravity upside down": (

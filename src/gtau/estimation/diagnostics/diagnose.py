@@ -54,6 +54,7 @@ from gtau.estimation.thresholds.estimates import (
     NEGATIVE_STD,
     OTHER_SCALE,
     REFUTED_SHARE,
+    SCALED,
 )
 from gtau.estimation.thresholds.logs import ALIKE, BEYOND_GEARS, FRICTIONLESS, GEARED, MODEL_RESIDUAL
 from gtau.findings import Finding
@@ -230,6 +231,7 @@ def _given_gains(fit: Fit, examined: Examination, payloads: Mapping[str, Verdict
         for effect in examined.alternatives
         if effect.hypothesis == TORQUE_SCALE
         and effect.share > REFUTED_SHARE
+        and abs(effect.size) < SCALED  # beyond it is a sign or a unit, which others name
         and abs(effect.size) - 3 * (effect.std or np.inf) > OTHER_SCALE
     ]  # of one joint; the others then seem to have the inverse
     for worst in sorted(scaled, key=lambda effect: -effect.share)[:1]:

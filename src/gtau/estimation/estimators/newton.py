@@ -40,7 +40,8 @@ def moved(values: np.ndarray, step: np.ndarray, channels: int) -> np.ndarray:
     """Move estimates (k,) by a step in theta, 1 / g (if it is free) and the delays."""
     theta, gains, delays = split(values, channels)
     if len(step) == len(values):
-        gains = 1 / (1 / gains + step[len(theta) : -channels])
+        inverse = 1 / gains + step[len(theta) : -channels]
+        gains = 1 / np.where(inverse == 0, np.finfo(float).eps / gains, inverse)  # no gain is infinite
     return np.concatenate([theta + step[: len(theta)], gains, delays + step[-channels:]])
 
 
