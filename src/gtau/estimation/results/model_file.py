@@ -108,6 +108,8 @@ def _finite(text: str) -> float:
 
 
 def _problems(result: Result) -> Iterator[str]:
+    from jinja2 import TemplateError
+
     robot = result.robot
     for what, estimates, joints in (
         ("drive gains", result.drive_gains, robot.motors),
@@ -139,7 +141,7 @@ def _problems(result: Result) -> Iterator[str]:
     for finding in (*(verdict.finding for verdict in verdicts if verdict.finding), *causes):
         try:
             finding.sentence  # noqa: B018
-        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError):  # of a template and its values
+        except (ArithmeticError, AttributeError, LookupError, TemplateError, TypeError, ValueError):
             yield f"the values of the finding '{finding.kind}' are not those of its sentence"
 
 
