@@ -22,6 +22,7 @@ PUBLISHED = {
 MEASURED = {
     "xmate7p": (9.7, 3.3, 4.1, 3.2, 14, 12, 14),
     "kuka_med7": (46, 2.3, 19, 3.6, 13, 7, 20),
+    "xmate7p_1k": (43, 2.1, 30, 7.2, 19, 20, 58),  # the last one 2100 with impossible friction at rest
     "upv": (12, 13, 14, 11),
     "rokae_sensor": (54, 10, 35, 4.2, 29, 6.8, 22),
 }

@@ -162,7 +162,7 @@ def group_estimates(
     A = np.einsum("pa,pq,qc->ac", shaped.M, group.G.sum(axis=(0, 1))[:-1, :-1], shaped.M)
     size = np.sqrt(np.maximum(np.diag(A), 1e-300))[:, None]
     S = np.linalg.pinv(A / size / size.T, rcond=1e-9, hermitian=True) @ (shaped.M.T @ group.cross / size) / size
-    covariance = jackknife(shaped.residual) + _between_values(group, shaped, A)
+    covariance = jackknife(shaped.replicates) + _between_values(group, shaped, A)
     place = {name: k for k, name in enumerate(shaped.names)}
     names: list[Parameter] = []
     values: list[float] = []

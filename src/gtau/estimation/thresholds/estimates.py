@@ -45,6 +45,13 @@ TERM_T = Threshold(
     evidence="benchmarks/friction.py; at 2.0 false terms are 12 to 24 % with ripple or a wrong load, at 3.0 Stribeck "
     "is found in 65 to 92 %",
 )
+POSSIBLE = Threshold(
+    3.0,
+    "friction at rest beyond that of sliding, in rms torques of the motor, from which it is not taken",
+    healthy="1.1 and less (nine sets of shared logs)",
+    faulty="20 (motor 7 of an xMate7 Pro: another log was predicted with an error of 2100 %, without it 58 %)",
+    evidence="shared logs, benchmarks/zoo.py",
+)
 TERM_SHARE = Threshold(
     0.05,
     "share of the squared error of blocks left out that a term of friction takes away",
