@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import os
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
-import typer.testing
 from threadpoolctl import threadpool_limits
 
 # The tests fill all cores with processes of their own: there BLAS threads only wait for each other (a QR of 4500 x 220
@@ -16,8 +14,6 @@ from threadpoolctl import threadpool_limits
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("GTAU_THREADS", "1")
 threadpool_limits(1, "blas")
-# Typer makes all commands anew for each that a test runs, in 14 ms.
-typer.testing._get_command = cache(typer.testing._get_command)
 
 
 @pytest.fixture(scope="session")

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import typer.testing
 from five_bar_logs import GAINS, Plant, write_experiment
 from models_to_export import model_of
 from typer.testing import CliRunner
@@ -40,9 +39,8 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[object]
 
 
 @pytest.fixture
-def my_lab(tmp_path: Path, install, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Write the files of the page; commands are made anew, as their help lists what is installed."""
-    monkeypatch.setattr(typer.testing, "_get_command", typer.testing._get_command.__wrapped__)
+def my_lab(tmp_path: Path, install) -> None:
+    """Write the files of the page."""
     text = PAGE.read_text(encoding="utf-8")
     files = re.findall(r"^`([\w/.]+)`.*?```\w+\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
     assert len(files) == 5

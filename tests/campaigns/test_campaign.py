@@ -300,7 +300,9 @@ def test_parameters_that_are_those_of_no_robot_are_not_rehearsed(copied: Path, m
 
     monkeypatch.setattr(rehearsal, "_under_control", under_control)
     design, model = Design(task, "gains", x, 1.0, (), 0), copied / "model.json"
-    assert rehearsal.rehearse(design, file, model, silent).errors == {"left": 0.0, "right": 0.0}
+    done = rehearsal.rehearse(design, file, model, silent)
+    assert done.errors == {"left": 0.0, "right": 0.0}
+    assert done.notes[0].startswith("rehearsal: with the inertias of the robot's file")
     assert tried == [model, None]
     with pytest.raises(GtauError, match="cannot be continued"):
         rehearsal.rehearse(design, file, None, silent)
@@ -367,7 +369,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     home = "gtau.campaigns.campaign"
     saved = SimpleNamespace(save=lambda path: write_json(path, {"model": 1}))
     monkeypatch.setattr(f"{home}.design", drawn)
-    monkeypatch.setattr(f"{home}.rehearse", lambda *_: Rehearsal(0.9, "limit", 1.0, {}, {}, ""))
+    monkeypatch.setattr(f"{home}.rehearse", lambda *_: Rehearsal(0.9, "limit", 1.0, {}, {}, ()))
     monkeypatch.setattr(f"{home}.identified", lambda *_: saved)
     monkeypatch.setattr(f"{home}.decide", lambda *_: Decision("confirm", "all gains are within 3 %"))
     monkeypatch.setattr(f"{home}.slower", lambda *_: ())

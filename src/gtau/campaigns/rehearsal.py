@@ -37,8 +37,8 @@ CSV = "motion.csv"
 class Rehearsal:
     """What a rehearsal found: greatest use of a limit, tool speed (m/s), and of the run under control each joint's.
 
-    ``errors`` and ``torques`` are the largest tracking errors, rad or m, and torques, N m or N, by joint; ``unseen``
-    says why contacts were not looked for, empty if they were.
+    ``errors`` and ``torques`` are the largest tracking errors, rad or m, and torques, N m or N, by joint; ``notes``
+    say what was not rehearsed as usual.
     """
 
     used: float
@@ -46,7 +46,7 @@ class Rehearsal:
     speed: float
     errors: Mapping[str, float]
     torques: Mapping[str, float]
-    unseen: str
+    notes: tuple[str, ...]
 
 
 def rehearse(design: Design, file: DesignFile, model: Path | None, progress: Progress) -> Rehearsal:
@@ -56,7 +56,7 @@ def rehearse(design: Design, file: DesignFile, model: Path | None, progress: Pro
     is none that moves, as parameters that the data hardly determine may be those of no body. Raises GtauError where a
     limit is exceeded or the robot strays.
     """
-    task = design.task
+    task, notes = design.task, list[str]()
     worst = max(check(task, design.x), key=lambda usage: usage.excess)
     if worst.excess > 1:
         raise GtauError(f"the motion exceeds a limit: the {worst.what} must be {worst.allowed}; widen it or redesign.")
@@ -66,6 +66,7 @@ def rehearse(design: Design, file: DesignFile, model: Path | None, progress: Pro
         if model is None:
             raise
         errors, torques = _under_control(design, file, None, progress)
+        notes.append("rehearsal: with the inertias of the robot's file, as the identified parameters do not move")
     allowed = tolerances(design)
     for joint, error in errors.items():
         if error > allowed[joint]:
@@ -74,7 +75,8 @@ def rehearse(design: Design, file: DesignFile, model: Path | None, progress: Pro
                 f"allowed; limit its acceleration or jerk in the design file."
             )
     ((time, joints),) = Outlook(design, {}).motions
-    unseen = check_contacts(Path(file.robot), task.model, time, joints)
+    if unseen := check_contacts(Path(file.robot), task.model, time, joints):
+        notes.append(f"contacts in MuJoCo: not checked, {unseen}")
     robot = load_robot(file.robot)
     for joint, torque in torques.items():
         most = robot.joint(joint).limits.effort  # the file's own: the design's share is for what happens on the way
@@ -83,7 +85,7 @@ def rehearse(design: Design, file: DesignFile, model: Path | None, progress: Pro
                 f"in the rehearsal joint '{joint}' takes {torque:.3g} {torque_unit(robot, joint)}, "
                 f"{most:.3g} is allowed; limit its acceleration in the design file."
             )
-    return Rehearsal(worst.excess, worst.what, Outlook(design, {}).tool[0], errors, torques, unseen)
+    return Rehearsal(worst.excess, worst.what, Outlook(design, {}).tool[0], errors, torques, tuple(notes))
 
 
 def _under_control(
@@ -145,7 +147,7 @@ def write_motion(
     task, robot = design.task, design.task.model.robot
     ((time, joints),) = Outlook(design, {}).motions
     write_table(trajectory_table(task, time, joints), folder_of(folder) / CSV)
-    allowed, unseen = tolerances(design), rehearsal.unseen
+    allowed = tolerances(design)
     files = digest([folder / CSV, *scene(folder.parent, file)], folder)
     write_json(
         folder / MOTION,
@@ -170,7 +172,7 @@ def write_motion(
                 {"name": f"run{k + 1}", "payload": None if load is None else {"name": load.name, "mass": load.mass}}
                 for k, load in enumerate(task.payloads)
             ],
-            "guards": [*task.guards, *([f"contacts in MuJoCo: not checked, {unseen}"] if unseen else [])],
+            "guards": [*task.guards, *rehearsal.notes],
             "rehearsal": asdict(rehearsal),
             **decided,
         },

@@ -29,12 +29,13 @@ class _Command(TyperCommand):
     """A command whose help names all exports, and arguments without the Python types that recent Typers add."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
+        listed = ", ".join(names("gtau.exports", "gtau.export"))
         for parameter in self.get_params(ctx):
             if parameter.param_type_name == "argument":
                 parameter.display_type_rich = _no_type  # type: ignore[attr-defined, method-assign, unused-ignore]
-            elif "{exports}" in (parameter.help or ""):  # type: ignore[attr-defined]
-                listed = ", ".join(names("gtau.exports", "gtau.export"))
-                parameter.help = parameter.help.format(exports=listed)  # type: ignore[attr-defined]
+            elif "{exports}" in (template := getattr(parameter, "template", parameter.help) or ""):  # type: ignore[attr-defined]
+                parameter.template = template  # type: ignore[attr-defined]
+                parameter.help = template.format(exports=listed)  # type: ignore[attr-defined]
         super().format_help(ctx, formatter)
 
 

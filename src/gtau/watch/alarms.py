@@ -268,7 +268,7 @@ def week_of(view: View, since: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 
 def beyond(view: View, since: int = 0, times: float = 1.0) -> np.ndarray:
-    """Find the quantities (m,) that are beyond so many ``times`` their tolerance with their whole interval."""
+    """Find the quantities (m,) whose whole interval lies beyond ``times`` their tolerance."""
     mean, half = week_of(view, since)
     return np.asarray(np.abs(mean - view.reference) - half > times * view.tolerance)
 

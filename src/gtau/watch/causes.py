@@ -35,7 +35,7 @@ SECOND = 0.3  # of its misfit, below which two explain the change
 CORRELATED = 5.7  # logs that count as one: (1 + rho) / (1 - rho) of a correlation of 0.7
 REACH = 1.0  # m at most from the flange to the centre of mass of a load
 LARGEST = {"zero": (-20.0, 20.0), "delay": (-0.2, 0.2), "rate": (-0.5, 0.5)}  # deg or mm, s, share
-STOPPED = -1.1  # share of friction, of which no more than all can go
+STOPPED = -1.1  # least change of friction, of itself: it cannot fall by more than all, with a margin
 LEADING = ("m", "fs")  # stated first
 RESCALED = 2.0  # a gain that changes by a larger factor is a unit or a sign of the channel
 

@@ -46,7 +46,7 @@ CREATE TABLE events (id INTEGER PRIMARY KEY, date TEXT, kind TEXT, subject TEXT,
 class WatchSettings(Keys):
     """Head of a history: its model and charts, and what determines the time between false alarms, and the tolerances.
 
-    ``baseline`` logs set what is normal; of ``robots`` that send ``logs_per_year`` each there are so many false alarms.
+    ``baseline`` logs set what is normal; the false alarms are those of all ``robots``, with ``logs_per_year`` each.
     """
 
     model: str
@@ -191,7 +191,7 @@ class History:
         self.settings = settings
 
     def logs(self, charts: int, joints: int) -> Logs:
-        """Read the logs, of so many charts and joints."""
+        """Read the logs, by their numbers of charts and joints."""
         rows = self._database.execute("SELECT id, log, date, count, numbers FROM logs ORDER BY date, id").fetchall()
         numbers = np.frombuffer(b"".join(row[-1] for row in rows)).reshape(len(rows), 2 * (charts + joints))
         parts = np.split(numbers, [charts, 2 * charts, 2 * charts + joints], axis=1)
