@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit, jackknife
+from gtau.estimation.estimators.huber import CONVERGED, PASSES, TUNING, robust_sigma, sandwich_factor
 from gtau.estimation.friction.law import FrictionLaw
-from gtau.estimation.friction.normal_equations import FINER, FrictionGroup, friction_joints, normal_equations
+from gtau.estimation.friction.normal_equations import (
+    FINER,
+    FrictionGroup,
+    FrictionJoint,
+    friction_joints,
+    normal_equations,
+)
 from gtau.estimation.friction.selection import (
     KINDS,
     WORDS,
@@ -64,7 +71,7 @@ def friction_step(
     errors: dict[str, tuple[float, float]] = {}
     of_rows = normal_equations(fit, law, joints)  # behind whose filter errors are stated
     fixed = _fixed(fit, estimates, {joint.name for joint in joints})
-    for group, rows in zip(normal_equations(fit, law, joints, FINER), of_rows, strict=True):
+    for group, rows in zip(_on_all_samples(fit, law, joints), of_rows, strict=True):
         if len(group.G):
             candidate, plain, evidence = choose(group)
             names, values, slopes, scatter = group_estimates(group, candidate)
@@ -79,6 +86,27 @@ def friction_step(
         replaced = set(fit.system.terms).difference(names_of_curves)
         estimates = estimates.select([name for name in estimates.unknowns if name not in replaced])
     return estimates, {joint.name: curves[joint.name] for joint in joints if joint.name in curves}, errors
+
+
+def _on_all_samples(fit: Fit, law: FrictionLaw, joints: Sequence[FrictionJoint]) -> tuple[FrictionGroup, ...]:
+    """Reduce all samples, with Huber's weights until the friction they lead to settles if the fit has weighted rows."""
+    groups, before = normal_equations(fit, law, joints, FINER), None
+    if fit.unweighted is None:
+        return groups
+    limits = [np.full(len(group.motors), TUNING) for group in groups]
+    for _ in range(PASSES):
+        errors = [_error(choose(group)[0]) if len(group.G) else np.zeros(len(group.cross) + 1) for group in groups]
+        if before is not None and np.allclose(np.hstack(errors), before, rtol=CONVERGED, atol=0):
+            break
+        before = np.hstack(errors)
+        groups = normal_equations(fit, law, joints, FINER, list(zip(errors, limits, strict=True)))
+        limits = [TUNING * robust_sigma([group.residuals]) for group in groups]
+    return groups
+
+
+def _error(candidate: FrictionFit) -> np.ndarray:
+    """Return what makes the residual of the columns and the torque, (p + 1,)."""
+    return np.append(-candidate.M @ candidate.x, 1.0)
 
 
 def reference_temperatures(fit: Fit) -> ReferenceTemperatures | None:
@@ -100,7 +128,7 @@ def friction_unit(name: Parameter, robot: Robot, temperatures: ReferenceTemperat
 
 def _errors(group: FrictionGroup, candidate: FrictionFit) -> list[tuple[float, float]]:
     """Compute the rms of error and torque of each motor over all its rows."""
-    error = np.append(-candidate.M @ candidate.x, 1.0)
+    error = _error(candidate)
     squares = np.einsum("p,bmpq,q->m", error, group.G, error) / group.weights**2
     counts = np.maximum(group.signals[:, 0], 1)
     rms, signal = np.sqrt(np.maximum(squares, 0.0) / counts), np.sqrt(group.signals[:, 1] / counts)
@@ -162,7 +190,8 @@ def group_estimates(
     A = np.einsum("pa,pq,qc->ac", shaped.M, group.G.sum(axis=(0, 1))[:-1, :-1], shaped.M)
     size = np.sqrt(np.maximum(np.diag(A), 1e-300))[:, None]
     S = np.linalg.pinv(A / size / size.T, rcond=1e-9, hermitian=True) @ (shaped.M.T @ group.cross / size) / size
-    covariance = jackknife(shaped.replicates) + _between_values(group, shaped, A)
+    factor = sandwich_factor([group.residuals])
+    covariance = factor**2 * jackknife(shaped.replicates) + _between_values(group, shaped, A)
     place = {name: k for k, name in enumerate(shaped.names)}
     names: list[Parameter] = []
     values: list[float] = []
