@@ -39,29 +39,12 @@ BETWEEN = {"width": 0.09, "speed": 0.07}
 def friction_step(
     fit: Fit, estimates: Estimates
 ) -> tuple[Estimates, dict[str, FrictionCurve], dict[str, tuple[float, float]]]:
-    """Identify the friction of every joint on all samples.
+    """Identify the friction of every joint on all samples; gains and inertial parameters of the fit stay as they are.
 
-    Parameters
-    ----------
-    fit : Fit
-        Whose gains and inertial parameters stay as they are.
-    estimates : Estimates
-        Of the fit, whose friction is replaced; its covariance has a share in that of the new friction through the
-        torque left to it.
-
-    Returns
-    -------
-    Estimates
-        The updated ones, without the terms of the equations that the curves replace.
-    dict
-        Joint to its curve; without curves the plain law predicts.
-    dict
-        Motor to the rms of error and torque over all samples, N m or N.
-
-    Raises
-    ------
-    GtauError
-        Where the closures refuse a sample.
+    The friction of the ``estimates`` is replaced; their covariance has a share in that of the new friction through the
+    torque left to it. Returned are the updated ones, without the terms of the equations that the curves replace; the
+    curve of each joint (without curves the plain law predicts); and of each motor the rms of error and torque over all
+    samples, N m or N. Raises GtauError.
     """
     law, base = FrictionLaw(fit.dataset.model, {}), fit.dataset.base
     joints = friction_joints(fit.dataset, law)
@@ -172,19 +155,11 @@ def _between_values(group: FrictionGroup, shaped: FrictionFit, A: np.ndarray) ->
 def group_estimates(
     group: FrictionGroup, candidate: FrictionFit
 ) -> tuple[list[Parameter], np.ndarray, np.ndarray, np.ndarray]:
-    """Estimate the friction of the joints of a group.
+    """Estimate the friction of the joints of a group: names, values, slopes and scatter.
 
-    Returns
-    -------
-    names : list of Parameter
-        ``off``, ``fv``, ``fs``, ``fb``, ``fl``, ``fvt``, ``fst``, ``width`` and ``vs`` of each joint, those that it
-        has, (m,).
-    values : ndarray
-        (m,), zero for one that would be negative.
-    slopes : ndarray
-        (m, gains and base parameters) derivatives by these.
-    scatter : ndarray
-        (m, m) covariance at given gains and base parameters.
+    Names are those of ``off``, ``fv``, ``fs``, ``fb``, ``fl``, ``fvt``, ``fst``, ``width`` and ``vs`` that each joint
+    has, values (m,) are zero where they would be negative, slopes (m, gains and base parameters) derivatives by these,
+    and the scatter (m, m) is the covariance at given ones.
     """
     shaped = with_shapes(group, candidate)
     A = np.einsum("pa,pq,qc->ac", shaped.M, group.G.sum(axis=(0, 1))[:-1, :-1], shaped.M)
