@@ -179,9 +179,9 @@ def test_a_stated_prior_counts_with_its_deviation(runs: list[Run], identified: C
 def test_the_unknowns_give_the_problem_s_parameters(data: Dataset) -> None:
     system = data.system((Parameter("f3", "left"),), True)
     unknowns = standard_unknowns(system, ml(system.problem), {})
-    assert unknowns.S.shape == (len(system.whole.parameters), len(unknowns.names))
+    assert unknowns.S.shape == (len(system.unreduced.parameters), len(unknowns.names))
     x = np.array([CHI.get(name, STEEL.get(name.removesuffix("_L2"), 0.0)) for name in unknowns.names])
-    theta = dict(zip(system.whole.parameters, unknowns.S @ x, strict=True))
+    theta = dict(zip(system.unreduced.parameters, unknowns.S @ x, strict=True))
     solution = ml(system.problem)
     std = np.sqrt(np.diag(solution.jackknife))
     for name, value, deviation in zip(system.problem.parameters, solution.theta, std, strict=False):

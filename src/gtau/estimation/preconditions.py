@@ -61,9 +61,9 @@ def plan(subject: Subject, dataset: Dataset, system: System) -> tuple[Estimator,
     scale of the currents, or the estimator asked for lacks an input.
     """
     options, runs = subject.options, dataset.runs
-    estimator, asked = estimator_for(options, runs), options.method is not None
+    estimator, named = estimator_for(options, runs), options.method is not None
     if estimator.gains != Gains.GIVEN:
-        demanded = runs[0].kind == "current" or (asked and estimator.gains == Gains.ESTIMATED)
+        demanded = runs[0].kind == "current" or (named and estimator.gains == Gains.ESTIMATED)
         try:
             require_scale(dataset.robot, system, [run.payload for run in runs], estimator.name)
         except GtauError:
@@ -72,7 +72,7 @@ def plan(subject: Subject, dataset: Dataset, system: System) -> tuple[Estimator,
         else:
             if demanded or tests_torques(system):
                 return estimator, None
-        estimator = estimator if asked else estimator_of("wls")
+        estimator = estimator if named else estimator_of("wls")
     return estimator, given_gains(dataset.robot, runs, options.gains, estimator.name)
 
 

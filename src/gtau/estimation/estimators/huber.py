@@ -38,7 +38,7 @@ def reweighted(system: System, solve: Solve, progress: Progress) -> System:
         weigh = [(np.einsum("jpk,jk->jp", system.map(run), of_row), TUNING * sigma) for run in runs]
         system = system.again(system.dataset.reduced(system.loads(solution.theta), progress, weigh))
         sigma = robust_sigma([run.residuals for run in system.dataset.factors])
-        sigma = np.maximum(sigma, system.whole.smallest_sigma)
+        sigma = np.maximum(sigma, system.unreduced.smallest_sigma)
     return system
 
 

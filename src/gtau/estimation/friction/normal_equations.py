@@ -245,7 +245,7 @@ def _rows_along(
         assert part.friction is not None
         *made, speeds, effort, rest = np.split(part.friction, ends)
         measured = fit.gains[:, None] * delayed_signal(np.moveaxis(part.currents[:, :n], 0, -1), solution.delays[:n])
-        columns = {joint: np.vstack([own, speed]) for joint, own, speed in zip(joints, made, speeds, strict=True)}
+        columns = {joint: np.vstack([A, speed]) for joint, A, speed in zip(joints, made, speeds, strict=True)}
         yield part, columns, np.stack([measured - effort - rest, measured])
 
 
