@@ -100,7 +100,8 @@ def identify(
         Called as the work goes on.
     prior_inertias : float, optional
         Take the inertias of the robot's file (URDF or MJCF) as priors with this relative standard deviation, 0.3 for
-        30 %; the experiment file's if left out.
+        30 %; the experiment file's if left out. Where nothing else gives the scale of the gains, they give it, and
+        that alone.
 
     Returns
     -------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib.util import find_spec
 
 import numpy as np
@@ -112,10 +113,11 @@ def reduced(
 ) -> Dataset:
     """Reduce the runs, with the priors that the estimator uses as equations.
 
-    Others use them only for consistent parameters. Raises GtauError.
+    Others use them only for consistent parameters. The inertias of the robot's file, where nothing else gives the scale
+    of the gains, give the scale alone. Raises GtauError.
     """
     options = subject.options
-    return reduce_runs(
+    dataset = reduce_runs(
         subject.robot,
         subject.runs,
         preparation,
@@ -124,6 +126,16 @@ def reduced(
         priors=options.priors if estimator.takes_priors else {},
         prior_inertias=options.prior_inertias or 0.0,
     )
+    asked = estimator.gains != Gains.GIVEN and (options.method is not None or dataset.runs[0].kind == "current")
+    if asked and not dataset.stated_priors and not any(map(_has_scale, dataset.runs)):
+        return replace(dataset, priors={})
+    return dataset
+
+
+def _has_scale(run: Run) -> bool:
+    """Whether a payload of known mass, torque sensors or wrenches give the scale."""
+    loaded = run.payload is not None and run.payload.mass is not None
+    return loaded or any(not channel.kind.unknown_gain for channel in run.channels)
 
 
 def given_gains(robot: Robot, runs: Sequence[Run], prior_gains: Mapping[str, float], method: str) -> np.ndarray:

@@ -237,5 +237,6 @@ def estimates_of(fit: Fit, examined: Examination, correlated: bool) -> Estimates
         parts = (solution.covariance, of_scale, np.zeros_like(of_scale))
         return Estimates(problem.unknowns, solution.values, *parts, None)
     freedom = degrees_of_freedom(problem, solution, fit.free_gains)
-    parts = (solution.jackknife, of_scale, examined.covariance(fit))
+    of_file = solution.of_prior if fit.dataset.scaled_by_file else 0.0
+    parts = (solution.jackknife - of_file, of_scale + of_file, examined.covariance(fit))
     return Estimates(problem.unknowns, solution.values, *parts, freedom)

@@ -15,6 +15,7 @@ from gtau.estimation.regression.assembly import (
     inertia_priors,
     known_equations,
     require_base_wrench,
+    scale_of_file,
     unexcited,
 )
 from gtau.estimation.regression.column_blocks import (
@@ -70,9 +71,9 @@ def base_of(robot: Robot, sensors: tuple[str, ...] = ()) -> BaseParameters:
 class Dataset:
     """All runs of an experiment, read and reduced, with the priors, before any estimation.
 
-    ``priors`` are those of standard or base parameters, by name; with the inertias of the robot's file among them,
-    ``prior_inertias`` is their relative standard deviation, else 0. ``reference`` is a model of the same robot whose
-    parameters count as known with their covariance.
+    ``priors`` are those of standard or base parameters, by name; with the inertias of the robot's file among them, or
+    where these give the scale, ``prior_inertias`` is their relative standard deviation, else 0. ``reference`` is a
+    model of the same robot whose parameters count as known with their covariance.
     """
 
     model: InverseDynamics
@@ -94,6 +95,11 @@ class Dataset:
         """The priors without the inertias of the robot's file."""
         of_file = inertia_priors(self.robot, self.prior_inertias) if self.prior_inertias else {}
         return {name: prior for name, prior in self.priors.items() if of_file.get(name) != prior}
+
+    @property
+    def scaled_by_file(self) -> bool:
+        """Whether the inertias of the robot's file are no priors of parameters, but one of the scale alone."""
+        return self.prior_inertias > 0 and len(self.priors) == len(self.stated_priors)
 
     @property
     def runs(self) -> tuple[Run, ...]:
@@ -145,6 +151,8 @@ class Dataset:
         warm = None if self.temperatures is None else self.temperatures.of_blocks
         plain = assemble_problem(effects, channels, self.factors, longest, warm, self.prepared.places[0].tolist())
         known = known_equations(self.base, self.model.parameter_names, plain.parameters, self.priors)
+        if self.scaled_by_file:
+            known = np.vstack([known, scale_of_file(self.model, self.base, plain, self.prior_inertias)])
         if self.reference is not None:
             known = np.vstack([known, self.reference.among(plain.parameters)])
         problem = replace(plain, known=known, wrenches=tuple(given), factored=plain.triangles)

@@ -30,7 +30,8 @@ def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | Non
         raise GtauError(
             f"method '{method}' needs a scale to find the drive gains, and no run has a payload of known mass; "
             "add 'payload: {name: ..., mass: ...}' to a loaded run (--payload LOG=KG with logs), torque sensors "
-            f"('joint_torque' under 'signals'), or known parameters ('priors'), {other}."
+            "('joint_torque' under 'signals'), or known parameters ('priors', or 'prior_inertias' for those of the "
+            f"robot's file), {other}."
         )
     if not elsewhere and len({None if payload is None else payload.name for payload in payloads}) < 2:
         raise GtauError(
