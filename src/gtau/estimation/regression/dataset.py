@@ -15,6 +15,7 @@ from gtau.estimation.regression.assembly import (
     inertia_priors,
     known_equations,
     require_base_wrench,
+    require_rows,
     scale_of_file,
     unexcited,
 )
@@ -150,6 +151,8 @@ class Dataset:
         longest = 0.5 / (2 * np.pi * self.preparation.bandwidth) * np.asarray(delays)
         warm = None if self.temperatures is None else self.temperatures.of_blocks
         plain = assemble_problem(effects, channels, self.factors, longest, warm, self.prepared.places[0].tolist())
+        if self.reference is None:  # which says what a joint at rest does not
+            require_rows(plain)
         known = known_equations(self.base, self.model.parameter_names, plain.parameters, self.priors)
         if self.scaled_by_file:
             known = np.vstack([known, scale_of_file(self.model, self.base, plain, self.prior_inertias)])
