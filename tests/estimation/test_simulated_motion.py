@@ -231,7 +231,7 @@ def test_the_regressor_as_its_own_instrument_is_maximum_likelihood(least_squares
     system = least_squares_step
     free = ml(system.problem)
     pair = paired(system, free)
-    same = with_instruments(Pair(pair.measured, pair.measured, (pair.whole[0], pair.whole[0])), free, True)
+    same = with_instruments(Pair(pair.measured, pair.measured, (pair.merged[0], pair.merged[0])), free, True)
     again = ml(pair.measured)
     np.testing.assert_allclose(same.gains, again.gains, rtol=1e-5)
     variances = same.covariance.diagonal(), again.covariance.diagonal()

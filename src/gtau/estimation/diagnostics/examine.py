@@ -190,7 +190,7 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
         return Examination(findings=(Finding(F.FEW_ROWS, values={"rows": rows, "unknowns": unknowns}),))
     findings: list[Finding] = []
     alternatives: list[Alternative] = []
-    effort = rank_meanings(fit.dataset, fit.system.whole.longest_delays.max())
+    effort = rank_meanings(fit.dataset, fit.system.unreduced.longest_delays.max())
     silenced: Set[str] = set()
     for name, check in CHECKS.items():
         if name in silenced:

@@ -61,7 +61,7 @@ def assemble_problem(
     numbers = [np.arange(len(factor.rows)) for factor in factors]
     count = max(map(len, numbers))
     clusters = np.concatenate([motion * count + number for motion, number in zip(of_run, numbers, strict=True)])
-    problem = Problem(
+    return Problem(
         unknown_names(effects),
         tuple(channels),
         np.concatenate(blocks)[filled],
@@ -70,13 +70,16 @@ def assemble_problem(
         clusters=clusters[filled],
         factored=tuple(triangle(*parts) for parts in zip(*merged, strict=True)) if merged else None,
     )
+
+
+def require_rows(problem: Problem) -> None:
+    """Check that every channel has enough equations; raises GtauError."""
     for channel, equations in zip(problem.channels, problem.total_rows, strict=True):
         if equations < FEWEST_ROWS:
             raise GtauError(
                 f"joint '{channel.joint}' has {equations} usable rows in all runs together, away from its reversals "
                 "and gaps; add runs in which it moves, or longer ones."
             )
-    return problem
 
 
 def plain_problem(
@@ -91,6 +94,7 @@ def plain_problem(
     effects = column_blocks(base, channels, payload_columns(model, base, payloads), (), len(factors))
     require_base_wrench(model, factors)
     problem = assemble_problem(effects, channels, factors, longest_delays)
+    require_rows(problem)
     return problem.without(unexcited(problem))
 
 
