@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from five_bar_logs import CHI, GAINS, STEEL, Plant
-from threadpoolctl import threadpool_limits
 
 from gtau.estimation.diagnostics.alternatives import Alternative, compete
 from gtau.estimation.diagnostics.diagnose import diagnose
@@ -39,12 +37,6 @@ from gtau.signals.run import Run
 
 ROBOT = load_robot("five-bar")
 NOISY = Preparation(bandwidth=2.5, cutoff=100.0, decimator=Decimator(10), rate=500.0)  # a filter that is far too wide
-
-
-@pytest.fixture(scope="module", autouse=True)
-def one_thread() -> Iterator[None]:
-    with threadpool_limits(1, "blas"):
-        yield
 
 
 def logs(encoder_noise: float = 0.0, seconds: float = 8.0, noise: float = 0.01, seed: int = 1) -> list[Run]:

@@ -20,11 +20,6 @@ ALL_SAMPLES = 4096  # of a block that is not decimated
 FAST_SAMPLES = 1024  # of a block, before decimation: enough to amortise Python, and few enough to stay in the cache
 
 
-def term_columns(qd: np.ndarray, effort: np.ndarray) -> np.ndarray:
-    """Build the columns of the terms, (2, n, N), from speeds and transmitted torques (n, N)."""
-    return np.stack([qd * qd * qd, np.abs(effort) * np.sign(qd)])  # a power would take ten times as long
-
-
 @dataclass(frozen=True)
 class Rows:
     """Rows of all channels, the joints' and then the torque sensors', at K output instants.
@@ -85,12 +80,13 @@ def stream_rows(
         effort = currents[0, : len(qd)]
         if load is not None:
             effort = regressor.torques(entries, load, len(idm.actuated)) - external[0]
+        terms = np.stack([qd * qd * qd, np.abs(effort) * np.sign(qd)])  # a power would take ten times as long
         yield Rows(
             window.time[kept],
             decimator.keep(window.usable, outputs).T,
             decimator.apply(entries, outputs),
             decimator.apply(currents, outputs),
-            decimator.apply(term_columns(qd, effort), outputs),
+            decimator.apply(terms, outputs),
             decimator.apply(external[0], outputs),
             outputs,
             motion[kept],
